@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,6 +24,9 @@ from gateway.commands.options import (
 from gateway.commands.outcome import fail_on_findings, show_result, write_junit
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from gateway.analyse.given import Given, ModelRequest
     from gateway.estimate import Coefficient
     from gateway.result.acceptance import Expected
@@ -105,7 +109,6 @@ def estimate(
     """Mass and centre of gravity of every unknown load, with 95 % intervals and what cannot be told."""
     from dataclasses import replace
 
-    from gateway.acquire.asking import postures_to_ask
     from gateway.analyse.accept import accept, check_against_data
     from gateway.analyse.complete import complete
     from gateway.analyse.given import estimate_options, given, read_rows
@@ -114,7 +117,7 @@ def estimate(
     about = given(model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain), data)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
-    options = replace(estimate_options(about), pose_choice=postures_to_ask(about))
+    options = replace(estimate_options(about), pose_choice=None if about.arm is None else _postures(about))
     if method == "coefficient":
         wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
         options = replace(options, coefficient=wanted.of(about))
@@ -200,7 +203,6 @@ def diagnose(
     json_out: str | None,
 ) -> None:
     """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
-    from gateway.acquire.asking import postures_to_ask
     from gateway.analyse.accept import accept, check_against_data
     from gateway.analyse.complete import complete
     from gateway.analyse.given import diagnose_arguments, given, read_rows, split_validation
@@ -212,10 +214,17 @@ def diagnose(
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
-    choice = postures_to_ask(about)
     arguments = diagnose_arguments(about)
+    choice = None if about.arm is None else partial(_postures, about)
     options = DiagnoseOptions(holdout=unseen, only=only, without=without, pose_choice=choice, **arguments)
     with session_of().working("diagnosis"):
         result = run(seen, about.model, options)
     result = accept(complete(result, about, table, [*data, *holdout], operator), expected, about.arm)
     _hand_over(result, json_out, junit_file)
+
+
+def _postures(about: Given) -> NDArray[np.float64] | None:
+    """Postures (k, N) that a result may ask for; the planning code is loaded here alone."""
+    from gateway.acquire.asking import postures_to_ask
+
+    return postures_to_ask(about)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,7 +32,8 @@ class DiagnoseOptions:
     gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
     efficiency : (N,) gear efficiencies that the table's torque still has to go through; None = lossless
     gear_ratio : (N,), NaN where unknown; None = all unknown
-    pose_choice : (k, N) poses that may be asked for; None = between the joint angles that were visited
+    pose_choice : (k, N) poses that may be asked for, or a function that returns them, called where poses are asked for;
+        None = between the joint angles that were visited
     """
 
     inertials: str | None = None
@@ -46,7 +47,7 @@ class DiagnoseOptions:
     gain_std: tuple[float, ...] | None = None
     efficiency: Floats | None = None
     gear_ratio: Floats | None = None
-    pose_choice: Floats | None = None
+    pose_choice: Floats | Callable[[], Floats | None] | None = None
 
     @property
     def allowed(self) -> frozenset[str]:

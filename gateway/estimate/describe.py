@@ -134,14 +134,12 @@ def per_pose_mass(
     lever = columns @ (moment / moment[0]) * (1.0 + fit.solution.value[problem.rows.gain])
     own = fit.solution.residual + lever * moment[0]
     weight = np.where(here, fit.weight**2, 0.0)
-    poses = problem.visits.pose[problem.visit]
-    strength = {int(pose): float(np.sum((weight * lever**2)[poses == pose])) for pose in np.unique(poses[here])}
-    least = _INFORMATIVE * max(strength.values(), default=0.0)
-    return {
-        str(pose): float(np.sum((weight * lever * own)[poses == pose]) / value)
-        for pose, value in strength.items()
-        if value > least
-    }
+    poses, place = np.unique(problem.visits.pose[problem.visit[here]], return_inverse=True)
+    strength = np.bincount(place, weights=(weight * lever**2)[here], minlength=len(poses))
+    share = np.bincount(place, weights=(weight * lever * own)[here], minlength=len(poses))
+    told = strength > _INFORMATIVE * strength.max(initial=0.0)
+    mass = share[told] / strength[told]
+    return dict(zip([str(int(pose)) for pose in poses[told]], mass.tolist(), strict=True))
 
 
 def fitted_rows(problem: Problem, fit: NoiseFit) -> FittedRows:

@@ -186,9 +186,9 @@ def _contrast_off(
         value = left[at, axis]
         here = np.unique(pairs)
         alone[here, axis] = False
-        for visit in here:
-            signed = np.concatenate([value[pairs[:, 0] == visit], -value[pairs[:, 1] == visit]])
-            off[visit, axis] = signed[np.argmin(np.abs(signed))]
+        signed, visits = np.concatenate([value, -value]), pairs.T.ravel()
+        nearest = np.lexsort((np.abs(signed), visits))
+        off[here, axis] = signed[nearest[np.searchsorted(visits[nearest], here)]]
         for visit in here[np.abs(off[here, axis]) > far[axis]]:
             partner = pairs[(pairs == visit).any(axis=1)]
             rest = partner[partner != visit]

@@ -1,7 +1,7 @@
 """The weighted linear problem that every estimator solves: columns, weights, priors in; solution and covariance out.
 
-One call is a QR of the scaled, whitened columns and an SVD of its small factor: no copy of the data is kept, and it may
-be called thousands of times.
+One call is a QR of the scaled, whitened columns, part by part of the rows, and an SVD of the small factor: time and
+memory grow linearly with the rows, and it may be called thousands of times.
 """
 
 from __future__ import annotations
@@ -13,11 +13,14 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
 
 TOLERANCE = 1e-7
 #: Length of a column, over that of the longest, below which it is the rounding of none.
 NOTHING = 1e-13
 _RIDGE = 1e-10
+#: Rows that are reduced at once: with the columns of one group they stay in the cache of a core.
+_CHUNK = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,8 +76,8 @@ class Solution:
         Target less model, in the target's unit.
     leverage : array of shape (n,)
         Share of each row's own noise that the fit takes up, 0 to 1.
-    orthogonal : array of shape (n, rank)
-        Whitened data rows in an orthonormal basis: the hat matrix is `orthogonal @ orthogonal.T`.
+    basis : Basis
+        Whitened data rows in an orthonormal basis.
     rank : int
     misfit : float
         The minimum.
@@ -90,21 +93,30 @@ class Solution:
     scale: Floats
     residual: Floats
     leverage: Floats
-    orthogonal: Floats
+    basis: Basis
     rank: int
     misfit: float
     condition: float
     log_determinant: float
 
+    @property
+    def orthogonal(self) -> Floats:
+        """The basis as an array (n, rank): the hat matrix is `orthogonal @ orthogonal.T`."""
+        return self.basis.dense
+
 
 def solve(
-    design: Floats, target: Floats, weight: Floats, prior: Prior | None = None, tolerance: float = TOLERANCE
+    design: Floats | ByGroup,
+    target: Floats,
+    weight: Floats,
+    prior: Prior | None = None,
+    tolerance: float = TOLERANCE,
 ) -> Solution:
     """Minimise `|weight (target - design x)|^2 + |(x - mean) / std|^2 + |right - rows x|^2`.
 
     Parameters
     ----------
-    design : array of shape (n, p)
+    design : array of shape (n, p), or its parts by group
     target : array of shape (n,)
     weight : array of shape (n,)
         One over the standard deviation of each row.
@@ -113,40 +125,182 @@ def solve(
     tolerance : float
         Relative size below which a singular value of the scaled columns counts as zero.
     """
-    n, p = design.shape
+    rows = design if isinstance(design, ByGroup) else ByGroup.of(design)
+    p = rows.width
     prior = Prior.free(p) if prior is None else prior
     held = np.flatnonzero(np.isfinite(prior.std))
-    big = np.zeros((n + len(held) + len(prior.rows), p))
-    np.multiply(design, weight[:, None], out=big[:n])
-    big[n + np.arange(len(held)), held] = 1.0 / prior.std[held]
-    big[n + len(held) :] = prior.rows
-    right = np.concatenate([target * weight, prior.mean[held] / prior.std[held], prior.right])
-    scale = np.sqrt(np.einsum("ij,ij->j", big, big))
-    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
-    big /= scale
-    q, r = np.linalg.qr(big)
-    left, size, turned = _singular_values(r)
-    keep = size > tolerance * size.max(initial=0.0)
-    basis = left[:, : len(size)][:, keep]
-    inverse = turned[: len(size)][keep].T / size[keep] / scale[:, None]
-    orthogonal = q[:n] @ basis
-    value = inverse @ (basis.T @ (q.T @ right))
-    lost = np.concatenate([turned[: len(size)][~keep], turned[len(size) :]]).T / scale[:, None]
-    kept = size[keep]
-    left_over = right - big @ (value * scale)
+    known = np.zeros((len(held) + len(prior.rows), p + 1))
+    known[np.arange(len(held)), held] = 1.0 / prior.std[held]
+    known[: len(held), p] = prior.mean[held] / prior.std[held]
+    known[len(held) :, :p], known[len(held) :, p] = prior.rows, prior.right
+    reduced = reduce(rows, target, weight, known, tolerance)
+    value = reduced.inverse @ (reduced.left.T @ reduced.right[:-1])
+    short = reduced.right - reduced.factor @ (value * reduced.scale)
     return Solution(
         value=value,
-        covariance=inverse @ inverse.T,
-        null=lost,
-        scale=scale,
-        residual=target - design @ value,
-        leverage=np.einsum("ij,ij->i", orthogonal, orthogonal),
-        orthogonal=orthogonal,
-        rank=int(keep.sum()),
-        misfit=float(left_over @ left_over),
-        condition=float(kept[0] / kept[-1]) if len(kept) else np.inf,
-        log_determinant=float(2.0 * np.sum(np.log(kept)) + 2.0 * np.sum(np.log(scale))),
+        covariance=reduced.inverse @ reduced.inverse.T,
+        null=reduced.null,
+        scale=reduced.scale,
+        residual=target - rows.times(value),
+        leverage=reduced.basis.leverage,
+        basis=reduced.basis,
+        rank=len(reduced.size),
+        misfit=float(short @ short),
+        condition=float(reduced.size[0] / reduced.size[-1]) if len(reduced.size) else np.inf,
+        log_determinant=float(2.0 * np.sum(np.log(reduced.size)) + 2.0 * np.sum(np.log(reduced.scale))),
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ByGroup:
+    """Columns (n, p) of a design, kept by group: rows of one axis, or one kind, use few of all columns.
+
+    Attributes
+    ----------
+    count, width : int
+        Rows n and columns p.
+    parts : tuple of (rows, columns, values)
+        Chunks of rows of one group, and the columns that are not zero in all rows of that group.
+    """
+
+    count: int
+    width: int
+    parts: tuple[tuple[Ints, Ints, Floats], ...]
+
+    @staticmethod
+    def of(design: Floats, group: Ints | None = None) -> ByGroup:
+        """From an array (n, p) and the group (n,) of each row; without groups all rows use all columns."""
+        if group is None:
+            groups = [(np.arange(len(design)), np.arange(design.shape[1]))]
+        else:
+            rows_of = [np.flatnonzero(group == number) for number in np.unique(group)]
+            groups = [(rows, np.flatnonzero(design[rows].any(axis=0))) for rows in rows_of]
+        parts = [
+            (rows[first : first + _CHUNK], columns, design[np.ix_(rows[first : first + _CHUNK], columns)])
+            for rows, columns in groups
+            for first in range(0, len(rows), _CHUNK)
+        ]
+        return ByGroup(len(design), design.shape[1], tuple(parts))
+
+    @property
+    def dense(self) -> Floats:
+        """The array (n, p)."""
+        out = np.zeros((self.count, self.width))
+        for rows, columns, values in self.parts:
+            out[np.ix_(rows, columns)] = values
+        return out
+
+    def times(self, value: Floats) -> Floats:
+        """Product (n,) with parameters (p,)."""
+        out = np.zeros(self.count)
+        for rows, columns, values in self.parts:
+            out[rows] = values @ value[columns]
+        return out
+
+    def first(self, width: int) -> ByGroup:
+        """The same with the first columns alone."""
+        parts = [(rows, columns[columns < width], values[:, columns < width]) for rows, columns, values in self.parts]
+        return ByGroup(self.count, width, tuple(parts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Basis:
+    """Measured rows of an orthonormal basis of weighted columns with their prior rows: `weight columns inverse`.
+
+    Attributes
+    ----------
+    rows : ByGroup
+    weight : array of shape (n,)
+    inverse : array of shape (p, rank)
+    """
+
+    rows: ByGroup
+    weight: Floats
+    inverse: Floats
+
+    @property
+    def dense(self) -> Floats:
+        """The array (n, rank)."""
+        out = np.zeros((self.rows.count, self.inverse.shape[1]))
+        for rows, columns, values in self.rows.parts:
+            out[rows] = (values * self.weight[rows, None]) @ self.inverse[columns]
+        return out
+
+    @property
+    def leverage(self) -> Floats:
+        """Share (n,) of each row's own noise that the fit takes up, 0 to 1."""
+        out = np.zeros(self.rows.count)
+        for rows, columns, values in self.rows.parts:
+            own = self.inverse[columns]
+            out[rows] = self.weight[rows] ** 2 * np.einsum("ij,ij->i", values @ (own @ own.T), values)
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reduced:
+    """Weighted columns with their prior rows, reduced to a small factor: `columns = Q factor`, scaled.
+
+    Attributes
+    ----------
+    factor : array of shape (p + 1, p)
+        Upper triangle of the scaled columns; the last row is zero.
+    right : array of shape (p + 1,)
+        `Q' right`; the last entry is what no column reaches.
+    scale : array of shape (p,)
+        Length of each weighted column.
+    size, left : arrays of shape (rank,), (p, rank)
+        Singular values of the factor that count, and their left vectors.
+    inverse : array of shape (p, rank)
+        Parameters per unit of each left vector.
+    null : array of shape (p, p - rank)
+        Directions that neither rows nor priors determine.
+    basis : Basis
+    """
+
+    factor: Floats
+    right: Floats
+    scale: Floats
+    size: Floats
+    left: Floats
+    inverse: Floats
+    null: Floats
+    basis: Basis
+
+
+def reduce(design: ByGroup, target: Floats, weight: Floats, known: Floats, tolerance: float = TOLERANCE) -> Reduced:
+    """Reduce weighted columns to a small factor.
+
+    Parameters
+    ----------
+    design, target, weight, tolerance : as of `solve`
+    known : array of shape (h, p + 1)
+        Prior rows with unit standard deviation; the last column is their right-hand side.
+    """
+    p = design.width
+    squares = np.einsum("ij,ij->j", known[:, :p], known[:, :p])
+    stack = [known]
+    for rows, columns, values in design.parts:
+        part = np.empty((len(rows), len(columns) + 1))
+        np.multiply(values, weight[rows, None], out=part[:, :-1])
+        np.multiply(target[rows], weight[rows], out=part[:, -1])
+        squares[columns] += np.einsum("ij,ij->j", part[:, :-1], part[:, :-1])
+        small: Floats = np.asarray(np.linalg.qr(part, mode="r"))
+        spread = np.zeros((len(small), p + 1))
+        spread[:, columns], spread[:, p] = small[:, :-1], small[:, -1]
+        stack.append(spread)
+    scale = np.sqrt(squares)
+    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
+    tall = np.vstack(stack)
+    tall[:, :p] /= scale
+    triangle = np.zeros((p + 1, p + 1))
+    small = np.asarray(np.linalg.qr(tall, mode="r"))
+    triangle[: len(small)] = small
+    left, size, turned = _singular_values(triangle[:p, :p])
+    keep = size > tolerance * size.max(initial=0.0)
+    inverse = turned[keep].T / size[keep] / scale[:, None]
+    null = turned[~keep].T / scale[:, None]
+    basis = Basis(design, weight, inverse)
+    return Reduced(triangle[:, :p], triangle[:, p], scale, size[keep], left[:, keep], inverse, null, basis)
 
 
 def solve_normal(information: Floats, right: Floats, mean: Floats, precision: Floats) -> tuple[Floats, Floats]:

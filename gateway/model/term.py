@@ -119,6 +119,10 @@ class Term:
         """The setting with the effect in it."""
         raise NotImplementedError
 
+    def switched(self) -> tuple[Term, float] | None:
+        """For a change point: the same effect as if it had always been there, and the time [s] from which it acts."""
+        return None
+
     def enters(self, axes: int) -> tuple[int, ...]:
         """Axes, from 0, of an arm of so many whose torque the columns in motion enter."""
         return tuple(joint - 1 for joint in self.joints) or tuple(range(axes))

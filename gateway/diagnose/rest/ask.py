@@ -36,15 +36,15 @@ def questions(
     predictions over the noise (Box and Hill 1967).
     """
     fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
-    choice = pose_choice(problem.rows, options)
     few = len(np.unique(problem.rows.pose)) < REST.least_poses
+    if not few and len(fits) < 2:
+        return ()
+    choice = pose_choice(problem.rows, options)
     if not len(choice):
         what = "widen the limits of the cell: no pose inside them can be measured"
-        return (NextMeasurement(what=what, tells_apart=_names(fits)),) if few or len(fits) > 1 else ()
+        return (NextMeasurement(what=what, tells_apart=_names(fits)),)
     if few:
         return (_measure(choice, _far_apart(problem.rows, choice), ()),)
-    if len(fits) < 2:
-        return ()
     names = _names(fits)
     told = _disagreement(problem, robot, knowledge, fits, choice)
     poses = _spread_out(choice, told)
@@ -85,8 +85,9 @@ def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
 
 def pose_choice(rows: RestRows, options: DiagnoseOptions) -> Floats:
     """Poses (k, N) that may be asked for: given ones, or between the joint angles that were visited."""
-    if options.pose_choice is not None:
-        return np.asarray(options.pose_choice, dtype=float)
+    given = options.pose_choice() if callable(options.pose_choice) else options.pose_choice
+    if given is not None:
+        return np.asarray(given, dtype=float)
     rng = np.random.default_rng(4)
     return rng.uniform(rows.q_rad.min(axis=0), rows.q_rad.max(axis=0), (CHOICE, rows.axes))
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose
 from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
-from gateway.diagnose.rest.screen import projector
+from gateway.diagnose.rest.screen import projection
 from gateway.diagnose.rest.search import Search, pruned
 from gateway.diagnose.rest.structure import misfit
 from gateway.diagnose.rest.thresholds import REST
@@ -136,10 +136,11 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
     share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
     share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
     weight = 1.0 / whole.noise.std[problem.group]
-    common = slice(0, problem.n_common)
-    plain = replace(whole, terms=(), theta=(), design=whole.design[:, common], prior_std=problem.common_std)
-    project, _ = projector(problem, plain, weight)
-    left = project((share * weight)[:, None])[: len(weight), 0]
+    common = whole.columns.first(problem.n_common)
+    basis, _ = projection(
+        problem, replace(whole, terms=(), theta=(), columns=common, prior_std=problem.common_std), weight
+    )
+    left = share * weight - basis @ (basis.T @ (share * weight))
     return float(np.sqrt((problem.by_group(left**2) / np.maximum(problem.by_group(), 1)).max()))
 
 

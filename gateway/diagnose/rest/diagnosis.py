@@ -269,7 +269,8 @@ class RestDiagnosis:
                 before = replace(before, loads=after.loads)
         if not effects and not found.mistakes and decision.after is decision.before:
             fresh = found.table if holdout is None or kind != "fresh" else concatenate([found.table, holdout])
-            before, after = (replace(part, loads=self._as_estimated(fresh)) for part in (before, after))
+            loads = self._as_estimated(fresh)
+            before, after = replace(before, loads=loads), replace(after, loads=loads)
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += found.aside.findings

@@ -25,7 +25,7 @@ from gateway.diagnose.rest.linear import (
     with_terms,
 )
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.solve import Prior, solve
+from gateway.identify.solve import Basis, ByGroup, Prior, solve
 from gateway.model.rest import AlteredModel
 from gateway.model.term import Term
 
@@ -110,7 +110,7 @@ def _linearised(
         columns.append(own)
         if step == 0:
             spreads.append(state.spread[term] if term in state.spread else spread_of(problem, noise, term, own))
-    design = np.hstack(columns)
+    design = ByGroup.of(np.hstack(columns), problem.group)
     residual = problem.target - at_start.residual
     prior = _prior(problem, terms, state, spreads)
     solution = solve(design, residual, 1.0 / noise.std[problem.group], prior, TOLERANCE)
@@ -132,11 +132,11 @@ def _linearised(
         covariance=solution.covariance,
         setting=setting,
         residual=left,
-        design=design,
+        columns=design,
         noise=updated,
         evidence=mode - 0.5 * solution.log_determinant - log_spread,
         prior_std=prior.std,
-        orthogonal=solution.orthogonal,
+        basis=solution.basis,
         mode=mode,
     )
 
@@ -147,7 +147,8 @@ def _as_fit(problem: RestProblem, terms: Sequence[Term], state: _State, setting:
     now = modelled(problem, setting, state.links, state.loads, state.band)
     theta = tuple(state.theta)
     place = (state.links, state.loads, state.band, state.nuisance, theta)
-    return Fit(tuple(terms), *place, empty, setting, now, empty, noise, 0.0, empty, empty)
+    none = ByGroup(0, 0, ())
+    return Fit(tuple(terms), *place, empty, setting, now, none, noise, 0.0, empty, Basis(none, np.zeros(0), empty))
 
 
 def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> Prior:

@@ -16,6 +16,8 @@ from gateway.result.result import SetAside
 Floats = NDArray[np.float64]
 #: Share of a row's own noise below which the fit has taken it up altogether.
 LEAST_FREE: Final = 1e-9
+#: Smallest pivot of a Cholesky factor above which no direction is taken up.
+_SOUND: Final = 1e-3
 
 
 def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
@@ -43,15 +45,11 @@ def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
     and the one that is left out judges, at no cost (linearised).
     """
     std = fit.noise.std[problem.group]
-    pose = pose_of_rows(problem)
+    without = WithoutPose.of(problem, fit)
     scaled = fit.residual / std
-    out, density = np.empty_like(scaled), []
-    for number in np.unique(pose):
-        rows = np.flatnonzero(pose == number)
-        out[rows], free = _not_in_fit(scaled[rows], fit.orthogonal[rows])
-        told = float(np.sum(np.log(free))) - float(scaled[rows] @ out[rows])
-        density.append(0.5 * told - float(np.sum(np.log(std[rows]))))
-    return std * out, np.array(density)
+    out = without.apply(scaled[:, None])[:, 0]
+    told = without.log_free - without.by_pose(scaled * out)
+    return std * out, 0.5 * told - without.by_pose(np.log(std))
 
 
 def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[float]) -> Floats:
@@ -69,32 +67,114 @@ def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[
     return np.asarray(np.array(residual)[choice[pose], np.arange(len(pose))], dtype=float)
 
 
-def left_out_with(problem: RestProblem, fit: Fit, view: Screen, index: int) -> Floats:
-    """The same for the fit with one screened candidate added (linearised)."""
+def left_out_with(
+    problem: RestProblem, fit: Fit, view: Screen, index: int, without: WithoutPose | None = None
+) -> Floats:
+    """The same for the fit with one screened candidate added (linearised); `without` of the fit, where it is known."""
     std = fit.noise.std[problem.group]
-    columns = view.projected[:, view.pick(index)]
-    part = view.pick(index)
-    tall = view.tall[:, part]
-    matrix = tall.T @ tall + np.eye(columns.shape[1])
-    factor = np.linalg.cholesky(matrix)
+    without = WithoutPose.of(problem, fit) if without is None else without
+    columns, gram, score = view.projected(index)
+    factor = np.linalg.cholesky(gram + np.eye(len(gram)))
     added: Floats = np.asarray(np.linalg.solve(factor, columns.T).T, dtype=float)
-    residual: Floats = fit.residual / std - added @ np.linalg.solve(factor, view.score[part])
-    basis, pose = np.hstack([fit.orthogonal, added]), pose_of_rows(problem)
-    out = np.empty_like(residual)
-    for number in np.unique(pose):
-        rows = np.flatnonzero(pose == number)
-        out[rows], _ = _not_in_fit(residual[rows], basis[rows])
-    return std * out
+    residual: Floats = fit.residual / std - added @ np.linalg.solve(factor, score)
+    return std * without.apply_with(added, residual)
 
 
-def _not_in_fit(scaled: Floats, basis: Floats) -> tuple[Floats, Floats]:
-    """Weighted residual (k,) of rows once they are not in the fit, from that with them and their basis (k, p).
+@dataclass(frozen=True, slots=True, eq=False)
+class WithoutPose:
+    """What takes the rows of a pose out of a fit: for each pose the inverse of `1 - B B'`, of its rows B of the basis.
 
-    The other is how much of their own noise the fit has not taken up, in each direction where that is anything.
+    Directions that the fit takes up altogether have no inverse and are left out.
+
+    Attributes
+    ----------
+    pose : (rows,) place of each row's pose
+    log_free : (poses,) log determinant of `1 - B B'`
+    alike : rows (poses, m) and inverses (poses, m, m) of poses with m rows each, m no larger than the basis
+    large : rows (m,), factor (m, p) and size (p,) of poses with more rows: the inverse is `1 + U size U'`
     """
-    size, turned = np.linalg.eigh(np.eye(len(scaled)) - basis @ basis.T)
-    free = size > LEAST_FREE
-    return turned[:, free] @ ((turned.T @ scaled)[free] / size[free]), size[free]
+
+    pose: NDArray[np.int_]
+    log_free: Floats
+    alike: tuple[tuple[NDArray[np.int_], Floats], ...]
+    large: tuple[tuple[NDArray[np.int_], Floats, Floats], ...]
+
+    @classmethod
+    def of(cls, problem: RestProblem, fit: Fit) -> WithoutPose:
+        """Of a fit, with the rows of each pose under all loads."""
+        basis = fit.orthogonal
+        numbers, pose = np.unique(pose_of_rows(problem), return_inverse=True)
+        order, count = np.argsort(pose, kind="stable"), np.bincount(pose)
+        first = np.concatenate([[0], np.cumsum(count)[:-1]])
+        log_free = np.empty(len(numbers))
+        alike, large = [], []
+        for size in np.unique(count):
+            members = np.flatnonzero(count == size)
+            if size > basis.shape[1]:
+                for member in members:
+                    rows = order[first[member] : first[member] + size]
+                    factor, inverse, log_free[member] = _large(basis[rows])
+                    large.append((rows, factor, inverse))
+                continue
+            rows = order[first[members][:, None] + np.arange(size)]
+            inverse, log_free[members] = _inverses(basis[rows])
+            alike.append((rows, inverse))
+        return cls(pose, log_free, tuple(alike), tuple(large))
+
+    def by_pose(self, values: Floats) -> Floats:
+        """Sum (poses,) of values (rows,)."""
+        return np.asarray(np.bincount(self.pose, weights=values, minlength=len(self.log_free)), dtype=float)
+
+    def apply(self, columns: Floats) -> Floats:
+        """Inverse times columns (rows, k)."""
+        out = np.empty_like(columns)
+        for rows, inverse in self.alike:
+            out[rows] = inverse @ columns[rows]
+        for rows, factor, size in self.large:
+            out[rows] = columns[rows] + factor @ (size[:, None] * (factor.T @ columns[rows]))
+        return out
+
+    def apply_with(self, added: Floats, right: Floats) -> Floats:
+        """Inverse times a column (rows,), once columns (rows, k) have been added to the basis (Woodbury)."""
+        turned = self.apply(np.column_stack([added, right]))
+        own, right = turned[:, :-1], turned[:, -1]
+        width = added.shape[1]
+        inner = np.empty((len(self.log_free), width, width))
+        for i in range(width):
+            for j in range(width):
+                inner[:, i, j] = (i == j) - self.by_pose(added[:, i] * own[:, j])
+        score = np.stack([self.by_pose(added[:, i] * right) for i in range(width)], axis=1)
+        change = np.matmul(np.linalg.pinv(inner, LEAST_FREE, hermitian=True), score[:, :, None])[:, :, 0]
+        return right + np.einsum("rk,rk->r", own, change[self.pose])
+
+
+def _inverses(basis: Floats) -> tuple[Floats, Floats]:
+    """Inverses (poses, m, m) of `1 - B B'` of bases (poses, m, p), and log determinants (poses,)."""
+    matrix = np.eye(basis.shape[1]) - basis @ basis.transpose(0, 2, 1)
+    try:
+        pivot = np.diagonal(np.linalg.cholesky(matrix), axis1=1, axis2=2)
+        sound = pivot.min(axis=1) > _SOUND
+    except np.linalg.LinAlgError:
+        pivot, sound = np.ones(matrix.shape[:2]), np.zeros(len(matrix), dtype=bool)
+    inverse, log_free = np.empty_like(matrix), 2.0 * np.log(pivot).sum(axis=1)
+    inverse[sound] = np.linalg.inv(matrix[sound])
+    if not sound.all():
+        size, turned = np.linalg.eigh(matrix[~sound])
+        free = size > LEAST_FREE
+        size = np.where(free, size, 1.0)
+        inverse[~sound] = (turned * (free / size)[:, None, :]) @ turned.transpose(0, 2, 1)
+        log_free[~sound] = np.log(size).sum(axis=1)
+    return inverse, log_free
+
+
+def _large(basis: Floats) -> tuple[Floats, Floats, float]:
+    """The same of one pose with more rows than columns (m, p): `1 + U size U'`, and the log determinant."""
+    taken, turned = np.linalg.eigh(basis.T @ basis)
+    seen = taken > LEAST_FREE
+    taken, factor = taken[seen], basis @ turned[:, seen]
+    free = 1.0 - taken > LEAST_FREE
+    left = np.where(free, 1.0 - taken, 1.0)
+    return factor, np.where(free, 1.0 / left, -1.0 / taken), float(np.log(left).sum())
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.ordinary import COLD, KINDS, Ordinary, fades, ordinary_setting, raised
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.solve import Basis, ByGroup
 from gateway.model.rest import AlteredModel, Model, RestRows
 from gateway.model.term import Term
 
@@ -144,11 +145,11 @@ class Fit:
     covariance : of [links, loads, band, nuisance, theta]
     setting : AlteredModel at the solution
     residual : (rows,) measured - modelled
-    design : (rows, p) derivative of the modelled reading
+    columns : derivative (rows, p) of the modelled reading
     noise : Noise
     evidence : float
     prior_std : (p,) standard deviation of the prior, inf where there is none
-    orthogonal : (rows, p) weighted design in an orthonormal basis: leverages are its squares
+    basis : weighted columns in an orthonormal basis
     """
 
     terms: tuple[Term, ...]
@@ -160,12 +161,22 @@ class Fit:
     covariance: Floats
     setting: AlteredModel
     residual: Floats
-    design: Floats
+    columns: ByGroup
     noise: Noise
     evidence: float
     prior_std: Floats
-    orthogonal: Floats
+    basis: Basis
     mode: float = 0.0
+
+    @property
+    def design(self) -> Floats:
+        """Derivative of the modelled reading as an array (rows, p)."""
+        return self.columns.dense
+
+    @property
+    def orthogonal(self) -> Floats:
+        """Weighted design in an orthonormal basis (rows, rank): leverages are its squares."""
+        return self.basis.dense
 
     @property
     def flat_theta(self) -> Floats:
@@ -296,7 +307,11 @@ def _steps(term: Term, theta: Floats, noise: Noise) -> Floats:
 def spread_of(problem: RestProblem, noise: Noise, term: Term, columns: Floats) -> Floats:
     """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
     weighted = columns / noise.std[problem.group][:, None]
-    size = np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1))
+    return plausible_spread(term, np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1)))
+
+
+def plausible_spread(term: Term, size: Floats) -> Floats:
+    """The same from the length (k,) of the weighted columns over the root of the number of visits."""
     by_strength = REST.strength_spread / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
     plausible = np.array(term.spread)
     return np.where(np.isnan(plausible), by_strength, plausible)

@@ -116,7 +116,7 @@ def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:
     Student's t over the normal quantile, its degrees of freedom those of the noise of each axis, weighted by what the
     axis says about the load.
     """
-    taken = problem.by_group((fit.orthogonal**2).sum(axis=1))
+    taken = problem.by_group(fit.basis.leverage)
     freedom = np.maximum(problem.by_group() - taken, 0.0) + REST.noise_weight
     told = ((fit.design[:, part] / fit.noise.std[problem.group][:, None]) ** 2).sum(axis=1)
     if not told.any():
@@ -129,13 +129,11 @@ def _per_pose(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
     part = problem.load_part(index)
     std = fit.noise.std[problem.group]
     phi = fit.loads[index]
-    share = fit.design[:, part] @ phi / std
-    visit = problem.visit
-    out: dict[str, float] = {}
-    mine = problem.member[:, index] > 0
-    for pose in np.unique(problem.rows.pose[mine]):
-        rows = np.isin(visit, np.flatnonzero(mine & (problem.rows.pose == pose)))
-        weight = float(share[rows] @ share[rows])
-        if weight > 1.0:
-            out[str(int(pose))] = float(phi[0] * (1.0 + share[rows] @ (fit.residual / std)[rows] / weight))
-    return out
+    mine = problem.member[problem.visit, index] > 0
+    poses, place = np.unique(problem.rows.pose[problem.visit[mine]], return_inverse=True)
+    share = (fit.design[:, part] @ phi / std)[mine]
+    weight = np.bincount(place, weights=share**2, minlength=len(poses))
+    away = np.bincount(place, weights=share * (fit.residual / std)[mine], minlength=len(poses))
+    told = weight > 1.0
+    mass = phi[0] * (1.0 + away[told] / weight[told])
+    return dict(zip([str(int(pose)) for pose in poses[told]], mass.tolist(), strict=True))

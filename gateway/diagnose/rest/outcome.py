@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 from gateway.diagnose.held import Held, listed
 from gateway.diagnose.rest.decide import Decision, noise_floor, strong, unseen_by_choice
 from gateway.diagnose.rest.fit import NOTHING, fit
-from gateway.diagnose.rest.holdout import Unseen, left_out, left_out_with, predicted
+from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_out_with, predicted
 from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.loads import loads_of
 from gateway.diagnose.rest.mistakes import Mistake
@@ -206,10 +206,10 @@ def rejected(search: Search, decision: Decision) -> list[Rejected]:
     best: dict[tuple[str, tuple[int, ...]], int] = {}
     for index in np.argsort(-view.log_bayes):
         best.setdefault(view.terms[index].label, int(index))
-    out = []
+    out, without = [], WithoutPose.of(problem, after)
     for (name, joints), index in best.items():
         axes = [joint - 1 for joint in joints] or range(problem.axes)
-        with_it = Held.of_rows(left_out_with(problem, after, view, index), problem.axis, problem.axes)
+        with_it = Held.of_rows(left_out_with(problem, after, view, index, without), problem.axis, problem.axes)
         out.append(Rejected(name, joints, with_it.over(base, axes, std)))
     tried = {(entry.name, entry.joints) for entry in out} | taken
     out += [Rejected(*key, 1.0) for key in sorted({term.label for term in search.named} - tried)]

@@ -153,7 +153,7 @@ def settled_noise(problem: RestProblem, plain: Fit) -> Noise:
     Half differences hold structure of their own, of friction, that half sums do not; half sums hold the effects.
     """
     count = problem.by_group()
-    freedom = count - problem.by_group((plain.orthogonal**2).sum(axis=1))
+    freedom = count - problem.by_group(plain.basis.leverage)
     left = np.sqrt(problem.by_group(plain.residual**2) / np.maximum(freedom, 1.0))
     start = np.where(freedom >= REST.noise_weight, np.minimum(plain.noise.start, left), plain.noise.start)
     start = np.maximum(start, plain.noise.least)

@@ -1,19 +1,81 @@
-"""Every candidate at once: linearised about a fit, with what its parameters take up projected out."""
+"""Every candidate at once: linearised about a fit, with what its parameters take up projected out.
+
+A candidate is weighed by the small Gram matrix of its projected columns, so no array of rows by candidates is made.
+Change points (`Term.switched`) share the columns of one term that has always been there: those of a change at a time
+are zero before it and the same after it, so the Gram matrices of all times are sums over the visits, from the last one
+back.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.linear import Fit, RestProblem, spread_of, term_columns
+from gateway.diagnose.rest.linear import Fit, RestProblem, plausible_spread, term_columns
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.solve import NOTHING
+from gateway.identify.solve import reduce
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+
+#: Times [s] that are equal.
+_SAME_S = 1e-9
+#: Relative size below which a combination of columns counts as zero.
+_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Columns:
+    """Derivative of the modelled rows by the parameters of one candidate.
+
+    Attributes
+    ----------
+    rows : (m,) rows that it changes
+    values : (m, k)
+    squares : (3 N, k) sum of squares by noise group
+    changed : noise groups that it changes: candidates with the same ones have the same rows
+    """
+
+    rows: Ints
+    values: Floats
+    squares: Floats
+    changed: bytes
+
+    @staticmethod
+    def of(problem: RestProblem, dense: Floats) -> Columns:
+        """From all rows (rows, k); whole noise groups that are zero are left out."""
+        squares = np.stack([problem.by_group(column) for column in dense.T**2], axis=1)
+        changed = (squares != 0.0).any(axis=1)
+        rows = np.flatnonzero(changed[problem.group])
+        return Columns(rows, dense[rows], squares, changed.tobytes())
+
+    def size(self, std: Floats) -> Floats:
+        """Length (k,) of the columns weighted by the noise (3 N,) of each group."""
+        return np.sqrt(np.sum(self.squares / std[:, None] ** 2, axis=0))
+
+
+@dataclass(slots=True, eq=False)
+class Derivatives:
+    """Derivatives of the candidates of one search about one fit, each computed once.
+
+    Attributes
+    ----------
+    problem : RestProblem
+    about : Fit
+    """
+
+    problem: RestProblem
+    about: Fit
+    known: dict[Term, Columns] = field(default_factory=dict)
+
+    def __getitem__(self, term: Term) -> Columns:
+        if term not in self.known:
+            self.known[term] = Columns.of(self.problem, columns_of(self.problem, self.about, term))
+        return self.known[term]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,30 +85,26 @@ class Screen:
     Attributes
     ----------
     terms : candidates that do anything at all to the rows
-    tall : (rows and prior rows, K) weighted columns in units of the prior spread, projected
-    score : (K,) inner products with the weighted, projected residual
-    start : first column of each candidate
-    width : number of columns of each candidate
     log_bayes : (candidates,) log Bayes factor of adding the candidate alone
-    projected : (rows, K) the part of `tall` that belongs to measured rows
+    weighted : weighted columns (rows, k) of a candidate, in units of the prior spread
+    basis : (rows, p) orthonormal basis of the fit that they are projected from
+    residual : (rows,) weighted, projected residual
     """
 
     terms: tuple[Term, ...]
-    tall: Floats
-    score: Floats
-    start: NDArray[np.int_]
-    width: NDArray[np.int_]
     log_bayes: Floats
-    projected: Floats
+    weighted: Callable[[int], Floats]
+    basis: Floats
+    residual: Floats
 
-    def pick(self, index: int) -> slice:
-        """Columns of one candidate."""
-        return slice(int(self.start[index]), int(self.start[index] + self.width[index]))
+    def projected(self, index: int) -> tuple[Floats, Floats, Floats]:
+        """Projected columns (rows, k) of a candidate, their Gram matrix with prior rows (k, k), and score (k,)."""
+        columns = self.weighted(index)
+        taken = self.basis.T @ columns
+        return columns - self.basis @ taken, columns.T @ columns - taken.T @ taken, columns.T @ self.residual
 
 
-def screen(
-    problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, raw: Mapping[Term, Floats] | None = None
-) -> Screen:
+def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, derivatives: Derivatives) -> Screen:
     """Linearise candidates about a fit.
 
     Parameters
@@ -57,31 +115,119 @@ def screen(
     terms : candidates
     std : array of shape (3 N,)
         Noise per group that weighs the rows.
-    raw : derivatives by term, linearised elsewhere; computed about the fit if not given
+    derivatives : Derivatives
     """
     weight = 1.0 / std[problem.group]
-    project, residual = projector(problem, fit, weight)
-    kept, weighted = [], []
-    for term in terms:
-        columns = raw[term] if raw is not None else columns_of(problem, fit, term)
-        spread = spread_of(problem, fit.noise, term, columns)[np.array(term.linear)]
-        columns = columns[:, np.array(term.linear)] * (weight[:, None] * spread)
-        if not np.isfinite(columns).all() or float(np.linalg.norm(columns)) < REST.inert:
+    basis, residual = projection(problem, fit, weight)
+    families: dict[Term, list[int]] = {}
+    alike: dict[bytes, list[int]] = {}
+    spread: dict[int, Floats] = {}
+    for position, term in enumerate(terms):
+        switched = term.switched()
+        if switched is not None and switched[0] in families:
+            spread[position] = spread[families[switched[0]][0]]
+            families[switched[0]].append(position)
             continue
-        kept.append(term)
-        weighted.append(columns)
-    if not kept:
-        empty = np.zeros(0, dtype=int)
-        return Screen((), np.zeros((0, 0)), np.zeros(0), empty, empty, np.zeros(0), np.zeros((len(weight), 0)))
-    stacked = project(np.hstack(weighted))
-    width = np.array([block.shape[1] for block in weighted])
-    start = np.concatenate([[0], np.cumsum(width)[:-1]])
-    score = stacked.T @ residual
-    log_bayes = np.empty(len(kept))
-    for index, (s, w) in enumerate(zip(start, width, strict=True)):
-        block = stacked[:, s : s + w]
-        log_bayes[index] = log_bayes_factor(block.T @ block, score[s : s + w])
-    return Screen(tuple(kept), stacked, score, start, width, log_bayes, stacked[: len(weight)])
+        columns = derivatives[term if switched is None else switched[0]]
+        spread[position], size = _spread(problem, fit, term, columns, std)
+        if switched is not None:
+            families[switched[0]] = [position]
+        elif np.isfinite(size).all() and float(np.linalg.norm(size)) >= REST.inert:
+            alike.setdefault(columns.changed, []).append(position)
+    weighed = Weighed()
+    for members in alike.values():
+        rows = derivatives[terms[members[0]]].rows
+        blocks = [derivatives[terms[k]].values[:, : len(spread[k])] * (weight[rows, None] * spread[k]) for k in members]
+        taken = basis[rows].T @ np.hstack(blocks)
+        score = residual[rows] @ np.hstack(blocks)
+        ends = np.cumsum([block.shape[1] for block in blocks])
+        for position, block, end in zip(members, blocks, ends, strict=True):
+            own = slice(end - block.shape[1], end)
+            weighed.add(position, block.T @ block - taken[:, own].T @ taken[:, own], score[own])
+    for whole, members in families.items():
+        columns = derivatives[whole]
+        scaled = columns.values * (weight[columns.rows, None] * spread[members[0]])
+        times = np.array([switch_s(terms[position]) for position in members])
+        when = problem.rows.time_s[problem.visit[columns.rows]]
+        for change, gram, score in _changes(when, times, scaled, basis[columns.rows], residual[columns.rows]):
+            weighed.add(members[change], gram, score)
+    kept, log_bayes = weighed.result()
+    chosen = tuple(terms[position] for position in kept)
+
+    def weighted(index: int) -> Floats:
+        term = chosen[index]
+        switched = term.switched()
+        columns = derivatives[term if switched is None else switched[0]]
+        own = spread[int(kept[index])]
+        out = np.zeros((len(weight), len(own)))
+        out[columns.rows] = columns.values[:, : len(own)] * (weight[columns.rows, None] * own)
+        if switched is not None:
+            out[problem.rows.time_s[problem.visit] < switched[1] - _SAME_S] = 0.0
+        return out
+
+    return Screen(chosen, log_bayes, weighted, basis, residual)
+
+
+def switch_s(term: Term) -> float:
+    """Time [s] from which a change point acts."""
+    switched = term.switched()
+    return -np.inf if switched is None else switched[1]
+
+
+def _spread(problem: RestProblem, fit: Fit, term: Term, columns: Columns, std: Floats) -> tuple[Floats, Floats]:
+    """Prior standard deviation (k,) of the linear parameters of a candidate, and length (k,) of the scaled columns."""
+    size = columns.size(fit.noise.std) / np.sqrt(max(len(problem.rows), 1))
+    spread = plausible_spread(term, size)[: term.count]
+    return spread, columns.size(std)[: term.count] * spread
+
+
+@dataclass(slots=True, eq=False)
+class Weighed:
+    """Gram matrices and scores of projected candidates, by their place."""
+
+    place: dict[int, list[int]] = field(default_factory=dict)
+    gram: dict[int, list[Floats]] = field(default_factory=dict)
+    score: dict[int, list[Floats]] = field(default_factory=dict)
+
+    def add(self, place: int, gram: Floats, score: Floats) -> None:
+        """Add one candidate with columns in units of their prior."""
+        for values, value in ((self.place, place), (self.gram, gram), (self.score, score)):
+            values.setdefault(len(gram), []).append(value)  # type: ignore[arg-type]
+
+    def result(self) -> tuple[Ints, Floats]:
+        """Places (candidates,) in their order, and log Bayes factor (candidates,) of each."""
+        place = np.array([value for places in self.place.values() for value in places], dtype=int)
+        each = [log_bayes_factor(np.array(self.gram[k]), np.array(self.score[k])) for k in self.place]
+        order = np.argsort(place)
+        return place[order], np.concatenate([np.zeros(0), *each])[order]
+
+
+def _changes(
+    when_s: Floats, times_s: Floats, scaled: Floats, basis: Floats, residual: Floats
+) -> Iterator[tuple[int, Floats, Floats]]:
+    """Place, Gram matrix and score of columns that act from a time on; those that do nothing are left out.
+
+    Parameters
+    ----------
+    when_s : (m,) time of each row
+    times_s : (changes,)
+    scaled : (m, k) weighted columns in units of their prior spread, as if they had acted always
+    basis, residual : (m, p), (m,) of the projection
+    """
+    order = np.argsort(when_s, kind="stable")
+    latest_first = np.argsort(-times_s, kind="stable")
+    first_row = np.searchsorted(when_s[order], times_s[latest_first] - _SAME_S, side="left")
+    width = scaled.shape[1]
+    gram, taken, score = np.zeros((width, width)), np.zeros((basis.shape[1], width)), np.zeros(width)
+    end = len(order)
+    for change, begin in zip(latest_first.tolist(), first_row, strict=True):
+        more = order[begin:end]
+        gram = gram + scaled[more].T @ scaled[more]
+        taken = taken + basis[more].T @ scaled[more]
+        score = score + scaled[more].T @ residual[more]
+        end = begin
+        if float(np.sqrt(np.trace(gram))) >= REST.inert:
+            yield change, gram - taken.T @ taken, score
 
 
 def columns_of(problem: RestProblem, fit: Fit, term: Term) -> Floats:
@@ -89,60 +235,55 @@ def columns_of(problem: RestProblem, fit: Fit, term: Term) -> Floats:
     return term_columns(problem, fit, term, np.array(term.start, dtype=float))
 
 
-def projector(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Callable[[Floats], Floats], Floats]:
-    """What the design of a fit, with its prior rows, leaves of weighted columns; and of the weighted residual.
+def projection(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Floats, Floats]:
+    """Orthonormal basis (rows, rank) of the weighted design of a fit with its prior rows; weighted residual (rows,).
 
-    Returns
-    -------
-    function (rows, k) -> (rows and prior rows, k), and the residual (rows and prior rows,)
+    The residual is what a further step of the fit would leave.
     """
     held = np.isfinite(fit.prior_std)
-    prior = np.diag(np.where(held, 1.0 / np.where(held, fit.prior_std, 1.0), 0.0))[held]
-    more = np.zeros((len(problem.prior_target), fit.design.shape[1]))
-    more[:, problem.link_part] = problem.prior_rows
-    big = np.vstack([fit.design * weight[:, None], prior, more])
-    scale = np.sqrt((big**2).sum(axis=0))
-    scale[scale <= NOTHING * scale.max(initial=0.0)] = 1.0  # rounding of a column that is zero is not a column
-    basis, r = np.linalg.qr(big / scale)
-    basis = basis[:, np.abs(np.diag(r)) > 1e-10]
-    rows = len(weight)
-
-    def project(columns: Floats) -> Floats:
-        left = np.zeros((len(big), columns.shape[1]))
-        left[:rows] = columns
-        return left - basis @ (basis[:rows].T @ columns)
-
+    width = fit.columns.width
     centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
     pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])
     pull[problem.taken_over(fit.terms)] = 0.0
-    target = np.concatenate(
-        [
-            fit.residual * weight,
-            (pull / np.where(held, fit.prior_std, 1.0))[held],
-            problem.prior_target - problem.prior_rows @ fit.links,
-        ]
-    )
-    return project, target - basis @ (basis.T @ target)
+    known = np.zeros((int(held.sum()) + len(problem.prior_target), width + 1))
+    known[np.arange(held.sum()), np.flatnonzero(held)] = 1.0 / fit.prior_std[held]
+    known[: held.sum(), width] = pull[held] / fit.prior_std[held]
+    known[held.sum() :, problem.link_part] = problem.prior_rows
+    known[held.sum() :, width] = problem.prior_target - problem.prior_rows @ fit.links
+    reduced = reduce(fit.columns, fit.residual, weight, known, _TOLERANCE)
+    basis = reduced.basis.dense
+    return basis, fit.residual * weight - basis @ (reduced.left.T @ reduced.right[:-1])
 
 
-def log_bayes_factor(gram: Floats, score: Floats) -> float:
-    """Log Bayes factor of adding columns with unit prior: `b' (G + 1)^-1 b / 2 - log det(G + 1) / 2`."""
-    matrix = gram + np.eye(len(gram))
-    factor = np.linalg.cholesky(matrix)
-    half = np.linalg.solve(factor, score)
-    return 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(factor))))
+def log_bayes_factor(gram: Floats, score: Floats) -> Floats:
+    """Log Bayes factors (..) of adding columns with unit prior: `b' (G + 1)^-1 b / 2 - log det(G + 1) / 2`.
+
+    Parameters
+    ----------
+    gram : array of shape (.., k, k)
+    score : array of shape (.., k)
+    """
+    factor = np.linalg.cholesky(gram + np.eye(gram.shape[-1]))
+    half = np.linalg.solve(factor, score[..., None])[..., 0]
+    pivots = np.diagonal(factor, axis1=-2, axis2=-1)
+    return np.asarray(0.5 * np.sum(half**2, axis=-1) - np.sum(np.log(pivots), axis=-1))
 
 
-def pair_log_bayes(view: Screen, first: NDArray[np.int_], second: NDArray[np.int_]) -> Floats:
+def pair_log_bayes(view: Screen, first: Ints, second: Ints) -> Floats:
     """Log Bayes factors of adding candidates in pairs (index arrays of equal length)."""
-    width = int(view.width.max())
-    total = len(view.score)
+    chosen = np.unique(np.concatenate([first, second]))
+    columns = [view.weighted(int(index)) for index in chosen]
+    sizes = np.array([block.shape[1] for block in columns])
+    tall = np.hstack(columns)
+    taken = view.basis.T @ tall
+    total, width = tall.shape[1], int(sizes.max())
     gram = np.zeros((total + 1, total + 1))
-    gram[:total, :total] = view.tall.T @ view.tall
-    score = np.append(view.score, 0.0)
+    gram[:total, :total] = tall.T @ tall - taken.T @ taken
+    score = np.append(tall.T @ view.residual, 0.0)
+    start = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     offsets = np.arange(width)
-    table = np.where(offsets < view.width[:, None], view.start[:, None] + offsets, total)
-    index = np.concatenate([table[first], table[second]], axis=1)
+    table = np.where(offsets < sizes[:, None], start[:, None] + offsets, total)
+    index = np.concatenate([table[np.searchsorted(chosen, first)], table[np.searchsorted(chosen, second)]], axis=1)
     blocks = gram[index[:, :, None], index[:, None, :]]
     same = np.eye(2 * width, dtype=bool)
     blocks[:, same] += 1.0

@@ -9,6 +9,7 @@ parameter's prior already. Shapes without a name compete on the same terms.
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.linear import Fit, Noise, RestProblem
-from gateway.diagnose.rest.screen import Screen, columns_of, pair_log_bayes, screen
+from gateway.diagnose.rest.screen import Derivatives, Screen, pair_log_bayes, screen
 from gateway.diagnose.rest.thresholds import REST
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
@@ -25,10 +26,11 @@ from gateway.model.unnamed import UNNAMED
 Floats = NDArray[np.float64]
 
 
-def term_shapes(term: Term, among: Sequence[Term]) -> int:
-    """Number of shapes of an effect at one place; those that differ by what is fitted anyway count once."""
-    same = [other for other in among if other.label == term.label]
-    return len(same) if all(term.linear) else len({type(other) for other in same})
+def term_shapes(terms: Sequence[Term]) -> list[int]:
+    """Number of shapes of each effect at its place; those that differ by what is fitted anyway count once."""
+    count = Counter(term.label for term in terms)
+    kinds = Counter(label for label, _ in {(term.label, type(term)) for term in terms})
+    return [count[term.label] if all(term.linear) else kinds[term.label] for term in terms]
 
 
 @dataclass(slots=True, eq=False)
@@ -41,7 +43,7 @@ class Search:
     named, unnamed : candidates
     prior : log prior probability of each candidate
     pool : fits by set of effects
-    raw : derivatives of the modelled rows by the parameters of each candidate
+    derivatives : of the modelled rows by the parameters of each candidate, about the model without effects
     """
 
     problem: RestProblem
@@ -50,13 +52,13 @@ class Search:
     noise: Noise
     prior: dict[Term, float] = field(default_factory=dict)
     pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
-    raw: dict[Term, Floats] = field(default_factory=dict)
+    derivatives: Derivatives | None = None
 
     def __post_init__(self) -> None:
         places = len({term.label for term in self.named})
-        for term in self.named:
+        for term, shapes in zip(self.named, term_shapes(self.named), strict=True):
             held_down = bool(len(self.problem.taken_over([term])))
-            self.prior[term] = -np.log(1 if held_down else places) - np.log(term_shapes(term, self.named))
+            self.prior[term] = -np.log(1 if held_down else places) - np.log(shapes)
         for term in self.unnamed:
             self.prior[term] = -np.log(len(self.unnamed)) - REST.rare
 
@@ -76,11 +78,9 @@ class Search:
 
     def view(self, about: Fit, terms: Sequence[Term], std: Floats) -> Screen:
         """Candidates screened about a fit; their derivatives are those about the model without effects."""
-        nothing = self.fitted(())
-        for term in terms:
-            if term not in self.raw:
-                self.raw[term] = columns_of(self.problem, nothing, term)
-        return screen(self.problem, about, terms, std, self.raw)
+        if self.derivatives is None:
+            self.derivatives = Derivatives(self.problem, self.fitted(()))
+        return screen(self.problem, about, terms, std, self.derivatives)
 
     def alike(self, hypothesis: Fit) -> list[tuple[float, Fit]]:
         """Other shapes of the same effects, each with its probability among all of these shapes."""

@@ -32,40 +32,50 @@ _SCORES = np.linspace(-6.0, 30.0, 361)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Moments:
+    """Sums over rows of products of two residuals (rows, d): all that the tests use.
+
+    Attributes
+    ----------
+    squares : (3 N, d) over each noise group
+    by_pose : (N, 2, 2, d) over the poses, of the sums of half sums of one axis and pose: two-sided and one-sided ones
+    """
+
+    squares: Floats
+    by_pose: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Alike:
     """Pairs of half sums of one axis and pose in different visits: their products, under noise alone.
 
     Attributes
     ----------
-    first, second : (pairs,) rows
+    count : pairs
     mean, std : of the sum of the products of standardised residuals
     """
 
-    first: Ints
-    second: Ints
+    count: int
     mean: float
     std: float
 
-    def chance(self, scaled: Floats) -> Floats:
-        """Probability (d,) that noise alone is as alike as standardised residuals (rows, d)."""
-        products = np.einsum("kd,kd->d", scaled[self.first], scaled[self.second])
-        return _product_tail((products - self.mean) / self.std, len(self.first))
+    def chance(self, products: Floats) -> Floats:
+        """Probability (d,) that noise alone is as alike as residuals with these sums of products (d,)."""
+        return _product_tail((products - self.mean) / self.std, self.count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scatter:
-    """Half sums and half differences of one axis: rows, degrees of freedom, and the least variance of either."""
+    """Half sums and half differences of one axis: degrees of freedom, and the least variance of either."""
 
-    sums: Ints
-    differences: Ints
     freedom: tuple[float, float]
     least: float
 
-    def chance(self, residual: Floats) -> Floats:
-        """Probability (d,) that half sums scatter that much more than half differences, of residuals (rows, d)."""
+    def chance(self, sums: Floats, differences: Floats) -> Floats:
+        """Probability (d,) that half sums scatter that much more than half differences, of sums of squares (d,)."""
         above, below = (
-            np.maximum((residual[rows] ** 2).sum(axis=0) / count, self.least)
-            for rows, count in zip((self.sums, self.differences), self.freedom, strict=True)
+            np.maximum(squares / count, self.least)
+            for squares, count in zip((sums, differences), self.freedom, strict=True)
         )
         # friction left after settling is not quite normal: less freedom, so that the test does not overstate
         own, other = (REST.scatter_freedom * count for count in self.freedom)
@@ -81,6 +91,7 @@ class StructureTest:
     group, axis, pose : (rows,)
     axes : number of axes N
     orthogonal : (rows, p) what the fit takes up
+    freedom : (3 N,) degrees of freedom of each noise group
     alike : by axis
     scatter : by axis
     """
@@ -90,84 +101,124 @@ class StructureTest:
     pose: Ints
     axes: int
     orthogonal: Floats
+    freedom: Floats
     alike: dict[int, _Alike]
     scatter: dict[int, _Scatter]
 
     @classmethod
     def of(cls, problem: RestProblem, fit: Fit) -> StructureTest:
         """The tests that the visits of a problem allow."""
-        basis = fit.orthogonal
+        basis, axes = fit.orthogonal, problem.axes
         group, axis = problem.group, np.asarray(problem.axis)
-        pose = problem.rows.pose[problem.visit]
-        taken = np.einsum("ij,ij->i", basis, basis)
+        _, pose = np.unique(problem.rows.pose[problem.visit], return_inverse=True)
+        free = 1.0 - np.einsum("ij,ij->i", basis, basis)
+        freedom = np.asarray(np.bincount(group, weights=free, minlength=3 * axes), dtype=float)
         alike, scatter = {}, {}
-        for number in range(problem.axes):
-            pairs = _pairs(problem, pose, number)
-            if len(pairs) >= REST.least_pairs:
-                alike[number] = _alike(basis, pairs)
-            rows = [np.flatnonzero(group == number + kind * problem.axes) for kind in (0, 1)]
-            freedom = [float(np.sum(1.0 - taken[each])) for each in rows]
-            if min(freedom) >= REST.least_freedom:
+        for number in range(axes):
+            rows = np.flatnonzero((axis == number) & (group // axes != 1))
+            count = np.bincount(pose[rows])
+            pairs = int((count * (count - 1)).sum()) // 2
+            if pairs >= REST.least_pairs:
+                alike[number] = _alike(basis[rows], pose[rows], pairs)
+            own = float(freedom[number]), float(freedom[number + axes])
+            if min(own) >= REST.least_freedom:
                 least = float(fit.noise.least[number] / fit.noise.std[number]) ** 2
-                scatter[number] = _Scatter(rows[0], rows[1], (freedom[0], freedom[1]), least)
-        return cls(group, axis, pose, problem.axes, basis, alike, scatter)
+                scatter[number] = _Scatter(own, least)
+        return cls(group, axis, pose, axes, basis, freedom, alike, scatter)
+
+    def moments(self, first: Floats, second: Floats) -> Moments:
+        """Sums of products of two residuals (rows, d), each in units that an axis's half sums and differences share."""
+        width = first.shape[1]
+        squares, by_pose = np.zeros((3 * self.axes, width)), np.zeros((self.axes, 2, 2, width))
+        sums = np.zeros((2, 2, int(self.pose.max(initial=0)) + 1, width))
+        for number in np.unique(self.group):
+            rows = np.flatnonzero(self.group == number)
+            squares[number] = np.einsum("rd,rd->d", first[rows], second[rows])
+        for axis in self.alike:
+            for place, kind in enumerate((0, 2)):
+                rows = np.flatnonzero(self.group == axis + kind * self.axes)
+                for out, residual in zip(sums[place], (first, second), strict=True):
+                    out[:] = _sums(residual[rows], self.pose[rows], len(out))
+            for place, other in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                mixed = np.einsum("pd,pd->d", sums[place, 0], sums[other, 1])
+                by_pose[axis, place, other] += 0.5 * mixed
+                by_pose[axis, other, place] += 0.5 * mixed
+        return Moments(squares, by_pose)
 
     def chance(self, residual: Floats) -> Floats:
         """Probability (d,) that noise alone leaves residuals (rows, d) as structured as these, over all tests.
 
         Residuals in units of any standard deviation that an axis's half sums and half differences share.
         """
-        scaled = residual / self._rms(residual)
-        by_axis = {axis: [test.chance(scaled)] for axis, test in self.alike.items()}
+        return self.chance_of(self.moments(residual, residual))
+
+    def chance_of(self, moments: Moments) -> Floats:
+        """The same of residuals with these moments."""
+        squares = moments.squares
+        # standard deviation of each noise group, by what the fit has left of it
+        rms = np.sqrt(np.maximum(squares, 0.0) / np.maximum(self.freedom, 1.0)[:, None])
+        rms = np.maximum(rms, np.finfo(float).tiny)
+        by_axis: dict[int, list[Floats]] = {}
+        for axis, test in self.alike.items():
+            kinds = [axis, axis + 2 * self.axes]
+            products = np.einsum("kld,kd,ld->d", moments.by_pose[axis], 1.0 / rms[kinds], 1.0 / rms[kinds])
+            products -= ((np.sqrt(np.maximum(squares[kinds], 0.0)) / rms[kinds]) ** 2).sum(axis=0)
+            by_axis[axis] = [test.chance(0.5 * products)]
         for axis, test in self.scatter.items():
-            by_axis.setdefault(axis, []).append(test.chance(residual))
+            by_axis.setdefault(axis, []).append(test.chance(squares[axis], squares[axis + self.axes]))
         if not by_axis:
-            return np.ones(residual.shape[1])
+            return np.ones(squares.shape[1])
         each = [pooled(chances) for chances in by_axis.values()]
         together = pooled([chance for chances in by_axis.values() for chance in chances])
         return np.minimum(1.0, 2.0 * np.minimum(len(each) * np.min(each, axis=0), together))
 
-    def _rms(self, residual: Floats) -> Floats:
-        """Standard deviation (rows, d) of each row's noise group, by what the fit has left of it."""
-        left = 1.0 - np.einsum("ij,ij->i", self.orthogonal, self.orthogonal)
-        out = np.empty_like(residual)
-        for number in np.unique(self.group):
-            rows = self.group == number
-            out[rows] = np.sqrt((residual[rows] ** 2).sum(axis=0) / max(float(left[rows].sum()), 1.0))
-        return np.maximum(out, np.finfo(float).tiny)
+    def left(self, rows: Floats) -> Floats:
+        """What the fit leaves of weighted rows (rows, d)."""
+        return rows - self.orthogonal @ (self.orthogonal.T @ rows)
+
+
+class Power:
+    """Which structure a test sees, by draws: noise, and torques of unit RMS pose by pose, the same under all loads."""
+
+    def __init__(self, test: StructureTest) -> None:
+        self.test = test
+        rng = np.random.default_rng(REST.power_seed)
+        self.noise = test.left(rng.standard_normal((len(test.group), REST.power_draws)))
+        self.noise_moments = test.moments(self.noise, self.noise)
+        drawn = rng.standard_normal((test.axes, int(test.pose.max(initial=0)) + 1, REST.power_draws))
+        # unit RMS over the poses in every draw, as a strength is told
+        self.drawn = drawn / np.sqrt(np.mean(drawn**2, axis=1, keepdims=True))
 
     def size_seen(self, axes: Iterable[int]) -> float:
         """RMS of a structure, in floors, on all of these axes that is seen with a probability of `power`.
 
-        Inf where no test can be made. The structure is drawn pose by pose, the same under all loads.
+        Inf where no test can be made.
         """
-        own = [axis for axis in axes if axis in self.alike or axis in self.scatter]
+        test = self.test
+        own = [axis for axis in axes if axis in test.alike or axis in test.scatter]
         if not own:
             return float("inf")
-        rng = np.random.default_rng(REST.power_seed)
-        noise = self._left(rng.standard_normal((len(self.group), REST.power_draws)))
-        poses, place = np.unique(self.pose, return_inverse=True)
-        drawn = rng.standard_normal((self.axes, len(poses), REST.power_draws))
-        # unit RMS over the poses in every draw, as a strength is told
-        drawn /= np.sqrt(np.mean(drawn**2, axis=1, keepdims=True))
-        here = np.isin(self.axis, own) & (self.group < self.axes)
-        structure = self._left(np.where(here[:, None], drawn[self.axis, place], 0.0))
+        here = np.isin(test.axis, own) & (test.group < test.axes)
+        structure = test.left(np.where(here[:, None], self.drawn[test.axis, test.pose], 0.0))
+        mixed, pure = test.moments(self.noise, structure), test.moments(structure, structure)
+
+        def seen(size: float) -> float:
+            moments = Moments(
+                self.noise_moments.squares + 2.0 * size * mixed.squares + size**2 * pure.squares,
+                self.noise_moments.by_pose + 2.0 * size * mixed.by_pose + size**2 * pure.by_pose,
+            )
+            return float(np.mean(test.chance_of(moments) < REST.structure_p))
+
         low, high = 0.0, REST.largest_structure
-        if self._seen(noise + high * structure) < REST.power:
+        if seen(high) < REST.power:
             return float("inf")
         while high - low > REST.structure_step * high:
             middle = (low + high) / 2.0
-            if self._seen(noise + middle * structure) < REST.power:
+            if seen(middle) < REST.power:
                 low = middle
             else:
                 high = middle
         return high
-
-    def _seen(self, residual: Floats) -> float:
-        return float(np.mean(self.chance(residual) < REST.structure_p))
-
-    def _left(self, rows: Floats) -> Floats:
-        return rows - self.orthogonal @ (self.orthogonal.T @ rows)
 
 
 def misfit(problem: RestProblem, fit: Fit) -> float:
@@ -186,9 +237,9 @@ def structure_seen_nm(problem: RestProblem, fit: Fit, floor_nm: Floats) -> dict[
 
     `structure_seen_nm` on that axis alone; `structure_seen_on_all_nm` as many floors on every axis at once.
     """
-    test = StructureTest.of(problem, fit)
-    alone = [test.size_seen([axis]) for axis in range(problem.axes)]
-    everywhere = test.size_seen(range(problem.axes))
+    power = Power(StructureTest.of(problem, fit))
+    alone = [power.size_seen([axis]) for axis in range(problem.axes)]
+    everywhere = power.size_seen(range(problem.axes))
     return {
         "structure_seen_nm": told(np.array(alone) * floor_nm),
         "structure_seen_on_all_nm": told(everywhere * floor_nm),
@@ -207,19 +258,25 @@ def pooled(chances: Iterable[Floats], weight: Floats | None = None) -> Floats:
     return np.asarray(ndtr(-(shares @ scores) / np.sqrt(np.sum(shares**2))), dtype=float)
 
 
-def _alike(basis: Floats, pairs: Ints) -> _Alike:
-    """Moments of the sum of the products of `left = (1 - B B') noise`: a quadratic form `noise' P A P noise`."""
-    first, second = pairs[:, 0], pairs[:, 1]
-    rows, place = np.unique(pairs, return_inverse=True)
-    place = place.reshape(-1, 2)
-    form = np.zeros((len(rows), len(rows)))
-    np.add.at(form, (place[:, 0], place[:, 1]), 0.5)
-    np.add.at(form, (place[:, 1], place[:, 0]), 0.5)
-    part = basis[rows]
-    image = form @ part
-    inner = part.T @ image
-    variance = 2.0 * (float((form**2).sum()) - 2.0 * float((image**2).sum()) + float((inner * inner.T).sum()))
-    return _Alike(first, second, -float(np.trace(inner)), float(np.sqrt(max(variance, 1e-12))))
+def _alike(basis: Floats, pose: Ints, count: int) -> _Alike:
+    """Moments of the sum of the products of `left = (1 - B B') noise`: a quadratic form `noise' P A P noise`.
+
+    A has 1/2 for every pair of rows of one pose, so `A B` of a row is half the sum of the others of its pose.
+    """
+    image = 0.5 * (_sums(basis, pose, int(pose.max()) + 1)[pose] - basis)
+    inner = basis.T @ image
+    variance = 2.0 * (0.5 * count - 2.0 * float((image**2).sum()) + float((inner * inner.T).sum()))
+    return _Alike(count, -float(np.trace(inner)), float(np.sqrt(max(variance, 1e-12))))
+
+
+def _sums(rows: Floats, place: Ints, count: int) -> Floats:
+    """Sums (count, k) of rows (n, k) by their place (n,)."""
+    order = np.argsort(place, kind="stable")
+    here, first = np.unique(place[order], return_index=True)
+    out = np.zeros((count, rows.shape[1]))
+    if len(here):
+        out[here] = np.add.reduceat(rows[order], first, axis=0)
+    return out
 
 
 def _product_tail(score: Floats, count: int) -> Floats:
@@ -232,16 +289,3 @@ def _log_product_tail(count: int) -> Floats:
     levels = 2.0 * gammaincinv(count / 2.0, (np.arange(_LEVELS) + 0.5) / _LEVELS)  # of chi-square
     tail = chdtrc(count, np.maximum(2.0 * _SCORES[:, None] * np.sqrt(count) + levels, 0.0)).mean(axis=1)
     return np.log(np.maximum(tail, _LEAST_P))
-
-
-def _pairs(problem: RestProblem, pose: Ints, axis: int) -> Ints:
-    """Rows (pairs, 2) of half sums of one axis and pose in different visits."""
-    rows = np.flatnonzero((np.asarray(problem.axis) == axis) & (problem.group // problem.axes != 1))
-    order = rows[np.argsort(pose[rows], kind="stable")]
-    own = pose[order]
-    pairs = [
-        (int(order[a]), int(order[b]))
-        for a in range(len(order))
-        for b in range(a + 1, int(np.searchsorted(own, own[a], side="right")))
-    ]
-    return np.array(pairs, dtype=int).reshape(-1, 2)

@@ -42,6 +42,9 @@ class PayloadShift(Term):
         here = modelled.load_kg * (motion.load == self.load) * self._moved(motion.time_s)
         return motion.rigid[:, :, -PER_BODY + 1 : -PER_BODY + 4] * here[:, None, None]
 
+    def switched(self) -> tuple[Term, float] | None:
+        return (replace(self, time_s=-np.inf), self.time_s) if self.until_s is None else None
+
     def _moved(self, time_s: Floats) -> Floats:
         """Share (n,) of the shift that has happened."""
         after = np.where(time_s >= self.time_s - 1e-9, 1.0, 0.0)

@@ -19,12 +19,9 @@ RNG = np.random.default_rng(7)
 
 def screened(blocks, target) -> Screen:
     """Candidates as the screen hands them on: columns in units of their prior, nothing projected out."""
-    tall = np.hstack(blocks)
-    width = np.array([block.shape[1] for block in blocks])
-    start = np.concatenate([[0], np.cumsum(width)[:-1]])
-    score = tall.T @ target
-    alone = [log_bayes_factor(block.T @ block, block.T @ target) for block in blocks]
-    return Screen(tuple(range(len(blocks))), tall, score, start, width, np.array(alone), tall)  # type: ignore[arg-type]
+    alone = np.array([log_bayes_factor(block.T @ block, block.T @ target) for block in blocks])
+    nothing = np.zeros((len(target), 0))
+    return Screen(tuple(range(len(blocks))), alone, lambda index: blocks[index], nothing, target)  # type: ignore[arg-type]
 
 
 def log_marginal(columns, target) -> float:

@@ -13,6 +13,7 @@ from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen
 from gateway.diagnose.rest.problem import first_noise
 from gateway.diagnose.rest.structure import (
+    Power,
     StructureTest,
     misfit,
     pooled,
@@ -98,7 +99,7 @@ def test_the_size_of_an_axis_makes_no_difference(rows):
 
 @pytest.mark.parametrize("axes", [[2], list(range(AXES))], ids=["one axis", "every axis"])
 def test_the_size_that_is_told_is_seen_four_times_in_five(rows, axes):
-    size = rows.test.size_seen(axes)
+    size = Power(rows.test).size_seen(axes)
     rng = np.random.default_rng(11)
     noise = rows.left(rng.standard_normal((len(rows.group), 1000)))
     structure = rows.left(rows.structure(rng, axes, 1000))
@@ -109,7 +110,7 @@ def test_the_size_that_is_told_is_seen_four_times_in_five(rows, axes):
 
 
 def test_what_is_on_every_axis_is_seen_where_it_is_too_small_on_each(rows):
-    everywhere, alone = rows.test.size_seen(range(AXES)), rows.test.size_seen([2])
+    everywhere, alone = Power(rows.test).size_seen(range(AXES)), Power(rows.test).size_seen([2])
     assert everywhere < 1.0 < 2.0 * everywhere < alone
     told = structure_seen_nm(rows.problem, rows.fit, np.arange(1.0, 7.0))
     assert told["structure_seen_on_all_nm"] == pytest.approx(everywhere * np.arange(1.0, 7.0))
