@@ -76,7 +76,7 @@ MUTANT = Mutant("drives/a.py", 2, 0, "Gt to LtE")
     "first", [(), ("tests/drives/test_a.py::test_larger",), ("tests/drives/test_b.py::test_nothing",)]
 )
 def test_a_test_that_looks_notices_whichever_is_asked_first(project, first):
-    assert noticed(MUTANT, project, first)
+    assert noticed(MUTANT, project, first) == "fast"
     assert (project / "drives/a.py").read_text() == LARGER
 
 
@@ -87,6 +87,14 @@ def test_a_test_that_looks_notices_whichever_is_asked_first(project, first):
 def test_a_test_that_does_not_look_does_not_notice(project, first):
     (project / "tests/drives/test_a.py").write_text(LOOKS.replace("== 2", "in (1, 2)"))
     assert not noticed(MUTANT, project, first)
+
+
+@pytest.mark.slow
+def test_the_slow_suite_is_asked_last(project):
+    slow = LOOKS.replace("def test", "import pytest\n\n@pytest.mark.slow\ndef test")
+    (project / "tests/drives/test_a.py").write_text(slow)
+    (project / "pyproject.toml").write_text('[tool.pytest.ini_options]\npythonpath = ["."]\nmarkers = ["slow"]\n')
+    assert noticed(MUTANT, project) == "slow"
 
 
 @pytest.mark.slow

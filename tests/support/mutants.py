@@ -45,6 +45,8 @@ ROOMS: Final = {
 #: slowest takes a tenth.
 LONGEST_S: Final = 900.0
 _ARGUMENTS: Final = ("-x", "-q", "-p", "no:cacheprovider", "--timeout=100")
+#: What pytest is given for each suite, in the order in which they are asked.
+SUITES: Final = {"fast": ("-m", "not slow"), "slow": ("-m", "slow")}
 #: Exit codes of pytest: a test failed, or none could be collected; others may come from what it was asked for.
 _FAILED, _BROKEN, _NONE_LEFT = 1, 2, 5
 COPIED: Final = ("drives", "gateway", "sim", "tests", "benchmarks", "examples", "docs", "pyproject.toml", "README.md")
@@ -210,7 +212,7 @@ class Reach:
     def __init__(self, folders: Sequence[str], copy: Path) -> None:
         self._root = copy
         path = copy / ".reach"
-        measured = ("--cov=drives", "--cov=gateway", "--cov-context=test", "--cov-report=", *folders)
+        measured = (*SUITES["fast"], "--cov=drives", "--cov=gateway", "--cov-context=test", "--cov-report=", *folders)
         if _pytest(copy, *measured, COVERAGE_FILE=str(path)) != 0:
             raise SystemExit(f"a test of {', '.join(folders)} fails before anything is changed")
         self._data = CoverageData(str(path))
@@ -258,22 +260,28 @@ def _pytest(copy: Path, *arguments: str, **environment: str) -> int:
         return _FAILED
 
 
-def noticed(mutant: Mutant, copy: Path, first: Sequence[str] = ()) -> bool:
-    """Whether a mirrored test fails with the mutant in a copy of the project; those of `first` are asked first."""
+def noticed(mutant: Mutant, copy: Path, first: Sequence[str] = ()) -> str:
+    """Suite of which a mirrored test fails with the mutant in a copy of the project, "" if none does.
+
+    The fast suite is asked first, and in it the tests of `first`.
+    """
     path = copy / mutant.path
     text = path.read_text()
     path.write_text(mutated(text, mutant.number))
     try:
         if first and _pytest(copy, *first) in (_FAILED, _BROKEN):
-            return True
+            return "fast"
         others = [f"--deselect={name}" for name in first]
-        return _pytest(copy, mirrored(mutant.path), *others) not in (0, _NONE_LEFT)
+        for suite, chosen in SUITES.items():
+            if _pytest(copy, mirrored(mutant.path), *chosen, *others) not in (0, _NONE_LEFT):
+                return suite
+        return ""
     finally:
         path.write_text(text)
 
 
-def tried(mutants: Sequence[Mutant], jobs: int) -> list[bool]:
-    """Whether each is noticed; so many copies of the project at a time."""
+def tried(mutants: Sequence[Mutant], jobs: int) -> list[str]:
+    """Suite that notices each, "" for none; so many copies of the project at a time."""
     with tempfile.TemporaryDirectory(prefix="mutants-") as folder:
         free: SimpleQueue[Path] = SimpleQueue()
         for number in range(jobs):
@@ -289,11 +297,11 @@ def tried(mutants: Sequence[Mutant], jobs: int) -> list[bool]:
         reach = Reach(sorted({mirrored(mutant.path) for mutant in mutants}), copy)
         first = [reach.tests(mutant) for mutant in mutants]
 
-        def one(mutant: Mutant, tests: Sequence[str]) -> bool:
+        def one(mutant: Mutant, tests: Sequence[str]) -> str:
             copy = free.get()
             try:
                 seen = noticed(mutant, copy, tests)
-                print(f"{'noticed' if seen else 'not noticed'}: {mutant}", flush=True)
+                print(f"{f'noticed by the {seen} suite' if seen else 'not noticed'}: {mutant}", flush=True)
                 return seen
             finally:
                 free.put(copy)
@@ -317,8 +325,12 @@ def main(argv: list[str]) -> int:
     for room in arguments.rooms.split(","):
         here = [ok for mutant, ok in zip(mutants, seen, strict=True) if mutant.path.startswith(f"{room}/")]
         figures[f"noticed in {room}"] = figure(
-            100.0 * sum(here) / len(here), f">= {ROOMS.get(room, 85.0):g}", f"% of {len(here)}"
+            100.0 * sum(map(bool, here)) / len(here), f">= {ROOMS.get(room, 85.0):g}", f"% of {len(here)}"
         )
+    suites = [suite for suite in seen if suite]
+    figures["of these by the fast suite"] = figure(
+        100.0 * suites.count("fast") / max(1, len(suites)), ">= 95", f"% of {len(suites)}"
+    )
     unseen = [asdict(mutant) for mutant, ok in zip(mutants, seen, strict=True) if not ok]
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "summary.json").write_text(json.dumps({"figures": figures, "unseen": unseen}, indent=1) + "\n")
