@@ -46,8 +46,11 @@ class Master:
     def send(self, can_id: int, data: bytes) -> None:
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
-    def wait(self, can_id: int, timeout_s: float = 2.0) -> bytes:
-        """Next frame with that identifier; everything else is kept in `seen`."""
+    def wait(self, can_id: int, timeout_s: float = 30.0) -> bytes:
+        """Next frame with that identifier; everything else is kept in `seen`.
+
+        It is long since the computer may be busy: only a test that fails waits for it.
+        """
         end = time.monotonic() + timeout_s
         while (left := end - time.monotonic()) > 0:
             frame = self.bus.recv(left)
@@ -128,10 +131,9 @@ class Master:
         return position
 
     def drain(self) -> list[can.Message]:
-        """Everything that has arrived."""
+        """Everything that the drives have said so far: they serve frames in order, so an answer of node 1 comes last."""
+        self.read(1, 0x1000)
         frames, self.seen = self.seen, []
-        while (frame := self.bus.recv(0.02)) is not None:
-            frames.append(frame)
         return frames
 
 
