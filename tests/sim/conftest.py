@@ -131,7 +131,7 @@ class Master:
         return position
 
     def drain(self) -> list[can.Message]:
-        """Everything that the drives have said so far: they serve frames in order, so an answer of node 1 comes last."""
+        """Everything that the drives have sent: they serve frames in order, so an answer of node 1 comes last."""
         self.read(1, 0x1000)
         frames, self.seen = self.seen, []
         return frames
