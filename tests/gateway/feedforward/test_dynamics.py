@@ -101,7 +101,7 @@ def test_one_instant_takes_far_less_than_a_sync(qh165):
 
 
 def _timed(action):
-    begun = time.perf_counter()
+    begun = time.process_time()
     for _ in range(20):
         action()
-    return (time.perf_counter() - begun) / 20
+    return (time.process_time() - begun) / 20
