@@ -84,12 +84,15 @@ class ScanResult:
         From its heartbeat; None = none was heard.
     profiles : tuple of str
         Profiles that come with the package and name this vendor and product; generic ones after them.
+    unread : str
+        Why the identity could not be read; empty where it was read.
     """
 
     identity: Identity
     devices: int
     state: NmtState | None
     profiles: tuple[str, ...]
+    unread: str = ""
 
 
 def scan(bus: Bus, node_ids: Iterable[int] = range(1, 128), listen_s: float = 0.5) -> tuple[ScanResult, ...]:
@@ -120,14 +123,14 @@ def scan(bus: Bus, node_ids: Iterable[int] = range(1, 128), listen_s: float = 0.
 
 
 def _look_at(bus: Bus, node_id: int, devices: int, state: NmtState | None) -> ScanResult:
-    sdo = SdoClient(bus, node_id)
+    sdo, unread = SdoClient(bus, node_id), ""
     try:
         identity = read_identity(sdo)
-    except DriveError:
-        identity = Identity(node_id, None, None, None, None, None, None, None, None)
+    except DriveError as error:
+        identity, unread = Identity(node_id, None, None, None, None, None, None, None, None), str(error)
     finally:
         sdo.close()
-    return ScanResult(identity, devices, state, matching_profiles(identity))
+    return ScanResult(identity, devices, state, matching_profiles(identity), unread)
 
 
 def matching_profiles(identity: Identity) -> tuple[str, ...]:

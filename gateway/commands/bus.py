@@ -63,6 +63,11 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
         raise FindingFailed(
             f"{bus_spec}: more than one device answers at node id {', '.join(twice)}: give each an id of its own"
         )
+    unread = [node for node in nodes if node.unread]
+    if unread:
+        ids = ", ".join(str(node.identity.node_id) for node in unread)
+        what = f"{bus_spec}: the identity of node {ids} could not be read although it answered: {unread[0].unread}"
+        raise BusError(what, advice="scan again; another tool may hold its SDO channel, or it lost its supply")
 
 
 def _node_row(node: ScanResult) -> list[str]:
@@ -75,7 +80,13 @@ def _node_row(node: ScanResult) -> list[str]:
 
 def _node_json(node: ScanResult) -> dict[str, Any]:
     state = None if node.state is None else str(node.state)
-    return asdict(node.identity) | {"devices": node.devices, "nmt_state": state, "profiles": list(node.profiles)}
+    found: dict[str, Any] = {
+        "devices": node.devices,
+        "nmt_state": state,
+        "profiles": list(node.profiles),
+        "unread": node.unread,
+    }
+    return asdict(node.identity) | found
 
 
 def _hex(value: int | None) -> str:

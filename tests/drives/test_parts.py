@@ -325,6 +325,26 @@ def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
     assert {can_id & 0x780 for can_id, _ in wire.sent} == {0x600}
 
 
+def test_a_scan_says_of_which_node_the_identity_could_not_be_read_and_why(bus, make_slave):
+    """It answers the first question and is silent from then on."""
+    make_slave(2)
+    silent = make_slave(3)
+    silent_since: list[bool] = []
+
+    def reply(request, answer):
+        if silent_since:
+            return []
+        silent_since.append(True)
+        return [(0.001, answer)]
+
+    silent.reply = reply
+    first, second = scan(bus, listen_s=0.2)
+    assert first.unread == ""
+    assert (second.identity.node_id, second.identity.vendor_id) == (3, None)
+    assert "node 3" in second.unread
+    assert "no SDO answer" in second.unread
+
+
 def test_no_profile_fits_what_is_no_drive():
     sensor = Identity(1, 0x00080194, 0xFB, 1, 1, 1, "", "", "")
     assert matching_profiles(sensor) == ()

@@ -11,6 +11,9 @@ import sys
 import can
 import pytest
 
+from drives.heartbeat import NmtState
+from drives.probe import ScanResult
+from drives.values import Identity
 from gateway.data.recording.reader import read
 from sim.serve import running
 
@@ -60,6 +63,17 @@ def test_scan_names_an_id_that_two_devices_share(gateway, serve):
     done = gateway("scan", "--bus", drives.bus, "--listen", 0.2)
     assert done.exit_code == 7, done.output
     assert "node id 5" in done.stderr
+
+
+def test_scan_names_a_node_whose_identity_cannot_be_read(gateway, monkeypatch):
+    silent = Identity(3, *[None] * 8)
+    found = (ScanResult(silent, 1, NmtState.OPERATIONAL, (), "node 3: no SDO answer within 300 ms"),)
+    monkeypatch.setattr("drives.probe.scan", lambda bus, listen_s: found)
+    done = gateway("scan", "--bus", "virtual:silent", "--json", "-")
+    assert done.exit_code == 4
+    assert "identity of node 3 could not be read although it answered: node 3: no SDO answer" in done.stderr
+    (node,) = json.loads(done.stdout)["nodes"]
+    assert (node["node_id"], node["vendor_id"], node["unread"]) == (3, None, "node 3: no SDO answer within 300 ms")
 
 
 @pytest.mark.slow
