@@ -73,7 +73,11 @@ def nuisances(fitted: Fitted, std: Floats) -> dict[str, NuisanceResult]:
         out[:, problem.offset_axis] = value[columns], std[columns]
         return NuisanceResult(*(tuple(row) for row in out.tolist()))
 
-    loss = NuisanceResult(tuple(fitted.loss.tolist()), tuple(fitted.loss_std.tolist()))
+    # half differences give the load friction of two-sided visits, a column that of one-sided ones
+    losses = np.stack([fitted.loss, fitted.loss_std])
+    alone = np.isnan(losses[0, problem.sided])
+    losses[:, problem.sided[alone]] = value[problem.losses[alone]], std[problem.losses[alone]]
+    loss = NuisanceResult(*(tuple(row) for row in losses.tolist()))
     return {"gain": of(problem.gains), "bias_nm": of(problem.offsets), "load_friction": loss}
 
 

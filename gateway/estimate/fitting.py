@@ -75,9 +75,14 @@ def fit_problem(problem: Problem, options: EstimateOptions) -> Fitted:
 
 
 def _with_gains(problem: Problem, nuisance: NuisancePrior, options: EstimateOptions) -> Prior:
-    """The problem's prior with that of the gains; where a bare identification knows a gain, it is its own prior."""
+    """The problem's prior with that of gains and load friction.
+
+    Where a bare identification knows a gain, it is its own prior.
+    """
     mean, std = problem.prior.mean.copy(), problem.prior.std.copy()
     mean[problem.gains], std[problem.gains] = nuisance.gain[problem.offset_axis], nuisance.gain_std[problem.offset_axis]
+    mean[problem.losses] = nuisance.load_friction[problem.sided]
+    std[problem.losses] = nuisance.load_friction_std[problem.sided]
     if options.bare is not None and options.bare.gain:
         told = np.isfinite(np.asarray(options.bare.gain))[problem.offset_axis]
         std[problem.gains[told]] = np.inf

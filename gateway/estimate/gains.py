@@ -1,7 +1,8 @@
-"""Torque constants that are known to a few percent: a gain per axis beside links and loads (`methods.md` 9).
+"""Gains of the torque constants and load friction of one-sided approaches, beside links and loads (`methods.md` 9).
 
-The measured torque is `(1 + g) tau`, the column of a gain the torque as modelled, so the problem is solved again and
-again from where it was solved last until it stays there.
+The measured torque is `(1 + g) tau + d nu |tau|`, with the direction d of a one-sided approach, 0 where both sides were
+measured: in half-sums load friction cancels. The columns of g and nu hold the torque as modelled, so the problem is
+solved again from the last solution until it no longer changes.
 """
 
 from __future__ import annotations
@@ -34,6 +35,10 @@ class GainRows:
     bodies : int
     gain : int array of shape (r,)
         Column of the gain of each row.
+    loss : int array of shape (r,), optional
+        Column of the load friction of each row; where `direction` is 0 it is not used.
+    direction : array of shape (r,), optional
+        Direction of the approach of a one-sided row, else 0.
     """
 
     design: Floats
@@ -41,6 +46,8 @@ class GainRows:
     known_nm: Floats
     bodies: int
     gain: Ints
+    loss: Ints | None = None
+    direction: Floats | None = None
 
     def torque(self, value: Floats) -> Floats:
         """Modelled torque (r,) [Nm] in the joints, without gains, biases and friction."""
@@ -48,11 +55,16 @@ class GainRows:
 
     def about(self, value: Floats) -> tuple[Floats, Floats]:
         """Design (r, p) and target (r,) of the linear problem about a solution (p,)."""
-        gain, torque = value[self.gain], self.torque(value)
+        torque = self.torque(value)
+        factor, row = value[self.gain], np.arange(len(self.design))
         design = self.design.copy()
-        design[:, : self.bodies] *= 1.0 + gain[:, None]
-        design[np.arange(len(design)), self.gain] = torque
-        return design, self.tau_nm - self.known_nm + gain * (torque - self.known_nm)
+        design[row, self.gain] = torque
+        if self.loss is not None and self.direction is not None:
+            sided = self.direction != 0.0
+            factor = factor + np.where(sided, value[self.loss] * self.direction * np.sign(torque), 0.0)
+            design[row[sided], self.loss[sided]] = (self.direction * np.abs(torque))[sided]
+        design[:, : self.bodies] *= 1.0 + factor[:, None]
+        return design, self.tau_nm - self.known_nm + factor * (torque - self.known_nm)
 
 
 def settled(rows: GainRows, weight: Floats, prior: Prior, start: Floats) -> Floats:

@@ -76,6 +76,10 @@ class Problem:
     offset_axis : int array of shape (k,)
     gains : int array of shape (k,)
         Columns of the gains, one per measured axis, in the same order.
+    sided : int array of shape (s,)
+        Axes that have one-sided rows.
+    losses : int array of shape (s,)
+        Columns of their load friction, in the same order.
     known_nm : array of shape (r,)
         What is known of the torque.
     """
@@ -93,18 +97,28 @@ class Problem:
     offsets: Ints
     offset_axis: Ints
     gains: Ints
+    sided: Ints
+    losses: Ints
     known_nm: Floats
 
     @property
     def rows(self) -> GainRows:
-        """The rows without their gains."""
+        """The rows without their gains and load friction."""
         axis_place = np.searchsorted(self.offset_axis, self.axis)
+        loss = direction = None
+        if len(self.sided):
+            place = np.minimum(np.searchsorted(self.sided, self.axis), len(self.sided) - 1)
+            loss = self.losses[place]
+            known = self.sided[place] == self.axis
+            direction = np.where(known, self.visits.direction[self.visit, self.axis], 0).astype(float)
         return GainRows(
             self.design,
             self.visits.tau_nm[self.visit, self.axis],
             self.known_nm,
             int(self.offsets[0]),
             self.gains[axis_place],
+            loss,
+            direction,
         )
 
 
@@ -162,6 +176,10 @@ def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Pro
     parts.append(np.where(axis[:, None] == sided, visits.direction[visit, axis][:, None], 0.0))
     names += [f"friction[J{k + 1}]" for k in sided]
     units += ["Nm"] * len(sided)
+    losses = len(names) + np.arange(len(sided))
+    parts.append(np.zeros((len(axis), len(sided))))
+    names += [f"loss[J{k + 1}]" for k in sided]
+    units += ["1"] * len(sided)
     return Problem(
         visits=visits,
         visit=visit,
@@ -178,6 +196,8 @@ def build_problem(visits: Visits, robot: Robot, options: EstimateOptions) -> Pro
         offsets=offsets,
         offset_axis=offset_axis,
         gains=gains,
+        sided=sided,
+        losses=losses,
         known_nm=known,
     )
 

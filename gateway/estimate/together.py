@@ -70,12 +70,18 @@ def columns_beside(
     design[:, whole.bodies :] = 0.0  # friction of motion, and its bias, are not those of a standstill
     rows = GainRows(
         design,
-        rest.problem.visits.tau_nm[visit, axis],
+        rest.problem.visits.tau_nm[visit, axis] - _mean_loss(rest),
         whole.known_nm[count + visit, axis],
         whole.bodies,
         whole.ordinary["gain"][axis],
     )
     return Beside(columns, Still(rows, _whitening(rest)))
+
+
+def _mean_loss(rest: Fitted) -> Floats:
+    """Torque (r,) that one-sided rows lose to load friction as expected; what it differs by is in their noise."""
+    columns = rest.problem.losses
+    return rest.problem.design[:, columns] @ rest.prior.mean[columns]
 
 
 def _seen_at_rest(columns: Columns, rest: Fitted) -> Prior:

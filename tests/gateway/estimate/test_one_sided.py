@@ -1,0 +1,66 @@
+"""Poses approached from one side: friction that grows with the transmitted torque is no mass."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio  # pyright: ignore[reportMissingImports]
+import pytest
+
+from gateway.estimate import EstimateOptions, run
+from gateway.model.robot import robot_from_urdf
+from tests.arms import peer_of, urdf_of
+from tests.support.rigs.tables import make_table
+
+MASS, COM = 8.0, np.array([0.05, -0.03, 0.08])
+LOSS, BAND = 0.10, 0.4
+POSES = 16
+
+
+def table(seed: int, sides: str):
+    """Static torque by pinocchio, bare and with the load; every reading has `side (band + loss |torque|)` more.
+
+    Approached from one side, so that motor and gravity are on opposite sides everywhere, or from alternating sides.
+    """
+    rng = np.random.default_rng(seed)
+    text = urdf_of(rng)
+    model, data = peer_of(text)
+    bare = pinocchio.Inertia(model.inertias[6])
+    poses, still = rng.uniform(-2.5, 2.5, (POSES, 6)), np.zeros(6)
+    rows, torque, direction = [], [], []
+    for label in ("none", "tool"):
+        tool = pinocchio.Inertia(MASS, COM, 0.01 * MASS * np.eye(3))
+        model.inertias[6] = bare if label == "none" else bare + tool
+        for number, q in enumerate(poses):
+            tau = pinocchio.rnea(model, data, q, still, still)
+            side = np.sign(tau) if sides == "lifting" else np.where(rng.random(6) < 0.5, 1.0, -1.0)
+            torque.append(tau + side * (BAND + LOSS * np.abs(tau)) + 0.01 * rng.standard_normal(6))
+            direction.append(side)
+            rows.append((label, number))
+    load, pose = zip(*rows, strict=True)
+    measured = make_table(
+        np.array(load), np.array(pose), np.tile(poses, (2, 1)), np.array(torque),
+        time=25.0 * np.arange(2 * POSES), direction=np.array(direction), std=0.01, count=100,
+    )  # fmt: skip
+    return measured, robot_from_urdf(text, "random")
+
+
+@pytest.mark.parametrize("sides", ["lifting", "by chance"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_friction_that_grows_with_the_torque_is_no_mass(seed: int, sides: str) -> None:
+    measured, robot = table(seed, sides)
+    options = EstimateOptions(inertials="prior:0.02", gain_std=(0.0,) * 6)
+    found = run(measured, robot, options).loads[0]
+    assert abs(found.mass_kg - MASS) < 3.0 * found.mass_std_kg
+    assert abs(found.mass_kg / MASS - 1.0) < 0.02
+    assert found.mass_std_kg < 0.05 * MASS
+    assert found.com_m == pytest.approx(COM, abs=0.003)
+
+
+def test_the_load_friction_of_one_sided_visits_is_reported() -> None:
+    measured, robot = table(1, "by chance")
+    options = EstimateOptions(inertials="exact", gain_std=(0.0,) * 6)
+    found = run(measured, robot, options).nuisance["load_friction"]
+    value, std = np.array(found.value), np.array(found.std)
+    assert np.isfinite(value).all()
+    assert (np.abs(value - LOSS) < 4.0 * std).all()
+    assert value == pytest.approx(LOSS, abs=0.02)
