@@ -7,6 +7,7 @@ memory grow linearly with the rows, and it may be called thousands of times.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.linalg
@@ -339,7 +340,21 @@ def _singular_values(factor: Floats) -> tuple[Floats, Floats, Floats]:
     return left, size, turned
 
 
-def determined(solution: Solution, directions: Floats, tolerance: float = 1e-5) -> NDArray[np.bool_]:
+class WithNull(Protocol):
+    """A solution that has the directions which its rows and priors leave open (`Solution`)."""
+
+    @property
+    def null(self) -> Floats:
+        """Directions (p, k) that neither rows nor priors determine."""
+        ...
+
+    @property
+    def scale(self) -> Floats:
+        """Length (p,) of each whitened column."""
+        ...
+
+
+def determined(solution: WithNull, directions: Floats, tolerance: float = 1e-5) -> NDArray[np.bool_]:
     """Which linear functions (k, p) of the parameters the rows and priors determine: shape (k,)."""
     moved = np.abs(directions @ solution.null).max(axis=1, initial=0.0)
     return np.asarray(moved <= tolerance * np.linalg.norm(directions / solution.scale, axis=1))

@@ -137,6 +137,8 @@ def _linearised(
         evidence=mode - 0.5 * solution.log_determinant - log_spread,
         prior_std=prior.std,
         basis=solution.basis,
+        null=solution.null,
+        scale=solution.scale,
         mode=mode,
     )
 
@@ -148,7 +150,8 @@ def _as_fit(problem: RestProblem, terms: Sequence[Term], state: _State, setting:
     theta = tuple(state.theta)
     place = (state.links, state.loads, state.band, state.nuisance, theta)
     none = ByGroup(0, 0, ())
-    return Fit(tuple(terms), *place, empty, setting, now, none, noise, 0.0, empty, Basis(none, np.zeros(0), empty))
+    basis = Basis(none, np.zeros(0), empty)
+    return Fit(tuple(terms), *place, empty, setting, now, none, noise, 0.0, empty, basis, empty, empty)
 
 
 def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> Prior:

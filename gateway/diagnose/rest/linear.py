@@ -150,6 +150,8 @@ class Fit:
     evidence : float
     prior_std : (p,) standard deviation of the prior, inf where there is none
     basis : weighted columns in an orthonormal basis
+    null : (p, k) directions that neither rows nor priors determine
+    scale : (p,) length of each weighted column
     """
 
     terms: tuple[Term, ...]
@@ -166,6 +168,8 @@ class Fit:
     evidence: float
     prior_std: Floats
     basis: Basis
+    null: Floats
+    scale: Floats
     mode: float = 0.0
 
     @property

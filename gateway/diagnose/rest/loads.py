@@ -22,7 +22,7 @@ from gateway.identify.load_estimate import (
     refused_load,
     unknown_load,
 )
-from gateway.identify.solve import Prior
+from gateway.identify.solve import Prior, determined
 from gateway.model.robot import Robot
 from gateway.result.result import LoadResult, NuisanceResult
 from gateway.result.values import numbers
@@ -58,12 +58,24 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Fl
     if (reason := negative_mass(mass, float(std[0]))) is not None:
         return load_result(refused_load(label, reason), robot)
     nothing = next_to_nothing(mass, float(std[0]), robot, problem.rows.sum_nm, REST.next_to_nothing)
+    sure = _determined(fit, part)
+    if not sure[0]:
+        return load_result(unknown_load(label), robot)
     if not nothing and (std[0] > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0):
         return load_result(unknown_load(label), robot)
-    found = np.concatenate([[True], np.full(3, not nothing) & (std[1:] <= REST.blind_m)])
-    per_pose = {} if nothing else _per_pose(problem, fit, index)
+    found = np.concatenate([[True], sure[1:] & (not nothing) & (std[1:] <= REST.blind_m)])
+    per_pose = {} if nothing or not sure.all() else _per_pose(problem, fit, index)
     load = load_from_moment(label, moment, covariance, np.full(4, widening), found, per_pose)
     return replace(load_result(load, robot), budget=_budget(problem, fit, part.start))
+
+
+def _determined(fit: Fit, part: slice) -> NDArray[np.bool_]:
+    """Which of a load's [m, hx, hy, hz] (4,) rows and priors determine; beside an open mass there is no centre."""
+    pure = np.zeros((4, len(fit.scale)))
+    pure[:, part] = np.eye(4)
+    sure = determined(fit, pure)
+    sure[1:] &= sure[0]
+    return sure
 
 
 def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
