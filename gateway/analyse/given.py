@@ -96,6 +96,12 @@ class Given:
     gain_std: tuple[float, ...] | None = None
 
     @property
+    def coupling(self) -> np.ndarray | None:
+        """How gear outputs act on the joints (N, N), as of `gateway.model.visits.Gears`; None = one to one."""
+        coupled = None if self.arm is None else self.arm.coupling
+        return None if coupled is None else np.array(coupled, dtype=float)
+
+    @property
     def model(self) -> Robot:
         """The robot.
 
@@ -295,6 +301,7 @@ def estimate_options(about: Given) -> EstimateOptions:
         gravity_m_s2=about.gravity_m_s2,
         gain_std=about.gain_std,
         efficiency=tuple(about.efficiency.tolist()),
+        coupling=about.coupling,
     )
 
 
@@ -307,6 +314,7 @@ def diagnose_arguments(about: Given) -> dict[str, Any]:
         "gravity_m_s2": about.gravity_m_s2,
         "gain_std": about.gain_std,
         "efficiency": about.efficiency,
+        "coupling": about.coupling,
         "gear_ratio": about.gear_ratio,
     }
 

@@ -167,7 +167,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     if not result.effects:
         plain = estimate_run(split_validation(table)[0], about.model, estimate_options(about))
         result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
-    drifts = drift_of(pair_visits(table, about.efficiency)) if job.thermal is not None else ()
+    drifts = drift_of(pair_visits(table, about.efficiency, about.coupling)) if job.thermal is not None else ()
     result = replace(result, findings=(*result.findings, *robot.ends, *drift_findings(drifts)))
     return complete(result, about, table, [job.recording], job.operator)
 

@@ -39,8 +39,9 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     held, left_out = _held_alike(options.holdout, robot, moves=moves)
     options = replace(options, holdout=held)
     if moves:
-        held = None if options.holdout is None else behind_gears(options.holdout, options.efficiency)
-        result = diagnose_motion(behind_gears(table, options.efficiency), robot, replace(options, holdout=held))
+        gears = options.efficiency, options.coupling
+        held = None if options.holdout is None else behind_gears(options.holdout, *gears)
+        result = diagnose_motion(behind_gears(table, *gears), robot, replace(options, holdout=held))
     else:
         rest = RestDiagnosis(robot, options)
         result = rest.report(rest.search(table.take(~table.moving)), options.holdout, options.holdout_kind)

@@ -31,6 +31,7 @@ class DiagnoseOptions:
     gravity_m_s2 : gravity in the frame of the base
     gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
     efficiency : (N,) gear efficiencies that the table's torque still has to go through; None = lossless
+    coupling : (N, N) how gear outputs act on the joints, as of `Gears`; None = one to one
     gear_ratio : (N,), NaN where unknown; None = all unknown
     pose_choice : (k, N) poses that may be asked for, or a function that returns them, called where poses are asked for;
         None = between the joint angles that were visited
@@ -46,6 +47,7 @@ class DiagnoseOptions:
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
     gain_std: tuple[float, ...] | None = None
     efficiency: Floats | None = None
+    coupling: Floats | None = None
     gear_ratio: Floats | None = None
     pose_choice: Floats | Callable[[], Floats | None] | None = None
 

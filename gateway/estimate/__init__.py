@@ -56,7 +56,7 @@ def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -
 
 
 def _visits(table: Table, options: EstimateOptions) -> Visits:
-    visits = pair_visits(table, options.efficiency)
+    visits = pair_visits(table, options.efficiency, options.coupling)
     if not len(visits):
         raise DataUnusable("the data hold no rest rows; this method needs poses at rest (column 'pose')")
     return visits

@@ -81,7 +81,7 @@ def estimate_moving(
         No axis moves while its torque is measured, or fewer rows than unknowns.
     """
     motion = MovingSetup() if motion is None else motion
-    moving = behind_gears(table.take(table.moving), options.efficiency)
+    moving = behind_gears(table.take(table.moving), options.efficiency, options.coupling)
     if not len(moving):
         raise DataUnusable("the data hold no moving rows")
     _check_speeds(moving)

@@ -46,6 +46,7 @@ class EstimateOptions:
     gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
     efficiency : gear efficiency of every axis, or one for all
         1 where the torque already stands behind the gear.
+    coupling : (N, N) how gear outputs act on the joints, as of `Gears`; None = one to one
     coefficient : Coefficient or None
         Needed by that method alone.
     hull_radius_m : float or None
@@ -59,6 +60,7 @@ class EstimateOptions:
     gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
     gain_std: tuple[float, ...] | None = None
     efficiency: tuple[float, ...] = (1.0,)
+    coupling: NDArray[np.float64] | None = field(default=None, compare=False)
     coefficient: Coefficient | None = None
     hull_radius_m: float | None = None
     pose_choice: NDArray[np.float64] | None = field(default=None, compare=False)

@@ -16,7 +16,7 @@ from gateway.data.table import Table
 from gateway.errors import DataUnusable
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
-from gateway.model.visits import through_gear
+from gateway.model.visits import Gears
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -150,7 +150,7 @@ def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
     return np.tanh(speed_rad_s / np.maximum(SLOW * np.asarray(top_rad_s), STANDSTILL_RAD_S))
 
 
-def behind_gears(table: Table, efficiency: ArrayLike | None) -> Table:
+def behind_gears(table: Table, efficiency: ArrayLike | None, coupling: ArrayLike | None = None) -> Table:
     """The table with the torque of its moving rows taken through gears of stated efficiency, by direction of motion.
 
     Parameters
@@ -158,10 +158,12 @@ def behind_gears(table: Table, efficiency: ArrayLike | None) -> Table:
     table : Table
     efficiency : array of shape (N,), one for all, or None
         1 or None where the torque already stands behind the gear.
+    coupling : array of shape (N, N) or None
+        As of `Gears`.
     """
     if efficiency is None:
         return table
-    behind = through_gear(table.tau_nm, np.sign(table.qd_rad_s), np.asarray(efficiency, dtype=float))
+    behind = Gears.of(efficiency, table.axes, coupling).behind(table.tau_nm, table.qd_rad_s)
     return replace(table, tau_nm=np.where(table.moving[:, None], behind, table.tau_nm))
 
 

@@ -8,8 +8,8 @@ derivative of this prediction, so it is built from modelled torque alone: a meas
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from gateway.model.kinematics import joint_axes_origins
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
-from gateway.model.visits import through_gear
+from gateway.model.visits import Gears
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -55,6 +55,8 @@ class RestRows:
         `q_rad` is the angle of the link.
     efficiency : array of shape (N,)
         Gear efficiency the conversion used.
+    coupling : array of shape (N, N) or None
+        How gear outputs act on the joints, as of `Gears`.
     """
 
     load: NDArray[np.str_]
@@ -70,6 +72,7 @@ class RestRows:
     temperature_c: Floats
     wind_up_rad: Floats
     efficiency: Floats
+    coupling: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.pose)
@@ -81,10 +84,12 @@ class RestRows:
 
     def take(self, index: NDArray[Any]) -> RestRows:
         """The rows that `index` (mask or numbers) selects."""
-        picked = {
-            name: getattr(self, name)[index] for name in self.__slots__ if name not in ("efficiency", "__weakref__")
-        }
-        return RestRows(efficiency=self.efficiency, **picked)
+        picked = {name: getattr(self, name)[index] for name in OF_VISITS}
+        return RestRows(efficiency=self.efficiency, coupling=self.coupling, **picked)
+
+
+#: Fields of `RestRows` that have an entry for each visit.
+OF_VISITS: Final = tuple(field.name for field in fields(RestRows) if field.name not in ("efficiency", "coupling"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -309,14 +314,13 @@ class Model:
         return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(self.rows.axes)))
 
     def _side(self, setting: AlteredModel, torque: Floats, friction: Floats, direction: float) -> Floats:
-        eta = self.rows.efficiency
-        behind = torque + direction * friction
-        motor = np.where(behind * direction > 0, behind / eta, behind * eta)
+        gears = Gears.of(self.rows.efficiency, self.rows.axes, self.rows.coupling)
+        motor = gears.before(torque + direction * friction, direction)
         gain = setting.gain
         if setting.gain_per_nm.any():
             gain = gain + setting.gain_per_nm * np.abs(motor)
         seen = (gain * motor + setting.offset_nm) @ setting.coupling.T
-        return through_gear(seen, direction, eta)
+        return gears.behind(seen, direction)
 
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
         """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""

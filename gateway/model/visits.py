@@ -19,6 +19,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[Any]
 
 SAME_POSE_RAD = 2e-3
+#: Entry of an inverted coupling up to which it is rounding.
+_NO_SHARE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,16 +85,72 @@ class Visits:
         return Visits(**values, where=tuple(self.where[i] for i in index))
 
 
-def through_gear(reported_nm: Floats, direction: Floats | float, efficiency: Floats) -> Floats:
-    """Torque behind the gear [Nm] of reported torque (n, N) after motion in `direction` (n, N), 0 = unknown.
+@dataclass(frozen=True, slots=True, eq=False)
+class Gears:
+    """Gear efficiencies of N motors, and how their gear outputs act on the joints.
 
-    Unknown: the reported torque as it stands, the geometric middle of what it may be.
+    Attributes
+    ----------
+    efficiency : array of shape (N,)
+    coupling : array of shape (N, N) or None
+        Gear outputs turn by `coupling @ q`, joint torque is `coupling' f` of gear output torque f; None = one to one.
     """
-    work = reported_nm * direction
-    return reported_nm * np.where(work > 0, efficiency, np.where(work < 0, 1.0 / efficiency, 1.0))
+
+    efficiency: Floats
+    coupling: Floats | None = None
+
+    @staticmethod
+    def of(efficiency: ArrayLike | None, axes: int, coupling: ArrayLike | None = None) -> Gears:
+        """Of N axes: one efficiency for all or one each, None = 1; a coupling that mixes nothing is none."""
+        eta = np.broadcast_to(np.asarray(1.0 if efficiency is None else efficiency, dtype=float), (axes,))
+        mixed = None if coupling is None else np.asarray(coupling, dtype=float)
+        return Gears(eta, None if mixed is None or np.array_equal(mixed, np.eye(axes)) else mixed)
+
+    def behind(self, reported_nm: Floats, direction: Floats | float) -> Floats:
+        """Joint torque (n, N) [Nm] behind the gears, of the torque that loss-free gears would give.
+
+        Parameters
+        ----------
+        reported_nm : array of shape (n, N)
+        direction : array of shape (n, N), or one for all
+            Direction or velocity of each joint; a gear whose direction is unknown, 0, passes its torque unchanged.
+        """
+        output, facing = self._outputs(reported_nm, direction)
+        work = output * facing
+        eta = self.efficiency
+        return self._joints(output * np.where(work > 0, eta, np.where(work < 0, 1.0 / eta, 1.0)))
+
+    def before(self, behind_nm: Floats, direction: float) -> Floats:
+        """Joint torque (n, N) [Nm] that loss-free gears would give, of the torque behind them; inverse of `behind`."""
+        output, facing = self._outputs(behind_nm, direction)
+        eta = self.efficiency
+        return self._joints(np.where(output * facing > 0, output / eta, output * eta))
+
+    def open_range(self, reported_nm: Floats, direction: Floats) -> Floats:
+        """Half the range (n, N) [Nm] that gears with an unknown direction leave; 0 where all directions are known."""
+        output, facing = self._outputs(reported_nm, direction)
+        half = np.where(facing == 0, np.abs(output) * (1.0 / self.efficiency - self.efficiency) / 2.0, 0.0)
+        return half if self.coupling is None else _mixed(half, np.asarray(np.abs(self.coupling), dtype=float))
+
+    def _outputs(self, joint_nm: Floats, direction: Floats | float) -> tuple[Floats, Floats]:
+        """Torque and direction (n, N) of the gear outputs."""
+        facing = np.broadcast_to(np.asarray(direction, dtype=float), np.shape(joint_nm))
+        if self.coupling is None:
+            return joint_nm, facing
+        return _mixed(joint_nm, np.linalg.inv(self.coupling)), facing @ self.coupling.T
+
+    def _joints(self, output_nm: Floats) -> Floats:
+        return output_nm if self.coupling is None else _mixed(output_nm, self.coupling)
 
 
-def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
+def _mixed(values: Floats, matrix: Floats) -> Floats:
+    """`values @ matrix`, NaN only where a NaN takes part."""
+    known = np.isfinite(values)
+    missing = (~known).astype(float) @ (np.abs(matrix) > _NO_SHARE).astype(float) > 0
+    return np.where(missing, np.nan, np.where(known, values, 0.0) @ matrix)
+
+
+def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: ArrayLike | None = None) -> Visits:
     """Visits of the rest rows of a table.
 
     Rows of one run, load and pose at the same joint angles, approached from opposite sides, make one visit, in the
@@ -104,14 +162,16 @@ def pair_visits(table: Table, efficiency: ArrayLike = 1.0) -> Visits:
     ----------
     table : Table
         Moving rows are left out.
-    efficiency : array of shape (N,)
-        Gear efficiency of each axis; 1 where the table's torque already stands behind the gear.
+    efficiency : array of shape (N,), optional
+        Gear efficiency of each motor; 1 where the table's torque already stands behind the gear.
+    coupling : array of shape (N, N), optional
+        As of `Gears`.
     """
     rest = table.take(~table.moving)
-    eta = np.broadcast_to(np.asarray(efficiency, dtype=float), (rest.axes,))
+    gears = Gears.of(efficiency, rest.axes, coupling)
     facing = rest.direction.astype(float)
-    torque = through_gear(rest.tau_nm, facing, eta)
-    open_nm = np.where(facing == 0, np.abs(rest.tau_nm) * (1.0 / eta - eta) / 2.0, 0.0)
+    torque = gears.behind(rest.tau_nm, facing)
+    open_nm = gears.open_range(rest.tau_nm, facing)
     std = rest.tau_std_nm / np.sqrt(np.maximum(rest.count, 1))[:, None]
     one, other = _pairs(rest)
     two = one != other

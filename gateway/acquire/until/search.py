@@ -183,7 +183,8 @@ def _stock(search: LoadSearch, table: Table | None) -> Stock:
         band_nm = BAND_SHARE * search.workspace.torque_nm
         noise = PoseNoise(assumed_noise_nm(search.workspace) ** 2, np.zeros(len(band_nm)))
         return Stock(None, None, outlook_of_priors(search.robot, search.options, search.guess, band_nm, noise))
-    visits, _ = without_gross(pair_visits(table, search.options.efficiency), search.robot, search.options.gravity_m_s2)
+    found = pair_visits(table, search.options.efficiency, search.options.coupling)
+    visits, _ = without_gross(found, search.robot, search.options.gravity_m_s2)
     sought = Sought(search.label, search.guess, _sample_std_nm(table))
     return take_stock(visits, search.robot, search.options, sought)
 

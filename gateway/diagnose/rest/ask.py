@@ -113,6 +113,7 @@ def imagined(rows: RestRows, poses_rad: Floats) -> RestRows:
         temperature_c=np.repeat(rows.temperature_c[last : last + 1], n, axis=0),
         wind_up_rad=unknown,
         efficiency=rows.efficiency,
+        coupling=rows.coupling,
     )
 
 

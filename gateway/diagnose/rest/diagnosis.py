@@ -124,17 +124,20 @@ class RestDiagnosis:
             gain_std=options.gain_std,
         )
 
+    def _rows(self, table: Table) -> RestRows:
+        return rest_rows(table, self.options.efficiency, self.options.coupling)
+
     def aside(self, rows: RestRows) -> Aside:
         """Gross torques of visits as they were read."""
         return set_gross_aside(rows, self.robot, np.asarray(self.knowledge.gravity_m_s2, dtype=float))
 
     def problem(self, table: Table, aside: Aside) -> RestProblem:
         """Rows of a table as a problem, without what was set aside."""
-        return build_problem(self.robot, sound(rest_rows(table, self.options.efficiency), aside), self.knowledge)
+        return build_problem(self.robot, sound(self._rows(table), aside), self.knowledge)
 
     def search(self, table: Table) -> Found:
         """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
-        aside = self.aside(rest_rows(table, self.options.efficiency))
+        aside = self.aside(self._rows(table))
         build = partial(self.problem, aside=aside)
         problem = build(table)
         for label in problem.labels:
@@ -182,7 +185,7 @@ class RestDiagnosis:
             return None
         holdout = _undone(holdout.take(~holdout.moving), found.mistakes)
         seen = found.search.problem.rows
-        unseen = rest_rows(holdout, self.options.efficiency)
+        unseen = self._rows(holdout)
         unseen = unseen.take(np.isin(unseen.load, [*seen.load, BARE_LABEL]))
         if not len(unseen):
             raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
@@ -229,6 +232,7 @@ class RestDiagnosis:
             gravity_m_s2=self.knowledge.gravity_m_s2,
             gain_std=self.knowledge.gain_std,
             efficiency=(1.0,) if efficiency is None else tuple(efficiency.tolist()),
+            coupling=self.options.coupling,
         )
         return tuple(load_result(load, self.robot) for load in estimate(table, self.robot, options).loads)
 

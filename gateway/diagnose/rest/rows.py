@@ -11,14 +11,14 @@ from gateway.data.table import Table
 from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.deviations import RestHalves
 from gateway.model.regressor import gravity_regressor
-from gateway.model.rest import RestRows
+from gateway.model.rest import OF_VISITS, RestRows
 from gateway.model.robot import Robot
 from gateway.model.visits import pair_visits
 
 Floats = NDArray[np.float64]
 
 
-def rest_rows(table: Table, given: Floats | None) -> RestRows:
+def rest_rows(table: Table, given: Floats | None, coupling: Floats | None = None) -> RestRows:
     """Visits of the rest rows of a table, at the angles of the secondary encoders where there are some.
 
     Parameters
@@ -26,9 +26,11 @@ def rest_rows(table: Table, given: Floats | None) -> RestRows:
     table : Table
     given : array of shape (N,) or None
         Gear efficiencies; None where the table's torque already stands behind the gear.
+    coupling : array of shape (N, N) or None
+        How gear outputs act on the joints, as of `gateway.model.visits.Gears`.
     """
     efficiency = np.ones(table.tau_nm.shape[1]) if given is None else np.asarray(given, dtype=float)
-    visits = pair_visits(table, efficiency)
+    visits = pair_visits(table, efficiency, coupling)
     time_s = visits.time_s
     if np.isnan(time_s).any():
         time_s = np.arange(len(visits), dtype=float)
@@ -47,6 +49,7 @@ def rest_rows(table: Table, given: Floats | None) -> RestRows:
         temperature_c=visits.temperature_c,
         wind_up_rad=np.where(seen, visits.q_link_rad - visits.q_rad, np.nan),
         efficiency=efficiency,
+        coupling=coupling,
     )
 
 
@@ -74,6 +77,5 @@ def sound(rows: RestRows, aside: Aside) -> RestRows:
 
 def joined(parts: list[RestRows]) -> RestRows:
     """Visits of several tables as one, in the order given."""
-    names = [name for name in RestRows.__slots__ if name not in ("efficiency", "__weakref__")]
-    merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
-    return RestRows(efficiency=parts[0].efficiency, **merged)
+    merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in OF_VISITS}
+    return RestRows(efficiency=parts[0].efficiency, coupling=parts[0].coupling, **merged)

@@ -268,6 +268,17 @@ def test_torque_constants_are_trusted_as_the_cell_says(cell_at, record):
     assert diagnose_arguments(given(ModelRequest(gain_std=0.01), [path]))["gain_std"] == (0.01,) * 6
 
 
+def test_coupled_axes_of_a_cell_reach_estimate_and_diagnose(cell_at):
+    rows = str(np.where(np.arange(36).reshape(6, 6) == 34, 0.9, np.eye(6)).tolist())
+    coupled = cell_at("coupled", lambda text: text.replace("[[arm.axis]]", f"coupling = {rows}\n\n[[arm.axis]]", 1))
+    matrix = np.eye(6)
+    matrix[5, 4] = 0.9
+    about = given(ModelRequest(cell=coupled), [])
+    assert estimate_options(about).coupling == pytest.approx(matrix)
+    assert diagnose_arguments(about)["coupling"] == pytest.approx(matrix)
+    assert estimate_options(given(ModelRequest(cell=cell_at("plain")), [])).coupling is None
+
+
 def test_a_table_without_a_cell_states_no_constants():
     robot = EXAMPLES / "large" / "robot.urdf"
     assert given(ModelRequest(robot=robot), []).gain_std is None

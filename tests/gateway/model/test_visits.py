@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
+from gateway.data.rows import MOVING
+from gateway.model.motion import behind_gears
 from gateway.model.visits import pair_visits
+from tests.support.rigs.tables import make_table
 
 
 def test_both_sides_become_gravity_and_band(rest_table):
@@ -157,3 +160,51 @@ def test_a_full_partner_goes_before_a_part(rest_table):
     visits = pair_visits(rest_table(load=["a"] * 3, pose=[1] * 3, direction=facing, tau=[12.0, 9.0, 8.0]))
     np.testing.assert_allclose(visits.tau_nm[:, 0], [10.0, 9.0])
     assert visits.two_sided.tolist() == [True, False]
+
+
+#: Motor 6 turns with joint 5 too: gear outputs turn by `COUPLING @ q`.
+COUPLING = np.eye(6)
+COUPLING[5, 4] = 0.9
+
+
+def reported(joint_nm: np.ndarray, facing: np.ndarray, eta: float) -> np.ndarray:
+    """Loss-free joint torque (6,) of the motors that hold a joint torque while the joints move, written out.
+
+    The power at the gear outputs is that at the joints: `f' (A q) = tau' q`, hence `f = A^-T tau`. A gear that drives
+    gives `f / eta` on the motor's side, one that is driven back `f eta`.
+    """
+    output = np.linalg.solve(COUPLING.T, joint_nm)
+    turns = COUPLING @ facing
+    motor = np.array([f / eta if f * turn > 0 else f * eta for f, turn in zip(output, turns, strict=True)])
+    return COUPLING.T @ motor
+
+
+def test_gears_of_coupled_axes_lose_by_the_direction_of_the_motors(rest_table):
+    """Joint 5 up and joint 6 down: motor 6 turns by 0.9 - 1, with joint 6; and both up: by 1.9."""
+    gravity, eta = np.array([0.0, 300.0, 120.0, 8.0, 30.0, -12.0]), 0.75
+    # how far joint 5 is off where each joint's torque is taken by its own direction
+    for facing, off in ((np.ones(6), 0.05), (np.array([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]), 0.0)):
+        torque = np.array([reported(gravity, side * facing, eta) for side in (1, -1)])
+        given = {"load": ["a"] * 2, "pose": [1, 1], "direction": np.array([facing, -facing]), "tau": torque}
+        visits = pair_visits(rest_table(**given), np.full(6, eta), COUPLING)
+        np.testing.assert_allclose(visits.tau_nm[0], gravity, atol=1e-9)
+        np.testing.assert_allclose(visits.band_nm[0], 0.0, atol=1e-9)
+        joint_by_joint = pair_visits(rest_table(**given), np.full(6, eta))
+        assert np.abs(joint_by_joint.tau_nm[0] - gravity)[4] >= off * gravity[4]
+
+
+def test_moving_rows_of_coupled_axes_go_through_the_gears_that_turn():
+    rng = np.random.default_rng(0)
+    torque, speed = 50.0 * rng.normal(size=(40, 6)), rng.normal(size=(40, 6))
+    read = np.array([reported(tau, qd, 0.8) for tau, qd in zip(torque, speed, strict=True)])
+    table = make_table(["a"] * 40, np.full(40, MOVING), np.zeros((40, 6)), read, qd=speed)
+    np.testing.assert_allclose(behind_gears(table, np.full(6, 0.8), COUPLING).tau_nm, torque, atol=1e-9)
+
+
+def test_an_unmeasured_axis_hides_those_alone_that_its_motor_acts_on(rest_table):
+    torque = np.full((1, 6), 10.0)
+    torque[0, 2] = np.nan
+    visits = pair_visits(
+        rest_table(load=["a"], pose=[1], direction=np.ones((1, 6)), tau=torque), np.full(6, 0.8), COUPLING
+    )
+    assert np.isnan(visits.tau_nm[0]).tolist() == [False, False, True, False, False, False]
