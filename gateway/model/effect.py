@@ -37,11 +37,13 @@ class RestSetup:
     gear_ratio : N gear ratios, NaN where unknown
     common_scale : whether a load or the links are known, so that a common torque scale can be seen
     torque_nm : (n, N) modelled torque of the model without effects
+    links : (4 N,) links [m, hx, hy, hz] as the robot model has them, NaN where it says nothing; None = not known
     """
 
     gear_ratio: tuple[float, ...]
     common_scale: bool
     torque_nm: Floats
+    links: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

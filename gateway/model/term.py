@@ -139,6 +139,10 @@ class Term:
         """Whether the mechanism can do that at rest: a spring that pushes where it should pull cannot."""
         return self.within_bounds(theta)
 
+    def exists(self, theta: Floats, std: Floats) -> bool:
+        """Whether parameters (k,) at rest, within their standard deviations (k,), can belong to a real part."""
+        return True
+
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
         """Whether linear parameters (k,) with their standard deviations (k,) mean something physical in motion."""
         return self.within_bounds(self.completed(value))

@@ -172,7 +172,8 @@ class RestDiagnosis:
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
         weighed = bool(self.options.known) or self.knowledge.inertials == "exact"
-        setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque)
+        drawn = np.where(np.isfinite(problem.link_std), problem.links, np.nan)
+        setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
         chosen = run(search)

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
 
 Floats = NDArray[np.float64]
+
+#: Log odds against a hypothesis with an effect that cannot be: more than any data say.
+IMPOSSIBLE: Final = 1e9
 
 
 def term_shapes(terms: Sequence[Term]) -> list[int]:
@@ -63,10 +67,21 @@ class Search:
             self.prior[term] = -np.log(len(self.unnamed)) - REST.rare
 
     def score(self, hypothesis: Fit) -> float:
-        """Evidence plus log prior of a hypothesis; an effect that its mechanism cannot do costs `implausible` more."""
+        """Evidence plus log prior of a hypothesis.
+
+        An effect that its mechanism cannot do costs `implausible` more; one that is no real part is never chosen.
+        """
         rows = self.problem.rows
+        if not all(term.exists(values, std) for term, values, std in self._sized(hypothesis)):
+            return hypothesis.evidence - IMPOSSIBLE
         odd = sum(not term.plausible(v, rows) for term, v in zip(hypothesis.terms, hypothesis.theta, strict=True))
         return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
+
+    def _sized(self, hypothesis: Fit) -> Iterator[tuple[Term, Floats, Floats]]:
+        """Effects of a hypothesis with their parameters and standard deviations."""
+        std = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[self.problem.n_common :], 0.0))
+        ends = np.cumsum([len(values) for values in hypothesis.theta])[:-1]
+        return zip(hypothesis.terms, hypothesis.theta, np.split(std, ends), strict=False)
 
     def fitted(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
         """The fit of a set of effects, computed once."""

@@ -18,11 +18,19 @@ Floats = NDArray[np.float64]
 
 #: A body further than this from the link's origin [m] is not on the link.
 FARTHEST_M: Final = 2.0
+#: Standard deviations beyond a bound from which a body on a link cannot be: one in a thousand by chance.
+SURE_STD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class LinkMass(OnAxis):
-    """[m, hx, hy, hz] bolted to one link; it is seen as far as the trust in the links says."""
+    """[m, hx, hy, hz] bolted to one link; it is seen as far as the trust in the links says.
+
+    `drawn` [m, hx, hy, hz] is the link as the robot model has it, `arm_kg` the mass of all links; None = not known.
+    """
+
+    drawn: tuple[float, float, float, float] | None = None
+    arm_kg: float = NAN
 
     name: ClassVar[str] = "link_mass"
     parameters: ClassVar[tuple[str, ...]] = (
@@ -49,6 +57,15 @@ class LinkMass(OnAxis):
         added[PER_BODY * self.axis : PER_BODY * self.axis + 4] = value
         return added
 
+    def exists(self, theta: Floats, std: Floats) -> bool:
+        """A negative mass takes off what the drawing has too much: more than the whole link is no correction."""
+        if self.drawn is None:
+            return True
+        mass, moment = np.split(np.array(self.drawn) + theta, [1])
+        most = float(mass[0]) + SURE_STD * float(std[0])
+        far = float(np.linalg.norm(moment)) - SURE_STD * float(np.linalg.norm(std[1:]))
+        return bool(most > 0.0 and far < FARTHEST_M * most and theta[0] - SURE_STD * std[0] < self.arm_kg)
+
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
         """At rest the same columns take up what the drawing has too much: there the sign is free."""
         arm = float(np.nansum(seen.motion.robot.mass_kg))
@@ -68,7 +85,14 @@ def _links(axes: int) -> range:
 
 
 def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
-    yield from (LinkMass(link) for link in _links(rows.axes))
+    if setup.links is None:
+        yield from (LinkMass(link) for link in _links(rows.axes))
+        return
+    drawn = setup.links.reshape(-1, 4)
+    for link in _links(rows.axes):
+        m, x, y, z = (float(value) for value in drawn[link])
+        known = np.isfinite([m, x, y, z]).all()
+        yield LinkMass(link, (m, x, y, z) if known else None, float(np.nansum(drawn[:, 0])))
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:

@@ -1,0 +1,68 @@
+"""Mass that is taken off a link: as far as the link goes it corrects the drawing, beyond that it names nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
+from gateway.diagnose.rest.rows import rest_rows
+from gateway.diagnose.rest.search import Search
+from gateway.model.effect import RestSetup
+from gateway.model.effects import terms_at_rest
+from gateway.model.effects.link_mass import LinkMass
+from tests.resting_arm import Bench, effect
+
+#: Link 3, from 0.
+LINK = 2
+
+
+@pytest.fixture(scope="module")
+def lighter() -> tuple[Bench, Search, LinkMass]:
+    """An arm whose link 3 weighs half of what the drawing says, its drawing trusted to 1 %."""
+    plain = Bench(3, [], poses=8)
+    mass = float(plain.robot.mass_kg[LINK])
+    bench = Bench(3, [effect("link_mass", [LINK + 1], mass_kg=-0.5 * mass)], poses=8)
+    rows = rest_rows(bench.both(), bench.options.efficiency)
+    problem = build_problem(bench.robot, rows, Knowledge(inertials="prior:0.01"))
+    setup = RestSetup((np.nan,) * 6, False, np.zeros((len(rows), 6)), problem.links)
+    named = terms_at_rest(problem.rows, setup, frozenset({"link_mass"}))
+    term = next(term for term in named if isinstance(term, LinkMass) and term.axis == LINK)
+    heavy = LinkMass(LINK, tuple(0.1 * value for value in term.drawn or ()), term.arm_kg)  # type: ignore[arg-type]
+    return bench, Search(problem, (*named, heavy), (), first_noise(problem)), heavy
+
+
+def test_the_drawing_of_a_link_comes_with_the_candidate(lighter: tuple[Bench, Search, LinkMass]) -> None:
+    bench, search, _ = lighter
+    own = [term for term in search.named if isinstance(term, LinkMass)]
+    masses = [term.drawn[0] for term in own[:-1] if term.drawn is not None]
+    assert masses == pytest.approx(bench.robot.mass_kg[1:4])
+
+
+def test_more_than_the_whole_link_is_never_the_answer(lighter: tuple[Bench, Search, LinkMass]) -> None:
+    """The same columns, the same fit: where the link is drawn as light as a tenth, minus half of it cannot be."""
+    _, search, light = lighter
+    plain = search.fitted(())
+    real = next(term for term in search.named if isinstance(term, LinkMass) and term.axis == LINK)
+    possible, impossible = search.fitted([real], plain), search.fitted([light], plain)
+    assert possible.theta[0] == pytest.approx(impossible.theta[0])
+    assert possible.theta[0][0] < -0.3 * real.drawn[0]  # type: ignore[index]
+    assert search.score(possible) > search.score(plain) > search.score(impossible)
+    assert search.best() is possible
+
+
+@pytest.mark.parametrize(
+    ("theta", "std", "exists"),
+    [
+        ([-4.0, 0.0, 0.0, 0.0], [0.1] * 4, True),
+        ([-7.0, 0.0, 0.0, 0.0], [0.1] * 4, False),
+        ([-7.0, 0.0, 0.0, 0.0], [2.0, 0.1, 0.1, 0.1], True),  # it may as well be -4
+        ([5.0, 0.0, 15.0, 0.0], [0.1] * 4, True),
+        ([5.0, 0.0, 30.0, 0.0], [0.1] * 4, False),  # nearly 3 m off the joint
+        ([90.0, 0.0, 0.0, 0.0], [0.1] * 4, False),  # heavier than the arm
+    ],
+)
+def test_what_can_be_on_a_link(theta: list[float], std: list[float], exists: bool) -> None:
+    term = LinkMass(LINK, (5.0, 0.5, 0.0, 0.2), 60.0)
+    assert term.exists(np.array(theta), np.array(std)) is exists
+    assert LinkMass(LINK).exists(np.array(theta), np.array(std))
