@@ -213,9 +213,8 @@ class Cia402Drive:
         self.access.write(OBJECTS["consumer_heartbeat"], value, "the drive stops when the master is gone")
 
     def disarm(self) -> None:
-        """Let the drive stop watching; asked once only, since the node may be gone."""
-        reason = "the drive no longer watches the master"
-        self.access.write(OBJECTS["consumer_heartbeat"], 0, reason, ONCE)
+        """Let the drive stop watching."""
+        self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer watches the master")
 
     def note_rest(self) -> None:
         """Remember where the axis is now that its brake is closed."""

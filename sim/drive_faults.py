@@ -45,9 +45,12 @@ def _killed(drive: FakeDrive, _fault: Fault) -> None:
     drive.automaton.power_up()
 
 
-def _power_cycle(drive: FakeDrive, _fault: Fault) -> None:
-    drive.reset()
-    drive.node.boot()
+def _reboot(keeps: Callable[[int], bool]) -> Callable[[FakeDrive, Fault], None]:
+    def act_on(drive: FakeDrive, _fault: Fault) -> None:
+        drive.reset(keeps)
+        drive.node.boot()
+
+    return act_on
 
 
 def _leaves_operational(state: int) -> Callable[[FakeDrive, Fault], None]:
@@ -115,8 +118,12 @@ def _other_make(drive: FakeDrive, fault: Fault) -> None:
 
 def _exchanged(drive: FakeDrive, fault: Fault) -> None:
     """The successor of a drive: what it was told by a master is gone with its predecessor."""
+    limit = fault.code or drive.store.number((0x6072, 0)) * 9 // 10
+    drive.reset()
     _shows(drive, (0x1018, 4), drive.store.number((0x1018, 4)) ^ OTHER_SERIAL)
-    _shows(drive, (0x6072, 0), fault.code or drive.store.number((0x6072, 0)) * 9 // 10)
+    _shows(drive, (0x6072, 0), limit)
+    drive.take_max_torque(drive.store.number((0x6072, 0)))
+    drive.node.boot()
 
 
 def _write_ignored(drive: FakeDrive, fault: Fault) -> None:
@@ -204,7 +211,10 @@ def _slips(drive: FakeDrive, fault: Fault) -> None:
 ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "node_killed": _killed,
     "node_missing": _killed,
-    "power_cycle": _power_cycle,
+    "power_cycle": _reboot(lambda _index: False),
+    "reboot_keeps_all": _reboot(lambda _index: True),
+    "reboot_keeps_communication": _reboot(lambda index: index < 0x2000),
+    "reboot_keeps_nothing": _reboot(lambda _index: False),
     "nmt_stopped": _leaves_operational(STOPPED),
     "nmt_preoperational": _leaves_operational(PRE_OPERATIONAL),
     "drive_fault": _faulted,

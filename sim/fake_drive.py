@@ -97,16 +97,19 @@ class FakeDrive:
         self.target_counts = self.velocity_offset = self.torque_offset = self.target_torque = 0
         self.error_code = 0
 
-    def reset(self) -> None:
-        """NMT reset: parameters and PDOs as at power-up, brake closed."""
+    def reset(self, keeps: Callable[[int], bool] = lambda _index: False) -> None:
+        """Start anew: brake closed, parameters and PDOs as at power-up but for the objects that the drive keeps."""
         self.axis.lock()
+        mode = self.mode
         self.reset_setpoints()
-        self.store.values.update(self._reset_values)
+        self.mode = mode if keeps(0x6060) else 0
+        self.store.values.update({key: value for key, value in self._reset_values.items() if not keeps(key[0])})
         self.automaton.quick_stop_holds = False
         self.take_quirks()
         self.target_counts = self.position_counts()
-        self.preset_pdos()
-        self.take_max_torque(MAX_TORQUE_PER_MILLE)
+        if not keeps(0x1800):
+            self.preset_pdos()
+        self.take_max_torque(self.store.number((0x6072, 0)))
         self.automaton.power_up()
 
     def take_quirks(self) -> None:

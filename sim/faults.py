@@ -95,6 +95,11 @@ KINDS: dict[str, Kind] = {
     "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back", bound_s=0.85),
     "node_killed": Kind("drive", "stops", 6, "the drive is without power"),
     "power_cycle": Kind("drive", "stops", 2, "the drive starts anew in the middle of a run"),
+    "reboot_keeps_all": Kind("drive", "goes on", None, "the drive starts anew in its brake and keeps all objects"),
+    "reboot_keeps_communication": Kind(
+        "drive", "refuses", None, "the drive starts anew in its brake and keeps 0x1000 to 0x1FFF"
+    ),
+    "reboot_keeps_nothing": Kind("drive", "refuses", None, "the drive starts anew in its brake, as delivered"),
     "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),
     "nmt_stopped": Kind("drive", "stops", 2, "the drive goes to NMT state STOPPED"),
     "nmt_preoperational": Kind("drive", "stops", 2, "the drive falls back to PRE-OPERATIONAL"),
@@ -150,6 +155,7 @@ KINDS: dict[str, Kind] = {
     "second_master_sync": Kind("wire", "stops", 20, "another master sends SYNC"),
     "second_master_nmt": Kind("wire", "stops", 20, "another master sends NMT commands"),
     "second_master_sdo": Kind("wire", "stops", 20, "another master reads objects"),
+    "second_master_slow": Kind("wire", "refuses", None, "another master sends a SYNC every 100 ms"),
     "error_frames": Kind("wire", "goes on", 1, "error frames"),
     "error_passive": Kind("wire", "goes on", 1, "the controller is error passive"),
     "bus_off": Kind("wire", "stops", 2, "the controller is bus-off"),

@@ -17,7 +17,7 @@ from typing import Any
 import can
 
 from sim.faults import KINDS, Fault
-from sim.wire_rules import HAIR_S, RPDO1, RULES, SYNC, TPDO1, TPDO2, Armed, invented
+from sim.wire_rules import HAIR_S, RPDO1, RULES, SYNC, TPDO1, TPDO2, Armed, invented, slow_syncs
 
 #: What an adapter carries out inside a drive.
 DriveAction = Callable[[Fault], None]
@@ -93,6 +93,9 @@ class FaultyWire:
         if armed.started or not armed.fault.active(self.sync):
             return
         armed.started = True
+        for delay_s, frame in slow_syncs(armed.fault):
+            self.later(frame, delay_s)
+            self._count(armed)
         if self.act is not None and (KINDS[armed.fault.kind].where in ("drive", "object")):
             self._count(armed)
             self.act(armed.fault)

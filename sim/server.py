@@ -40,6 +40,8 @@ REAL_STEP_S = 0.001
 MOST_CATCH_UP_S = 0.5
 #: A frame that is said to have come longer ago than this has a clock of its own [s].
 OLDEST_FRAME_S = 5.0
+#: In lockstep a master that has sent no frame for so long is gone, and time passes by the clock [s].
+ABANDONED_S = 10.0
 
 
 class ArmUnit:
@@ -128,6 +130,7 @@ class BusServer:
         self._routes: dict[int, tuple[FakeDrive, int]] = {}
         self._real_at_s = time.monotonic()
         self._beat_at_s = 0.0
+        self._heard_at_s = self._alone_at_s = time.monotonic()
         self.drives = [drive for arm in self.arms for drive in arm.drives]
         self.instruments = [device for arm in self.arms for device in arm.instruments]
         for arm in self.arms:
@@ -231,9 +234,21 @@ class BusServer:
         while self._jobs:
             self._jobs.popleft()()
         now = time.monotonic()
+        if message is not None:
+            self._heard_at_s = now
+        elif not self._real and now - self._heard_at_s > ABANDONED_S:
+            self._go_on_alone(now)
         if message is None or message.arbitration_id == SYNC_ID or now - self._beat_at_s > IDLE_S:
             self._beat_at_s = now
             self._keep_time(now)
+
+    def _go_on_alone(self, now_s: float) -> None:
+        """In lockstep, when the master is gone: let time pass by the clock while a drive feeds its motor."""
+        passed = min(now_s - max(self._alone_at_s, self._heard_at_s + ABANDONED_S), MOST_CATCH_UP_S)
+        self._alone_at_s = now_s
+        for arm in self.arms:
+            if any(drive.automaton.energised for drive in arm.drives):
+                arm.advance(passed)
 
     def _take(self, message: can.Message) -> None:
         identifier = message.arbitration_id

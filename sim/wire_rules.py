@@ -18,6 +18,8 @@ TPDO1, TPDO2, RPDO1, SDO_ANSWER, SDO_REQUEST, HEARTBEAT, EMCY = 0x180, 0x280, 0x
 BURST_S = 0.025
 #: Rounding of times that are sums of many periods [s].
 HAIR_S = 1e-6
+#: Another master with a slow SYNC: its period, and for how long it sends [s].
+SLOW_SYNC_S, SLOW_SYNC_LASTS_S = 0.1, 60.0
 #: Statusword bits.
 BITS: Final = {
     "internal_limit": 1 << 11,
@@ -103,6 +105,13 @@ def invented(fault: Fault) -> list[can.Message]:
         ],
     }
     return bodies.get(fault.kind, [])
+
+
+def slow_syncs(fault: Fault) -> list[tuple[float, can.Message]]:
+    """Frames that a fault sends by the clock, and when, from its beginning [s]."""
+    if fault.kind != "second_master_slow":
+        return []
+    return [(number * SLOW_SYNC_S, _frame(SYNC, b"")) for number in range(round(SLOW_SYNC_LASTS_S / SLOW_SYNC_S))]
 
 
 def _frame(can_id: int, data: bytes) -> can.Message:

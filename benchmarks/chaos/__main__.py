@@ -1,7 +1,7 @@
 """Inject every fault, kill masters, feed strangers' bytes; print every figure with its goal and write `summary.json`.
 
 python -m benchmarks.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [stalls] [signals] [disk]
-                     [unbuffered] [pair_stops] [load] [fuzz] [sheets] [originals]
+                     [io] [unbuffered] [pair_stops] [load] [fuzz] [sheets] [originals]
 python -m benchmarks.chaos soak [--minutes 30]
 """
 
@@ -27,6 +27,7 @@ PARTS = (
     "stalls",
     "signals",
     "disk",
+    "io",
     "unbuffered",
     "pair_stops",
     "load",
@@ -42,6 +43,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("parts", nargs="*", choices=[*PARTS, "soak", []], help="parts to run")
     parser.add_argument("--out", type=Path, default=Path("out/chaos"))
     parser.add_argument("--minutes", type=float, default=30.0, help="length of the soak")
+    parser.add_argument("--kinds", default="", help="part scenarios: fault kinds to play, by commas; all if absent")
     parser.add_argument("--share", type=float, default=1.0, help="share of the full numbers, for a first look")
     arguments = parser.parse_args(argv)
     figures: dict[str, dict] = {}
@@ -50,7 +52,7 @@ def main(argv: list[str]) -> int:
     with Progress(*columns, console=Console(stderr=True)) as progress:
         for part in arguments.parts or PARTS:
             module = importlib.import_module(f"benchmarks.chaos.part_{part}")
-            figures |= module.figures(Scope(progress, arguments.share, arguments.minutes))
+            figures |= module.figures(Scope(progress, arguments.share, arguments.minutes, arguments.kinds))
             write(figures, arguments.out)
     show(figures)
     return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
@@ -65,8 +67,9 @@ def write(figures: dict[str, dict], out: Path) -> None:
 class Scope:
     """How much to run, and where to show progress."""
 
-    def __init__(self, progress: Progress, share: float, minutes: float) -> None:
+    def __init__(self, progress: Progress, share: float, minutes: float, kinds: str = "") -> None:
         self.minutes = minutes
+        self.kinds = tuple(kind for kind in kinds.split(",") if kind)
         self.print = progress.console.print
         self._progress = progress
         self._share = share

@@ -614,3 +614,23 @@ def test_a_frame_log_on_a_full_disk_neither_ends_a_motion_nor_a_stop(wire, slave
     assert {slave.state for slave in slaves} == {"switch on disabled"}
     group.close()
     bus.close()
+
+
+@pytest.mark.parametrize("object_index", [0x1016, 0x6064])
+def test_a_lost_answer_leaves_no_stop_unconfirmed(group: DriveGroup, slaves: list[Slave], object_index: int) -> None:
+    """Disabling asks every drive over SDO to stop watching the master, and where it is: each first answer is lost."""
+    lost: list[int] = []
+
+    def reply(request: bytes, answer: bytes) -> list[tuple[float, bytes]]:
+        if request[1] | request[2] << 8 == object_index and request[0] not in lost:
+            lost.append(request[0])
+            return []
+        return [(0.0002, answer)]
+
+    move(group, 3)
+    slaves[2].reply = reply
+    group.disable()
+    assert lost
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+    assert slaves[2].values[0x1016, 1] == 0
+    group.enable()

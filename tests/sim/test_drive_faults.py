@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 import uuid
 from collections.abc import Callable
 
+import can
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from sim.drive_faults import ACTIONS, act
 from sim.fake_drive import FakeDrive
 from sim.faults import KINDS, Fault
 from sim.node import OPERATIONAL, PRE_OPERATIONAL, STOPPED
+from sim.server import ABANDONED_S
 from sim.simulation import ServeOptions, Simulation
 from sim.states import PdsState
 from tests.sim.conftest import SMALL
@@ -74,6 +77,9 @@ Effect = Callable[[Bench], bool]
 EFFECTS: dict[str, Effect] = {
     "node_killed": lambda bench: bench.drive.node.silent and at_rest_in_its_brake(bench),
     "power_cycle": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
+    "reboot_keeps_all": lambda bench: bench.drive.mode == 8 and at_rest_in_its_brake(bench),
+    "reboot_keeps_communication": lambda bench: bench.drive.mode == 0 and at_rest_in_its_brake(bench),
+    "reboot_keeps_nothing": lambda bench: bench.drive.mode == 0 and at_rest_in_its_brake(bench),
     "nmt_preoperational": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
     "nmt_stopped": lambda bench: bench.drive.node.state == STOPPED and at_rest_in_its_brake(bench),
     "drive_fault": lambda bench: bench.state is PdsState.FAULT and at_rest_in_its_brake(bench),
@@ -139,3 +145,47 @@ def test_a_fault_inside_a_drive_does_what_it_says_in_both_pacings(kind: str, pac
     bench.close()
     assert done
     assert all(drive.enabled and drive.node.state == OPERATIONAL for drive in others)
+
+
+@pytest.mark.parametrize(
+    ("kind", "kept"),
+    [
+        ("reboot_keeps_all", (250, 1, 8, 500)),
+        ("reboot_keeps_communication", (250, 1, 0, 3750)),
+        ("reboot_keeps_nothing", (1000, 255, 0, 3750)),
+    ],
+)
+def test_a_reboot_keeps_what_its_kind_says(kind: str, kept: tuple[int, ...]) -> None:
+    bench = Bench("lockstep", kind)
+    write = bench.drive.store.write
+    write(0x1017, 0, (250).to_bytes(2, "little"))
+    write(0x1800, 2, b"\x01")
+    write(0x6072, 0, (500).to_bytes(2, "little"))
+    act(bench.server, Fault(kind, node=NODE))
+    held = [int.from_bytes(bench.drive.store.read(*each), "little") for each in ((0x1017, 0), (0x1800, 2), (0x6072, 0))]
+    assert (held[0], held[1], bench.drive.mode, held[2]) == kept
+    bench.close()
+
+
+def test_in_lockstep_drives_stop_by_themselves_once_the_master_is_gone(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench("lockstep", "warning")
+    server, now = bench.server, [time.monotonic()]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    for drive in server.drives:
+        drive.store.write(0x1016, 1, (127 << 16 | 500).to_bytes(4, "little"))
+        drive.node.heard(127, bench.unit.world.time_s)
+    server.serve(can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False))
+
+    def wait(seconds: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            now[0] += 0.05
+            server.serve(None)
+
+    wait(ABANDONED_S - 0.5)
+    assert all(drive.enabled for drive in server.drives)
+    wait(2.0)
+    assert not any(drive.automaton.energised for drive in server.drives)
+    at_rest_s = bench.unit.world.time_s
+    wait(5.0)
+    assert bench.unit.world.time_s < at_rest_s + 0.2, "time stands still again"
+    bench.close()

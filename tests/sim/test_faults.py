@@ -14,7 +14,7 @@ import pytest
 
 from sim.faults import KINDS, REACTIONS, Fault, FaultError, Kind, fault_from_dict, parse_faults, read_faults
 from sim.faulty_wire import FaultyWire
-from sim.wire_rules import RULES, invented
+from sim.wire_rules import RULES, invented, slow_syncs
 
 NODES = (1, 2, 3)
 STATUS = 0x1237
@@ -200,6 +200,18 @@ def test_the_reaction_by_the_clock_may_be_another_one() -> None:
     assert KINDS["tpdo_lost"].reaction_in("real") == "retried"
 
 
+def test_another_master_with_a_slow_sync_keeps_to_the_clock(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [time.monotonic()]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    rig.wire.arm(Fault("second_master_slow"))
+    came = []
+    for _ in range(50):
+        rig.wire.recv(0.0)
+        came += [can_id for can_id, _ in rig.seen()]
+        now[0] += 0.01
+    assert came == [0x080] * 5
+
+
 def test_commands_that_reach_nobody(rig: Rig) -> None:
     rig.wire.arm(Fault("rpdo_lost", node=2, at_sync=0, syncs=0))
     for node in NODES:
@@ -217,7 +229,7 @@ def test_every_kind_of_the_wire_is_carried_out(rig: Rig, kind: str, monkeypatch:
     monkeypatch.setattr("sim.faulty_wire.time.sleep", lambda _seconds: pytest.fail("the serving thread waits"))
     assert KINDS[kind].reaction in REACTIONS
     in_recv = {"rpdo_lost", "rpdo_gone", "sync_lost"}
-    assert kind in RULES or invented(Fault(kind)) or kind in in_recv
+    assert kind in RULES or invented(Fault(kind)) or slow_syncs(Fault(kind)) or kind in in_recv
     rig.wire.arm_in(Fault(kind, node=2), 1)
     rig.cycle(1)
     rig.cycle(2)

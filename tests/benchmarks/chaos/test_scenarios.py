@@ -34,6 +34,9 @@ IN_LOCKSTEP = (
     "wrong_rated",
     "write_ignored",
     "drive_exchanged",
+    "reboot_keeps_nothing",
+    "second_master_slow",
+    "nmt_preoperational",
 )
 BY_THE_CLOCK = ("tpdo_gone", "burst", "drive_fault", "tpdo3_on", "second_master_nmt", "estop_pressed")
 

@@ -79,6 +79,7 @@ class Watched:
     silent : whether each is without power
     touched : frames that faults have touched, by kind
     tpdo3_on : drives that send their third TPDO
+    torque_limits : 0x6072 of each drive, now
     """
 
     seen: Seen
@@ -86,6 +87,7 @@ class Watched:
     silent: tuple[bool, ...]
     touched: dict[str, int]
     tpdo3_on: int
+    torque_limits: tuple[int, ...] = ()
 
 
 class Rig:
@@ -182,6 +184,7 @@ class Rig:
             tuple(drive.node.silent for drive in drives),
             dict(self.wire.touched),
             sum(not drive.tpdos[TPDO3].cob_id & OFF for drive in drives),
+            tuple(drive.store.number((0x6072, 0)) for drive in drives),
         )
 
     def call(self, job: Callable[[], None]) -> None:

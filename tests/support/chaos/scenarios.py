@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import errno
 import random
+import tempfile
 from collections.abc import Callable, Iterable
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import can
@@ -82,7 +84,13 @@ DETAILS: dict[str, dict[str, Any]] = {
 #: Whom a fault may concern; only an axis that carries weight sinks.
 NODES, CARRYING = (1, 2, 3, 4, 5, 6), (3, 5)
 #: Faults that show late, or only while the axis moves, begin in the first motion.
-IN_MOTION = frozenset({"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back"})
+IN_MOTION = frozenset(
+    {"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back", "nmt_preoperational", "not_following"}
+)
+#: Faults of drives that wait in their brakes, configured.
+IN_BRAKES = frozenset({"reboot_keeps_all", "reboot_keeps_communication", "reboot_keeps_nothing"})
+#: Faults that happen between two runs with one write ledger.
+BETWEEN_RUNS = frozenset({"drive_exchanged"})
 #: What looks like a joint that does not follow, or a drive at its torque limit, where it happens at full speed: these
 #: begin in the slow motion between the two sides of a pose.
 SLOWLY = frozenset({"tpdo_stuck", "rpdo_lost"})
@@ -151,11 +159,11 @@ class Beginning:
         retried = about.reaction_in(bus.pacing) == "retried" and kind != "tpdo_random_loss"
         self.in_samples = retried and seed % 2 == 1
         found = about.where == "object" or about.reaction in ("refuses", "finding") or kind.startswith("sdo_")
-        self.from_start = found and kind != "brake_slips"
+        self.from_start = found and kind != "brake_slips" and kind not in IN_BRAKES
 
     def hear(self, event: Event) -> None:
         """Take an event of the run."""
-        if self.start or self.from_start:
+        if self.start or self.from_start or self._kind in IN_BRAKES:
             return
         phase = event.state.phase if isinstance(event, StateChanged) else None
         self._moves += phase is Phase.MOVING
@@ -196,23 +204,34 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
         fault = Fault(kind, **({"node": node, "seed": seed} | DETAILS.get(kind, {})))
     begin = Beginning(rig, kind, seed, fault)
     outcome.in_samples = begin.in_samples
-    if begin.from_start and fault is not None:
-        rig.arm(fault)
-    base, error = 0, None
-    try:
-        with open_arm(rig.loaded, BusOverride(BusSpec.parse(rig.bus))) as opened:
-            base = rig.sync()
-            try:
-                _act(rig, opened, outcome, evidence, begin)
-            finally:
-                evidence.counters = counters_of(opened, 0 if fault is None else fault.node)
-    except (DriveError, GatewayError) as problem:
-        error = problem
+    base, error, limits = 0, None, rig.watched().torque_limits
+    with ExitStack() as stack:
+        override = BusOverride(BusSpec.parse(rig.bus))
+        if kind in BETWEEN_RUNS:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="ledger-"))
+            override = replace(override, ledger=Path(folder) / "ledger.json")
+            with open_arm(rig.loaded, override):
+                pass
+        if begin.from_start and fault is not None:
+            rig.arm(fault)
+            limits = rig.watched().torque_limits
+        try:
+            with open_arm(rig.loaded, override) as opened:
+                base = rig.sync()
+                if kind in IN_BRAKES and fault is not None:
+                    rig.arm(fault)
+                try:
+                    _act(rig, opened, outcome, evidence, begin)
+                finally:
+                    evidence.counters = counters_of(opened, 0 if fault is None else fault.node)
+        except (DriveError, GatewayError) as problem:
+            error = problem
     watched = rig.watched()
     rig.renew()
     outcome.error = outcome.error or str(error or "")
     evidence.touched = watched.touched.get(kind, 0)
-    evidence.counters = {**evidence.counters, "tpdo3 on": watched.tpdo3_on}
+    raised = sum(now > own for own, now in zip(limits, watched.torque_limits, strict=True))
+    evidence.counters = {**evidence.counters, "tpdo3 on": watched.tpdo3_on, "torque limits raised": raised}
     judge(watched, outcome, fault, error, evidence)
     follow(watched, outcome, fault, begin.start)
     compare(watched, outcome, evidence, base)

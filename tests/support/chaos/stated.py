@@ -129,6 +129,9 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "heartbeat_back": Stated(HeartbeatLost, "its heartbeat stopped", "heartbeat_lost"),
         "node_killed": Stated(IncompleteEpochs, _SILENT, "silent"),
         "power_cycle": Stated(DriveRebooted, "booted during the run", "booted"),
+        "reboot_keeps_all": Stated(counts=(_WHOLE,), real=()),
+        "reboot_keeps_communication": Stated(ConfigurationRefused, r"6060:00.*0x8 was configured, 0x0 is read now"),
+        "reboot_keeps_nothing": Stated(ConfigurationRefused, r"RPDO1 has .* since it was configured"),
         "boot_up_frame": Stated(DriveRebooted, "booted during the run", "booted"),
         "nmt_stopped": Stated(NotOperational, "left OPERATIONAL: its heartbeat shows STOPPED", "left_operational"),
         "nmt_preoperational": Stated(
@@ -157,7 +160,9 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "heartbeat_ignored": Stated(None, r"went on moving without the master's heartbeat"),
         "wrong_rated": Stated(FindingFailed, r"6072:00.*rated torque in another unit"),
         "write_ignored": Stated(ConfigurationRefused, r"6007:00.*was written, .* reads back"),
-        "drive_exchanged": Stated(counts=(_WHOLE,), real=()),
+        "drive_exchanged": Stated(
+            counts=(Count("torque limits raised", most=0), _WHOLE), real=(Count("torque limits raised", most=0),)
+        ),
         "rated_zero": Stated(ConfigurationRefused, r"6076:00.*rated value is 0"),
         "wrong_vendor": Stated(IdentityMismatch, r"1018:01.*vendor id is 0x[0-9A-F]+ instead of"),
         "node_missing": Stated(NodeMissing, "nobody answers"),
@@ -200,6 +205,9 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         ),
         "second_master_sdo": Stated(
             ForeignMaster, "3 frames with id 6.. .* came from another master", "foreign_master", "id"
+        ),
+        "second_master_slow": Stated(
+            ForeignMaster, r"in 0\.5 s it has sent [456] SYNC; nothing was sent", named="nobody"
         ),
         "error_frames": Stated(
             counts=(Count("error frames", share=1.0), _WHOLE), real=(Count("error frames", share=1.0),)
