@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from typing import Final
 
 from drives import bringup, operational, starting, stopping
 from drives.cia402 import Mode
@@ -30,13 +29,10 @@ from drives.exchange import SyncExchange
 from drives.group_setup import DriveSetup, GroupOptions
 from drives.guard import Guard
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.proof import StopTrace, fall_silent, watch_quick_stop, watch_released
+from drives.proof import BrakeTest, DriveTest, QuickStopTest, SilenceTest
 from drives.way_up import WayUp
 
 __all__ = ["DriveGroup", "GroupOptions"]
-
-#: Longest wait for axes that are told to hold to stand.
-_REST_S: Final = 1.0
 
 
 class DriveGroup(DriveSetup):
@@ -50,6 +46,8 @@ class DriveGroup(DriveSetup):
 
     #: Motor angle of each axis from where it was last held to the farthest place after it was disabled; 0.0 = unknown.
     sag_rad: tuple[float, ...] = ()
+    #: What is tried at present; None = nothing.
+    _test: DriveTest | None = None
 
     # -- moving ------------------------------------------------------------------------------------------------------
 
@@ -161,12 +159,23 @@ class DriveGroup(DriveSetup):
     def _stage(self, commands: Sequence[DriveCommand] | None) -> None:
         if not self.enabled:
             self._require(False, "enable() first")
+        if self._test is not None:
+            self._stage_test(self._test, commands)
+            return
         if commands is None:
             for drive in self.drives:
                 drive.hold(drive.target_count)
             return
         for drive, command in zip(self.drives, commands, strict=True):
             drive.stage(command)
+
+    def _stage_test(self, test: DriveTest, commands: Sequence[DriveCommand] | None) -> None:
+        for axis, drive in enumerate(self.drives):
+            count = test.held_count(axis)
+            if count is None and commands is not None:
+                drive.stage(commands[axis])
+            else:
+                drive.hold(drive.target_count if count is None else count)
 
     def begin(self, commands: Sequence[DriveCommand] | None) -> None:
         """By the clock, first part of a SYNC that several groups share: targets out; raises as `exchange`.
@@ -230,133 +239,79 @@ class DriveGroup(DriveSetup):
         if self._exchange is not None:
             self._exchange.abandon()
 
-    def fall_silent(self, commands: Sequence[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
-        """Stop the master's heartbeat on purpose while the axes move, watch each drive stop by itself, disable all.
+    def withhold_heartbeat(self) -> SilenceTest:
+        """Stop the master's heartbeat on purpose while the axes move: every drive has to stop by itself.
 
-        Parameters
-        ----------
-        commands : sequence of sequences of DriveCommand
-            Set points that go on without a heartbeat, one row per SYNC; slow ones.
+        `exchange` and `hold` go on, with the controlwords of the test, until `disable`.
 
         Returns
         -------
-        tuple of StopTrace
-            One per axis. A drive that reacts with a fault stays in it.
-
-        Raises
-        ------
-        SeveralFailures or DriveError
-            A frame could not be sent, or axes of which it is not known that they are disabled.
+        SilenceTest
+            A drive that reacts with a fault stays in it.
         """
         self._require(self.enabled, "enable() first")
-        exchange, _ = self._parts()
-        self.enabled = False
-        try:
-            traces = fall_silent(exchange, commands, self._last_beat)
-        except BaseException as error:
-            self._after(error, stopping.quick_stop)
-            raise
-        try:
-            if any(trace.left_s is None for trace in traces):
-                self.quick_stop()
-        finally:
-            self.disable()
-        return traces
+        test = SilenceTest(self._parts()[0], self._last_beat)
+        self._test = test
+        return test
 
-    def prove_quick_stop(self, commands: Sequence[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
-        """Move, then tell every axis to stop by its quick stop ramp, watch each come to rest, disable all.
-
-        Parameters
-        ----------
-        commands : sequence of sequences of DriveCommand
-            Set points before the stop, one row per SYNC; slow ones.
+    def try_quick_stop(self) -> QuickStopTest:
+        """Tell every axis to stop by its quick stop ramp; `exchange` and `hold` go on until `disable`.
 
         Returns
         -------
-        tuple of StopTrace
-            One per axis; times and angles count from the SYNC that carried the quick stop.
-
-        Raises
-        ------
-        SeveralFailures or DriveError
-            As `exchange`; or axes of which it is not known that they are disabled.
+        QuickStopTest
+            Its times and angles count from the SYNC that carries the quick stop.
         """
-        for row in commands:
-            self.exchange(row)
         self._require(self.enabled, "enable() first")
-        exchange, _ = self._parts()
-        self.enabled = False
-        try:
-            traces = watch_quick_stop(exchange)
-        except BaseException as error:
-            self._after(error, stopping.quick_stop)
-            raise
-        try:
-            if not all(trace.stood for trace in traces):
-                self.quick_stop()
-        finally:
-            self.disable()
-        return traces
+        test = QuickStopTest(self._parts()[0])
+        self._test = test
+        return test
 
-    def release(self, axis: int, seconds: float) -> float:
-        """Disable one axis, so that its brake holds it, while all others hold; watch it; then disable all.
+    def release(self, axis: int, limit_rad: float, disables_voltage: bool = False) -> BrakeTest:
+        """Disable one axis, so that its brake holds it, while all others hold; `hold` goes on.
 
         Parameters
         ----------
-        axis : int
-            From 0.
-        seconds : float
-            How long it is watched once it has left OPERATION ENABLED.
-
-        Returns
-        -------
-        float
-            Largest motor angle from where the drive last held it, rad.
+        axis, limit_rad, disables_voltage
+            As `BrakeTest`.
 
         Raises
         ------
         ConfigurationRefused
-            The axes are not enabled, or do not come to rest; nothing has changed.
-        TransitionTimeout
-            The axis stays in OPERATION ENABLED. All axes are disabled.
-        DriveError
-            As `exchange`. All axes are disabled, as far as that was possible.
+            The axes are not enabled, or not at rest; nothing has changed.
         """
         self._require(self.enabled and 0 <= axis < len(self.drives), "enable() first, and name an axis that there is")
-        exchange, guard = self._parts()
-        self._come_to_rest(exchange)
-        guard.excused = frozenset({axis})
-        try:
-            sag_rad = watch_released(exchange, axis, seconds, self._cycle)
-        except BaseException as error:
-            if self.enabled:
-                self._after(error, stopping.quick_stop)
-            self._disable_after(error)
-            raise
-        self.disable()
-        return sag_rad
+        self._require(self.stands, "bring the axes to rest first")
+        test = BrakeTest(self._parts()[0], axis, limit_rad, disables_voltage)
+        self._test = test
+        return test
 
-    def _come_to_rest(self, exchange: SyncExchange) -> None:
-        """Hold until every axis was seen to stand."""
-        axes = range(len(self.drives))
-        for _ in range(math.ceil(_REST_S / self.timing.period_s)):
-            self.hold()
-            if all(exchange.stands(axis) for axis in axes):
-                return
-        self._require(False, "bring the axes to rest first")
+    @property
+    def stands(self) -> bool:
+        """Whether every axis was seen to stand at the last SYNCs."""
+        exchange, _ = self._parts()
+        return all(exchange.stands(axis) for axis in range(len(self.drives)))
 
     def _last_beat(self) -> None:
         """One more heartbeat, from which the drives count, and no other."""
         self._producer.start(self.sync_index * self.timing.period_s)
         self._producer.stop()
 
-    def _cycle(self, words: Sequence[int] | None = None) -> Epoch:
+    def _cycle(self) -> Epoch:
         with self._stopping():
-            return self._looked_at(self._parts()[0].cycle(self._enable_words if words is None else words))
+            words = self._enable_words if self._test is None else self._test.words()
+            return self._looked_at(self._parts()[0].cycle(words))
 
     def _looked_at(self, epoch: Epoch) -> Epoch:
         self._emcy.sync_index = epoch.sync_index
-        self._parts()[1].check(epoch)
+        guard, test = self._parts()[1], self._test
+        if test is not None:
+            test.see(epoch)
+            guard.excused = test.excused
+            if not test.guards:
+                guard.check_bus()
+                return epoch
+        guard.check(epoch)
         return epoch
 
     @contextmanager
@@ -390,16 +345,10 @@ class DriveGroup(DriveSetup):
         for failure in failures:
             _add(error, failure)
 
-    def _disable_after(self, error: BaseException) -> None:
-        """Disable because of an error, which is about to be raised; what goes wrong is added to it."""
-        try:
-            self.disable()
-        except DriveError as failure:
-            _add(error, failure)
-
     def _stopped(self, stop: Callable[[SyncExchange], list[DriveError]]) -> list[DriveError]:
         """What could not be confirmed: then no heartbeat is sent any more, and the drives are set up anew first."""
         exchange, _ = self._parts()
+        self._test = None
         try:
             failures = stop(exchange)
         except Exception as error:

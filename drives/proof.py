@@ -1,15 +1,19 @@
-"""How the drives stop, tried out: without the master's heartbeat, by the quick stop word, by the brake of one axis.
+"""Tests of how the drives stop: without the master's heartbeat, by the quick stop word, by the brake of one axis.
 
 CiA 301 7.2.8.3.2.2 (heartbeat consumer, 0x1016) and CiA 402-2 (abort connection option, 0x6007) say what has to happen;
 whether this drive, with this firmware and wiring, does it is only known once it was seen.
+
+A test sends nothing and waits for nothing. It gives the controlwords of the next SYNC and reads the answers, while the
+motion loop sends its set points as in any other motion (`DriveGroup.exchange` and `hold`), so that every request to
+stop and every limit is answered at any SYNC of a test as well.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 from drives.cia402 import (
     AT_REST,
@@ -17,16 +21,18 @@ from drives.cia402 import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
     QUICK_STOP,
+    NoRoute,
     State,
     decode_state,
+    next_controlword,
 )
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
-from drives.errors import DriveError, TransitionTimeout
+from drives.errors import DriveError, DriveFault, TransitionTimeout
 from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
 from drives.sdo import ONCE
-from drives.values import DriveCommand
+from drives.values import DriveReading
 
 #: How long after the stated time the drives are watched before the master stops them itself.
 PATIENCE_S: Final = 0.2
@@ -37,6 +43,38 @@ _SILENT: Final = 2
 #: Motor revolutions between two SYNCs that count as standing: a braked axis shakes while others are stopped.
 _STILL_REVOLUTIONS: Final = 0.003
 _STILL_SYNCS: Final = 3
+#: SYNCs after which a drive that was told to hold its axis again is given the position that it has reached meanwhile.
+_ENABLE_SYNCS: Final = 3
+
+
+class DriveTest(Protocol):
+    """What a drive group asks of a test at every SYNC.
+
+    Attributes
+    ----------
+    excused : frozenset of int
+        Axes (from 0) that may leave OPERATION ENABLED.
+    guards : bool
+        The other axes are watched as in any motion; else only the bus is.
+    """
+
+    @property
+    def excused(self) -> frozenset[int]: ...
+
+    @property
+    def guards(self) -> bool: ...
+
+    def words(self) -> list[int]:
+        """Controlwords of the next SYNC; called once per SYNC."""
+        ...
+
+    def held_count(self, axis: int) -> int | None:
+        """Position that an axis is told to keep [counts]; None = the set point of the motion."""
+        ...
+
+    def see(self, epoch: Epoch) -> None:
+        """Take the answers of one SYNC."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,134 +187,265 @@ class _Axis:
         )
 
 
-def fall_silent(
-    exchange: SyncExchange, commands: Sequence[Sequence[DriveCommand]], last_words: Callable[[], None]
-) -> tuple[StopTrace, ...]:
-    """Send set points and SYNCs without a heartbeat and watch every drive stop.
+class StopTest:
+    """Every axis has to leave OPERATION ENABLED and come to rest; it is watched until all have, or time is over.
 
     Parameters
     ----------
     exchange : SyncExchange
         All drives enabled.
-    commands : sequence of sequences of DriveCommand
-        Set points, one row per SYNC; after the last one the axes are held.
-    last_words : callable
-        Sends the last heartbeat and no other after it.
+    stated_s : sequence of float
+        By when each axis shall have left OPERATION ENABLED.
 
-    Raises
-    ------
-    DriveError
-        A frame could not be sent, or a target is outside the limits.
+    Attributes
+    ----------
+    done : bool
+        Nothing is expected any more. An axis that has not left is told to stop from now on.
     """
-    period_s = exchange.timing.period_s
-    axes = [_Axis(drive, drive.setup.profile.heartbeat.consumer_ms / 1000.0 + period_s) for drive in exchange.drives]
-    longest_s = max(axis.stated_s for axis in axes) + PATIENCE_S
-    rows: Iterator[Sequence[DriveCommand]] = iter(commands)
-    last_words()
-    begin_s: float | None = None
-    passed_s = 0.0
-    while passed_s < longest_s + _RAMP_S and not all(axis.done for axis in axes):
-        if passed_s > longest_s and any(axis.left_s is None for axis in axes):
-            break
-        _stage(axes, next(rows, None))
-        epoch = exchange.cycle([axis.word() for axis in axes])
-        begin_s = epoch.time_s if begin_s is None else begin_s
-        passed_s = epoch.time_s - begin_s
-        for axis, reading, silent in zip(axes, epoch.readings, exchange.silent, strict=True):
+
+    guards = False
+
+    def __init__(self, exchange: SyncExchange, stated_s: Sequence[float]) -> None:
+        self.done = False
+        self.excused = frozenset(range(len(exchange.drives)))
+        self._exchange = exchange
+        self._axes = [_Axis(drive, stated) for drive, stated in zip(exchange.drives, stated_s, strict=True)]
+        self._begin_s: float | None = None
+
+    @property
+    def left(self) -> frozenset[int]:
+        """Axes (from 0) that have left OPERATION ENABLED."""
+        return frozenset(number for number, axis in enumerate(self._axes) if axis.left_s is not None)
+
+    def words(self) -> list[int]:
+        """As `DriveTest.words`."""
+        return [QUICK_STOP if self._stops(axis) else axis.word() for axis in self._axes]
+
+    def held_count(self, axis: int) -> int | None:
+        """As `DriveTest.held_count`: an axis that has left, or is told to stop, keeps its last target."""
+        seen = self._axes[axis]
+        return seen.drive.target_count if seen.left_s is not None or self._stops(seen) else None
+
+    def see(self, epoch: Epoch) -> None:
+        """As `DriveTest.see`."""
+        if self.done:
+            return
+        self._begin_s = epoch.time_s if self._begin_s is None else self._begin_s
+        passed_s = epoch.time_s - self._begin_s
+        for axis, reading, silent in zip(self._axes, epoch.readings, self._exchange.silent, strict=True):
             if reading is not None:
                 axis.see(passed_s, decode_state(reading.statusword), reading.position_count)
             elif silent >= _SILENT:
-                axis.ask(passed_s)
-    return tuple(axis.trace() for axis in axes)
+                self._without_answer(axis, passed_s)
+        self.done = all(axis.done for axis in self._axes) or self._over(passed_s)
+
+    def traces(self) -> tuple[StopTrace, ...]:
+        """What was seen of each axis."""
+        return tuple(axis.trace() for axis in self._axes)
+
+    def _stops(self, axis: _Axis) -> bool:
+        """Whether an axis is told to stop."""
+        return self.done and axis.left_s is None
+
+    def _without_answer(self, axis: _Axis, passed_s: float) -> None:
+        """An axis has not answered several SYNCs."""
+        axis.ask(passed_s)
+
+    def _over(self, passed_s: float) -> bool:
+        """Whether nothing is waited for any more."""
+        longest_s = max(axis.stated_s for axis in self._axes) + PATIENCE_S
+        return passed_s >= longest_s + _RAMP_S or (
+            passed_s > longest_s and any(axis.left_s is None for axis in self._axes)
+        )
 
 
-def _stage(axes: Sequence[_Axis], row: Sequence[DriveCommand] | None) -> None:
-    for number, axis in enumerate(axes):
-        if row is None or axis.left_s is not None:
-            axis.drive.hold(axis.drive.target_count)
-        else:
-            axis.drive.stage(row[number])
-
-
-def watch_quick_stop(exchange: SyncExchange) -> tuple[StopTrace, ...]:
-    """Tell every axis to stop by its quick stop ramp and watch it come to rest.
+class SilenceTest(StopTest):
+    """The master's heartbeat is withheld: every drive has to stop by itself.
 
     Parameters
     ----------
     exchange : SyncExchange
         All drives enabled.
-
-    Raises
-    ------
-    DriveError
-        A frame could not be sent.
+    last_beat : callable
+        Sends the last heartbeat; called before the first SYNC of the test.
     """
-    axes = [_Axis(drive, 2.0 * exchange.timing.period_s) for drive in exchange.drives]
-    for axis, count in zip(axes, exchange.position_count, strict=True):
-        if count is not None:
-            axis.see(0.0, State.OPERATION_ENABLED, count)
-    begin_s: float | None = None
-    passed_s = 0.0
-    while passed_s < _RAMP_S + PATIENCE_S and not all(axis.done for axis in axes):
-        for axis in axes:
-            axis.drive.hold(axis.drive.target_count)
-        epoch = exchange.cycle([QUICK_STOP if axis.left_s is None else axis.word() for axis in axes])
-        begin_s = epoch.time_s if begin_s is None else begin_s
-        passed_s = epoch.time_s - begin_s
-        for axis, reading in zip(axes, epoch.readings, strict=True):
-            if reading is not None:
-                axis.see(passed_s, decode_state(reading.statusword), reading.position_count)
-        unmoved = passed_s >= PATIENCE_S and any(axis.left_s is None for axis in axes)
-        if unmoved or max(exchange.silent) > _SILENT:
-            exchange.end_heartbeat()
-            break
-    return tuple(axis.trace() for axis in axes)
+
+    def __init__(self, exchange: SyncExchange, last_beat: Callable[[], None]) -> None:
+        self._last_beat: Callable[[], None] | None = last_beat
+        period_s = exchange.timing.period_s
+        drives = exchange.drives
+        super().__init__(exchange, [drive.setup.profile.heartbeat.consumer_ms / 1000.0 + period_s for drive in drives])
+
+    def words(self) -> list[int]:
+        """As `DriveTest.words`."""
+        if self._last_beat is not None:
+            self._last_beat()
+            self._last_beat = None
+        return super().words()
 
 
-def watch_released(exchange: SyncExchange, axis: int, seconds: float, cycle: Callable[[Sequence[int]], Epoch]) -> float:
-    """Disable one axis while all others hold, and watch it.
+class QuickStopTest(StopTest):
+    """Every axis is told to stop by its quick stop ramp.
 
     Parameters
     ----------
     exchange : SyncExchange
-        All drives enabled, all axes standing.
+        All drives enabled.
+    """
+
+    def __init__(self, exchange: SyncExchange) -> None:
+        super().__init__(exchange, [2.0 * exchange.timing.period_s] * len(exchange.drives))
+        for axis, count in zip(self._axes, exchange.position_count, strict=True):
+            if count is not None:
+                axis.see(0.0, State.OPERATION_ENABLED, count)
+
+    def _stops(self, axis: _Axis) -> bool:
+        return axis.left_s is None
+
+    def _without_answer(self, axis: _Axis, passed_s: float) -> None:
+        """`_over` ends the test."""
+
+    def _over(self, passed_s: float) -> bool:
+        unmoved = passed_s >= PATIENCE_S and any(axis.left_s is None for axis in self._axes)
+        if unmoved or max(self._exchange.silent) > _SILENT:
+            self._exchange.end_heartbeat()
+            return True
+        return passed_s >= _RAMP_S + PATIENCE_S
+
+
+class BrakeTest:
+    """One axis is disabled and hangs on its brake, while all others hold theirs; it is enabled again where it is.
+
+    It is enabled again at the first SYNC at which it has moved beyond the limit, or would have at the next one. Until
+    the voltage is disabled the axis stays in SWITCHED ON, from where one controlword is enough.
+
+    Parameters
+    ----------
+    exchange : SyncExchange
+        All drives enabled, all axes at rest.
     axis : int
         From 0.
-    seconds : float
-        How long it is watched once it has left OPERATION ENABLED.
-    cycle : callable
-        One guarded SYNC with these controlwords.
+    limit_rad : float
+        Largest motor angle that the axis may move.
+    disables_voltage : bool
+        After the brake's closing time the axis goes on to SWITCH ON DISABLED.
 
-    Returns
-    -------
-    float
-        Largest motor angle from where the drive last held the axis, rad.
-
-    Raises
-    ------
-    TransitionTimeout
-        It stays in OPERATION ENABLED.
-    DriveError
-        As `cycle`.
+    Attributes
+    ----------
+    released_syncs : int
+        SYNCs at which the axis was seen out of OPERATION ENABLED before it was to be enabled again.
+    beyond_limit : bool
+        The axis has moved too far.
+    held : bool
+        It was enabled again, and is at rest.
     """
-    drive, period_s = exchange.drives[axis], exchange.timing.period_s
-    patience = math.ceil(drive.setup.profile.state_machine.transition_timeout_s / period_s)
-    held_count = exchange.position_count[axis] or 0
-    most_count, watched, left = 0, 0, False
-    while watched * period_s < seconds:
-        for each in exchange.drives:
-            each.hold(each.target_count)
-        state = exchange.states[axis] or State.UNDEFINED
-        words = [ENABLE_OPERATION] * len(exchange.drives)
-        words[axis] = DISABLE_OPERATION if state is State.OPERATION_ENABLED else DISABLE_VOLTAGE
-        reading = cycle(words).readings[axis]
-        if reading is not None and decode_state(reading.statusword) is not State.OPERATION_ENABLED:
-            left = True
-            most_count = max(most_count, abs(reading.position_count - held_count))
-        elif reading is not None:
-            held_count = reading.position_count
-        watched, patience = watched + left, patience - (not left)
-        if patience < 0:
-            what = f"stays in {State.OPERATION_ENABLED} although it was told to be disabled"
-            raise TransitionTimeout(what, node=drive.node_id, index=0x6041, advice="check the drive")
-    return most_count * abs(drive.scale.count_rad)
+
+    guards = True
+
+    def __init__(self, exchange: SyncExchange, axis: int, limit_rad: float, disables_voltage: bool = False) -> None:
+        drive = exchange.drives[axis]
+        machine, period_s = drive.setup.profile.state_machine, exchange.timing.period_s
+        self.released_syncs = 0
+        self.beyond_limit = self.held = False
+        self._exchange, self._axis, self._drive = exchange, axis, drive
+        self._limit_count = limit_rad / abs(drive.scale.count_rad)
+        self._closing = math.ceil(machine.brake_closing_s / period_s) if disables_voltage else None
+        self._patience = math.ceil(machine.transition_timeout_s / period_s)
+        self._waited = 0
+        self._enables = False
+        self._enable_syncs = 0
+        self._held_count = exchange.position_count[axis] or 0
+        self._target = drive.target_count
+        self._moved_count = self._most_count = self._farthest_count = 0
+
+    @property
+    def excused(self) -> frozenset[int]:
+        """As `DriveTest.excused`."""
+        return frozenset() if self.held else frozenset({self._axis})
+
+    @property
+    def moved_rad(self) -> float:
+        """Largest motor angle from where the drive last held the axis, while its brake had to hold it [rad]."""
+        return self._most_count * abs(self._drive.scale.count_rad)
+
+    @property
+    def farthest_rad(self) -> float:
+        """The same until the drive has brought the axis to rest again [rad]."""
+        return self._farthest_count * abs(self._drive.scale.count_rad)
+
+    def enable_again(self) -> None:
+        """Let the drive hold the axis again, where it is."""
+        self._enables = True
+
+    def words(self) -> list[int]:
+        """As `DriveTest.words`."""
+        words = [ENABLE_OPERATION] * len(self._exchange.drives)
+        if not self.held:
+            state = self._exchange.states[self._axis] or State.UNDEFINED
+            words[self._axis] = self._word_up(state) if self._enables else self._word_down(state)
+        return words
+
+    def _word_down(self, state: State) -> int:
+        if state is State.OPERATION_ENABLED:
+            return DISABLE_OPERATION
+        if state is State.SWITCHED_ON and (self._closing is None or self.released_syncs <= self._closing):
+            return DISABLE_OPERATION
+        return DISABLE_VOLTAGE
+
+    def _word_up(self, state: State) -> int:
+        try:
+            word = next_controlword(state, State.OPERATION_ENABLED)
+        except NoRoute as error:
+            what = f"cannot hold its axis again after its brake was tried: {error}"
+            advice = "use the emergency stop if the axis falls; then check the drive and its brake"
+            raise DriveFault(what, node=self._drive.node_id, index=0x6041, advice=advice) from None
+        self._enable_syncs += word == ENABLE_OPERATION
+        return word
+
+    def held_count(self, axis: int) -> int | None:
+        """As `DriveTest.held_count`."""
+        return self._target if axis == self._axis and not self.held else None
+
+    def see(self, epoch: Epoch) -> None:
+        """As `DriveTest.see`.
+
+        Raises
+        ------
+        TransitionTimeout
+            The axis stays in OPERATION ENABLED, or does not come back to it.
+        """
+        reading = epoch.readings[self._axis]
+        if reading is None or self.held:
+            return
+        enabled = decode_state(reading.statusword) is State.OPERATION_ENABLED
+        if enabled and self.released_syncs == 0 and not self._enables:
+            self._held_count = reading.position_count
+            self._wait(f"stays in {State.OPERATION_ENABLED} although it was told to be disabled")
+            return
+        self._moves(reading)
+        if not self._enables:
+            self._waited = 0
+            self.released_syncs += 1
+            self._target = reading.position_count
+        elif enabled:
+            self.held = self._exchange.stands(self._axis)
+            self._wait("does not come to rest after its brake was tried")
+        else:
+            if not 0 < self._enable_syncs <= _ENABLE_SYNCS:
+                self._target = reading.position_count
+            self._wait("was told to hold its axis again after its brake was tried, and is not enabled")
+
+    def _moves(self, reading: DriveReading) -> None:
+        """Largest angle, and whether it is beyond the limit, now or at the next SYNC."""
+        before = self._moved_count
+        self._moved_count = moved = abs(reading.position_count - self._held_count)
+        self._farthest_count = max(self._farthest_count, moved)
+        if not self._enables:
+            self._most_count = self._farthest_count
+        if not self._enables and moved + max(moved - before, 0) > self._limit_count:
+            self.beyond_limit = self._enables = True
+
+    def _wait(self, what: str) -> None:
+        self._waited += 1
+        if self._waited > self._patience:
+            raise TransitionTimeout(what, node=self._drive.node_id, index=0x6041, advice="check the drive")

@@ -27,6 +27,7 @@ FLOOD_HZ = 5_000.0
 FOREIGN = 0x20
 DROPS_AFTER = 3
 SLIP_RAD_S = 0.02
+FALL_RAD_S2 = 5.0
 
 
 def act(server: BusServer, fault: Fault) -> None:
@@ -208,6 +209,10 @@ def _slips(drive: FakeDrive, fault: Fault) -> None:
     drive.axis.slip_rad_s = fault.speed_rad_s or SLIP_RAD_S
 
 
+def _falls(drive: FakeDrive, fault: Fault) -> None:
+    drive.axis.fall_rad_s2 = fault.accel_rad_s2 or FALL_RAD_S2
+
+
 ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "node_killed": _killed,
     "node_missing": _killed,
@@ -246,4 +251,5 @@ ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "enables_and_drops": _drops,
     "never_enables": _never_enables,
     "brake_slips": _slips,
+    "brake_falls": _falls,
 }

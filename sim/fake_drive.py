@@ -132,7 +132,7 @@ class FakeDrive:
         self.node.may_start = self._conduct.may_start
         self.node.sdo.refuse = self._conduct.refuse
         self.motion.brake_stuck, self.motion.wobble = False, None
-        self.axis.slip_rad_s = 0.0
+        self.axis.slip_rad_s = self.axis.fall_rad_s2 = 0.0
 
     # ----------------------------------------------------------------------------------------------------- PDOs
 

@@ -151,6 +151,7 @@ KINDS: dict[str, Kind] = {
     "never_enables": Kind("object", "stops", None, "stays in SWITCHED ON: bring-up ends, all axes are disabled"),
     "enables_and_drops": Kind("object", "stops", None, "falls back to SWITCHED ON a few SYNCs after each enabling"),
     "brake_slips": Kind("object", "finding", None, "the closed brake lets the axis sink"),
+    "brake_falls": Kind("object", "finding", None, "a brake that was opened once lets the axis fall when it closes"),
     # the bus
     "second_master_sync": Kind("wire", "stops", 20, "another master sends SYNC"),
     "second_master_nmt": Kind("wire", "stops", 20, "another master sends NMT commands"),
@@ -190,6 +191,7 @@ class Fault:
     share : of the frames, for random loss
     rate_hz : of a TPDO that sends by itself; 0 = the kind's own
     speed_rad_s : at which a closed brake lets the axis sink; 0 = the kind's own
+    accel_rad_s2 : with which an axis falls in its brake; 0 = the kind's own
     seed : of the random choice
     """
 
@@ -205,6 +207,7 @@ class Fault:
     share: float = 1.0
     rate_hz: float = 0.0
     speed_rad_s: float = 0.0
+    accel_rad_s2: float = 0.0
     seed: int = 1
 
     def active(self, sync: int) -> bool:
@@ -229,6 +232,7 @@ _BOUNDS: dict[str, tuple[type, float, float]] = {
     "share": (float, 0.0, 1.0),
     "rate_hz": (float, 0.0, 20_000.0),
     "speed_rad_s": (float, 0.0, 1.0),
+    "accel_rad_s2": (float, 0.0, 20.0),
     "seed": (int, 0, 2**32 - 1),
 }
 

@@ -185,7 +185,9 @@ class DriveMotion:
                 drive.axis.lock()
             return
         if not drive.axis.fed:
-            open_ = self._release_s is not None and self._time_s >= self._release_s and not self.brake_stuck
+            open_ = self._release_s is not None and not self.brake_stuck
+            # the motor holds an axis before the brake has opened: that is seen where the brake does not hold it
+            open_ = open_ and (drive.axis.falls or self._time_s >= (self._release_s or 0.0))
             if open_ and drive.mode:
                 drive.axis.release()
                 self._unlock()

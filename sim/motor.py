@@ -7,6 +7,9 @@ import math
 from sim.friction import JointFriction
 from sim.servo import TICK_S, ServoLoop
 
+#: An axis that falls comes to lie on something soft after so much.
+FALL_RAD = 0.1
+
 
 class MotorAxis:
     """One motor with its gear, loops and encoder; angles and torques on the gear output.
@@ -16,6 +19,7 @@ class MotorAxis:
     free : the holding brake is open
     fed : and the motor gives torque; a free axis that is not fed coasts
     slip_rad_s : speed at which the closed brake lets the axis sink under its load; 0 = it holds
+    fall_rad_s2 : acceleration with which the axis falls once its brake is to hold it again; 0 = the brake holds
     fastest_rad_s : largest speed of the rotor since `fastest_rad_s` was set to 0
     theta_rad, omega_rad_s : rotor
     torque_nm : transmitted to the link
@@ -25,8 +29,12 @@ class MotorAxis:
     """
 
     __slots__ = (
+        "_down",
+        "_fallen_rad",
+        "_fallen_rad_s",
         "compliance_rad_nm",
         "damping",
+        "fall_rad_s2",
         "fastest_rad_s",
         "fed",
         "free",
@@ -48,7 +56,9 @@ class MotorAxis:
     def __init__(self, servo: ServoLoop, friction: JointFriction, filter_s: float) -> None:
         self.servo, self.friction = servo, friction
         self.free = self.fed = False
-        self.slip_rad_s = self.fastest_rad_s = 0.0
+        self.slip_rad_s = self.fall_rad_s2 = self.fastest_rad_s = 0.0
+        #: Direction of a fall (0 = the brake holds), and the speed and the angle it has reached.
+        self._down = self._fallen_rad_s = self._fallen_rad = 0.0
         self.shown_lag = TICK_S / (TICK_S + filter_s)
         self.theta_rad = self.omega_rad_s = self.torque_nm = self.position_rad = 0.0
         self.shown_nm = self.shown_sum_nm = 0.0
@@ -66,7 +76,13 @@ class MotorAxis:
             self.theta_rad += omega * TICK_S
             self.shown_nm += (u - self.shown_nm) * self.shown_lag
         else:
-            omega = self.omega_rad_s = -math.copysign(self.slip_rad_s, torque) if self.slip_rad_s else 0.0
+            omega = -math.copysign(self.slip_rad_s, torque) if self.slip_rad_s else 0.0
+            if self.falls:
+                faster = self.fall_rad_s2 if self._fallen_rad < FALL_RAD / 2.0 else -self.fall_rad_s2
+                self._fallen_rad_s = max(self._fallen_rad_s + faster * TICK_S, 0.0)
+                self._fallen_rad += self._fallen_rad_s * TICK_S
+                omega += self._down * self._fallen_rad_s
+            self.omega_rad_s = omega
             self.theta_rad += omega * TICK_S
             self.shown_nm -= self.shown_nm * self.shown_lag
         self.shown_sum_nm += self.shown_nm
@@ -74,12 +90,18 @@ class MotorAxis:
             self.fastest_rad_s = abs(omega)
         return torque
 
+    @property
+    def falls(self) -> bool:
+        """The brake was to hold the axis and does not."""
+        return self._down != 0.0 and self.fall_rad_s2 > 0.0
+
     def release(self) -> None:
         """Feed the motor and open the brake; the reference is where the axis stands."""
         if not self.fed:
             self.servo.reset(self.position_rad)
             self.friction.stuck_s = 0.0
             self.free = self.fed = True
+            self._down = self._fallen_rad_s = self._fallen_rad = 0.0
 
     def coast(self) -> None:
         """Cut the motor and leave the brake open."""
@@ -92,3 +114,5 @@ class MotorAxis:
         if self.free:
             self.free = self.fed = False
             self.servo.reset(self.position_rad)
+            if self.fall_rad_s2:
+                self._down = -math.copysign(1.0, self.torque_nm)

@@ -1,7 +1,7 @@
 """Inject every fault, kill masters, feed strangers' bytes; print every figure with its goal and write `summary.json`.
 
 python -m benchmarks.chaos [--out out/chaos] [scenarios] [truth] [kills] [stops] [stalls] [signals] [disk]
-                     [io] [unbuffered] [pair_stops] [load] [fuzz] [sheets] [originals]
+                     [io] [unbuffered] [pair_stops] [load] [fuzz] [sheets] [originals] [requests]
 python -m benchmarks.chaos soak [--minutes 30]
 """
 
@@ -34,6 +34,7 @@ PARTS = (
     "fuzz",
     "sheets",
     "originals",
+    "requests",
 )
 
 

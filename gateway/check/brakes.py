@@ -1,25 +1,72 @@
-"""Do the holding brakes hold? One axis at a time loses its power while the others hold theirs, and is watched."""
+"""Do the holding brakes hold? One axis at a time is disabled while the others hold theirs, and is watched.
+
+A brake that does not hold is no reason to let the axis fall: the test begins with a short time, and the drive holds the
+axis again at the first SYNC beyond the limit. Then the arm stays under power until a person has supported it, since its
+next stop would leave it to that brake.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from drives.errors import DriveError
+from drives.proof import BrakeTest
 from gateway.check.stop import motion_station
+from gateway.data.sample import ArmSample
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import SAG_RAD, powered
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.preflight.rules import CheckItem
 
-#: How long each axis is watched [s].
-WATCH_S: Final = 1.0
-#: Share of an axis' torque limit that gravity may take where its brake is tried.
+#: How long each axis is watched, one time after the other [s]; in the last one the voltage is disabled as well.
+WATCH_S: Final = (0.05, 0.2, 1.0)
+#: An axis that has moved farther in one time [rad] is not given the next one.
+STEP_RAD: Final = 0.002
+#: Share of an axis' torque limit that its drive may need at rest where its brake is tried.
 GRAVITY_SHARE: Final = 0.25
+#: How long the torque is measured, with all brakes open [s], and the share of its SYNCs that have to be answered.
+MEASURE_S: Final = 0.2
+MEASURED_SHARE: Final = 0.5
+#: How long an axis may take to come to rest before its brake is tried [s].
+REST_S: Final = 1.0
+#: How long an arm is held under power after a brake has failed, where nobody can say that it is supported [s].
+SUPPORT_S: Final = 10.0
+
+#: Shows a person what to do, and returns what says whether it is done; None = nobody can say so.
+AskSupport = Callable[[str], Callable[[], bool] | None]
 
 
-def try_brakes(opened: OpenArm, options: MoveOptions) -> list[CheckItem]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Trial:
+    """One axis whose brake is tried."""
+
+    opened: OpenArm
+    stream: Stream
+    axis: int
+    ask: AskSupport
+
+    @property
+    def where(self) -> str:
+        """The axis in a message."""
+        return f"J{self.axis + 1} node {self.opened.config.axis[self.axis].node_id}"
+
+    @property
+    def turns(self) -> np.ndarray:
+        """How far each joint (N,) turns at most with one radian of this motor."""
+        return self.opened.arm.axes.joint_bound(np.eye(len(self.opened.config.axis))[self.axis])
+
+    @property
+    def joint_per_motor(self) -> float:
+        """The largest of `turns`."""
+        return float(self.turns.max())
+
+
+def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _text: None) -> list[CheckItem]:
     """Let each brake in turn hold its axis.
 
     Parameters
@@ -27,52 +74,132 @@ def try_brakes(opened: OpenArm, options: MoveOptions) -> list[CheckItem]:
     opened : OpenArm
         Connected and configured, in its brakes, in a posture with little gravity on the axes.
     options : MoveOptions
+    ask : callable
+        Asks a person to support an arm whose brake has failed, while it is held under power.
 
     Returns
     -------
     list of CheckItem
-        One per axis; an axis on which gravity acts too much here is not tried, and that is said. After a brake that
-        does not hold nothing is powered any more.
+        One per axis; an axis whose drive needs too much torque here, or whose torque is not known, is not tried, and
+        that is said. The axes are disabled all at once after the last one: until a brake was tried, its drive holds
+        the axis. After a brake that does not hold no other is tried.
 
     Raises
     ------
-    DriveError, KeyboardInterrupt
+    DriveError, LimitExceeded, KeyboardInterrupt
         The arm was stopped.
     """
     items: list[CheckItem] = []
-    for axis in range(len(opened.config.axis)):
-        items.append(_try_brake(opened, options, axis))
-        if items[-1].severity == "fail":
-            break
-    return items
-
-
-def _try_brake(opened: OpenArm, options: MoveOptions, axis: int) -> CheckItem:
-    where = f"J{axis + 1} node {opened.config.axis[axis].node_id}"
-    holding = opened.workspace.holding_torque(opened.arm.where()[None])
-    limit_nm = float(opened.workspace.torque_nm[axis])
-    if holding is not None and holding[0, axis] > GRAVITY_SHARE * limit_nm:
-        what = f"its brake was not tried: gravity takes {holding[0, axis] / limit_nm:.0%} of its torque limit here"
-        return CheckItem("warn", where, what, f"bring it to a posture with at most {GRAVITY_SHARE:.0%} and ask again")
+    found: list[CheckItem] = []
     try:
         with powered(Stream(motion_station(opened, options))) as stream:
             stream.take_over()
-            sag_rad = _at_joint(opened, axis, opened.group.release(axis, WATCH_S))
-    except DriveError:
-        # an axis that goes on sinking once all are disabled is no standstill
-        sags = opened.arm.sag_rad()
-        if sags.max() <= SAG_RAD:
-            raise
-        axis = int(np.argmax(sags))
-        sag_rad, where = float(sags[axis]), f"J{axis + 1} node {opened.config.axis[axis].node_id}"
-    if sag_rad > SAG_RAD:
-        advice = "this brake does not hold: do not power this arm before it is repaired"
-        return CheckItem("fail", where, f"sank by {sag_rad:.4f} rad in its brake, {SAG_RAD} rad are allowed", advice)
-    return CheckItem("ok", where, f"its brake held it for {WATCH_S:g} s: it moved by {sag_rad:.4f} rad")
+            for axis in range(len(opened.config.axis)):
+                items.append(_try_brake(_Trial(opened, stream, axis, ask), found))
+                if found:
+                    break
+    except DriveError as error:
+        items = [item for item in items if item not in found] + _after(opened, error, found)
+    except KeyboardInterrupt as stop:
+        for item in found:
+            stop.add_note(f"{item.where}: {item.what}; {item.advice}")
+        raise
+    return items
 
 
-def _at_joint(opened: OpenArm, axis: int, motor_rad: float) -> float:
-    """How far a joint turns at most with so much of one motor [rad]."""
-    alone = np.zeros(len(opened.config.axis))
-    alone[axis] = motor_rad
-    return float(opened.arm.axes.joint_bound(alone).max())
+def _after(opened: OpenArm, error: DriveError, found: list[CheckItem]) -> list[CheckItem]:
+    """The finding that explains why a stop was not confirmed; raises the error where there is none."""
+    if found:
+        return [replace(found[0], what=f"{found[0].what}; then: {error}")]
+    # an axis that goes on sinking once all are disabled is no standstill
+    sags = opened.arm.sag_rad()
+    if sags.max() <= SAG_RAD:
+        raise error
+    axis = int(np.argmax(sags))
+    where = f"J{axis + 1} node {opened.config.axis[axis].node_id}"
+    return [_failed(where, float(sags[axis]), "when all axes were disabled")]
+
+
+def _try_brake(trial: _Trial, found: list[CheckItem]) -> CheckItem:
+    """Try one brake; what fails goes to `found` before anything else is done."""
+    refused = _too_heavy(trial)
+    if refused is not None:
+        return refused
+    item = _watched(trial, found)
+    trial.stream.excuse(0, np.zeros(len(trial.turns), dtype=bool))
+    return item
+
+
+def _too_heavy(trial: _Trial) -> CheckItem | None:
+    """Why a brake is not tried here: what its drive needs to hold the axis, measured with all brakes open."""
+    measured: list[float] = []
+
+    def listen(samples: tuple[ArmSample, ...]) -> None:
+        measured.append(float(samples[0].joint_torque_nm[trial.axis]))
+
+    trial.stream.stand(MEASURE_S, "measure the torque at rest", listen)
+    torque_nm = np.array(measured)[np.isfinite(measured)]
+    limit_nm = float(trial.opened.workspace.torque_nm[trial.axis])
+    advice = f"bring it to a posture with at most {GRAVITY_SHARE:.0%} and ask again"
+    if len(torque_nm) < max(1.0, MEASURED_SHARE * len(measured)) or not limit_nm > 0.0:
+        advice = "find out why the drive gives no torque (0x6077), then try the brakes again"
+        return CheckItem("warn", trial.where, "its brake was not tried: the torque of its drive is not known", advice)
+    share = float(np.abs(torque_nm).max()) / limit_nm
+    if share > GRAVITY_SHARE:
+        what = f"its brake was not tried: the drive needs {share:.0%} of its torque limit to hold the axis here"
+        return CheckItem("warn", trial.where, what, advice)
+    return None
+
+
+def _watched(trial: _Trial, found: list[CheckItem]) -> CheckItem:
+    """Leave an axis to its brake for longer and longer."""
+    moved_rad = 0.0
+    for number, seconds in enumerate(WATCH_S):
+        test = _released(trial, seconds, number == len(WATCH_S) - 1)
+        moved_rad = test.moved_rad * trial.joint_per_motor
+        fell_rad = test.farthest_rad * trial.joint_per_motor
+        how = f"within {test.released_syncs * trial.stream.station.period_s:.2f} s, and is held by its drive again"
+        if test.beyond_limit or moved_rad > SAG_RAD:
+            found.append(_failed(trial.where, fell_rad, how))
+        elif moved_rad > STEP_RAD and number < len(WATCH_S) - 1:
+            found.append(_failed(trial.where, fell_rad, how, STEP_RAD))
+        if found:
+            _hold_until_supported(trial, found[0])
+            return found[0]
+    return CheckItem("ok", trial.where, f"its brake held it for {WATCH_S[-1]:g} s: it moved by {moved_rad:.4f} rad")
+
+
+def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = SAG_RAD) -> CheckItem:
+    what = f"sank by {moved_rad:.4f} rad in its brake {how}; {allowed_rad} rad are allowed"
+    return CheckItem("fail", where, what, "this brake does not hold: do not power this arm before it is repaired")
+
+
+def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> BrakeTest:
+    """Leave an axis to its brake for a time; at the end its drive holds it, as soon as it has moved too far."""
+    stream, group, period_s = trial.stream, trial.opened.group, trial.stream.station.period_s
+    for _ in range(math.ceil(REST_S / period_s)):
+        if group.stands:
+            break
+        stream.hold("come to rest", 0, 1)
+    stream.excuse(0, trial.turns > 0.0)
+    test = group.release(trial.axis, SAG_RAD / trial.joint_per_motor, disables_voltage)
+    rows = math.ceil(seconds / period_s)
+    while test.released_syncs < rows and not test.beyond_limit:
+        stream.hold("watch the brake", test.released_syncs, rows)
+    test.enable_again()
+    while not test.held:
+        stream.hold("hold the axis again", 0, 1)
+    return test
+
+
+def _hold_until_supported(trial: _Trial, item: CheckItem) -> None:
+    """Hold the arm under power: once its axes are disabled, the brake that has failed is all that carries it."""
+    done = trial.ask(
+        f"{item.where} {item.what}. The arm is under power and holds itself. Support it, or let it down to where it "
+        "cannot fall. Its axes are then disabled."
+    )
+    rows = math.ceil(SUPPORT_S / trial.stream.station.period_s)
+    row = 0
+    while row < rows if done is None else not done():
+        trial.stream.hold("hold the arm until it is supported", row, rows)
+        row += 1

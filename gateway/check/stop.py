@@ -1,21 +1,24 @@
-"""Proof on the machine that the drives stop when the master is gone: a slow motion without heartbeat."""
+"""Proof on the machine that the drives stop when the master is gone: a slow motion without heartbeat.
+
+The motion loop sends the set points of a proof as those of any other motion: a request to stop, a limit and contact are
+answered at every SYNC, and a proof that was stopped is raised as what stopped it, never returned.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
 from drives.cia402 import State, decode_state
-from drives.drive import DriveCommand
 from drives.errors import DriveError
 from drives.objects import OBJECTS
-from drives.proof import StopTrace
+from drives.proof import StopTest, StopTrace
 from gateway.acquire.plan import approach_limits
 from gateway.acquire.standing import inside_from, widened
+from gateway.data.sample import ArmSample
 from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm
@@ -23,6 +26,7 @@ from gateway.motion.power import powered
 from gateway.motion.state import StateKeeper
 from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import Motion, straight
+from gateway.motion.way import MotionWay
 from gateway.motion.workspace import Workspace
 from gateway.preflight.rules import CheckItem
 
@@ -151,40 +155,82 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     """
     options = options or MoveOptions()
     start_rad = opened.arm.where()
-    motion = _slowly_from(opened, start_rad)
-    with _moving_slowly(opened, options, motion) as (at_speed, slower):
-        traces = opened.group.fall_silent([*at_speed, *slower])
-    proof = _judge(opened, traces, float(np.abs(motion.qd_rad_s).max()), _reset_provoked(opened))
+    test, speed_rad_s = _stopped_slowly(opened, options, opened.group.withhold_heartbeat, goes_on=True)
+    proof = _judge(opened, test.traces(), speed_rad_s, _reset_provoked(opened))
     if not proof.passed:
         return proof
-    with _moving_slowly(opened, options, _slowly_from(opened, opened.arm.where())) as (at_speed, _):
-        stopped = opened.group.prove_quick_stop(at_speed[: len(at_speed) // 2])
+    test, _ = _stopped_slowly(opened, options, opened.group.try_quick_stop, goes_on=False)
+    stopped = test.traces()
     proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
     if opened.workspace.inward_way(start_rad) is None:
         go_slowly(opened, options, start_rad)
     return proof
 
 
+class _SlowWay(MotionWay):
+    """A slow motion on which a test begins once the arm has reached its speed.
+
+    Parameters
+    ----------
+    opened : OpenArm
+    stream : Stream
+        Under power.
+    motion : Motion
+    begin : callable
+        Begins the test.
+    goes_on : bool
+        The set points go on to the end of the motion; else they end where the test begins.
+    """
+
+    def __init__(
+        self, opened: OpenArm, stream: Stream, motion: Motion, begin: Callable[[], StopTest], goes_on: bool
+    ) -> None:
+        speed = np.abs(motion.qd_rad_s).max(axis=1)
+        #: Last row before the test, and largest speed.
+        self._steady = int(np.argmax(speed >= 0.99 * speed.max()))
+        self.speed_rad_s = float(speed.max())
+        rows = len(motion) if goes_on else self._steady + 1
+        super().__init__(stream.q_rad, [_rows(motion, slice(0, rows))])
+        #: Whether a drive (row) turns a joint (column).
+        self._turns = np.array([opened.arm.axes.joint_bound(motor) > 0.0 for motor in np.eye(len(opened.config.axis))])
+        self._stream, self._begin = stream, begin
+        self.test: StopTest | None = None
+
+    def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
+        """Begin the test, at full speed alone: an arm that is being stopped goes no further."""
+        if self.test is None and rate == 1.0 and at >= self._steady:
+            self.test = self._begin()
+        self.excuse()
+
+    def excuse(self) -> None:
+        """Joints of drives that stop as they should are no longer compared with their set points."""
+        test = self.test
+        if test is not None:
+            stops = [test.held_count(axis) is not None for axis in range(len(self._turns))]
+            self._stream.excuse(0, self._turns[stops].any(axis=0))
+
+
+def _stopped_slowly(
+    opened: OpenArm, options: MoveOptions, begin: Callable[[], StopTest], *, goes_on: bool
+) -> tuple[StopTest, float]:
+    """Move slowly, begin a test, and go on until it has ended; the test and the speed [rad/s]."""
+    motion = _slowly_from(opened, opened.arm.where())
+    with powered(Stream(motion_station(opened, options))) as stream:
+        stream.take_over()
+        way = _SlowWay(opened, stream, motion, begin, goes_on)
+        stream.drive(way, "move slowly")
+        test = way.test
+        if test is None:
+            raise PlanRefused(f"arm '{opened.arm.name}' did not reach its speed: prove the stop again")
+        while not test.done:
+            stream.hold("watch the drives stop", 0, 1)
+            way.excuse()
+    return test, way.speed_rad_s
+
+
 def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
     consumer_s = max(profile.heartbeat.consumer_ms for profile in opened.profiles) / 1000.0
     return slow_motion(opened.arm.name, opened.workspace, start_rad, consumer_s, opened.group.timing.period_s)
-
-
-@contextmanager
-def _moving_slowly(
-    opened: OpenArm, options: MoveOptions, motion: Motion
-) -> Generator[tuple[list[Sequence[DriveCommand]], list[Sequence[DriveCommand]]]]:
-    """The arm under power on a slow motion at its speed; yields the commands that keep the speed, and those to rest."""
-    speed = np.abs(motion.qd_rad_s).max(axis=1)
-    steady = np.flatnonzero(speed >= 0.99 * speed.max()) + 1
-    begin, end = int(steady[0]), int(steady[-1])
-    with powered(Stream(motion_station(opened, options))) as stream:
-        stream.take_over()
-        stream.move([_rows(motion, slice(0, begin))], "move slowly")
-        yield (
-            [opened.arm.command(q) for q in motion.q_rad[begin:end]],
-            [opened.arm.command(q) for q in motion.q_rad[end:]],
-        )
 
 
 def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> None:

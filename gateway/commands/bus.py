@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.console import findings_table, grid
-from gateway.commands.moving import MoveChoice, move_options, stoppable
+from gateway.commands.moving import MoveChoice, move_options, stoppable, support_asked
 from gateway.commands.options import (
     bus_option,
     cell_argument,
@@ -166,7 +166,7 @@ def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
     if wanted.prove_stop or not context.stop_proof(arm).exists():
         text += ", and its drives lose the master's heartbeat on purpose (a fault they answer with is reset)"
     if wanted.brakes:
-        text += ", and each axis in turn is left to its brake"
+        text += ", and each axis in turn is left to its brake (one that does not hold is caught by its drive)"
     return f"{text}.{context.grippers} Is nobody near it, and the emergency stop at hand?"
 
 
@@ -199,7 +199,7 @@ def _in_motion(
             if not proof.passed:
                 return items, seen
         if wanted.brakes:
-            items += try_brakes(opened, options)
+            items += try_brakes(opened, options, support_asked(moving))
         if wanted.move:
             items += _small_moves(opened, slow_at_first(opened, path, options))
     return items, seen

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
@@ -181,6 +182,24 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
             key.wait()
 
         yield replace(options, ready=ready)
+
+
+def support_asked(move: MoveChoice) -> Callable[[str], Callable[[], bool] | None]:
+    """What asks a person to support an arm that is held under power, without keeping the motion loop waiting."""
+
+    from gateway.motion.holdtorun import line_entered
+
+    def ask(text: str) -> Callable[[], bool] | None:
+        if move.hold_to_run:
+            session_of().note(f"{text} Then let go of the key.", -1)
+            return lambda: False
+        if move.yes or sys.stdin is None or not sys.stdin.isatty():
+            session_of().note(f"{text} Nobody is asked to confirm it: this happens after some seconds.", -1)
+            return None
+        session_of().note(f"{text} Then press Enter.", -1)
+        return line_entered(sys.stdin.fileno())
+
+    return ask
 
 
 def _shown(stack: ExitStack, desk: StopDesk) -> Observers:

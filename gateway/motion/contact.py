@@ -56,12 +56,20 @@ class Contact:
             self._limit = np.fmin(self._limit, KNOWN_SHARE * workspace.torque_nm + turning_nm)
         self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
         self._mean = np.zeros_like(self._limit)
-        self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))
+        self._take_over_syncs = self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))
         self._grace_syncs = int(np.ceil(LATE_GRACE_S / period_s))
         self._grace = 0
         self._count = np.zeros(len(self._limit), dtype=int)
         self._side = np.zeros_like(self._limit)
         self._from: tuple[np.ndarray, np.ndarray] | None = None
+        #: Joints (N,) of bool that are not looked at.
+        self.excused = np.zeros(len(self._limit), dtype=bool)
+
+    def excuse(self, joints: np.ndarray) -> None:
+        """Leave joints (N,) of bool out from now on; their drives have to take over again once they no longer are."""
+        if (self.excused & ~joints).any():
+            self._taking_over = self._take_over_syncs
+        self.excused = joints
 
     def sync_was_late(self) -> None:
         """The next SYNCs show a shaken arm."""
@@ -97,10 +105,10 @@ class Contact:
             return
         signed = unexplained_nm - self._mean
         jump = np.abs(signed)
-        over = jump > self._limit
+        over = (jump > self._limit) & ~self.excused
         if over.any():
             carried = np.maximum(np.abs(torque_nm), np.abs(modelled_nm + self._mean))
-            over = jump > self._limit + self._reversal * carried
+            over &= jump > self._limit + self._reversal * carried
         if over.any():
             side = np.sign(signed) * over
             self._count = np.where(side == self._side, self._count + 1, 1) * over

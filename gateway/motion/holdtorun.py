@@ -14,7 +14,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Final
@@ -141,6 +141,22 @@ def with_held_input(opened: OpenArm, options: MoveOptions) -> MoveOptions:
         held.wait()
 
     return replace(options, ready=both_ready)
+
+
+def line_entered(terminal: int) -> Callable[[], bool]:
+    """Return what says whether a line was entered from now on; it never waits.
+
+    Parameters
+    ----------
+    terminal : int
+        File descriptor; what was typed before is dropped.
+    """
+    termios.tcflush(terminal, termios.TCIFLUSH)
+
+    def entered() -> bool:
+        return bool(select.select([terminal], [], [], 0.0)[0]) and b"\n" in os.read(terminal, 4096)
+
+    return entered
 
 
 @contextmanager

@@ -274,6 +274,10 @@ class Stream:
         """Stand until the drives carry what the brakes have carried; parameters as `stand`."""
         self.stand(TAKE_OVER_S, "open the brakes", listen)
 
+    def excuse(self, arm: int, joints: np.ndarray) -> None:
+        """From now on only the range of joints (N,) of bool of an arm (from 0) is checked."""
+        self._watches[arm].excuse(joints)
+
     def hold_while(self, job: Callable[[], Result], what: str) -> Result:
         """Run a job that takes longer than a SYNC period, and keep the standing arms under SYNC meanwhile.
 

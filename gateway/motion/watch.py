@@ -78,6 +78,10 @@ class Watch:
         away = np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD
         self._limits[RANGE] = np.maximum(self._half, away)
 
+    def excuse(self, joints: np.ndarray) -> None:
+        """From now on only the range of joints (N,) of bool is checked: their drives are expected to let go of them."""
+        self._contact.excuse(joints)
+
     def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
         """Torque (n, N) [Nm] that the bare arm's model asks for at positions (n, N); 0 if the links are unknown."""
         links = self._workspace.links
@@ -124,11 +128,16 @@ class Watch:
         first_s, first_q = self._history[0]
         span_s = max(sample.time_s - first_s, 0.5 * self._period_s)
         torque_nm = sample.joint_torque_nm
+        excused = self._contact.excused
+        speed_rad_s = (q_rad - first_q) / span_s
+        if excused.any():
+            expected = np.where(excused, q_rad, expected)
+            speed_rad_s, torque_nm = np.where(excused, 0.0, (speed_rad_s, torque_nm))
         off_rad = q_rad - expected
         if self._late_syncs:
             late_rad = self._late_syncs * np.abs(target_rad - expected)
             off_rad = np.sign(off_rad) * np.maximum(np.abs(off_rad) - late_rad, 0.0)
-        values = np.array([off_rad, (q_rad - first_q) / span_s, torque_nm, q_rad - self._middle])
+        values = np.array([off_rad, speed_rad_s, torque_nm, q_rad - self._middle])
         over = np.abs(values) > self._limits
         if over.any():
             self._count = (self._count + 1) * over

@@ -90,6 +90,8 @@ class LightWorld(TwoArms):
                 theta[i], omega[i] = self._fall(i, theta[i], before, 0.0, seconds)
             else:
                 omega[i] = -math.copysign(axis.slip_rad_s, gear[i]) if axis.slip_rad_s else 0.0
+                motors.fallen[i] = motors.fallen[i] + motors.fall[i] * seconds if axis.falls else 0.0
+                omega[i] += float(motors.fallen[i])
                 theta[i] += omega[i] * seconds
                 before = omega[i]
             asked[i] = omega[i] - before

@@ -76,17 +76,24 @@ class PairAxis:
     free : brake open
     fed : and motor fed
     slip_rad_s : speed at which the closed brake lets the axis sink; 0 = it holds
+    fall_rad_s2 : acceleration with which the axis falls once its brake is to hold it again; 0 = the brake holds
+    falls : the brake was to hold the axis and does not
     fastest_rad_s : largest speed of the rotor since `fastest_rad_s` was set to 0
     position_rad, omega_rad_s : encoder, cell's zero offset taken off
     servo : loops
     """
 
-    __slots__ = ("fed", "free", "index", "motors", "omega_rad_s", "position_rad", "servo", "shift_rad")
+    __slots__ = ("fall_rad_s2", "fed", "free", "index", "motors", "omega_rad_s", "position_rad", "servo", "shift_rad")
 
     def __init__(self, motors: Motors, index: int, servo: ServoLoop, shift_rad: float) -> None:
         self.motors, self.index, self.servo, self.shift_rad = motors, index, servo, shift_rad
         self.free = self.fed = False
-        self.position_rad = self.omega_rad_s = 0.0
+        self.position_rad = self.omega_rad_s = self.fall_rad_s2 = 0.0
+
+    @property
+    def falls(self) -> bool:
+        """See the class."""
+        return self.fall_rad_s2 > 0.0 and bool(self.motors.fall[self.index])
 
     @property
     def slip_rad_s(self) -> float:
@@ -112,6 +119,7 @@ class PairAxis:
             self.servo.reset(self.position_rad)
             self.free = self.fed = True
             self.motors.live[self.index] = 1.0
+            self.motors.fall[self.index] = self.motors.fallen[self.index] = 0.0
 
     def coast(self) -> None:
         """Cut the motor and leave the brake open."""
@@ -125,6 +133,7 @@ class PairAxis:
             self.free = self.fed = False
             self.motors.live[self.index] = 0.0
             self.motors.omega[self.index] = self.omega_rad_s = 0.0
+            self.motors.fall[self.index] = -np.copysign(self.fall_rad_s2, self.motors.gear_nm[self.index])
             self.servo.reset(self.position_rad)
 
 
@@ -147,6 +156,7 @@ class Motors:
     gear_nm : (n,) torque of the gear spring on the link
     live : (n,) 1 = brake open
     slip, fastest : (n,) as of `PairAxis`
+    fall, fallen : (n,) acceleration and speed of axes that fall in their brakes
     """
 
     def __init__(self, train: DriveTrain, shift_rad: Array, max_rad_s: Array, step_s: float) -> None:
@@ -155,6 +165,7 @@ class Motors:
         self.theta, self.omega, self.play = np.zeros(n), np.zeros(n), np.zeros(n)
         self.u_nm, self.shown_nm, self.gear_nm, self.live = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
         self.slip, self.fastest = np.zeros(n), np.zeros(n)
+        self.fall, self.fallen = np.zeros(n), np.zeros(n)
         self._step_s = step_s
         self._rate = step_s / train.rotor_kg_m2
         self._lost = train.coulomb_nm * self._rate
@@ -200,9 +211,10 @@ class Motors:
                 torque[i] = servo.torque(positions[i] - axis.shift_rad + late, speeds[i])
             else:
                 torque[i] = 0.0
+                self.fallen[i] = self.fallen[i] + self.fall[i] * tick_s if axis.falls else 0.0
         self.shown_nm += (torque - self.shown_nm) * filter_share
         self._cycle = self.cyclic(self.theta)
-        self._sink = -self.slip * np.sign(self.gear_nm) * (1.0 - self.live)
+        self._sink = (self.fallen - self.slip * np.sign(self.gear_nm)) * (1.0 - self.live)
         np.maximum(self.fastest, np.abs(self.omega), out=self.fastest)
 
     def step(self, q_rad: Array, qd_rad_s: Array) -> Array:

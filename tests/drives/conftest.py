@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 import struct
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 import can
 import pytest
 
 from drives.bus import Bus, BusSpec
+from drives.group import DriveGroup
 from drives.profile import DriveProfile
 from drives.profile_file import load_profile
-from drives.values import AxisSetup
+from drives.proof import BrakeTest, StopTrace
+from drives.values import AxisSetup, DriveCommand
 
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
 
@@ -408,13 +411,18 @@ class Slave:
         self._answer(request, b"\x60" + request[1:4] + bytes(4))
 
 
+def on_its_clock(wire: Wire, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the clock of a wire be the clock of the test."""
+    monkeypatch.setattr(time, "monotonic", wire.monotonic)
+    monkeypatch.setattr(time, "time", wire.wall)
+    monkeypatch.setattr(time, "sleep", wire.sleep)
+
+
 @pytest.fixture
 def wire(monkeypatch: pytest.MonkeyPatch) -> Wire:
     """A wire whose clock is the clock of the test."""
     wire = Wire()
-    monkeypatch.setattr(time, "monotonic", wire.monotonic)
-    monkeypatch.setattr(time, "time", wire.wall)
-    monkeypatch.setattr(time, "sleep", wire.sleep)
+    on_its_clock(wire, monkeypatch)
     return wire
 
 
@@ -461,3 +469,49 @@ def make_slave(wire: Wire) -> Callable[..., Slave]:
         return slave
 
     return make
+
+
+# -- tests of a stop, without the loop of an arm -----------------------------------------------------------------------
+
+
+def fall_silent(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
+    """Set points go on without a heartbeat; after the last one the axes are held until all have stopped."""
+    test, given = group.withhold_heartbeat(), iter(rows)
+    while not test.done:
+        row = next(given, None)
+        group.hold() if row is None else group.exchange(row)
+    if len(test.left) < len(group.drives):
+        group.quick_stop()
+    group.disable()
+    return test.traces()
+
+
+def prove_quick_stop(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
+    """Set points, then the quick stop until all axes are at rest."""
+    for row in rows:
+        group.exchange(row)
+    test = group.try_quick_stop()
+    while not test.done:
+        group.hold()
+    group.disable()
+    return test.traces()
+
+
+def release(
+    group: DriveGroup, axis: int, seconds: float, limit_rad: float = math.inf, disables_voltage: bool = True
+) -> BrakeTest:
+    """One axis hangs on its brake for a time, or until it has moved too far; then all are disabled."""
+    for _ in range(math.ceil(1.0 / group.timing.period_s)):
+        if group.stands:
+            break
+        group.hold()
+    test = group.release(axis, limit_rad, disables_voltage)
+    try:
+        while test.released_syncs * group.timing.period_s < seconds and not test.beyond_limit:
+            group.hold()
+        while test.beyond_limit and not test.held:
+            group.hold()
+    finally:
+        if group._running:
+            group.disable()
+    return test

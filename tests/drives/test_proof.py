@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from drives.drive import DriveCommand
-from drives.errors import ConfigurationRefused, DriveError, TransitionTimeout
+from drives.errors import ConfigurationRefused, DriveError, DriveFault, TransitionTimeout
 from drives.group import DriveGroup
 from drives.values import AxisSetup
-from tests.drives.conftest import Slave, Wire
+from tests.drives.conftest import Slave, Wire, fall_silent, prove_quick_stop, release
 
 PERIOD_S = 0.01
 COUNT_RAD = 2 * math.pi / 65536
@@ -58,7 +58,7 @@ def last_beat_s(wire: Wire) -> float:
 def test_each_drive_leaves_operation_after_its_heartbeat_time(group, slaves, wire):
     """30 steps of 20 counts; axis 1 goes on by 700, 500 and 300 counts while it brakes, the others stand at once."""
     slaves[0].ways = {"quick stop": [700, 500, 300]}
-    traces = group.fall_silent(rows(slaves, 30))
+    traces = fall_silent(group, rows(slaves, 30))
     for trace in traces:
         assert trace.stated_s == pytest.approx(SILENCE_S + PERIOD_S)
         assert trace.left_s is not None
@@ -75,7 +75,7 @@ def test_each_drive_leaves_operation_after_its_heartbeat_time(group, slaves, wir
 
 def test_no_heartbeat_and_no_word_that_energises_follows(group, slaves, wire):
     begun_s = wire.now_s
-    group.fall_silent(rows(slaves, 30))
+    fall_silent(group, rows(slaves, 30))
     assert last_beat_s(wire) - begun_s < PERIOD_S
     for slave in slaves:
         left_s = next(at for at, word in words(wire, slave.node_id) if at > begun_s and word != 0x0F)
@@ -87,7 +87,7 @@ def test_no_heartbeat_and_no_word_that_energises_follows(group, slaves, wire):
 def test_after_the_last_set_point_the_axes_are_held_and_a_drive_that_has_left_keeps_its_target(group, slaves):
     start = [slave.position for slave in slaves]
     slaves[1].values[0x1016, 1] = 127 << 16 | 100
-    group.fall_silent(rows(slaves, 80))
+    fall_silent(group, rows(slaves, 80))
     went = [(slave.values[0x607A, 0] - at) // STEP for slave, at in zip(slaves, start, strict=True)]
     assert went[1] == pytest.approx(0.1 / PERIOD_S + 1, abs=2)
     assert went[0] == went[2] == pytest.approx(SILENCE_S / PERIOD_S + 1, abs=2)
@@ -96,7 +96,7 @@ def test_after_the_last_set_point_the_axes_are_held_and_a_drive_that_has_left_ke
 def test_a_drive_that_ignores_the_missing_heartbeat_is_stopped_by_the_master(group, slaves, wire):
     """0.2 s after the stated time; the others are out by then."""
     slaves[2].supervises = False
-    traces = group.fall_silent(rows(slaves, 10))
+    traces = fall_silent(group, rows(slaves, 10))
     assert [trace.in_time for trace in traces] == [True, True, False]
     assert traces[2].left_s is None
     stopped_s = next(at for at, word in words(wire, 3) if word == 0x02)
@@ -106,14 +106,14 @@ def test_a_drive_that_ignores_the_missing_heartbeat_is_stopped_by_the_master(gro
 
 def test_a_drive_that_leaves_later_than_it_said_is_not_in_time(group, slaves):
     slaves[0].values[0x1016, 1] = 127 << 16 | 600
-    first, second, _ = group.fall_silent(rows(slaves, 10))
+    first, second, _ = fall_silent(group, rows(slaves, 10))
     assert (first.in_time, second.in_time) == (False, True)
     assert first.left_s == pytest.approx(0.6, abs=2 * PERIOD_S)
 
 
 def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
     slaves[1].ways = {"quick stop": [500] * 400}
-    traces = group.fall_silent(rows(slaves, 10))
+    traces = fall_silent(group, rows(slaves, 10))
     assert [trace.stood for trace in traces] == [True, False, True]
     assert {slave.state for slave in slaves} == {"switch on disabled"}
 
@@ -129,7 +129,7 @@ def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
             slave.nmt = 127
 
     slave._sync = sync  # type: ignore[method-assign]
-    trace = group.fall_silent(rows(slaves, 10))[1]
+    trace = fall_silent(group, rows(slaves, 10))[1]
     assert (trace.stood, str(trace.state)) == (True, "QUICK STOP ACTIVE")
     assert trace.left_s is not None
 
@@ -137,7 +137,7 @@ def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
 @pytest.mark.parametrize("option", [1, 2, 3])
 def test_whatever_0x6007_makes_of_it_counts_as_left(group, slaves, option):
     slaves[0].values[0x6007, 0] = option
-    first = group.fall_silent(rows(slaves, 5))[0]
+    first = fall_silent(group, rows(slaves, 5))[0]
     assert (first.in_time, first.stood) == (True, True)
     assert str(first.state) == {1: "FAULT", 2: "SWITCH ON DISABLED", 3: "QUICK STOP ACTIVE"}[option]
     assert slaves[0].state == ("fault" if option == 1 else "switch on disabled")
@@ -146,7 +146,7 @@ def test_whatever_0x6007_makes_of_it_counts_as_left(group, slaves, option):
 def test_only_enabled_axes_fall_silent(group, slaves):
     group.disable()
     with pytest.raises(ConfigurationRefused):
-        group.fall_silent(rows(slaves, 1))
+        fall_silent(group, rows(slaves, 1))
 
 
 def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, slaves, wire):
@@ -160,7 +160,7 @@ def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, sl
         yield last[-1]
 
     with pytest.raises(DriveError, match="could not be sent"):
-        group.fall_silent(failing())
+        fall_silent(group, failing())
     assert {slave.state for slave in slaves} == {"quick stop"}
     assert not group.enabled
 
@@ -186,20 +186,67 @@ def test_a_slow_drive_is_waited_for_as_long_as_its_profile_says(group, slaves, s
     slow(slaves[1], syncs)
     slaves[1].ways = {"switch on disabled": [-30, -40, 10]}
     if waited:
-        assert group.release(1, 0.2) == pytest.approx(70 * COUNT_RAD)
+        assert release(group, 1, 0.2).moved_rad == pytest.approx(70 * COUNT_RAD)
     else:
         with pytest.raises(TransitionTimeout, match="stays in OPERATION ENABLED"):
-            group.release(1, 0.2)
+            release(group, 1, 0.2)
 
 
 def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
-    """What it does afterwards does not count; a slow drive is watched from when it has left."""
+    """What it does afterwards does not count; a slow drive is watched from when it has left. 0.1 s the brake closes."""
     slow(slaves[1], 30)
     slaves[1].ways = {"switched on": [0], "switch on disabled": [0] * 17 + [-5] + [-400] * 10}
     syncs = slaves[0].sync_seen
-    sag_rad = group.release(1, 0.2)
+    sag_rad = release(group, 1, 0.3).moved_rad
     assert 5 <= sag_rad / COUNT_RAD + 1e-6 < 1000
     assert slaves[0].sync_seen - syncs >= 30 + 20
+
+
+def test_a_brake_that_fails_without_voltage_is_caught_from_there(group, slaves):
+    """Three controlwords lead back; until the last one the target is where the axis was measured."""
+    slaves[1].ways = {"switched on": [0] * 11, "switch on disabled": [40] * 30, "ready": [40] * 30}
+    test = release(group, 1, 0.5, limit_rad=200 * COUNT_RAD)
+    assert test.beyond_limit
+    assert test.held
+    assert 200 <= test.farthest_rad / COUNT_RAD <= 200 + 40 * 9
+    words = slaves[1].controlwords
+    up = words[words.index(0x06, words.index(0x00, words.index(0x0F))) :]
+    assert [word for word, before in zip(up, [0, *up], strict=False) if word != before][:3] == [0x06, 0x07, 0x0F]
+
+
+def test_an_axis_that_was_tried_is_held_by_its_drive_again(group, slaves):
+    """The brake has held it: it is enabled where it is, and every axis is guarded as before."""
+    for _ in range(5):
+        group.hold()
+    test = group.release(1, 0.1)
+    while test.released_syncs < 5:
+        group.hold()
+    test.enable_again()
+    while not test.held:
+        group.hold()
+    assert {slave.state for slave in slaves} == {"operation enabled"}
+    slaves[1].state = "fault"
+    with pytest.raises(DriveFault, match="node 2"):
+        group.hold()
+
+
+@pytest.mark.parametrize(
+    ("broken", "says"), [("fault", "cannot hold its axis again"), ("switched on", "is not enabled")]
+)
+def test_a_drive_that_does_not_hold_its_axis_again_stops_all(group, slaves, broken, says):
+    slaves[1].ways = {"switched on": [-300] * 10}
+    plain = slaves[1]._control
+
+    def control(word: int) -> None:
+        if (slaves[1].state, word) == ("switched on", 0x0F):
+            slaves[1].state = broken
+        else:
+            plain(word)
+
+    slaves[1]._control = control  # type: ignore[method-assign]
+    with pytest.raises(DriveError, match=f"node 2.*{says}"):
+        release(group, 1, 0.2, limit_rad=1000 * COUNT_RAD, disables_voltage=False)
+    assert {slave.state for slave in slaves if slave.node_id != 2} == {"switch on disabled"}
 
 
 # -- the quick stop ----------------------------------------------------------------------------------------------------
@@ -208,7 +255,7 @@ def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
 def test_a_ramp_is_watched_until_it_ends(group, slaves):
     """0.5 s of ramp: the trace says when the axis was last seen to move, and the master's heartbeat goes on."""
     slaves[2].ways = {"quick stop": [1000 - 10 * number for number in range(50)]}
-    third = group.prove_quick_stop(rows(slaves, 5))[2]
+    third = prove_quick_stop(group, rows(slaves, 5))[2]
     assert third.stood
     assert third.rest_s == pytest.approx(50 * PERIOD_S, abs=2 * PERIOD_S)
     assert third.coast_rad / COUNT_RAD == pytest.approx(sum(1000 - 10 * number for number in range(50)), abs=2 * STEP)
@@ -217,7 +264,7 @@ def test_a_ramp_is_watched_until_it_ends(group, slaves):
 def test_a_drive_that_obeys_two_syncs_late_is_in_time_and_a_later_one_is_not(group, slaves):
     slow(slaves[0], 1)
     slow(slaves[1], 6)
-    first, second, third = group.prove_quick_stop(rows(slaves, 5))
+    first, second, third = prove_quick_stop(group, rows(slaves, 5))
     assert (first.in_time, second.in_time, third.in_time) == (True, False, True)
     assert second.left_s == pytest.approx(third.left_s + 6 * PERIOD_S, abs=1e-3)
     assert second.stood

@@ -24,7 +24,7 @@ from drives.errors import (
 from drives.group import DriveGroup
 from drives.reactions import DRIVE_RULES
 from drives.values import AxisSetup
-from tests.drives.conftest import Slave, Wire
+from tests.drives.conftest import Slave, Wire, prove_quick_stop, release
 
 PERIOD_S = 0.01
 COUNT_RAD = 2 * math.pi / 65536
@@ -401,7 +401,7 @@ def test_axes_that_never_come_to_rest_are_not_released(group, slaves):
     slaves[0].ways = {"operation enabled": [500, -500] * 200}
     move(group, 2, step=0)
     with pytest.raises(ConfigurationRefused, match="bring the axes to rest first"):
-        group.release(1, 0.1)
+        release(group, 1, 0.1)
     assert group.enabled
     assert {slave.state for slave in slaves} == {"operation enabled"}
 
@@ -419,7 +419,7 @@ def test_a_bus_that_fails_while_the_quick_stop_is_tried_is_an_error(group, slave
     slaves[0]._sync = sync  # type: ignore[method-assign]
     group.on_stop = lambda: (setattr(slaves[0], "_sync", plain), setattr(wire, "send_errors", 0))
     with pytest.raises(DriveError, match="could not be sent"):
-        group.prove_quick_stop(rows)
+        prove_quick_stop(group, rows)
     assert not group.enabled
     assert {slave.state for slave in slaves} == {"quick stop"}
 
@@ -488,7 +488,7 @@ def test_one_axis_hangs_on_its_brake_while_the_others_hold(bus, slaves, setups, 
         slaves[1].ways = {"switched on": [-20], "switch on disabled": [-30, -40, 10]}
         for slave in slaves:
             slave.controlwords.clear()
-        sag_rad = group.release(1, 0.5)
+        sag_rad = release(group, 1, 0.5).moved_rad
         assert sag_rad == pytest.approx(90 * COUNT_RAD)
         assert slaves[1].controlwords.count(0x0F) <= 5
         assert slaves[0].controlwords.count(0x0F) >= 0.5 / PERIOD_S
@@ -507,23 +507,23 @@ def test_another_axis_that_gives_way_meanwhile_stops_all(group, slaves):
 
     slaves[1]._sync = sync  # type: ignore[method-assign]
     with pytest.raises(DriveFault, match="node 4"):
-        group.release(1, 0.5)
+        release(group, 1, 0.5)
     assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}
 
 
 def test_an_axis_that_stays_enabled_is_named_and_all_are_disabled(group, slaves):
     slaves[1].stuck_in = "operation enabled"
     with pytest.raises(TransitionTimeout, match="node 2.*stays in OPERATION ENABLED"):
-        group.release(1, 0.5)
+        release(group, 1, 0.5)
     assert {slave.state for slave in slaves if slave.node_id != 2} == {"switch on disabled"}
 
 
 def test_only_enabled_axes_are_released(group):
     with pytest.raises(ConfigurationRefused):
-        group.release(6, 0.1)
+        release(group, 6, 0.1)
     group.disable()
     with pytest.raises(ConfigurationRefused):
-        group.release(1, 0.1)
+        release(group, 1, 0.1)
 
 
 # -- the quick stop, tried out -----------------------------------------------------------------------------------------
@@ -533,7 +533,7 @@ def test_the_quick_stop_is_traced_axis_by_axis(group, slaves):
     """Axis 1 goes on by 700, 500, 300 counts while it brakes, for three SYNCs; axis 2 stands at once."""
     slaves[0].ways = {"quick stop": [700, 500, 300]}
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
-    first, second, *_ = group.prove_quick_stop(rows)
+    first, second, *_ = prove_quick_stop(group, rows)
     assert (first.node_id, first.in_time, first.stood) == (1, True, True)
     assert first.coast_rad == pytest.approx((700 + 500 + 300) * COUNT_RAD, abs=60 * COUNT_RAD)
     assert first.rest_s == pytest.approx(3 * PERIOD_S, abs=PERIOD_S)
@@ -547,7 +547,7 @@ def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(gro
     slaves[4].stuck_in = "operation enabled"
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
     with pytest.raises(DriveError, match="node 5.*OPERATION ENABLED"):
-        group.prove_quick_stop(rows)
+        prove_quick_stop(group, rows)
     words = [(data[0], at) for (can_id, data), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == 0x205]
     told_s = next(at for word, at in words if word == 0x02)
     assert max(beats_s(wire)) - told_s <= 0.2 + PERIOD_S

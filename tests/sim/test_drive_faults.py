@@ -121,6 +121,7 @@ EFFECTS: dict[str, Effect] = {
     "never_enables": lambda bench: bench.state is PdsState.SWITCHED_ON and not bench.drive.axis.free,
     "enables_and_drops": lambda bench: bench.state is PdsState.SWITCHED_ON and not bench.drive.axis.free,
     "brake_slips": moves_on,
+    "brake_falls": moves_on,
 }
 
 

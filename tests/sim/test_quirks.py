@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -222,6 +223,30 @@ def test_a_brake_that_slips_lets_the_axis_sink_at_its_rate(start: Start, keys: d
         assert not axis.free
         assert axis.position_rad - before == pytest.approx(-0.5 * rad_s if load > 0 else 0.5 * rad_s, rel=0.1)
         assert axis.fastest_rad_s == pytest.approx(rad_s)
+
+
+@pytest.mark.parametrize(("keys", "rad_s2"), [({}, 5.0), ({"accel_rad_s2": 2.0}, 2.0), ({"accel_rad_s2": 10.0}, 10.0)])
+def test_a_brake_that_fails_lets_the_axis_fall_once_it_was_opened(start: Start, keys: dict, rad_s2: float) -> None:
+    """It accelerates in the direction of its load, from the SYNC at which its brake should have closed."""
+    with start("brake_falls", **keys) as (master, simulation):
+        axis = drive_of(simulation).axis
+        master.sync(5)
+        master.number(NODE, 0x1000)
+        before = axis.position_rad
+        master.configure(NODE, 8)
+        states(master, 20)
+        assert axis.position_rad == pytest.approx(before, abs=2e-3)
+        before, load = axis.position_rad, axis.torque_nm
+        target = master.number(NODE, 0x6064, signed=True)
+        for _ in range(11):
+            target = master.cycle(NODE, 0x07, target)[1]
+        fallen = axis.position_rad - before
+        assert fallen == pytest.approx(math.copysign(0.5 * rad_s2 * 0.1**2, -load), rel=0.25)
+        for _ in range(60):
+            status, _, _ = master.cycle(NODE, 0x0F, target)
+        assert status & 0x6F == 0x27
+        assert axis.fed
+        assert abs(axis.omega_rad_s) < 0.05
 
 
 def test_a_repaired_drive_is_as_new(start: Start) -> None:

@@ -26,12 +26,14 @@ from gateway.acquire.plan import Plan, plan_poses
 from gateway.acquire.planning import visit_settings
 from gateway.acquire.run import Shelf, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
+from gateway.check.brakes import try_brakes
 from gateway.check.moves import check_moves
 from gateway.check.stop import prove_stop
 from gateway.data.rest_pose import RestPose
 from gateway.errors import GatewayError
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
 from gateway.motion.state import Phase
+from gateway.motion.stream import MoveOptions
 from sim.faults import KINDS, Fault
 from tests.support.chaos.evidence import Evidence, Outcome, counters_of
 from tests.support.chaos.judging import compare, follow, held_up, judge
@@ -200,7 +202,9 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
     outcome, evidence = Outcome(kind, seed, bus.pacing, bus.sync_period_s), Evidence()
     fault = None
     if KINDS[kind].where != "master":
-        node = random.Random(f"node {kind} {seed}").choice(CARRYING if kind == "brake_slips" else NODES)
+        node = random.Random(f"node {kind} {seed}").choice(
+            CARRYING if kind in ("brake_slips", "brake_falls") else NODES
+        )
         fault = Fault(kind, **({"node": node, "seed": seed} | DETAILS.get(kind, {})))
     begin = Beginning(rig, kind, seed, fault)
     outcome.in_samples = begin.in_samples
@@ -291,6 +295,7 @@ def _failing(items: Iterable[Any]) -> str:
 #: What shows a kind that no run shows: the proof of the stop, or small moves.
 LOOKS: dict[str, Callable[[OpenArm], str]] = {
     "heartbeat_ignored": lambda opened: _failing(prove_stop(opened).items),
+    "brake_falls": lambda opened: _failing(try_brakes(opened, MoveOptions())),
     "demand_torque": lambda opened: _failing(check_moves(opened).items),
     "unsigned_torque": lambda opened: _failing(check_moves(opened).items),
 }

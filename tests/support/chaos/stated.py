@@ -196,6 +196,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "never_enables": Stated(TransitionTimeout, "stays in SWITCHED ON for more than"),
         "enables_and_drops": Stated(DriveFault, "left OPERATION ENABLED: SWITCHED ON", "left_enabled"),
         "brake_slips": Stated(None, r"sank by 0\.\d+ rad in its brake", named="joint"),
+        "brake_falls": Stated(None, r"sank by 0\.0[01]\d\d rad in its brake within .* held by its drive again"),
         # the bus
         "second_master_sync": Stated(
             ForeignMaster, "a frame with id 080 .* came from another master", "second_master", "nobody"

@@ -1,0 +1,44 @@
+"""Requests to stop at random instants of proofs, brake test, bring-up, motion and way down; brakes that fail."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from tests.support.chaos.requests import fall, requests
+from tests.support.figure import figure
+
+INSTANTS, SEED = 200, 33
+PERIODS_S = (0.004, 0.01)
+FALLS_RAD_S2 = (2.0, 5.0, 10.0)
+#: Joints that carry the arm.
+JOINTS = (2, 3)
+LIMIT_RAD = 0.02
+
+
+def figures(scope: Any) -> dict[str, dict]:
+    """Ask, and let brakes fail."""
+    number = scope.count(INSTANTS)
+    answers = requests(number, SEED, scope.bar("requests to stop", number).step)
+    for complaint in answers.late:
+        scope.print(complaint, markup=False)
+    out = {
+        f"stop requests at {number} instants: not answered within 1 SYNC and the ramp": figure(
+            len(answers.late), "<= 0", ""
+        ),
+        "longest way of set points after a request, beyond the ramp": figure(max(answers.syncs), "<= 1", "SYNCs"),
+    }
+    bar = scope.bar("brakes that fall", len(PERIODS_S) * len(FALLS_RAD_S2) * len(JOINTS))
+    with tempfile.TemporaryDirectory() as folder:
+        for period_s in PERIODS_S:
+            largest = 0.0
+            for joint in JOINTS:
+                for acceleration in FALLS_RAD_S2:
+                    angle_rad, finding = fall(period_s, acceleration, joint, Path(folder))
+                    scope.print(f"{1000 * period_s:g} ms, {acceleration:g} rad/s2: {finding}", markup=False)
+                    largest = max(largest, angle_rad)
+                    bar.step()
+            name = f"largest angle of a brake that falls at 2 to 10 rad/s2, SYNC {1000 * period_s:g} ms"
+            out[name] = figure(largest, f"<= {LIMIT_RAD}", "rad")
+    return out

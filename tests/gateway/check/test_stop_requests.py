@@ -1,0 +1,204 @@
+"""Requests to stop, limits and contact are answered at every SYNC of the stop proofs; slaves on a wire, in lockstep."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from gateway.check.proofs import ensure_proven, proven_on
+from gateway.check.stop import SPEED_RAD_S, prove_stop
+from gateway.errors import LimitExceeded
+from gateway.motion.opening import OpenArm
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stream import MoveOptions
+from tests.drives.conftest import Wire, on_its_clock
+from tests.support.rigs.wired_arm import Joint, last_set_point, ramp_syncs, wired_arm
+
+PERIOD_S = 0.02
+
+
+@pytest.fixture
+def rig(monkeypatch, small_cell) -> Iterator[tuple[OpenArm, list[Joint]]]:
+    wire = Wire()
+    on_its_clock(wire, monkeypatch)
+    with wired_arm(wire, small_cell, PERIOD_S) as opened:
+        yield opened
+
+
+def asks_at(slaves: list[Joint], sync: int, kind: StopKind, asked: list[int]) -> StopDesk:
+    """A desk with a person who wants a stop from a SYNC on."""
+
+    def person() -> StopRequest | None:
+        if slaves[0].sync_seen < sync:
+            return None
+        asked.append(slaves[0].sync_seen)
+        return StopRequest(kind, StoppedByPerson("a person"))
+
+    return StopDesk(person)
+
+
+def phases_of(slave: Joint) -> dict[str, int]:
+    """A SYNC in the middle of what goes on one after the other in a proof that nobody stops."""
+    states, targets = slave.states, [target for _, target in slave.told]
+
+    def first(after: int, found: Callable[[int], bool]) -> int:
+        return next(number for number in range(after, len(states)) if found(number))
+
+    def moves(number: int) -> bool:
+        return targets[number] != targets[number - 1]
+
+    up = first(0, lambda number: states[number] == "operation enabled")
+    moving = first(up, moves)
+    left = first(moving, lambda number: states[number] != "operation enabled")
+    silent = slave.last_beats[left]
+    down = first(left, lambda number: states[number] == "switch on disabled")
+    again = first(down, lambda number: states[number] == "operation enabled")
+    moving_again = first(again, moves)
+    quick = first(again, lambda number: slave.told[number][0] == 0x02)
+    down_again = first(quick, lambda number: states[number] == "switch on disabled")
+    end = len(states)
+    return {
+        "bring-up": up // 2,
+        "brakes open": (up + moving) // 2,
+        "begin of the motion": moving + 1,
+        "motion": (moving + silent) // 2,
+        "last heartbeat": silent,
+        "heartbeat withheld": (silent + left) // 2,
+        "before the drives stop": left - 1,
+        "drives stop": left,
+        "after they have stopped": left + 3,
+        "voltage disabled": down + 3,
+        "second bring-up": again - 2,
+        "second motion": (moving_again + quick) // 2,
+        "quick stop": quick,
+        "after the quick stop": (quick + down_again) // 2,
+        "second way down": (down_again + end) // 2,
+    }
+
+
+PHASES = (
+    "bring-up",
+    "brakes open",
+    "begin of the motion",
+    "motion",
+    "last heartbeat",
+    "heartbeat withheld",
+    "before the drives stop",
+    "drives stop",
+    "after they have stopped",
+    "voltage disabled",
+    "second bring-up",
+    "second motion",
+    "quick stop",
+    "after the quick stop",
+    "second way down",
+)
+
+
+@pytest.fixture(scope="module")
+def phases(small_cell) -> dict[str, int]:
+    wire = Wire()
+    with pytest.MonkeyPatch.context() as patch:
+        on_its_clock(wire, patch)
+        with wired_arm(wire, small_cell, PERIOD_S) as (opened, slaves):
+            assert prove_stop(opened).passed
+            found = phases_of(slaves[0])
+    assert tuple(found) == PHASES
+    return found
+
+
+@pytest.mark.parametrize(
+    ("kind", "phase"),
+    [(StopKind.ALONG_PATH, phase) for phase in PHASES] + [(StopKind.QUICK_STOP, phase) for phase in PHASES[2::3]],
+)
+def test_a_request_at_any_sync_of_the_proof_is_answered_within_one_sync_and_the_ramp(rig, phases, phase, kind):
+    (opened, slaves), sync = rig, phases[phase]
+    asked: list[int] = []
+    with pytest.raises(StoppedByPerson, match="a person"):
+        prove_stop(opened, MoveOptions(asks_at(slaves, sync, kind, asked)))
+    assert asked
+    allowed = 1 + (ramp_syncs(opened.workspace, SPEED_RAD_S, PERIOD_S) if kind is StopKind.ALONG_PATH else 0)
+    assert last_set_point(slaves) - sync <= allowed
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+    assert not opened.group.enabled
+
+
+def test_a_proof_that_was_stopped_is_not_kept_as_proven(rig, phases, tmp_path, monkeypatch):
+    opened, slaves = rig
+    path, asked = tmp_path / "proof.json", []
+    monkeypatch.setattr("gateway.check.proofs.fingerprint", lambda _opened: {"drives": 1})
+    options = MoveOptions(asks_at(slaves, phases["quick stop"], StopKind.ALONG_PATH, asked))
+    with pytest.raises(StoppedByPerson):
+        ensure_proven(opened, path, lambda _text: None, options)
+    assert asked
+    assert proven_on(path, opened) is None
+    assert ensure_proven(opened, path, lambda _text: None, MoveOptions())
+    assert proven_on(path, opened)
+
+
+@pytest.mark.parametrize("phase", ["motion", "heartbeat withheld"])
+def test_contact_in_a_proof_stops_the_arm(rig, phases, phase):
+    opened, slaves = rig
+    plain = slaves[1]._sync
+
+    def sync() -> None:
+        plain()
+        slaves[1].torque = 900 if slaves[1].sync_seen >= phases[phase] else 0
+
+    slaves[1]._sync = sync  # type: ignore[method-assign]
+    with pytest.raises(LimitExceeded, match="joint 2"):
+        prove_stop(opened)
+    assert last_set_point(slaves) <= phases[phase] + 6
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+def test_a_joint_that_leaves_its_range_while_the_heartbeat_is_withheld_stops_the_arm(rig, phases):
+    opened, slaves = rig
+    plain, turn = slaves[2]._sync, slaves[2]._joint_count * 3.5
+
+    def sync() -> None:
+        plain()
+        if slaves[2].sync_seen >= phases["heartbeat withheld"]:
+            slaves[2].position = round(turn)
+
+    slaves[2]._sync = sync  # type: ignore[method-assign]
+    with pytest.raises(LimitExceeded, match="joint 3"):
+        prove_stop(opened)
+    assert last_set_point(slaves) <= phases["heartbeat withheld"] + 6
+
+
+def test_the_quick_stop_is_tried_while_the_arm_moves(rig, phases):
+    """A stop that begins at rest proves nothing of the ramp."""
+    opened, slaves = rig
+    proof = prove_stop(opened)
+    assert proof.passed
+    for slave in slaves:
+        quick = phases["quick stop"]
+        assert (slave.told[quick - 1][0], slave.told[quick][0]) == (0x0F, 0x02)
+        step = abs(slave.told[quick - 1][1] - slave.told[quick - 2][1]) / slave._joint_count
+        assert step / PERIOD_S == pytest.approx(SPEED_RAD_S, rel=0.05)
+
+
+def test_a_drive_that_has_stopped_by_itself_is_no_contact(rig):
+    """One gives up early: its torque vanishes and its set points go on without it."""
+    opened, slaves = rig
+    slaves[3].torque = 900
+    plain = slaves[3]._sync
+
+    def sync() -> None:
+        plain()
+        slaves[3].torque = 200 if slaves[3].state == "operation enabled" else 0
+
+    slaves[3]._sync = sync  # type: ignore[method-assign]
+    arm = type(opened.group.drives[3]).arm
+
+    def impatient(drive, master):
+        arm(drive, master)
+        slaves[3].values[0x1016, 1] = 127 << 16 | 250
+
+    opened.group.drives[3].arm = impatient.__get__(opened.group.drives[3])  # type: ignore[method-assign]
+    proof = prove_stop(opened)
+    assert proof.traces[3].left_s == pytest.approx(0.26, abs=2 * PERIOD_S)
+    assert np.all(np.array(proof.moved_rad)[[0, 1, 2]] > 0.02)
