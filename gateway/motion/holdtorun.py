@@ -1,17 +1,20 @@
 """Hold to run: the arms move only while a key of the terminal, or a digital input of the cell, is held.
 
-A terminal sends a held key again and again; no repeat for `RELEASED_S` is a release, which stops the arms along their
-path. This is no enabling device in the sense of a standard (IEC 60204-1, ISO 10218-1): it is read by software, and a
-terminal that hangs, or a key that sticks, is not told from a key that is held.
+A terminal sends a held key again and again. A hold begins with the first repeat of a key that was pressed after it was
+asked for: what was typed before is dropped, and a key that is tapped is none. No repeat for `RELEASED_S` is a release,
+which stops the arms along their path. This is no enabling device in the sense of a standard (IEC 60204-1, ISO 10218-1):
+it is read by software, and a terminal that hangs, or a key that sticks, is not told from a key that is held.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import select
 import sys
 import termios
+import threading
 import time
 import tty
 from collections.abc import Callable, Generator
@@ -46,29 +49,58 @@ class HeldKey:
 
     def __init__(self, terminal: int) -> None:
         self._terminal = terminal
-        self._last_s = 0.0
+        self._last_s = self._asked_s = -math.inf
         self._repeated = False
+        #: Whoever holds it reads the terminal: a second thread would wait for a key that the first one has taken.
+        self._reading = threading.Lock()
 
     def wait(self) -> None:
-        """Wait until a key is pressed."""
-        self._read(None)
-        self._repeated = False
+        """Drop what was typed before, then wait until a key is pressed, and for its first repeat.
+
+        Where no repeat comes within `FIRST_REPEAT_S` the key counts as released.
+
+        Raises
+        ------
+        PlanRefused
+            No key was pressed within `PATIENCE_S`.
+        """
+        with self._reading:
+            with contextlib.suppress(termios.error):  # no terminal: nothing is typed ahead
+                termios.tcflush(self._terminal, termios.TCIFLUSH)
+            self._last_s, self._repeated = -math.inf, False
+            if not self._read(PATIENCE_S):
+                raise PlanRefused(f"no key was held within {PATIENCE_S:g} s (--hold-to-run); hold it and start again")
+            self._asked_s = self._last_s = time.monotonic()
+            if self._read(FIRST_REPEAT_S):
+                self._asked_s = self._last_s = time.monotonic()
+                self._repeated = True
 
     def __call__(self) -> StopRequest | None:
         """A wish to stop once the key was released."""
-        self._read(0.0)
+        if self._reading.acquire(blocking=False):
+            try:
+                self._look()
+            finally:
+                self._reading.release()
         allowed_s = RELEASED_S if self._repeated else FIRST_REPEAT_S
-        if time.monotonic() - self._last_s <= allowed_s:
+        if time.monotonic() - self._last_s < allowed_s:
             return None
         return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("stopped: the hold-to-run key was released"))
 
-    def _read(self, timeout_s: float | None) -> None:
-        while select.select([self._terminal], [], [], timeout_s)[0]:
-            if not os.read(self._terminal, 4096):
-                return
-            self._repeated = self._last_s > 0.0
-            self._last_s = time.monotonic()
-            timeout_s = 0.0
+    def _look(self) -> None:
+        """Take in the keys since the last look; after a long time nothing says when they were pressed."""
+        now_s = time.monotonic()
+        unseen_s, self._asked_s = now_s - self._asked_s, now_s
+        if self._read(0.0):
+            self._last_s = now_s if unseen_s <= RELEASED_S else now_s - RELEASED_S / 2.0
+            self._repeated = True
+
+    def _read(self, timeout_s: float) -> bool:
+        """Whether a key came within a time."""
+        came = False
+        while select.select([self._terminal], [], [], timeout_s)[0] and os.read(self._terminal, 4096):
+            came, timeout_s = True, 0.0
+        return came
 
 
 class HeldInput:

@@ -2,7 +2,10 @@
 
 import io
 import os
+import select
 import termios
+import threading
+import tty
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -19,6 +22,7 @@ from gateway.motion.holdtorun import (
     HeldInput,
     HeldKey,
     held_key,
+    line_entered,
     with_held_input,
 )
 from gateway.motion.stops import StopKind
@@ -42,8 +46,56 @@ def clock(monkeypatch):
     return clock
 
 
+class Typist:
+    """Types on a terminal by a clock that moves only while a key is waited for, or when the test moves it."""
+
+    def __init__(self, clock: Clock, terminal: int, keyboard: int) -> None:
+        self.due_s: list[float] = []
+        self.blocked = 0
+        self._clock, self._terminal, self._keyboard = clock, terminal, keyboard
+
+    def hold(self, begin_s: float, repeats: int, every_s: float = 0.1, first_s: float = 0.4) -> None:
+        """Press a key after a time, and hold it for so many repeats."""
+        pressed_s = self._clock.now_s + begin_s
+        self.due_s += [pressed_s, *(pressed_s + first_s + number * every_s for number in range(repeats))]
+
+    def pass_until(self, until_s: float) -> None:
+        """Time passes; keys that are due arrive."""
+        while self.due_s and self.due_s[0] <= until_s:
+            self._clock.now_s = max(self._clock.now_s, self.due_s.pop(0))
+            os.write(self._keyboard, b" ")
+        self._clock.now_s = max(self._clock.now_s, until_s)
+
+    def select(self, reading, writing, failed, timeout_s):
+        """As `select.select`, by the clock."""
+        ready = real_select(reading, writing, failed, 0.0)
+        if ready[0] or timeout_s == 0.0:
+            return ready
+        until_s = self._clock.now_s + (1e9 if timeout_s is None else timeout_s)
+        self.pass_until(min([until_s, *self.due_s[:1]]))
+        return real_select(reading, writing, failed, 0.0)
+
+
+real_select = select.select
+
+
 @pytest.fixture
-def keyboard():
+def typist(clock, monkeypatch):
+    keyboard, terminal = os.openpty()
+    tty.setcbreak(terminal)
+    typist = Typist(clock, terminal, keyboard)
+    monkeypatch.setattr(holdtorun, "select", typist)
+    typist.key = HeldKey(terminal)
+    yield typist
+    os.close(keyboard)
+    os.close(terminal)
+
+
+@pytest.fixture
+def keyboard(monkeypatch):
+    """A pipe; what is not there yet does not come."""
+    at_once = SimpleNamespace(select=lambda *ends: real_select(*ends[:3], 0.0))
+    monkeypatch.setattr(holdtorun, "select", at_once)
     reading, writing = os.pipe()
     yield reading, writing
     os.close(reading)
@@ -65,6 +117,74 @@ def test_a_key_that_repeats_is_held_and_one_that_does_not_is_released(clock, key
     clock.now_s += 0.2 * RELEASED_S
     assert key().kind is StopKind.ALONG_PATH
     assert "released" in str(key().cause)
+
+
+def test_a_key_that_was_struck_before_it_was_asked_for_is_not_held(typist, clock):
+    typist.hold(0.0, repeats=0)
+    typist.pass_until(clock.now_s + 5.0)
+    with pytest.raises(PlanRefused, match="no key was held within 60 s"):
+        typist.key.wait()
+    assert typist.key() is not None
+
+
+def test_a_key_that_is_tapped_counts_as_released_before_anything_moves(typist, clock):
+    typist.hold(2.0, repeats=0)
+    typist.key.wait()
+    assert typist.key().kind is StopKind.ALONG_PATH
+
+
+def test_the_wait_ends_with_the_first_repeat(typist, clock):
+    began_s = clock.now_s
+    typist.hold(2.0, repeats=30)
+    typist.key.wait()
+    assert clock.now_s - began_s == pytest.approx(2.4)
+    for _ in range(20):
+        typist.pass_until(clock.now_s + 0.1)
+        assert typist.key() is None
+    typist.due_s.clear()
+    typist.pass_until(clock.now_s + RELEASED_S + 0.1)
+    assert typist.key() is not None
+
+
+def test_keys_that_were_not_looked_at_for_long_do_not_prove_that_one_is_held(typist, clock):
+    """Nobody looks while the drives are read before they are enabled: the key may have been released meanwhile."""
+    typist.hold(1.0, repeats=5)
+    typist.key.wait()
+    typist.pass_until(clock.now_s + 5.0)
+    assert typist.key() is None
+    typist.pass_until(clock.now_s + RELEASED_S / 2.0 + 0.01)
+    assert typist.key() is not None
+
+
+def test_two_threads_ask_and_only_one_reads_the_terminal(typist, clock, monkeypatch):
+    """The second one asks while the first one has seen a key and not yet taken it: it does not wait for another key."""
+    typist.hold(1.0, repeats=2)
+    typist.key.wait()
+    typist.pass_until(clock.now_s + 0.1)
+    asked: list[object] = []
+    read = os.read
+
+    def slow_read(descriptor: int, size: int) -> bytes:
+        other = threading.Thread(target=lambda: asked.append(typist.key()), daemon=True)
+        other.start()
+        other.join(5.0)
+        return read(descriptor, size)
+
+    monkeypatch.setattr(holdtorun.os, "read", slow_read)
+    assert typist.key() is None
+    assert asked == [None]
+
+
+def test_a_line_counts_only_if_it_was_entered_after_it_was_asked_for():
+    keyboard, terminal = os.openpty()
+    os.write(keyboard, b"yes\n")
+    entered = line_entered(terminal)
+    assert not entered()
+    os.write(keyboard, b"\n")
+    assert entered()
+    assert not entered()
+    os.close(keyboard)
+    os.close(terminal)
 
 
 def test_without_a_terminal_no_key_can_be_held(monkeypatch):
@@ -150,7 +270,8 @@ def test_a_key_pressed_twice_before_the_start_is_pressed_once(clock, keyboard):
     assert key() is None
 
 
-def test_a_terminal_that_is_gone_is_a_release(clock):
+def test_a_terminal_that_is_gone_is_a_release(clock, monkeypatch):
+    monkeypatch.setattr(holdtorun, "select", SimpleNamespace(select=lambda *ends: real_select(*ends[:3], 0.0)))
     reading, writing = os.pipe()
     key = HeldKey(reading)
     os.write(writing, b" ")
@@ -161,8 +282,10 @@ def test_a_terminal_that_is_gone_is_a_release(clock):
     os.close(reading)
 
 
-def test_keys_of_a_terminal_come_one_by_one_and_unseen_and_everything_is_put_back(monkeypatch):
+def test_keys_of_a_terminal_come_one_by_one_and_unseen_and_everything_is_put_back(clock, monkeypatch):
     master, terminal = os.openpty()
+    typist = Typist(clock, terminal, master)
+    monkeypatch.setattr(holdtorun, "select", typist)
     before = termios.tcgetattr(terminal)
     with os.fdopen(terminal, "r") as stdin:
         monkeypatch.setattr("sys.stdin", stdin)
@@ -170,7 +293,7 @@ def test_keys_of_a_terminal_come_one_by_one_and_unseen_and_everything_is_put_bac
             local = termios.tcgetattr(terminal)[3]
             assert not local & termios.ECHO
             assert not local & termios.ICANON
-            os.write(master, b" ")
+            typist.hold(1.0, repeats=1)
             key.wait()
             assert key() is None
         assert termios.tcgetattr(terminal)[3] == before[3]
