@@ -307,7 +307,7 @@ class DriveGroup(DriveSetup):
         guard, test = self._parts()[1], self._test
         if test is not None:
             test.see(epoch)
-            guard.excused = test.excused
+            guard.excuse(test.excused)
             if not test.guards:
                 guard.check_bus()
                 return epoch

@@ -78,6 +78,12 @@ class Guard:
         self._symptoms.forgive_cleared()
         self._watch.left.clear()
 
+    def excuse(self, axes: frozenset[int]) -> None:
+        """From now on these axes (from 0) and no others may leave OPERATION ENABLED."""
+        for axis in axes - self.excused:
+            self._symptoms.forget(axis)
+        self.excused = axes
+
     def check(self, epoch: Epoch) -> None:
         """All checks of an exchange in which every axis shall be enabled.
 

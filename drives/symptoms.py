@@ -79,6 +79,11 @@ class Symptoms:
         if new and all(each.is_reset for each in {each.node_id: each for each in self._emcy.messages[-new:]}.values()):
             self._heard = self._emcy.count
 
+    def forget(self, axis: int) -> None:
+        """Begin anew with one axis (from 0): its drive is going to leave OPERATION ENABLED."""
+        self._odd[axis], self._same[axis], self._last[axis], self._good[axis] = 0, 0, None, _GOOD
+        self._open.pop(axis, None)
+
     def check(self, epoch: Epoch) -> None:
         """One SYNC.
 

@@ -207,7 +207,7 @@ class _SlowWay(MotionWay):
         test = self.test
         if test is not None:
             stops = [test.held_count(axis) is not None for axis in range(len(self._turns))]
-            self._stream.excuse(0, self._turns[stops].any(axis=0))
+            self._stream.excuse(0, np.asarray(self._turns[stops].any(axis=0)))
 
 
 def _stopped_slowly(

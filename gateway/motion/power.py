@@ -57,10 +57,13 @@ def powered(stream: Stream) -> Generator[Stream]:
         finally:
             try:
                 _make_safe(stream, failure)
+            except BaseException as error:
+                failure = failure or error
+                raise
             finally:
                 desk.under_power = False
-            _tell_the_end(stream, failure)
-            observers.ended(failure)
+                _tell_the_end(stream, failure)
+                observers.ended(failure)
             if stream.first_moved and station.options.first_done is not None:
                 station.options.first_done()
     wish = desk.look()

@@ -215,14 +215,26 @@ def test_a_brake_that_fails_without_voltage_is_caught_from_there(group, slaves):
 
 
 def test_an_axis_that_was_tried_is_held_by_its_drive_again(group, slaves):
-    """The brake has held it: it is enabled where it is, and every axis is guarded as before."""
+    """It is enabled where it is, and guarded as before; statusword bit 12, set before, may come back a while later."""
+    plain = slaves[1].bytes_of
+
+    def bytes_of(address: tuple[int, int]) -> bytes:
+        data = plain(address)
+        if address != (0x6041, 0) or len(slaves[1].controlwords) in range(50, 75):
+            return data
+        return bytes([data[0], data[1] | 0x10])
+
+    slaves[1].bytes_of = bytes_of  # type: ignore[method-assign]
     for _ in range(5):
         group.hold()
+    slaves[1].controlwords[:] = [0] * 45
     test = group.release(1, 0.1)
     while test.released_syncs < 5:
         group.hold()
     test.enable_again()
     while not test.held:
+        group.hold()
+    for _ in range(10):
         group.hold()
     assert {slave.state for slave in slaves} == {"operation enabled"}
     slaves[1].state = "fault"
