@@ -366,7 +366,7 @@ class DriveMotion:
                 wait = drive.store.number((0x6068, 0)) * 1e-3
                 if self._reached_since is not None and self._time_s - self._reached_since >= wait:
                     bits |= TARGET_REACHED
-            elif drive.axis.fed:
+            elif drive.axis.fed or self.brake_stuck:  # a drive does not notice that its brake falls in
                 bits |= MODE_SPECIFIC
             if self._lag_since is not None:
                 bits |= FOLLOWING_ERROR

@@ -190,3 +190,12 @@ def test_in_lockstep_drives_stop_by_themselves_once_the_master_is_gone(monkeypat
     wait(5.0)
     assert bench.unit.world.time_s < at_rest_s + 0.2, "time stands still again"
     bench.close()
+
+
+def test_a_drive_does_not_notice_that_its_brake_falls_in() -> None:
+    bench = Bench("lockstep", "brake_engaged")
+    act(bench.server, Fault("brake_engaged", node=NODE))
+    bench.move(5, 0.002)
+    follows = bench.drive.statusword() & 1 << 12
+    bench.close()
+    assert follows
