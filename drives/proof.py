@@ -21,6 +21,8 @@ from drives.cia402 import (
     DISABLE_VOLTAGE,
     ENABLE_OPERATION,
     QUICK_STOP,
+    SHUTDOWN,
+    SWITCH_ON,
     NoRoute,
     State,
     decode_state,
@@ -45,6 +47,8 @@ _STILL_REVOLUTIONS: Final = 0.003
 _STILL_SYNCS: Final = 3
 #: SYNCs after which a drive that was told to hold its axis again is given the position that it has reached meanwhile.
 _ENABLE_SYNCS: Final = 3
+#: Controlwords from SWITCH ON DISABLED to OPERATION ENABLED.
+_LADDER: Final = (SHUTDOWN, SWITCH_ON, ENABLE_OPERATION)
 
 
 class DriveTest(Protocol):
@@ -353,7 +357,7 @@ class BrakeTest:
         self._patience = math.ceil(machine.transition_timeout_s / period_s)
         self._waited = 0
         self._enables = False
-        self._enable_syncs = 0
+        self._enable_syncs, self._rung = 0, -1
         self._held_count = exchange.position_count[axis] or 0
         self._target = drive.target_count
         self._moved_count = self._most_count = self._farthest_count = 0
@@ -399,6 +403,10 @@ class BrakeTest:
             what = f"cannot hold its axis again after its brake was tried: {error}"
             advice = "use the emergency stop if the axis falls; then check the drive and its brake"
             raise DriveFault(what, node=self._drive.node_id, index=0x6041, advice=advice) from None
+        if self.beyond_limit and self._enable_syncs < _ENABLE_SYNCS:
+            # it falls: the next word goes out before the state that the last one leads to was read
+            self._rung = max(_LADDER.index(word), min(self._rung + 1, len(_LADDER) - 1))
+            word = _LADDER[self._rung]
         self._enable_syncs += word == ENABLE_OPERATION
         return word
 

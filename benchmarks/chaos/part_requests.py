@@ -6,7 +6,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tests.support.chaos.requests import fall, requests
+from tests.support.chaos.requests import fall, fall_without_voltage, requests
 from tests.support.figure import figure
 
 INSTANTS, SEED = 200, 33
@@ -41,4 +41,6 @@ def figures(scope: Any) -> dict[str, dict]:
                     bar.step()
             name = f"largest angle of a brake that falls at 2 to 10 rad/s2, SYNC {1000 * period_s:g} ms"
             out[name] = figure(largest, f"<= {LIMIT_RAD}", "rad")
+            largest = max(fall_without_voltage(period_s, acceleration) for acceleration in FALLS_RAD_S2)
+            out[f"{name}, only without voltage"] = figure(largest, f"<= {LIMIT_RAD}", "rad")
     return out

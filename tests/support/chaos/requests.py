@@ -51,10 +51,10 @@ def cell_in_lockstep(period_s: float) -> LoadedCell:
 
 
 @contextmanager
-def _rig(loaded: LoadedCell) -> Generator[tuple[OpenArm, list[Joint]]]:
+def _rig(loaded: LoadedCell, period_s: float = PERIOD_S) -> Generator[tuple[OpenArm, list[Joint]]]:
     wire = Wire()
     clock = mock.patch.multiple(time, monotonic=wire.monotonic, time=wire.wall, sleep=wire.sleep)
-    with clock, wired_arm(wire, loaded, PERIOD_S) as opened:
+    with clock, wired_arm(wire, loaded, period_s) as opened:
         yield opened
 
 
@@ -133,3 +133,27 @@ def fall(period_s: float, acceleration: float, joint: int, folder: Path) -> tupl
             items = try_brakes(opened, MoveOptions(StopDesk(look)), supported)
             begin = at[len(at) // 2] if items[-1].severity != "fail" else at[0]
             return max(abs(each - begin) for each in at), f"{items[-1].where}: {items[-1].what}"
+
+
+def fall_without_voltage(period_s: float, acceleration: float) -> float:
+    """Largest angle [rad] of a joint of the wire whose brake gives way as the voltage is disabled in its test."""
+    with _rig(cell_in_lockstep(period_s), period_s) as (opened, slaves):
+        slave = slaves[0]
+        plain, opened_once = slave._sync, [False]
+
+        def sync() -> None:
+            plain()
+            opened_once[0] |= slave.state == "operation enabled"
+            if opened_once[0] and slave.state == "switch on disabled":
+                slave.falls_rad_s2 = acceleration
+
+        slave._sync = sync  # type: ignore[method-assign]
+        caught: list[float] = []
+
+        def supported(_text: str) -> Callable[[], bool]:
+            slave._sync, slave.falls_rad_s2 = plain, 0.0  # type: ignore[method-assign]
+            caught.append(slave.farthest_rad)
+            return lambda: True
+
+        try_brakes(opened, MoveOptions(), supported)
+        return max(caught, default=float("inf"))
