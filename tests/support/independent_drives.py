@@ -15,6 +15,8 @@ ROOT = Path(__file__).resolve().parents[2]
 #: How much longer everything may take: an emulated processor that others use too is slow.
 PATIENCE = 30.0 if os.environ.get("SERVO_GATEWAY_IN_VM") == "1" else 2.0
 SIX = (1, 2, 3, 4, 5, 6)
+#: Comes after the last line that the process prints.
+ENDED = "ended"
 
 
 class IndependentDrives:
@@ -81,9 +83,11 @@ class IndependentDrives:
 
     def _wait_for(self, first: str) -> str:
         while not (line := self._said.get(timeout=20.0 * PATIENCE)).startswith(first):
-            pass
+            if line == ENDED:
+                raise RuntimeError(f"the drives' process ended before it said {first!r}")
         return line.removeprefix(first).strip()
 
     def _read(self) -> None:
         for line in self._process.stdout or ():
             self._said.put(line.strip())
+        self._said.put(ENDED)

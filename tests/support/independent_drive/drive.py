@@ -97,7 +97,7 @@ class Drive:
             od.write(index, 0, text)
         for sub, value in enumerate((VENDOR_ID, variant.product, 0x0002_0007, 0x2600_0000 + node_id), start=1):
             od.write(0x1018, sub, value)
-        od.write(0x1017, 0, 200)
+        od.write(0x1017, 0, 500)
         od[0x2000] = Variable(Type.VISIBLE_STRING, "rw", b"axis")
         od[0x1003] = Array(Variable(U32, "ro", 0), 4)
         od[0x1006] = Variable(U32, "rw", 0)

@@ -21,12 +21,8 @@ from tests.support.independent_drives import IndependentDrives
 HERE = Path(__file__).parent
 VARIANTS = ("zero-extended", "no-size")
 EMULATED = os.environ.get("SERVO_GATEWAY_IN_VM") == "1"
-#: What is changed where the processor is emulated, a twentieth as fast: file -> (old, new).
-PATIENTLY = {
-    "cell.toml": [("sync_period_s = 0.02", "sync_period_s = 0.2")],
-    "axd.toml": [("\ntimeout_s = 0.5", "\ntimeout_s = 10.0"), ("slow_timeout_s = 3.0", "slow_timeout_s = 20.0")]
-    + [("transition_timeout_s = 2.0", "transition_timeout_s = 20.0"), ("consumer_ms = 500", "consumer_ms = 2000")],
-}
+#: What is changed in the profile where the processor is emulated, a twentieth as fast: (old, new).
+PATIENTLY = [("\ntimeout_s = 0.5", "\ntimeout_s = 10.0"), ("slow_timeout_s = 3.0", "slow_timeout_s = 20.0")]
 
 
 @dataclass(frozen=True)
@@ -94,8 +90,7 @@ def place(drives: IndependentDrives, tmp_path_factory: pytest.TempPathFactory) -
         words = ("--eds", folder / "drive.eds", "--answers", folder / "answers.toml", "-o", folder / "axd.toml")
         here.types("profiles", "new", *words, bus=False)
         if EMULATED:
-            for name, changes in PATIENTLY.items():
-                _change(folder / name, changes)
+            _change(folder / "axd.toml", PATIENTLY)
         yield here
 
 

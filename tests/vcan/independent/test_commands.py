@@ -23,6 +23,7 @@ AT_TARGET = [
 ]
 #: Quick stop ramp of axis 3 as delivered: 5 rad/s2 behind a gear of 80, in 0.1 rpm/s.
 QUICK_STOP_3 = round(5.0 * 80 * 600 / (2 * math.pi))
+in_real_time = pytest.mark.skipif(EMULATED, reason="an emulated processor does not keep a SYNC period of six drives")
 
 
 def test_scan_and_check(place, drives, failed):
@@ -40,10 +41,9 @@ def test_scan_and_check(place, drives, failed):
     assert said["J6 node 6:6076:00 (rated_torque)"] == "0.25 Nm is 1000 per mille"
 
 
+@in_real_time
 def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
     """Once by the lost heartbeat, once by the quick stop word: both at about 0.05 rad/s, before the arm slows down."""
-    if EMULATED and drives.variant == "zero-extended":
-        pytest.skip("one variant moves where the processor is emulated")
     report = place.result("check", place.cell, "--prove-stop", "--yes")
     assert failed(report) == []
     for lost, word, *_ in drives.stop_speeds():
@@ -55,7 +55,7 @@ def test_the_proof_stops_the_arm_twice_at_speed(place, drives, failed):
         assert any("quick stop: at rest after" in what for what in said)
 
 
-@pytest.mark.skipif(EMULATED, reason="an emulated processor takes a quarter of an hour for these motions")
+@in_real_time
 @pytest.mark.parametrize("drives", ["no-size"], indirect=True)
 def test_from_the_first_motion_to_the_load(place, drives):
     """`move`, two recordings, `estimate`, on an arm with friction and gears that take a tenth of the work."""
