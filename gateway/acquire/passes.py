@@ -17,6 +17,7 @@ from gateway.errors import ConfigError, PlanRefused
 from gateway.excite.excitation import Excitation, MovingPlan, fingerprint
 from gateway.feedforward.identified import AxisConstants, Known, axis_constants
 from gateway.feedforward.parameters import drawn_parameters
+from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
 from gateway.motion.own_torque import watched
 from gateway.motion.trajectory import Motion
@@ -29,8 +30,6 @@ Floats = NDArray[np.float64]
 TRIED_SPEED: Final = 0.25
 #: How far rounding may go [rad, rad/s].
 HAIR: Final = 1e-6
-#: Speed at which dry friction has come to its full size [rad/s].
-SMOOTH_RAD_S: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -35,13 +35,12 @@ from gateway.identify.solve import Prior, determined
 from gateway.model.kinematics import gravity_in_last_link, largest_angle_rad
 from gateway.model.regressor import load_regressor
 from gateway.model.robot import Robot, reach_m
-from gateway.model.visits import Visits
+from gateway.model.visits import SAME_POSE_RAD, Visits
 from gateway.result.result import Finding, NuisanceResult
 
 Floats = NDArray[np.float64]
 
 LEAST_ANGLE_RAD = np.deg2rad(30.0)
-SAME_POSE_RAD = 0.01
 _INFORMATIVE = 0.05
 #: Times that the noise is chosen anew about the last solution.
 _ROUNDS = 2

@@ -26,6 +26,7 @@ from gateway.identify.nuisance import gain_stds
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
+from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import full_names, regressor
 from gateway.model.robot import Robot
 
@@ -66,7 +67,7 @@ class MovingSetup:
         fixed link parameters this has several fixed points.
     """
 
-    smooth_rad_s: float = 0.02
+    smooth_rad_s: float = SMOOTH_RAD_S
     slow_share: float = 0.01
     friction: tuple[str, ...] | None = None
     ordinary: tuple[str, ...] = ORDINARY

@@ -18,14 +18,13 @@ from gateway.feedforward.load import FeedLoad
 from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.nuisance import LOAD_FRICTION_STD
 from gateway.model.base import moving_base
+from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
 from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
 Purpose = Literal["load", "friction", "rotor"]
 
-#: Speed below which dry friction is rounded, and a row tells less [rad/s]: as moving runs are fitted.
-SMOOTH_RAD_S = 0.02
 #: Time over which the error of a torque hangs together [s], one way: longer than the filter of any drive.
 CORRELATION_S = 0.05
 #: What is added to the information on each number, as a share of it: nothing is divided by nothing.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.robust import median, robust_fit
+from gateway.model.visits import SAME_POSE_RAD
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -48,8 +49,6 @@ class GrossLimits:
 
 
 LIMITS: Final = GrossLimits()
-#: Angles closer than this are one pose [rad].
-SAME_POSE_RAD: Final = 0.01
 #: Prior of the gains in the contrasts, relative: wide enough for any that is ordinary.
 _GAIN_STD: Final = 0.1
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.visits import Visits
+from gateway.model.visits import SAME_POSE_RAD, Visits
 from gateway.result.interval import half_width
 from gateway.result.result import Finding
 
@@ -15,8 +15,6 @@ Floats = NDArray[np.float64]
 
 #: A pose that is measured a second time has the number of the first time and so much.
 AGAIN = 1000
-#: Postures no further apart than this are one [rad].
-_SAME_RAD = 0.01
 #: Poses that tell a change.
 _FEWEST = 3
 #: Half of a 95 % interval beyond which a change is not known, as of an axis that carries nothing.
@@ -66,7 +64,7 @@ def drift_of(visits: Visits) -> tuple[AxisDrift, ...]:
         (first[key], row)
         for row in range(len(visits))
         if (key := (visits.load[row], int(visits.pose[row]) - AGAIN)) in first
-        and np.abs(visits.q_rad[row] - visits.q_rad[first[key]]).max() < _SAME_RAD
+        and np.abs(visits.q_rad[row] - visits.q_rad[first[key]]).max() < SAME_POSE_RAD
     ]
     if len(pairs) < _FEWEST:
         return ()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,7 +18,9 @@ from gateway.data.rows import Table
 Floats = NDArray[np.float64]
 Mask = NDArray[Any]
 
-SAME_POSE_RAD = 2e-3
+#: Joint angles closer than this are one pose [rad], in all commands. Within 0.01 rad gravity changes by at most 1 % of
+#: its torque, less than friction scatters; an arm that friction holds on either side of a pose rests closer.
+SAME_POSE_RAD: Final = 0.01
 #: Entry of an inverted coupling up to which it is rounding.
 _NO_SHARE = 1e-12
 
@@ -137,7 +139,7 @@ class Gears:
         facing = np.broadcast_to(np.asarray(direction, dtype=float), np.shape(joint_nm))
         if self.coupling is None:
             return joint_nm, facing
-        return _mixed(joint_nm, np.linalg.inv(self.coupling)), facing @ self.coupling.T
+        return _mixed(joint_nm, np.asarray(np.linalg.inv(self.coupling), dtype=float)), facing @ self.coupling.T
 
     def _joints(self, output_nm: Floats) -> Floats:
         return output_nm if self.coupling is None else _mixed(output_nm, self.coupling)
@@ -244,11 +246,13 @@ def _matched(
         waiting[place] = False
         others = order[waiting]
         fits = opposite(rest.direction[row], rest.direction[others])
-        fits &= np.abs(rest.q_rad[others] - rest.q_rad[row]).max(axis=1, initial=0.0) < SAME_POSE_RAD
+        away = np.abs(rest.q_rad[others] - rest.q_rad[row]).max(axis=1, initial=0.0)
+        fits &= away < SAME_POSE_RAD
         if not fits.any():
             alone.append(int(row))
             continue
-        partner = int(np.argmax(fits))
+        # rows of one pose in the order of time; of a sweep, which has no poses, those of the same angle
+        partner = int(np.argmin(np.where(fits, away, np.inf))) if opposite is _one_reversed else int(np.argmax(fits))
         pairs.append((int(row), int(others[partner])))
         waiting[np.flatnonzero(waiting)[partner]] = False
     return pairs, alone

@@ -5,7 +5,7 @@ import pytest
 
 from gateway.data.rows import MOVING
 from gateway.model.motion import behind_gears
-from gateway.model.visits import pair_visits
+from gateway.model.visits import SAME_POSE_RAD, pair_visits
 from tests.support.rigs.tables import make_table
 
 
@@ -74,6 +74,33 @@ def test_other_angles_or_runs_do_not_pair(rest_table):
     assert len(pair_visits(far)) == 2
     apart = rest_table(load=["a"] * 2, pose=[1, 1], direction=[1, -1], tau=[12.0, 8.0], run=["r", "s"])
     assert len(pair_visits(apart)) == 2
+
+
+def test_sides_that_friction_holds_some_milliradians_apart_are_one_visit(rest_table):
+    """As near as a bare and a loaded visit have to be for the difference method, and repeats for the drift."""
+    q = [[0.3] * 6, [0.3, 0.305, 0.3, 0.3, 0.3, 0.3]]
+    visits = pair_visits(rest_table(load=["a"] * 2, pose=[1, 1], direction=[1, -1], tau=[12.0, 8.0], q=q))
+    assert visits.two_sided.tolist() == [True]
+    assert visits.q_rad[0, 1] == pytest.approx(0.3025)
+    beyond = [[0.3] * 6, [0.3, 0.3 + 1.5 * SAME_POSE_RAD, 0.3, 0.3, 0.3, 0.3]]
+    assert len(pair_visits(rest_table(load=["a"] * 2, pose=[1, 1], direction=[1, -1], tau=[12.0, 8.0], q=beyond))) == 2
+
+
+def test_rows_of_a_fine_sweep_pair_at_the_same_angle(rest_table):
+    """Joint 3 up in steps of 4 mrad, a pose number each, and down again."""
+    angles = 0.2 + 0.004 * np.array([0, 1, 2, 3, 3, 2, 1, 0])
+    q = np.zeros((8, 6))
+    q[:, 2] = angles
+    tau = np.full((8, 6), 5.0)
+    tau[:, 2] = 100.0 * angles + np.repeat([3.0, -3.0], 4)
+    facing = [one_moves(2, side) for side in [1] * 4 + [-1] * 4]
+    visits = pair_visits(
+        rest_table(load=["a"] * 8, pose=np.arange(8), direction=facing, tau=tau, q=q, time=10.0 * np.arange(8))
+    )
+    assert visits.two_sided.tolist() == [True] * 4
+    assert visits.q_rad[:, 2] == pytest.approx(0.2 + 0.004 * np.arange(4))
+    assert visits.tau_nm[:, 2] == pytest.approx(100.0 * visits.q_rad[:, 2])
+    assert visits.band_nm[:, 2] == pytest.approx(3.0)
 
 
 def test_take_and_an_empty_table(rest_table):
