@@ -29,7 +29,7 @@ _TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Columns:
+class CandidateColumns:
     """Derivative of the modelled rows by the parameters of one candidate.
 
     Attributes
@@ -46,12 +46,12 @@ class Columns:
     changed: bytes
 
     @staticmethod
-    def of(problem: RestProblem, dense: Floats) -> Columns:
+    def of(problem: RestProblem, dense: Floats) -> CandidateColumns:
         """From all rows (rows, k); whole noise groups that are zero are left out."""
         squares = np.stack([problem.by_group(column) for column in dense.T**2], axis=1)
         changed = (squares != 0.0).any(axis=1)
         rows = np.flatnonzero(changed[problem.group])
-        return Columns(rows, dense[rows], squares, changed.tobytes())
+        return CandidateColumns(rows, dense[rows], squares, changed.tobytes())
 
     def size(self, std: Floats) -> Floats:
         """Length (k,) of the columns weighted by the noise (3 N,) of each group."""
@@ -70,11 +70,11 @@ class Derivatives:
 
     problem: RestProblem
     about: Fit
-    known: dict[Term, Columns] = field(default_factory=dict)
+    known: dict[Term, CandidateColumns] = field(default_factory=dict)
 
-    def __getitem__(self, term: Term) -> Columns:
+    def __getitem__(self, term: Term) -> CandidateColumns:
         if term not in self.known:
-            self.known[term] = Columns.of(self.problem, columns_of(self.problem, self.about, term))
+            self.known[term] = CandidateColumns.of(self.problem, columns_of(self.problem, self.about, term))
         return self.known[term]
 
 
@@ -174,7 +174,9 @@ def switch_s(term: Term) -> float:
     return -np.inf if switched is None else switched[1]
 
 
-def _spread(problem: RestProblem, fit: Fit, term: Term, columns: Columns, std: Floats) -> tuple[Floats, Floats]:
+def _spread(
+    problem: RestProblem, fit: Fit, term: Term, columns: CandidateColumns, std: Floats
+) -> tuple[Floats, Floats]:
     """Prior standard deviation (k,) of the linear parameters of a candidate, and length (k,) of the scaled columns."""
     size = columns.size(fit.noise.std) / np.sqrt(max(len(problem.rows), 1))
     spread = plausible_spread(term, size)[: term.count]
