@@ -139,7 +139,7 @@ def two_arms(place):
     """The small arm twice, each on a bus of its own."""
     text = place.cell.read_text(encoding="utf-8")
     start, end = text.index("[bus.a]"), text.index("[poses]")
-    twin = text[start:end].replace("[bus.a]", "[bus.b]").replace('bus = "a"', 'bus = "b"')
+    twin = text[start:end].replace("[bus.a]", "[bus.b]").replace('bus = "a"', 'bus = "b"').replace("43114", "43115")
     place.cell.write_text(text[:end] + twin.replace('name = "main"', 'name = "other"') + text[end:], encoding="utf-8")
     channels = [f"virtual:system-{uuid.uuid4().hex}" for _ in range(2)]
     given = ";".join(f"{name}={channel}" for name, channel in zip("ab", channels, strict=True))
