@@ -17,8 +17,9 @@ from gateway.data.table import Table
 from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result.acceptance import not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
+from gateway.result.interval import half_width
 from gateway.result.origin import DriveOrigin, drives_of, file_sha256, in_words, software
-from gateway.result.result import Finding, Result
+from gateway.result.result import Finding, LoadResult, Result
 
 
 def complete(result: Result, about: Given, table: Table, paths: Sequence[Path], operator: str | None = None) -> Result:
@@ -42,12 +43,13 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path], 
     Result
         With what the report names and draws, and the provenance of every constant.
     """
+    result = _without_incredible(result, about)
     drawn = Drawn() if result.data is None else result.data
     roles = drawn.role or _roles(result)
     constants = _provenance(about)
     return replace(
         result,
-        findings=(*result.findings, *_corrected(about), *not_hung(result.loads)),
+        findings=(*result.findings, *about.assumed, *_corrected(about), *not_hung(result.loads)),
         provenance={**constants, **result.provenance},
         data=replace(
             drawn,
@@ -55,6 +57,7 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path], 
             software=software(),
             cell=about.loaded.cell.name if about.loaded is not None else _cell_of(about.recordings),
             arm=None if about.arm is None else about.arm.name,
+            flange_source=None if about.arm is None else about.arm.flange_origin,
             operator=operator,
             drives=_drives(about),
             sources=tuple(_source(path, about.recordings, table) for path in paths),
@@ -65,6 +68,29 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path], 
             torque_limit_nm=() if about.arm is None else tuple(axis.torque_limit_nm for axis in about.arm.axis),
         ),
     )
+
+
+def _without_incredible(result: Result, about: Given) -> Result:
+    """The result with every load refused that lies significantly beyond what the arm can carry."""
+
+    def held(load: LoadResult) -> LoadResult:
+        wrong = about.load_bounds.violation(
+            load.mass_kg,
+            load.com_m or (),
+            half_width(load.mass_std_kg),
+            [half_width(std) for std in load.com_std_m or (0.0, 0.0, 0.0)],
+        )
+        open_ = ("mass", "x", "y", "z")
+        return LoadResult(load.label, frame=load.frame, unidentifiable=open_, refused=wrong) if wrong else load
+
+    loads = tuple(map(held, result.loads))
+    refused = [load for load, before in zip(loads, result.loads, strict=True) if load is not before]
+    if not refused:
+        return result
+    advice = "check the units of data and --known (kg, m, Nm, rad), and rated_load_kg of the cell file"
+    findings = [Finding("fail", f"load {load.label}", f"refused: {load.refused}", advice) for load in refused]
+    findings = (*result.findings, *findings)
+    return replace(result, loads=loads, after=replace(result.after, loads=loads), findings=findings)
 
 
 def _corrected(about: Given) -> list[Finding]:

@@ -13,6 +13,7 @@ import numpy as np
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
 from drives.profile_file import find_profile, parse_profile
+from gateway.analyse.known import KnownLoad, Load, in_last_link, unnamed_frame
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.reading import is_recording, read_data
@@ -26,11 +27,11 @@ from gateway.estimate.posture import refuse_other_bare
 from gateway.identify.links import default_inertials
 from gateway.model.arm_model import arm_named, arm_robot, robot_from_text
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2, kinematic_difference
+from gateway.model.load_bounds import LoadBounds, load_bounds
 from gateway.model.robot import Robot, robot_from_urdf
-from gateway.result.result import Bare, read_result
+from gateway.result.result import Bare, Finding, read_result
 
 VALIDATION = "x_validation"
-Load = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +42,7 @@ class ModelRequest:
     ----------
     robot, cell, bare : Path or None
     inertials : str or None
-    known : mapping of label to (mass [kg], x, y, z [m] in the last link)
+    known : mapping of label to KnownLoad
     arm : str or None
         Name of the arm, if the cell has several.
     gain_std : float or None
@@ -51,7 +52,7 @@ class ModelRequest:
     robot: Path | None = None
     cell: Path | None = None
     inertials: str | None = None
-    known: Mapping[str, Load] = field(default_factory=dict)
+    known: Mapping[str, KnownLoad] = field(default_factory=dict)
     bare: Path | None = None
     arm: str | None = None
     gain_std: float | None = None
@@ -69,7 +70,7 @@ class Given:
     efficiency, gear_ratio : arrays of shape (N,)
         Efficiency 1 where no cell says otherwise (the table's torque is then taken as it stands), ratio NaN.
     inertials : str or None
-    known : mapping
+    known : mapping of label to (mass [kg], x, y, z [m] in the last link)
     bare : Bare or None
     arm : ArmConfig or None
         Of the cell, where there is one.
@@ -80,6 +81,8 @@ class Given:
         Constants that were corrected since a recording was made.
     gain_std : tuple of N floats, or None
         Relative standard deviations of the torque constants; None where nobody says any.
+    assumed : tuple of Finding
+        What was assumed of the statements, such as the frame of a known load.
     """
 
     robot: Robot | None
@@ -94,12 +97,18 @@ class Given:
     recordings: tuple[Recording, ...]
     corrections: tuple[Correction, ...] = ()
     gain_std: tuple[float, ...] | None = None
+    assumed: tuple[Finding, ...] = ()
 
     @property
     def coupling(self) -> np.ndarray | None:
         """How gear outputs act on the joints (N, N), as of `gateway.model.visits.Gears`; None = one to one."""
         coupled = None if self.arm is None else self.arm.coupling
         return None if coupled is None else np.array(coupled, dtype=float)
+
+    @property
+    def load_bounds(self) -> LoadBounds:
+        """The largest load that is credible on this arm."""
+        return load_bounds(self.robot, self.arm, trusts_masses=self.inertials != "ignore")
 
     @property
     def model(self) -> Robot:
@@ -140,19 +149,23 @@ def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
     bare = None if request.bare is None else read_bare(request.bare)
     if bare is not None and robot is not None:
         refuse_other_bare(bare, robot, gravity_m_s2)
+    inertials = request.inertials or (None if arm is None else arm.inertials)
+    bounds = load_bounds(robot, arm, trusts_masses=inertials != "ignore")
+    assumed = (unnamed_frame(label, known, robot) for label, known in request.known.items())
     return Given(
         robot=robot,
         gravity_m_s2=gravity_m_s2,
         efficiency=np.ones(axes) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
         gear_ratio=np.full(axes, np.nan) if arm is None else np.array([axis.gear_ratio.value for axis in arm.axis]),
-        inertials=request.inertials or (None if arm is None else arm.inertials),
-        known=dict(request.known),
+        inertials=inertials,
+        known={label: in_last_link(label, known, robot, bounds) for label, known in request.known.items()},
         bare=bare,
         arm=arm,
         loaded=loaded,
         recordings=tuple(each.recording for each in bound),
         corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
         gain_std=_gain_std(request, arm, axes, profile_of(read_ones, loaded)),
+        assumed=tuple(filter(None, assumed)),
     )
 
 

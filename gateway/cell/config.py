@@ -201,6 +201,8 @@ class AxisConfig(Strict):
             "following_error_limit_rad", (self.following_error_limit_rad,), plausible.LARGEST_FOLLOWING_RAD
         )
         yield from plausible.speed("speed_limit_rad_s", self.speed_limit_rad_s)
+        if not self.torque_limit_is_assumed:  # else motion is refused until it is confirmed
+            yield from plausible.torque_limit(self.torque_limit_nm)
         yield from plausible.ratio(self.gear_ratio.value)
         yield from plausible.torque_constant(self.torque_constant_nm_per_a.value, self.gear_ratio.value)
         yield from plausible.efficiency(self.gear_efficiency.value)
@@ -258,7 +260,13 @@ class ArmConfig(Strict):
         default=(0.0, 0.0, -9.80665), description="in the base frame: a wall mount is said here"
     )
     flange_xyz_m: Vector3 | None = Field(default=None, description="flange in link_6; absent: results in link_6 alone")
-    flange_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
+    flange_rpy_rad: Vector3 = Field(
+        default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw; absent: assumed not turned"
+    )
+    flange_source: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="where the flange comes from; exports name it, and warn of one that is `assumed`",
+    )
     keep_out: tuple[KeepOut, ...] = Field(
         default=(), description="boxes that the arm stays out of, beside floor, wall and column"
     )
@@ -350,6 +358,15 @@ class ArmConfig(Strict):
     )
     axis: tuple[AxisConfig, ...] = Field(description="two to eight of them, usually six, from the base on")
 
+    @property
+    def flange_origin(self) -> str | None:
+        """Where the flange comes from, in words; begins with `assumed` where its turn is; None without a flange."""
+        if self.flange_xyz_m is None:
+            return None
+        if self.flange_source is not None:
+            return self.flange_source
+        return "cell file" if "flange_rpy_rad" in self.model_fields_set else "assumed: not turned in the last link"
+
     @model_validator(mode="after")
     def _consistent(self) -> ArmConfig:
         refuse([*self._slips(), *self._space(), *self._units()])
@@ -389,6 +406,10 @@ class ArmConfig(Strict):
                 yield (key,), f"arm '{self.name}': {key} must be positive"
             if rated is not None and key != "rated_load_kg" and self.flange_xyz_m is None:
                 yield (key,), f"arm '{self.name}': {key} counts from the flange: write flange_xyz_m too"
+        if self.rated_load_kg is not None:
+            yield from plausible.mass("rated_load_kg", self.rated_load_kg.value)
+        if self.max_load_kg is not None:
+            yield from plausible.mass("max_load_kg", self.max_load_kg)
 
     def _space(self) -> plausible.Found:
         """Postures and things that stand around the arm."""

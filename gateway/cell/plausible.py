@@ -23,6 +23,12 @@ LARGEST_FOLLOWING_RAD: Final = math.pi / 2
 LARGEST_LENGTH_M: Final = 20.0
 #: From the last joint to the centre of gravity of any load [m].
 LARGEST_LEVER_M: Final = 5.0
+#: More than any six-axis arm carries: the strongest are rated for 2.3 t [kg].
+LARGEST_LOAD_KG: Final = 3000.0
+#: More than joint 2 of the strongest six-axis arms has [Nm].
+LARGEST_TORQUE_NM: Final = 200_000.0
+#: How many times its rated load an arm is taken to hold at all.
+OVERLOAD: Final = 5.0
 #: Motor turns a joint turn: from a direct drive to a gear of four planetary stages of 10.
 RATIOS: Final = (1.0, 10_000.0)
 #: [Nm/A]: from a motor as thick as a finger to the largest servo motors; those without a gear turn slower.
@@ -99,6 +105,26 @@ def efficiency(value: float) -> Found:
     if not 0 < value <= 1:
         percent = f"; in percent? write value = {value / 100:g}" if 1 < value <= 100 else ""
         yield ("gear_efficiency",), f"gear_efficiency must lie in (0, 1], got {value:g}{percent}"
+
+
+def mass(key: str, value_kg: float) -> Found:
+    """A load that no arm carries."""
+    if value_kg > LARGEST_LOAD_KG:
+        yield (
+            (key,),
+            f"{key}: {value_kg:g} kg is beyond {LARGEST_LOAD_KG:g} kg, more than any six-axis arm carries: grams? write"
+            f" {value_kg / 1000:g}",
+        )
+
+
+def torque_limit(value_nm: float) -> Found:
+    """A torque that no joint has."""
+    if value_nm > LARGEST_TORQUE_NM:
+        yield (
+            ("torque_limit_nm",),
+            f"torque_limit_nm: {value_nm:g} Nm is beyond {LARGEST_TORQUE_NM:g} Nm, more than any joint has: mNm? write"
+            f" torque_limit_nm = {value_nm / 1000:g}",
+        )
 
 
 def gravity(values_m_s2: Sequence[float]) -> Found:

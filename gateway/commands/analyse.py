@@ -44,7 +44,7 @@ def model_request(
 ) -> ModelRequest:
     """The options of MODEL as one value."""
     from gateway.analyse.given import ModelRequest
-    from gateway.estimate.options import parse_known
+    from gateway.analyse.known import parse_known
     from gateway.identify.nuisance import parse_torque_gain
 
     gain_std = None if torque_gain is None else parse_torque_gain(torque_gain)

@@ -83,6 +83,7 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     csv is the measured table that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint. The
     other formats of a recording hold every sample, with units.
     """
+    from drives.profile_parts import is_assumed
     from gateway.data.reading import is_recording
     from gateway.result.export import export as export_text
 
@@ -92,7 +93,13 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     if fmt in RECORDING_FORMATS and fmt != TABLE_FORMAT:
         _every_sample(result, fmt, (arm_name, label), output)
         return
-    text = _table(result, arm_name, label) if fmt == TABLE_FORMAT else export_text(_whole(result), fmt, label)
+    if fmt == TABLE_FORMAT:
+        text = _table(result, arm_name, label)
+    else:
+        held = _whole(result)
+        text = export_text(held, fmt, label)
+        if held.data is not None and is_assumed(held.data.flange_source or ""):
+            session_of().note(f"{result}: flange {held.data.flange_source}; state flange_rpy_rad in the cell file")
     if output is None:
         click.echo(text, nl=False)
     else:

@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 #: Lines of a data sheet that are named unasked.
 REMARKS_SHOWN = 10
 
+KNOWN_FORM = "LABEL=MASS,[FRAME=]X,Y,Z"
+KNOWN_HELP = "kg and m; FRAME: flange, or link_6 (the last link), which is taken where none is named."
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -181,8 +184,8 @@ def model_options(function: Function) -> Function:
         click.option(
             "--known",
             multiple=True,
-            metavar="LABEL=MASS,X,Y,Z",
-            help="A load that is known: kg and m in link_6 (the last link).",
+            metavar=KNOWN_FORM,
+            help=f"A load that is known. {KNOWN_HELP}",
         ),
         click.option(
             "--inertials", metavar="exact|prior:S|ignore", help="How far the URDF's link inertials are trusted."

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.commands.options import Function
+from gateway.commands.options import KNOWN_FORM, KNOWN_HELP, Function
 from gateway.result.interval import SAID
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gateway.acquire.until.prepare import UntilRequest
     from gateway.acquire.until.run import UntilSummary
     from gateway.acquire.until.search import LoadSearch
-    from gateway.analyse.given import Load
+    from gateway.analyse.known import KnownLoad
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.commands.console import Session
     from gateway.data.recording.recorded import Recording
@@ -40,7 +40,7 @@ class UntilChoice:
 
     goal: Goal | None
     bare: Path | None
-    known: tuple[tuple[str, Load], ...]
+    known: tuple[tuple[str, KnownLoad], ...]
 
     def request(self, label: str, path: Path, cell: Path) -> UntilRequest:
         """A load that shall be known that well, measured into a file.
@@ -63,8 +63,8 @@ def _goal(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Go
     return None if value is None else parse_until(value)
 
 
-def _known(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, Load], ...]:
-    from gateway.estimate.options import parse_known
+def _known(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, KnownLoad], ...]:
+    from gateway.analyse.known import parse_known
 
     return tuple(parse_known(value) for value in values)
 
@@ -94,9 +94,9 @@ def reference_options(function: Function) -> Function:
         click.option(
             "--known",
             multiple=True,
-            metavar="LABEL=MASS,X,Y,Z",
+            metavar=KNOWN_FORM,
             callback=_known,
-            help="With --until: a load in the recording that is known, kg and m in link_6 (the last link).",
+            help=f"With --until: a load in the recording that is known. {KNOWN_HELP}",
         ),
         click.option(
             "--bare",

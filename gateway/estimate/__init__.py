@@ -22,7 +22,7 @@ from gateway.estimate.friction import friction_bands
 from gateway.estimate.handover import to_result
 from gateway.estimate.joint import estimate_joint, refused_loads
 from gateway.estimate.moving import estimate_moving
-from gateway.estimate.options import Coefficient, EstimateOptions, parse_known
+from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.estimate.posture import estimate_posture
 from gateway.estimate.together import fitted_rest
 from gateway.identify.aside import without_gross
@@ -38,7 +38,6 @@ __all__ = [
     "EstimateOptions",
     "default_inertials",
     "estimate",
-    "parse_known",
     "run",
     "to_result",
 ]

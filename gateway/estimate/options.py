@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.cell.plausible import LARGEST_LEVER_M
-from gateway.errors import InputError
 from gateway.identify.links import parse_inertials
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.result.result import Bare
@@ -69,36 +66,3 @@ class EstimateOptions:
     def trust(self) -> float:
         """Relative standard deviation of the inertials: 0 exact, infinite ignored."""
         return parse_inertials(self.inertials)
-
-
-def parse_known(text: str) -> tuple[str, Four]:
-    """`LABEL=MASS,X,Y,Z` as label and numbers.
-
-    Raises
-    ------
-    InputError
-        Not of that form, or a mass that is negative.
-    """
-    label, equals, numbers = text.partition("=")
-    try:
-        values = [float(word) for word in numbers.split(",")]
-    except ValueError:
-        values = []
-    if (
-        not equals
-        or not label.strip()
-        or len(values) != 4
-        or not all(math.isfinite(v) for v in values)
-        or values[0] < 0
-    ):
-        raise InputError(
-            f"--known {text}: expected LABEL=MASS,X,Y,Z in kg and m (last link), such as tool=12.5,0,0,0.11"
-        )
-    far = max(map(abs, values[1:]))
-    if far > LARGEST_LEVER_M:
-        in_m = ",".join(f"{value / 1000:g}" for value in values[1:])
-        raise InputError(
-            f"--known {text}: a centre of gravity {far:g} m off, beyond {LARGEST_LEVER_M:g} m: these are millimetres;"
-            f" write {label.strip()}={values[0]:g},{in_m}"
-        )
-    return label.strip(), (values[0], values[1], values[2], values[3])

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.identify.links import body_parameters
+from gateway.model.load_bounds import NO_ARM, LoadBounds
 from gateway.model.robot import Robot
 from gateway.result.drawn import Drawn
 from gateway.result.inertia import has_a_body, tensor_of
@@ -76,7 +77,7 @@ def assumed_load(label: str, mass_kg: float, com_m: Floats, source: str) -> Feed
     return FeedLoad(label, mass_kg, np.asarray(com_m, dtype=float), cube_inertia(mass_kg), source, about)
 
 
-def identified_load(result: Result, label: str | None, where: str) -> FeedLoad:
+def identified_load(result: Result, label: str | None, where: str, bounds: LoadBounds = NO_ARM) -> FeedLoad:
     """The identified load of a result.
 
     Parameters
@@ -86,13 +87,16 @@ def identified_load(result: Result, label: str | None, where: str) -> FeedLoad:
         Which one, if the result holds several.
     where : str
         Name of the file, for messages.
+    bounds : LoadBounds
+        Of the arm that it is fed to.
 
     Raises
     ------
     ConfigError
         No such label, or several loads and no label.
     DataUnusable
-        No load was identified, it was refused, or mass or centre of gravity could not be told.
+        No load was identified, it was refused, it is beyond what the arm can hold, or mass or centre of gravity could
+        not be told.
     InputError
         It stands in another frame than link 6.
     """
@@ -108,6 +112,9 @@ def identified_load(result: Result, label: str | None, where: str) -> FeedLoad:
             f"{where}: load '{chosen.label}' is not fully identified ({missing}); measure the poses that the result "
             "names under `next`"
         )
+    wrong = bounds.violation(chosen.mass_kg, com.tolist())
+    if wrong:
+        raise DataUnusable(f"{where}: load '{chosen.label}': {wrong}")
     source = f"{where}, load {chosen.label}"
     load = assumed_load(chosen.label, chosen.mass_kg, com, source)
     return replace(

@@ -15,6 +15,7 @@ from gateway.follow.settings import FeedModel, Setting, check_offsets, feed_mode
 from gateway.follow.track import Track
 from gateway.follow.trend import Trend, load_trend
 from gateway.model.arm_model import arm_robot
+from gateway.model.load_bounds import load_bounds
 from gateway.motion.opening import OpenArm, axis_setups
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace, workspace_of
@@ -97,7 +98,7 @@ def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepa
     profiles = [setup.profile for setup in axis_setups(loaded, arm)]
     result, where = _result(request)
     check_origin(result, loaded, arm, robot, where)
-    load = identified_load(result, request.label, where)
+    load = identified_load(result, request.label, where, load_bounds(robot, arm))
     identified = read_identified(loaded, arm, robot)
     if identified is None and result.motion:
         identified = checked(result, where, robot.axes)

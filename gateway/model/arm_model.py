@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import ConfigError
+from gateway.model.load_bounds import refuse_stated_loads
 from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf, with_flange
 
 
@@ -73,6 +74,7 @@ def robot_from_text(arm: ArmConfig, text: str, where: str) -> Robot:
             f"{where}: robot '{robot.name}' has {robot.axes} axes, arm '{arm.name}' {len(arm.axis)} [[arm.axis]]"
             " tables; one is needed for each axis"
         )
+    refuse_stated_loads(arm, robot, where)
     if arm.flange_xyz_m is None:
         return robot
     return with_flange(robot, arm.flange_xyz_m, arm.flange_rpy_rad)

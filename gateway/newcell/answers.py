@@ -18,6 +18,7 @@ from drives.toml_lines import key_lines
 from drives.toml_text import parse_toml, toml_string
 from drives.validation import not_toml
 from gateway.errors import ConfigError
+from gateway.model.load_bounds import NO_ARM
 from gateway.newcell import questions
 from gateway.newcell.forms import SOURCE, VALUE
 from gateway.newcell.questions import CellQuestion
@@ -73,12 +74,15 @@ class CellAnswers:
         Key -> the answer, offers included, in the order of the questions.
     said : dict
         Key -> the answers among them that somebody gave.
+    bounds : LoadBounds
+        What stated loads are held against.
     """
 
     def __init__(self, given: Mapping[str, GivenAnswer], missing_in: str, ask: Ask | None = None) -> None:
         self._given, self._missing_in, self._ask = dict(given), missing_in, ask
         self.taken: dict[str, Answer] = {}
         self.said: dict[str, Answer] = {}
+        self.bounds = NO_ARM
 
     def settle(self, wanted: Sequence[tuple[CellQuestion, Answer | None]], axes: int = 0) -> None:
         """Settle some questions, each with what is offered where nobody answers.
@@ -131,7 +135,7 @@ class CellAnswers:
             where = f"{given.where}: " if given.where else ""
             raise ValueError(f"{where}{question.key} {error}: {question.asks}") from error
         gears = self.taken.get(questions.GEAR_RATIO.key)
-        for slip in slips(question.key, answer, gears.value if gears is not None else ()):
+        for slip in slips(question.key, answer, gears.value if gears is not None else (), self.bounds):
             raise ValueError(f"{given.where}: {slip}" if given.where else slip)
         if question.key in questions.FILES:
             answer = _placed(answer, given.folder)

@@ -13,6 +13,7 @@ from drives.profile import DriveProfile
 from drives.profile_file import find_profile
 from gateway.cell.config import DhTable
 from gateway.errors import ConfigError
+from gateway.model.load_bounds import bounds_of
 from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf
 from gateway.newcell import offers, questions
 from gateway.newcell.answers import ASSUMED, DH, Answer, CellAnswers
@@ -238,12 +239,39 @@ def _limits(answers: CellAnswers, robot: Robot, axes: Axes) -> None:
             (questions.TORQUE_LIMIT, offers.torque_limits(robot, axes)),
             (questions.INERTIALS, offers.inertials(robot)),
             (questions.MOUNTING, Answer((0.0, 0.0, -9.80665), f"{ASSUMED}: it stands on the floor")),
-            (questions.FLANGE, Answer((), f"{ASSUMED}: results in the last link alone")),
-            (questions.FLANGE_TURN, Answer((0.0, 0.0, 0.0), "not turned")),
-            (questions.MAX_LOAD, Answer(None, f"{ASSUMED}: half of each torque limit is kept for it")),
         ],
         robot.axes,
     )
+    _flange(answers, offers.flange_frame(robot))
+    _loads(answers, robot)
+
+
+def _flange(answers: CellAnswers, offered: tuple[Answer, Answer] | None) -> None:
+    """Place and turn of the flange: one without the other is half a frame, so a turn nobody states is assumed."""
+    place, turn = offered or (
+        Answer((), f"{ASSUMED}: results in the last link alone"),
+        Answer((0.0, 0.0, 0.0), f"{ASSUMED}: not turned in the last link"),
+    )
+    answers.settle([(questions.FLANGE, place)])
+    if not answers.value(questions.FLANGE):
+        turn = Answer((0.0, 0.0, 0.0), "no flange")
+    elif answers.taken[questions.FLANGE.key] is not place:
+        turn = replace(turn, source=f"{ASSUMED}: not turned in the last link", value=(0.0, 0.0, 0.0))
+    answers.settle([(questions.FLANGE_TURN, turn)])
+
+
+def _loads(answers: CellAnswers, robot: Robot) -> None:
+    """Rated load, held against the arm; the heaviest load is the rated one unless stated."""
+    torque: Sequence[float] = answers.value(questions.TORQUE_LIMIT)
+    torque_nm = None if answers.taken[questions.TORQUE_LIMIT.key].guessed else max(torque)
+    trusted = answers.value(questions.INERTIALS) != "ignore"
+    answers.bounds = bounds_of(robot, torque_nm, trusts_masses=trusted)
+    answers.settle([(questions.RATED_LOAD, Answer(None, f"{ASSUMED}: half of each torque limit is kept for loads"))])
+    rated = answers.value(questions.RATED_LOAD)
+    offer = Answer(rated, "half of each torque limit is kept for it" if rated is None else "the rated load")
+    if rated is not None:
+        answers.bounds = bounds_of(robot, torque_nm, (rated, questions.RATED_LOAD.key), trusts_masses=trusted)
+    answers.settle([(questions.MAX_LOAD, offer)])
 
 
 def _strangers(on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode], ids: Sequence[int]) -> list[str]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drives.profile import DriveProfile
 from drives.profile_parts import is_assumed
@@ -14,6 +15,7 @@ from gateway.identify.links import default_inertials
 from gateway.model.robot import Robot
 from gateway.newcell.answers import ASSUMED, Answer
 from gateway.newcell.nodes import SeenNode, counts_per_turn, rated_current_a, rated_torque_nm
+from gateway.result.inertia import zyx_degrees
 
 #: Of a gear whose data sheet nobody has read: harmonic and cycloidal gears at their rated torque have 0.65 to 0.9.
 GEAR_EFFICIENCY = 0.8
@@ -199,6 +201,19 @@ def inertials(robot: Robot) -> Answer:
     """Trust of the description's masses."""
     what = default_inertials(robot)
     return Answer(what, "no masses in the description" if what == "ignore" else f"{ASSUMED}: masses of a maker's URDF")
+
+
+def flange_frame(robot: Robot) -> tuple[Answer, Answer] | None:
+    """Place and turn of the flange that the arm's description has; None where it has none."""
+    if robot.flange is None:
+        return None
+    source = "URDF, its flange frame"
+    xyz_m, rpy_rad = robot.flange[:3, 3], np.radians(zyx_degrees(robot.flange[:3, :3]))[::-1]
+    return _vector(xyz_m, source), _vector(rpy_rad, source)
+
+
+def _vector(values: NDArray[np.float64], source: str) -> Answer:
+    return Answer(tuple(round(float(value), 9) + 0.0 for value in values), source)
 
 
 def everywhere(value: object, axes: int, why: str) -> Answer:

@@ -161,12 +161,21 @@ FLANGE: Final = CellQuestion(
     place(none=()),
 )
 FLANGE_TURN: Final = CellQuestion(
-    "flange_rpy_rad", "turn of the flange in the last link [rad]", "the drawing of the wrist", place()
+    "flange_rpy_rad",
+    "turn of the flange in the last link, roll, pitch, yaw [rad], such as [0, 1.5708, 0]",
+    "the drawing of the wrist: where z of the flange points along another axis of the last link, it is turned",
+    place(),
+)
+RATED_LOAD: Final = CellQuestion(
+    "rated_load_kg",
+    "load that the arm is rated for [kg], or none",
+    "data sheet or plate of the arm; loads beyond five times as much are refused as slips of units",
+    number_or_none(POSITIVE),
 )
 MAX_LOAD: Final = CellQuestion(
     "max_load_kg",
     "heaviest load that will hang on the flange [kg], or none",
-    "data sheet of the arm; without it half of each torque limit is kept for the load",
+    "the rated load if not stated; without either half of each torque limit is kept for the load",
     number_or_none(POSITIVE),
 )
 NAME: Final = CellQuestion("name", "name of the cell", "", text())
@@ -209,6 +218,7 @@ ALL: Final = (
     MOUNTING,
     FLANGE,
     FLANGE_TURN,
+    RATED_LOAD,
     MAX_LOAD,
     POSES,
 )

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from gateway.cell import plausible
 from gateway.cell.plausible import Found
+from gateway.model.load_bounds import LoadBounds
 from gateway.newcell import questions
 
 Check = Callable[[Any], Iterable[Found]]
@@ -20,6 +21,7 @@ _CHECKS: Final[Mapping[str, Check]] = {
     questions.FLANGE.key: lambda values: [plausible.lengths("flange_xyz_m", values)],
     questions.FLANGE_TURN.key: lambda values: [plausible.angles("flange_rpy_rad", values, plausible.LARGEST_TURN_RAD)],
     questions.MOUNTING.key: lambda values: [plausible.gravity(values)],
+    questions.TORQUE_LIMIT.key: lambda values: map(plausible.torque_limit, values),
     "dh_alpha_rad": lambda values: [plausible.angles("dh_alpha_rad", values)],
     "dh_theta_offset_rad": lambda values: [plausible.angles("dh_theta_offset_rad", values)],
     "dh_a_m": lambda values: [plausible.lengths("dh_a_m", values)],
@@ -27,7 +29,7 @@ _CHECKS: Final[Mapping[str, Check]] = {
 }
 
 
-def slips(key: str, value: Any, ratio: Iterable[float]) -> Iterator[str]:
+def slips(key: str, value: Any, ratio: Iterable[float], bounds: LoadBounds) -> Iterator[str]:
     """What is wrong with an answer, and what to write instead; nothing where it may be right.
 
     Parameters
@@ -38,7 +40,14 @@ def slips(key: str, value: Any, ratio: Iterable[float]) -> Iterator[str]:
         In the form of the question.
     ratio : iterable of float
         Gear ratios, as far as they are known: a torque constant is judged by them.
+    bounds : LoadBounds
+        Largest credible load, as far as the arm is known.
     """
+    if key in (questions.RATED_LOAD.key, questions.MAX_LOAD.key):
+        wrong = "" if value is None else bounds.violation(value, ())
+        if wrong:
+            yield f"{key}: {wrong}"
+        return
     if key == questions.TORQUE_CONSTANT.key:
         found = [plausible.torque_constant(each, gear) for each, gear in zip(value, ratio, strict=False)]
     else:

@@ -122,13 +122,18 @@ def _arm(draft: Draft, files: Callable[[str], str]) -> list[str]:
         lines.append(f"robot = {toml_value(files(draft.urdf))}")
     lines.append(_line("inertials", answers.taken[questions.INERTIALS.key]))
     lines.append(_line("gravity_m_s2", answers.taken[questions.MOUNTING.key]))
-    flange, turn = answers.taken[questions.FLANGE.key], answers.value(questions.FLANGE_TURN)
+    flange, turn = answers.taken[questions.FLANGE.key], answers.taken[questions.FLANGE_TURN.key]
     if flange.value:
-        lines.append(_line("flange_xyz_m", flange))
-        lines.append(f"flange_rpy_rad = {toml_value(turn)}")
+        lines += [_line("flange_xyz_m", flange), _line("flange_rpy_rad", turn)]
+        if turn.source != UNSOURCED:
+            lines.append(f"flange_source = {toml_value(turn.source)}")
     else:
         lines.append(f"# flange_xyz_m = [0, 0, 0.1]   # {flange.source}")
-    load = answers.taken[questions.MAX_LOAD.key]
+    rated, load = answers.taken[questions.RATED_LOAD.key], answers.taken[questions.MAX_LOAD.key]
+    if rated.value is None:
+        lines.append(f"# rated_load_kg = {_sourced(5.0, 'data sheet')}   # {rated.source}")
+    else:
+        lines.append(f"rated_load_kg = {_sourced(rated.value, rated.source)}")
     lines.append(f"# max_load_kg = 5   # {load.source}" if load.value is None else _line("max_load_kg", load))
     if draft.urdf is None:
         rows = dh_table(answers)
@@ -152,14 +157,17 @@ def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
     lines.append(f"profile = {toml_value(shown)}{_remark(profile)}")
     for question in _SOURCED:
         answer = answers.taken[question.key]
-        value = toml_value(answer.value[axis])
-        lines.append(f"{question.key} = {{ value = {value}, source = {toml_value(answer.source)} }}")
+        lines.append(f"{question.key} = {_sourced(answer.value[axis], answer.source)}")
     lines += [_line(question.key, _of_axis(answers.taken[question.key], axis)) for question in _PLAIN]
     torque_source = answers.taken[questions.TORQUE_LIMIT.key].source
     if torque_source.startswith(PLACEHOLDER):
         lines.append("# Motion is refused with a placeholder: correct torque_limit_nm, and write where it comes from.")
         lines.append(f"torque_limit_source = {toml_value(torque_source)}")
     return lines
+
+
+def _sourced(value: float, source: str) -> str:
+    return f"{{ value = {toml_value(value)}, source = {toml_value(source)} }}"
 
 
 def _of_axis(answer: Answer, axis: int) -> Answer:

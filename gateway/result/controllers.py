@@ -23,12 +23,23 @@ KGF_CM_S2_PER_KG_M2 = 100.0 / 9.80665
 NO_PRODUCT = 1e-3
 
 
+def _assumed(mark: str, loads: Sequence[ExportLoad], short: str = "") -> list[str]:
+    """A comment line on where the flange comes from; a warning where it is assumed."""
+    sources = [load for load in loads if load.flange_source is not None]
+    if not sources:
+        return []
+    if any(load.flange_is_assumed for load in sources):
+        warning = "WARNING: the turn of the flange is assumed, X, Y, Z may be exchanged: check it before use"
+        return [short or f"{mark} {warning} ({sources[0].flange_source})"]
+    return [] if short else [f"{mark} flange in the last link: {sources[0].flange_source}"]
+
+
 def to_abb(loads: Sequence[ExportLoad], robot: str) -> str:
     """RAPID `loaddata`: [mass kg, cog mm, axes of moment, ix, iy, iz kg m2]; all inertia 0 is a point mass there.
 
     The axes of moment are the principal axes, a quaternion in the wrist's frame, with their origin in cog.
     """
-    lines = [f"! loads identified on {robot}; frame: wrist (tool0)"]
+    lines = [f"! loads identified on {robot}; frame: wrist (tool0)", *_assumed("!", loads)]
     for load in loads:
         cog = ",".join(number_text(1000 * value, 2) for value in load.com_m)
         tensor, note, inertia = load.tensor_kg_m2, f"{load.inertia_note}: 0,0,0 lets RAPID take a point mass", ""
@@ -51,7 +62,8 @@ def to_kuka(loads: Sequence[ExportLoad], robot: str) -> str:
 
     A, B, C turn the flange's axes into the principal axes of inertia, about z, the new y, the new x.
     """
-    lines = [f"; loads identified on {robot}; frame: flange; copy to $CONFIG.DAT under the tool number used"]
+    head = f"; loads identified on {robot}; frame: flange; copy to $CONFIG.DAT under the tool number used"
+    lines = [head, *_assumed(";", loads)]
     for number, load in enumerate(loads, start=1):
         x, y, z = (number_text(1000 * value, 2) for value in load.com_m)
         tensor, note = load.tensor_kg_m2, f"{load.inertia_note}: J 0.0, enter J from CAD before fast motion"
@@ -77,7 +89,7 @@ def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
 
     An inertia that is left out is taken as zero by the controller.
     """
-    lines = [f"# loads identified on {robot}; frame: tool flange"]
+    lines = [f"# loads identified on {robot}; frame: tool flange", *_assumed("#", loads)]
     for load in loads:
         cog = ", ".join(number_text(value, 5) for value in load.com_m)
         note, inertia = f"{load.inertia_note}: left out, the controller takes zero", ""
@@ -111,6 +123,7 @@ def to_fanuc(loads: Sequence[ExportLoad], robot: str) -> str:
     remark has at most 32 characters.
     """
     lines = [f"!{_remark(f'loads of {robot}')}", "!kg, cm from faceplate, kgf cm s2"]
+    lines += [f"!{_remark(line)}" for line in _assumed("", loads, "faceplate turn is ASSUMED, check")]
     for number, load in enumerate(loads, start=1):
         moments, left = _moments(load)
         lines += [f"!{_remark(load.label)}", f"!{_remark(_short_accuracy(load))}"]
@@ -154,6 +167,7 @@ def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:
     """
     lines = [
         f"// loads identified on {robot}; frame: tool mounting plate",
+        *_assumed("//", loads),
         "{",
         '  filetype: "presets",',
         "  presets: [",

@@ -80,7 +80,8 @@ class Drawn:
     `model_before_nm` (n, axes): what the model said of each row before the effects were added; `band_model_nm` and
     `band_model_before_nm`: of half the difference of the two sides of a visit (`band_nm` of the rows is what was
     measured of it). `role` is one word per row: "fit", "held out" or "fresh". `bus`: a line of counters per recorded
-    arm, named in words. `drives`: that answered when it was recorded. `flange`: by the label of the load.
+    arm, named in words. `drives`: that answered when it was recorded. `flange`: by the label of the load;
+    `flange_source`: where the cell file has the flange from.
     """
 
     created: str | None = field(default=None, metadata=SILENT)
@@ -88,6 +89,7 @@ class Drawn:
     cell: str | None = field(default=None, metadata=SILENT)
     arm: str | None = field(default=None, metadata=SILENT)
     operator: str | None = field(default=None, metadata=SILENT)
+    flange_source: str | None = field(default=None, metadata=SILENT)
     drives: tuple[DriveOrigin, ...] = field(default=(), metadata=SILENT)
     sources: tuple[DrawnSource, ...] = ()
     role: tuple[str, ...] = ()

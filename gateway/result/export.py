@@ -48,8 +48,7 @@ def export(result: Result, fmt: str, label: str | None = None) -> str:
     if fmt not in FORMATS:
         raise ConfigError(f"format '{fmt}' is not known; choose one of {', '.join(FORMATS)}")
     write, frames = FORMATS[fmt]
-    turned = {} if result.data is None else result.data.flange
-    loads = [complete(load, frames, turned.get(load.label)) for load in _chosen(result, label)]
+    loads = [complete(load, frames, result.data) for load in _chosen(result, label)]
     return write(loads, one_line(result.robot))
 
 
@@ -81,7 +80,8 @@ def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
         name = f"load_{identifier(load.label)}"
         xyz = " ".join(number_text(value, 6) for value in load.com_m)
         parts += [
-            f"  <!-- {_comment(load.label)}: {accuracy(load)}; {_comment(load.inertia_note)} -->",
+            f"  <!-- {_comment(load.label)}: {accuracy(load)}; {_comment(load.inertia_note)};"
+            f" frame: {_comment(load.frame_note)} -->",
             f'  <link name="{name}">',
             "    <inertial>",
             f'      <origin xyz="{xyz}" rpy="0 0 0"/>',

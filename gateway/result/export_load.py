@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from gateway.cell.plausible import LARGEST_LEVER_M
+from drives.profile_parts import is_assumed
 from gateway.errors import ConfigError, DataUnusable
+from gateway.model.load_bounds import NO_ARM
 from gateway.result.inertia import Floats, has_a_body, tensor_of
 from gateway.result.interval import SAID, half_width
 
 if TYPE_CHECKING:
-    from gateway.result.drawn import Spread
+    from gateway.result.drawn import Drawn
     from gateway.result.result import LoadResult
     from gateway.result.values import Numbers, Vector
 
@@ -35,6 +36,9 @@ class ExportLoad:
         Centre of gravity in `frame`, m, and its standard deviation; None = unknown.
     frame : str
         `flange` or `link_6`.
+    flange_source : str or None
+        Where the cell file has the flange from; begins with `assumed` where its place or turn is. None = not stated,
+        or another frame.
     inertia_kg_m2 : tuple of 6 float or None
         [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity, axes of `frame`; None = not handed over.
     inertia_note : str
@@ -47,8 +51,19 @@ class ExportLoad:
     com_m: Vector
     com_std_m: Vector | None
     frame: str
+    flange_source: str | None = None
     inertia_kg_m2: Numbers | None = None
     inertia_note: str = INERTIA_NOTE
+
+    @property
+    def frame_note(self) -> str:
+        """The frame that the centre of gravity is in, and where the flange comes from."""
+        return self.frame if self.flange_source is None else f"{self.frame} ({self.flange_source})"
+
+    @property
+    def flange_is_assumed(self) -> bool:
+        """Whether place or turn of the flange was assumed."""
+        return is_assumed(self.flange_source or "")
 
     @property
     def tensor_kg_m2(self) -> Floats | None:
@@ -56,7 +71,7 @@ class ExportLoad:
         return None if self.inertia_kg_m2 is None else tensor_of(self.inertia_kg_m2)
 
 
-def complete(load: LoadResult, frames: Sequence[str], in_flange: Spread | None) -> ExportLoad:
+def complete(load: LoadResult, frames: Sequence[str], drawn: Drawn | None) -> ExportLoad:
     """A load in the first of the frames that it is given in.
 
     Raises
@@ -69,7 +84,10 @@ def complete(load: LoadResult, frames: Sequence[str], in_flange: Spread | None) 
     if not math.isfinite(load.mass_kg):
         raise DataUnusable(f"load '{load.label}' has no mass to hand over: {load.refused or _unidentifiable(load)}")
     if load.com_flange_m is not None and "flange" in frames:
-        return _checked(load, load.com_flange_m, None if in_flange is None else in_flange.com_std_m, "flange")
+        in_flange = None if drawn is None else drawn.flange.get(load.label)
+        source = None if drawn is None or drawn.flange_source is None else one_line(drawn.flange_source)
+        checked = _checked(load, load.com_flange_m, None if in_flange is None else in_flange.com_std_m, "flange")
+        return replace(checked, flange_source=source)
     if "link_6" in frames and load.com_m is not None:
         return _checked(load, load.com_m, load.com_std_m, one_line(load.frame))
     if load.com_m is None or not all(map(math.isfinite, load.com_m)):
@@ -86,21 +104,19 @@ def _checked(load: LoadResult, com: Vector, std: Vector | None, frame: str) -> E
             f"load '{load.label}': the centre of gravity is not complete ({_unidentifiable(load)}); measure the poses "
             "that the result names under `next`"
         )
-    far = max(map(abs, com))
     if not load.mass_kg > 0:
         raise DataUnusable(
             f"load '{load.label}' has a mass of {load.mass_kg:g} kg: no load weighs that, and a controller that is told"
             " so lets the arm fall; check signs and the bare run with diagnose, then measure again"
         )
-    if far > LARGEST_LEVER_M:
-        raise DataUnusable(
-            f"load '{load.label}': its centre of gravity lies {far:.3g} m off, beyond {LARGEST_LEVER_M:g} m: so"
-            " light a load does not say where it is; measure it again, or enter it by hand"
-        )
+    wrong = NO_ARM.violation(load.mass_kg, com)
+    if wrong:
+        raise DataUnusable(f"load '{load.label}': {wrong}; measure it again, or enter it by hand")
     known = std is not None and all(map(math.isfinite, std))
     inertia, note = _inertia(load, load.inertia_flange_kg_m2 if frame == "flange" else load.inertia_kg_m2)
     label = one_line(load.label)
-    return ExportLoad(label, load.mass_kg, load.mass_std_kg, com, std if known else None, frame, inertia, note)
+    measured = (label, load.mass_kg, load.mass_std_kg, com, std if known else None, frame)
+    return ExportLoad(*measured, inertia_kg_m2=inertia, inertia_note=note)
 
 
 def _inertia(load: LoadResult, in_frame: Numbers | None) -> tuple[Numbers | None, str]:

@@ -57,7 +57,7 @@ def _load(load: ExportLoad) -> dict[str, Any]:
     told: dict[str, Any] = {
         "BrowseName": load.label,
         "TypeDefinition": "LoadType",
-        "Description": f"{accuracy(load)}; {load.inertia_note}; frame: {load.frame}",
+        "Description": f"{accuracy(load)}; {load.inertia_note}; frame: {load.frame_note}",
         "Mass": {
             "TypeDefinition": "AnalogUnitType",
             "DataType": "Double",

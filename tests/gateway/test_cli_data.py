@@ -68,6 +68,47 @@ def test_a_load_is_estimated_by_every_method(table):
         assert load["com_m"] == pytest.approx(TOOL[1:], abs=0.005)
 
 
+SMALL = URDF.parent / "cell.toml"
+
+
+def test_a_known_load_in_grams_is_refused_by_estimate_and_diagnose(table):
+    path = table()
+    for command in ("estimate", "diagnose"):
+        complains(run(command, path, "--cell", SMALL, "--known", "tool=4000,0.02,-0.01,0.12"), 3, "grams? that is 4 kg")
+
+
+def test_a_load_beyond_the_arm_is_refused_and_not_exported(table, tmp_path):
+    def in_millinewtonmetres(line):
+        words = line.split(",")
+        if words[0] == "tool":
+            words[-6:] = [repr(1000 * float(word)) for word in words[-6:]]
+        return ",".join(words)
+
+    out = tmp_path / "out.json"
+    done = run("estimate", table(change=in_millinewtonmetres), "--cell", SMALL, "--json", out)
+    complains(done, 7)
+    (load,) = json.loads(out.read_text())["loads"]
+    assert load["mass_kg"] is None
+    assert "grams?" in load["refused"]
+    assert json.loads(out.read_text())["after"]["loads"] == [load]
+    complains(run("export", out, "--format", "kuka"), 6, "grams?")
+
+
+def test_the_frame_of_a_known_load_is_named_or_reported(table):
+    path = table(loads=("none", "tool", "other"))
+    cosine, sine = np.cos(np.pi / 6), np.sin(np.pi / 6)  # of the cell's flange: 0.02 m along z, turned by 30 degrees
+    x, y, z = TOOL[1:]
+    flange = ",".join(map(repr, (float(cosine * x + sine * y), float(cosine * y - sine * x), z - 0.02)))
+    found = []
+    for known in ("0.02,-0.01,0.12", "link_6=0.02,-0.01,0.12", f"flange={flange}"):
+        done = run("estimate", path, "--cell", SMALL, "--known", f"tool=4,{known}", "--json", "-")
+        found.append(json.loads(done.stdout))
+    masses = [result["loads"][0]["mass_kg"] for result in found]
+    assert masses == pytest.approx([masses[0]] * 3, rel=1e-9)
+    told = ["no frame was named" in json.dumps(result["findings"]) for result in found]
+    assert told == [True, False, False]
+
+
 def test_json_on_stdout_is_json_alone_and_the_table_is_on_stderr(table):
     done = run("estimate", table(), "--robot", URDF, "--json", "-")
     body = json.loads(done.stdout)

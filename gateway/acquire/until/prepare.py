@@ -13,7 +13,8 @@ from gateway.acquire.planning import visit_settings
 from gateway.acquire.poses import PoseRequest
 from gateway.acquire.until.goal import OPTION, Goal
 from gateway.acquire.until.search import LoadSearch, guess_of, pool_of
-from gateway.analyse.given import Load, ModelRequest, estimate_options, given, read_rows, split_validation
+from gateway.analyse.given import ModelRequest, estimate_options, given, read_rows, split_validation
+from gateway.analyse.known import KnownLoad
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
@@ -49,7 +50,7 @@ class UntilRequest:
     path: Path
     cell: Path
     bare: Path | None = None
-    known: Mapping[str, Load] = field(default_factory=dict)
+    known: Mapping[str, KnownLoad] = field(default_factory=dict)
 
 
 def search_of(

@@ -184,7 +184,8 @@ def test_a_sweep_that_is_none_is_refused(swept: MovingPlan, key: str, value, sai
 
 
 def test_an_arm_without_room_is_refused_in_words(small_cell, config) -> None:
-    walled = config.model_copy(update={"max_load_kg": 4000.0})
+    weak = tuple(axis.model_copy(update={"torque_limit_nm": min(axis.torque_limit_nm, 30.0)}) for axis in config.axis)
+    walled = config.model_copy(update={"max_load_kg": 10.0, "axis": weak})
     cell = small_cell.cell.model_copy(update={"arm": (walled,)})
     with pytest.raises(PlanRefused, match="holding torque|limits"):
         make_moving_plan(small_cell.model_copy(update={"cell": cell}), None, REQUEST)

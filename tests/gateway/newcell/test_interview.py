@@ -10,14 +10,16 @@ from pathlib import Path
 import pytest
 
 from drives.values import Identity
+from gateway.cell.config import parse_cell
 from gateway.errors import ConfigError
-from gateway.newcell import questions
+from gateway.model.robot import robot_from_urdf, with_flange
+from gateway.newcell import offers, questions
 from gateway.newcell.answers import CellAnswers, GivenAnswer
 from gateway.newcell.interview import interview
 from gateway.newcell.nodes import Read, SeenNode
 from gateway.newcell.offers import PLACEHOLDER
 from gateway.newcell.reading import nodes_in
-from gateway.newcell.text import left_over
+from gateway.newcell.text import cell_text, left_over
 
 OWN = Path(__file__).parents[3] / "examples" / "own"
 #: 1 Nm and 2 A rated, three times that at most; 2 ** 17 counts a turn; 3000 rpm.
@@ -193,3 +195,75 @@ def test_what_a_sheet_states_that_cannot_be_used_is_said(tmp_path):
     answers = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers")
     interview(answers, Bench(six(), [stored]), "cell", said.append)
     assert any("[5555]" in line and "DataType is missing" in line for line in said)
+
+
+def test_a_flange_that_nobody_turned_is_marked_as_assumed():
+    draft = asked(Bench(six()), flange_xyz_m=[0, 0, 0.1])
+    turn = draft.answers.taken["flange_rpy_rad"]
+    assert turn.value == (0.0, 0.0, 0.0)
+    assert turn.guessed
+    assert "flange_rpy_rad" in {entry.key for entry in left_over(draft)}
+    text = cell_text(draft, str)
+    assert "flange_rpy_rad = [0, 0, 0]   # assumed: not turned in the last link" in text
+    (arm,) = parse_cell(text, "cell.toml").arm
+    assert arm.flange_origin == "assumed: not turned in the last link"
+
+
+def test_a_flange_that_was_turned_is_not():
+    draft = asked(Bench(six()), flange_xyz_m=[0, 0, 0.1], flange_rpy_rad=[0, 1.5708, 0])
+    assert "flange_rpy_rad" not in {entry.key for entry in left_over(draft)}
+    (arm,) = parse_cell(cell_text(draft, str), "cell.toml").arm
+    assert arm.flange_rpy_rad == (0, 1.5708, 0)
+    assert arm.flange_origin == "cell file"
+
+
+def test_the_flange_of_the_description_is_offered_with_its_turn():
+    robot = robot_from_urdf((OWN / "arm.urdf").read_text(encoding="utf-8"), "arm.urdf")
+    assert offers.flange_frame(robot) is None
+    xyz, rpy = offers.flange_frame(with_flange(robot, (0.1, 0.0, 0.02), (0.3, math.pi / 4, -1.2))) or (None, None)
+    assert xyz is not None
+    assert rpy is not None
+    assert xyz.value == (0.1, 0.0, 0.02)
+    assert rpy.value == pytest.approx((0.3, math.pi / 4, -1.2))
+    assert not xyz.guessed
+    assert not rpy.guessed
+
+
+def test_the_turn_of_the_flange_is_asked_where_a_flange_is_stated():
+    questions_asked = []
+
+    def ask(question, offer, read):
+        questions_asked.append(question.key)
+        return read([0, 0, 0.1]) if question.key == "flange_xyz_m" else None
+
+    given = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100}
+    said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers", ask)
+    interview(said, Bench(six()), "cell", lambda text: None)
+    assert {"flange_xyz_m", "flange_rpy_rad", "rated_load_kg"} <= set(questions_asked)
+    assert "max_load_kg" not in questions_asked
+
+
+def test_the_rated_load_is_written_and_is_the_heaviest_unless_stated():
+    draft = asked(Bench(six()), rated_load_kg={"value": 5, "source": "plate"})
+    (arm,) = parse_cell(cell_text(draft, str), "cell.toml").arm
+    assert arm.rated_load_kg is not None
+    assert (arm.rated_load_kg.value, arm.rated_load_kg.source, arm.max_load_kg) == (5, "plate", 5)
+    draft = asked(Bench(six()), rated_load_kg=5, max_load_kg=3)
+    assert parse_cell(cell_text(draft, str), "cell.toml").arm[0].max_load_kg == 3
+    unrated = asked(Bench(six()))
+    assert "rated_load_kg" in {entry.key for entry in left_over(unrated)}
+    assert parse_cell(cell_text(unrated, str), "cell.toml").arm[0].rated_load_kg is None
+
+
+@pytest.mark.parametrize(
+    ("answers", "says"),
+    [
+        ({"max_load_kg": 10000}, r"max_load_kg: 10000 kg is beyond .*grams\? that is 10 kg"),
+        ({"rated_load_kg": 5000}, r"rated_load_kg: 5000 kg is beyond .*grams\? that is 5 kg"),
+        ({"rated_load_kg": 3, "max_load_kg": 3000}, r"max_load_kg: 3000 kg .*\(5 x rated_load_kg of 3 kg\)"),
+        ({"torque_limit_nm": 500000}, r"torque_limit_nm: 500000 Nm .*mNm\?"),
+    ],
+)
+def test_loads_and_torques_in_another_unit_are_refused_where_they_are_answered(answers, says):
+    with pytest.raises(ConfigError, match=says):
+        asked(Bench(six()), **answers)

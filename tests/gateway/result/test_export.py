@@ -263,3 +263,34 @@ def test_opc40010_leaves_out_an_inertia_that_is_not_known():
     (load,) = json.loads(export(result(), "opc40010"))["Loads"]
     assert "Inertia" not in load
     assert set(load["CenterOfMass"]["Value"]["Orientation"].values()) == {0.0}
+
+
+WITH_COMMENTS = sorted(set(EXPORT_FORMATS) - {"json", "fanuc"})
+
+
+def from_flange(source):
+    """The result of a cell whose flange comes from there."""
+    body = {"schema": 1, "robot": "small", "loads": [LOAD], "data": {"flange_source": source}}
+    return from_json(json.dumps(body))
+
+
+@pytest.mark.parametrize("fmt", WITH_COMMENTS)
+def test_an_export_says_where_its_frame_comes_from(fmt):
+    assert "URDF, its flange frame" in export(from_flange("URDF, its flange frame"), fmt)
+
+
+@pytest.mark.parametrize("fmt", sorted(EXPORT_FORMATS))
+def test_an_export_says_that_its_frame_is_assumed(fmt):
+    assumed, stated = (export(from_flange(source), fmt) for source in ("assumed: not turned", "cell file"))
+    assert "assumed" in assumed.lower()
+    assert "assumed" not in stated.lower()
+
+
+@pytest.mark.parametrize("fmt", sorted(EXPORT_FORMATS))
+def test_every_export_names_the_frame(fmt):
+    assert re.search("flange|faceplate|mounting plate|tool0", export(result(), fmt))
+
+
+def test_a_load_that_no_arm_carries_is_not_exported():
+    with pytest.raises(DataUnusable, match=r"5679 kg is beyond 3000 kg .*grams\? that is 5\.679 kg"):
+        export(result(mass_kg=5679.0), "kuka")

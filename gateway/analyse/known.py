@@ -1,0 +1,103 @@
+"""Loads that a person states as known: mass and centre of gravity, in the last link or in the flange."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.cell.plausible import LARGEST_LEVER_M
+from gateway.errors import ConfigError, InputError
+from gateway.model.load_bounds import LoadBounds
+from gateway.model.robot import Robot
+from gateway.result.result import Finding
+
+OPTION = "--known"
+FLANGE = "flange"
+FORM = "LABEL=MASS,X,Y,Z (last link) or LABEL=MASS,flange=X,Y,Z"
+
+Load = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class KnownLoad:
+    """A load as stated: mass [kg], centre of gravity [m], and its frame; None = not named, the last link is meant."""
+
+    mass_kg: float
+    com_m: tuple[float, float, float]
+    frame: str | None = None
+
+    @property
+    def numbers(self) -> Load:
+        """(mass [kg], x, y, z [m]) in the frame that was stated."""
+        return (self.mass_kg, *self.com_m)
+
+
+def parse_known(text: str) -> tuple[str, KnownLoad]:
+    """Read `LABEL=MASS,X,Y,Z` or `LABEL=MASS,FRAME=X,Y,Z`.
+
+    Raises
+    ------
+    InputError
+        Not of that form, a negative mass, or a centre that can only be in millimetres.
+    """
+    label, equals, rest = text.partition("=")
+    first, _, after = rest.partition(",")
+    frame, named, numbers = after.rpartition("=")
+    try:
+        values = [float(word) for word in (first, *numbers.split(","))]
+    except ValueError:
+        values = []
+    label, frame = label.strip(), frame.strip()
+    complete = equals and label and len(values) == 4 and all(map(math.isfinite, values)) and bool(named) == bool(frame)
+    if not complete or values[0] < 0:
+        raise InputError(f"{OPTION} {text}: expected {FORM} in kg and m, such as tool=12.5,flange=0,0,0.06")
+    mass, *(x, y, z) = values
+    far = max(map(abs, (x, y, z)))
+    if far > LARGEST_LEVER_M:
+        in_m = ",".join(f"{value / 1000:g}" for value in (x, y, z))
+        raise InputError(
+            f"{OPTION} {text}: a centre of gravity {far:g} m away is beyond {LARGEST_LEVER_M:g} m: these are"
+            f" millimetres; write {label}={mass:g},{frame}{named}{in_m}"
+        )
+    return label, KnownLoad(mass, (x, y, z), frame or None)
+
+
+def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: LoadBounds) -> Load:
+    """Return (mass [kg], x, y, z [m] in the last link) of a load that is known.
+
+    Raises
+    ------
+    ConfigError
+        It is stated in the flange, and the flange is not known.
+    InputError
+        Its frame is neither the last link nor the flange, or it is beyond what the arm can hold.
+    """
+    wrong = bounds.violation(known.mass_kg, known.com_m)
+    if wrong:
+        raise InputError(f"{OPTION} {label}: {wrong}")
+    last = "link_6" if robot is None else robot.last_link
+    if known.frame in (None, last):
+        return known.numbers
+    if known.frame != FLANGE:
+        raise InputError(f"{OPTION} {label}: frame '{known.frame}' is not known: write {last}= or {FLANGE}= before X")
+    if robot is None or robot.flange is None:
+        raise ConfigError(
+            f"{OPTION} {label}: the centre is stated in the flange, and the flange is not: give --cell CELL with"
+            f" flange_xyz_m and flange_rpy_rad, or state the centre as {last}=X,Y,Z"
+        )
+    x, y, z = (robot.flange[:3, :3] @ known.com_m + robot.flange[:3, 3]).tolist()
+    return (known.mass_kg, x, y, z)
+
+
+def unnamed_frame(label: str, known: KnownLoad, robot: Robot | None) -> Finding | None:
+    """Report the frame that was taken where none was named and it matters: the flange is not the last link's frame."""
+    if known.frame is not None or robot is None or robot.flange is None or np.allclose(robot.flange, np.eye(4)):
+        return None
+    return Finding(
+        "info",
+        f"load {label}",
+        f"{OPTION}: no frame was named, the centre of gravity was taken in {robot.last_link}",
+        f"name it: {robot.last_link}=X,Y,Z or {FLANGE}=X,Y,Z",
+    )
