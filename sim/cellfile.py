@@ -224,10 +224,10 @@ def _chain(entry: Table, name: str, path: Path) -> SimChain:
         return chain_of_rows(entry["dh"], name, entry.get("flange_xyz_m", (0.0, 0.0, 0.0)), limits)
     robot = path.resolve().parent / str(entry["robot"])
     try:
-        text = robot.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        text = robot.read_bytes()
+    except OSError as error:
         raise CellFileError(f"{robot}: cannot be read: {error}. Correct the robot key of {path}.") from error
-    return read_chain(text, str(robot))
+    return read_chain(text, str(robot), entry.get("tip"))
 
 
 def _axis(entry: Table, path: Path) -> AxisSpec:

@@ -1,16 +1,20 @@
 """URDF of an arm: read into arrays, written from arrays.
 
 The reader keeps what a simulator needs: where the joints sit, their axes and limits, and the inertials. Links that
-hang on fixed joints are merged into the moving link that carries them. The writer gives every link its inertia on
-principal axes, so that a physics engine takes it over without any repair of its own.
+hang on fixed joints are merged into the moving link that carries them, and so are those on joints that no servo of the
+arm drives: slides, joints that mimic others, joints beyond its last link; all of them are at zero. The writer gives
+every link its inertia on principal axes, so that a physics engine takes it over without any repair of its own.
 """
 
 from __future__ import annotations
 
 import math
+import xml.sax
 from collections.abc import Sequence
 from dataclasses import dataclass
 from xml.etree import ElementTree
+from xml.sax.handler import ContentHandler
+from xml.sax.xmlreader import AttributesImpl
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,26 +96,41 @@ def combine(first: SimBody, second: SimBody) -> SimBody:
     return SimBody(mass, com, inertia)
 
 
-def read_chain(text: str, where: str) -> SimChain:
-    """Read a URDF of two to eight revolute joints in a chain.
+class _AsWritten(ContentHandler):
+    """Builds elements with their names as they are written, whether their prefixes are declared or not."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.builder = ElementTree.TreeBuilder()
+
+    def startElement(self, name: str, attrs: AttributesImpl) -> None:  # noqa: N802  (name of the standard library)
+        self.builder.start(name, dict(attrs.items()))
+
+    def endElement(self, name: str) -> None:  # noqa: N802
+        self.builder.end(name)
+
+
+def read_chain(text: str | bytes, where: str, tip: str | None = None) -> SimChain:
+    """Read a URDF of two to eight revolute joints in a chain, which ends at the link `tip` where that is given.
 
     Raises
     ------
     UrdfError : not XML, not a chain of two to eight revolute joints, or a number that is none
     """
+    elements = _AsWritten()
     try:
-        robot = ElementTree.fromstring(text)
-    except ElementTree.ParseError as error:
+        xml.sax.parseString(text, elements)
+    except (xml.sax.SAXException, LookupError, ValueError) as error:
         raise UrdfError(f"{where}: not readable as XML: {error}") from error
     try:
-        return _chain(robot, where)
+        return _chain(elements.builder.close(), where, tip)
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, UrdfError):
             raise
         raise UrdfError(f"{where}: {error}") from error
 
 
-def _chain(robot: ElementTree.Element, where: str) -> SimChain:
+def _chain(robot: ElementTree.Element, where: str, tip: str | None) -> SimChain:
     joints = robot.findall("joint")
     links = {link.attrib["name"]: link for link in robot.findall("link")}
     children = {_ref(joint, "child") for joint in joints}
@@ -122,6 +141,9 @@ def _chain(robot: ElementTree.Element, where: str) -> SimChain:
     for joint in joints:
         by_parent.setdefault(_ref(joint, "parent"), []).append(joint)
 
+    if tip is not None and tip not in links:
+        raise UrdfError(f"{where}: there is no link '{tip}', where the arm is said to end")
+    driven = _driven(joints, tip)
     found: list[tuple[ElementTree.Element, Array]] = []
     bodies: list[SimBody | None] = []
     stack: list[tuple[str, Array, int]] = [(roots[0], np.eye(4), -1)]
@@ -131,16 +153,14 @@ def _chain(robot: ElementTree.Element, where: str) -> SimChain:
             bodies[carrier] = _merged(bodies[carrier], moved(_inertial(links[name]), frame))
         for joint in by_parent.get(name, []):
             placed = frame @ _origin(joint)
-            if joint.attrib["type"] == "fixed":
+            if joint not in driven:
                 stack.append((_ref(joint, "child"), placed, carrier))
-            elif joint.attrib["type"] in ("revolute", "continuous"):
-                if carrier != len(found) - 1:
-                    raise UrdfError(f"{where}: joint '{joint.attrib['name']}' branches off, a single chain is needed")
-                found.append((joint, placed))
-                bodies.append(None)
-                stack.append((_ref(joint, "child"), np.eye(4), len(found) - 1))
-            else:
-                raise UrdfError(f"{where}: joint '{joint.attrib['name']}' is {joint.attrib['type']}, not revolute")
+                continue
+            if carrier != len(found) - 1:
+                raise UrdfError(f"{where}: joint '{joint.attrib['name']}' branches off, a single chain is needed")
+            found.append((joint, placed))
+            bodies.append(None)
+            stack.append((_ref(joint, "child"), np.eye(4), len(found) - 1))
     if not FEWEST_AXES <= len(found) <= MOST_AXES:
         raise UrdfError(f"{where}: {len(found)} revolute joints, {FEWEST_AXES} to {MOST_AXES} are needed")
     limits = np.array([_limits(joint) for joint, _ in found])
@@ -154,6 +174,20 @@ def _chain(robot: ElementTree.Element, where: str) -> SimChain:
         effort_nm=limits[:, 2],
         velocity_rad_s=limits[:, 3],
     )
+
+
+def _driven(joints: list[ElementTree.Element], tip: str | None) -> list[ElementTree.Element]:
+    """Joints that servos turn: revolute, of their own motion, and above the last link where that is named."""
+    driven = [
+        joint for joint in joints if joint.attrib["type"] in ("revolute", "continuous") and joint.find("mimic") is None
+    ]
+    if tip is None:
+        return driven
+    above, by_child = [], {_ref(joint, "child"): joint for joint in joints}
+    while tip in by_child:
+        above.append(by_child.pop(tip))
+        tip = _ref(above[-1], "parent")
+    return [joint for joint in driven if joint in above]
 
 
 def _ref(joint: ElementTree.Element, tag: str) -> str:

@@ -28,7 +28,8 @@ from gateway.identify.links import default_inertials
 from gateway.model.arm_model import arm_named, arm_robot, robot_from_text
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2, kinematic_difference
 from gateway.model.load_bounds import LoadBounds, load_bounds
-from gateway.model.robot import Robot, robot_from_urdf
+from gateway.model.robot import Robot, or_another_tip, robot_from_urdf
+from gateway.model.urdf_text import read_urdf
 from gateway.result.result import Bare, Finding, read_result
 
 VALIDATION = "x_validation"
@@ -47,6 +48,8 @@ class ModelRequest:
         Name of the arm, if the cell has several.
     gain_std : float or None
         Relative standard deviation of every torque constant, instead of what the cell says of each.
+    tip : str or None
+        Last link of the arm in its URDF, instead of the cell's.
     """
 
     robot: Path | None = None
@@ -56,6 +59,7 @@ class ModelRequest:
     bare: Path | None = None
     arm: str | None = None
     gain_std: float | None = None
+    tip: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -251,23 +255,26 @@ def _arm_and_robot(
 ) -> tuple[ArmConfig | None, Robot | None]:
     if loaded is not None:
         arm = arm_named(loaded, request.arm)
-        return arm, _urdf(request.robot) if request.robot is not None else arm_robot(loaded, arm)
+        return arm, _urdf(request) or arm_robot(loaded, _ended(arm, request.tip))
     if recordings:
         first = recordings[0]
         stored = LoadedCell(cell=first.cell, text=first.cell_text, folder=first.path.resolve().parent)
         arm = arm_named(stored, request.arm)
-        if request.robot is not None:
-            return arm, _urdf(request.robot)
-        return arm, robot_from_text(arm, first.robot_text, f"{first.path}: robot")
-    return None, None if request.robot is None else _urdf(request.robot)
+        robot = _urdf(request)
+        return arm, robot or robot_from_text(_ended(arm, request.tip), first.robot_text, f"{first.path}: robot")
+    return None, _urdf(request)
 
 
-def _urdf(path: Path) -> Robot:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}; name a URDF of revolute joints in a chain") from error
-    return robot_from_urdf(text, str(path))
+def _urdf(request: ModelRequest) -> Robot | None:
+    """The robot that is named by its file."""
+    if request.robot is None:
+        return None
+    return robot_from_urdf(read_urdf(request.robot), str(request.robot), request.tip)
+
+
+def _ended(arm: ArmConfig, tip: str | None) -> ArmConfig:
+    """The arm with another last link."""
+    return arm if tip is None else arm.model_copy(update={"tip": tip})
 
 
 def read_bare(path: Path) -> Bare:
@@ -299,7 +306,7 @@ def read_rows(paths: Sequence[Path], about: Given) -> Table:
     if about.robot is not None and table.axes != about.robot.axes:
         raise InputError(
             f"{table.file[0]}: the data are of {table.axes} axes, robot '{about.robot.name}' has {about.robot.axes};"
-            " name the robot that was measured"
+            f" name the robot that was measured{or_another_tip(about.robot, table.axes)}"
         )
     return table
 

@@ -252,6 +252,11 @@ class ArmConfig(Strict):
     name: str = Field(description="of the arm, in every file; `--arm` asks for it where there are several")
     bus: str = Field(description="name of its [bus.NAME]")
     robot: str | None = Field(default=None, description="URDF beside the cell; either this or [arm.dh]")
+    tip: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None,
+        description="last link of the arm in the URDF; what moves elsewhere is taken as fixed at zero; absent: the"
+        " last link of the one chain of driven joints",
+    )
     dh: DhTable | None = Field(default=None, description="Denavit-Hartenberg rows instead of a URDF")
     inertials: Annotated[str, Field(pattern=r"^(exact|ignore|prior:\d*\.?\d+)$")] = Field(
         default="ignore", description="trust of the URDF's inertials: exact, ignore, prior:S, S the relative deviation"
@@ -393,6 +398,8 @@ class ArmConfig(Strict):
         yield from self._ratings()
         if (self.robot is None) == (self.dh is None):
             yield (), f"arm '{self.name}' needs either robot = \"FILE.urdf\" or [arm.dh], not both"
+        if self.tip is not None and self.robot is None:
+            yield ("tip",), f"arm '{self.name}': tip names a link of a URDF, and there is none: remove it"
         if self.coupling is not None:
             matrix = np.array(self.coupling, dtype=float) if len({*map(len, self.coupling)}) == 1 else np.zeros(0)
             if matrix.shape != (axes, axes) or abs(np.linalg.det(matrix)) < 1e-6:

@@ -17,6 +17,7 @@ from gateway.commands.options import (
     data_argument,
     json_option,
     model_options,
+    note_remarks,
     operator_option,
     session_of,
     write_json,
@@ -41,6 +42,7 @@ def model_request(
     bare: Path | None,
     arm_name: str | None,
     torque_gain: str | None,
+    tip: str | None,
 ) -> ModelRequest:
     """The options of MODEL as one value."""
     from gateway.analyse.given import ModelRequest
@@ -49,7 +51,7 @@ def model_request(
 
     gain_std = None if torque_gain is None else parse_torque_gain(torque_gain)
     loads = dict(parse_known(text) for text in known)
-    return ModelRequest(robot, cell_file, inertials, loads, bare, arm_name, gain_std)
+    return ModelRequest(robot, cell_file, inertials, loads, bare, arm_name, gain_std, tip)
 
 
 def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
@@ -89,6 +91,7 @@ def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
 def estimate(
     data: tuple[Path, ...],
     robot: Path | None,
+    tip: str | None,
     cell_file: Path | None,
     inertials: str | None,
     known: tuple[str, ...],
@@ -114,7 +117,9 @@ def estimate(
     from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
 
-    about = given(model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain), data)
+    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip)
+    about = given(request, data)
+    note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
     options = replace(estimate_options(about), pose_choice=None if about.arm is None else _postures(about))
@@ -188,6 +193,7 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> f
 def diagnose(
     data: tuple[Path, ...],
     robot: Path | None,
+    tip: str | None,
     cell_file: Path | None,
     inertials: str | None,
     known: tuple[str, ...],
@@ -209,8 +215,9 @@ def diagnose(
     from gateway.diagnose import DiagnoseOptions
     from gateway.diagnose import diagnose as run
 
-    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain)
+    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip)
     about = given(request, [*data, *holdout])
+    note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)

@@ -18,6 +18,7 @@ from gateway.commands.options import (
     common,
     json_option,
     key_values,
+    note_remarks,
     output_option,
     refuse_to_replace,
     session_of,
@@ -63,7 +64,9 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
 
     loaded = load_cell(cell)
     config = arm_named(loaded, arm_name)
-    workspace = workspace_of(config, arm_robot(loaded, config))
+    robot = arm_robot(loaded, config)
+    note_remarks(robot)
+    workspace = workspace_of(config, robot)
     target, session = output or cell.with_suffix(".html"), session_of()
     refuse_to_replace(target, "-o", session)
     replace_file(target, view_of_cell(config, workspace))
@@ -72,6 +75,9 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
 
 @cell.command("new")
 @click.option("--robot", help="URDF of the arm, or dh: Denavit-Hartenberg rows are asked for.")
+@click.option(
+    "--tip", metavar="LINK", help="Last link of the arm, where the URDF holds more: jaws, fingers, a second arm."
+)
 @click.option("--bus", metavar="SPEC", help="Bus of the drives; node ids, ratings and limits are read from them.")
 @click.option("--offline", is_flag=True, help="Look at no bus: EDS and DCF files and answers alone.")
 @click.option("--eds", multiple=True, metavar="FILE", help="EDS or DCF: one per axis from the base on, or one for all.")
@@ -86,6 +92,7 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
 @common
 def cell_new(
     robot: str | None,
+    tip: str | None,
     bus: str | None,
     offline: bool,
     eds: Sequence[str],
@@ -107,7 +114,9 @@ def cell_new(
     from gateway.newcell.text import left_over
 
     given = {} if answers is None else read_answers(answers)
-    given |= _options({"robot": robot, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed)
+    given |= _options(
+        {"robot": robot, "tip": tip, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed
+    )
     said = CellAnswers(given, str(answers or "answers"), None if answers is not None else _ask)
     session = session_of()
     try:

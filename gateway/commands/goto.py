@@ -9,7 +9,7 @@ import click
 
 from gateway.commands.measure import arm_option
 from gateway.commands.moving import MoveChoice, slow_move_options, stoppable
-from gateway.commands.options import bus_option, cell_argument, common, joint_angles, session_of
+from gateway.commands.options import bus_option, cell_argument, common, joint_angles, note_remarks, session_of
 
 if TYPE_CHECKING:
     from gateway.acquire.goto import Destination
@@ -58,7 +58,9 @@ def move(
     arm = arm_named(context.loaded, arm_name)
     if not isinstance(to, str) and len(to) != len(arm.axis):
         raise click.UsageError(f"--to: {len(to)} joint angles, and arm '{arm.name}' has {len(arm.axis)} axes")
-    target = destination(arm, workspace_of(arm, arm_robot(context.loaded, arm)), to)
+    robot = arm_robot(context.loaded, arm)
+    note_remarks(robot)
+    target = destination(arm, workspace_of(arm, robot), to)
     session = session_of()
     proof = context.stop_proof(arm)
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:

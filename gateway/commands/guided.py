@@ -21,6 +21,7 @@ from gateway.commands.options import (
     cell_argument,
     common,
     load_option,
+    note_remarks,
     operator_option,
     session_of,
     write_json,
@@ -81,7 +82,7 @@ def commission(
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job
     from gateway.commands.commission import commission as run
-    from gateway.model.arm_model import arm_named
+    from gateway.model.arm_model import arm_named, arm_robot
     from gateway.report.render import render
     from gateway.result.acceptance import check_expected
     from gateway.result.result import to_dict
@@ -91,6 +92,7 @@ def commission(
     drift = thermal_choice(thermal, warm_up_min, goal)
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
+    note_remarks(arm_robot(context.loaded, arm))
     out.mkdir(parents=True, exist_ok=True)
     recording = out / "run.h5"
     if not resume:

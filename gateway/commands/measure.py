@@ -19,6 +19,7 @@ from gateway.commands.options import (
     joint_angles,
     json_option,
     load_option,
+    note_remarks,
     output_option,
     session_of,
     trace_option,
@@ -77,10 +78,12 @@ def plan(
     from gateway.motion.workspace import workspace_of
 
     loaded = load_cell(cell)
+    config = arm_named(loaded, arm_name)
+    robot = arm_robot(loaded, config)
+    note_remarks(robot)
     chosen = make_plan(loaded, n_poses, seed, arm_name)
     show_plan(chosen)
-    config = arm_named(loaded, arm_name)
-    workspace = workspace_of(config, arm_robot(loaded, config))
+    workspace = workspace_of(config, robot)
     session_of().show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
         replace_file(view, view_of_plan(chosen, workspace))
@@ -210,7 +213,7 @@ def record(
     from gateway.acquire.until.run import UntilSummary
     from gateway.commands.cell_context import open_cell
     from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
-    from gateway.model.arm_model import arm_named
+    from gateway.model.arm_model import arm_named, arm_robot
     from gateway.result.values import plain_values
 
     refuse_mixed(
@@ -228,6 +231,7 @@ def record(
         else _search_for(context.loaded, arm, wanted, until.request(label, output, cell))
     )
     session = session_of()
+    note_remarks(arm_robot(context.loaded, arm))
     if not moving.yes:
         asked.show(session)
     first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."

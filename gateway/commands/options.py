@@ -17,6 +17,7 @@ from gateway.errors import InputError
 
 if TYPE_CHECKING:
     from drives.datasheet.sheet import Remark
+    from gateway.model.robot import Robot
     from gateway.result.acceptance import Expected
 
 #: Lines of a data sheet that are named unasked.
@@ -191,6 +192,9 @@ def model_options(function: Function) -> Function:
             "--inertials", metavar="exact|prior:S|ignore", help="How far the URDF's link inertials are trusted."
         ),
         click.option("--cell", "cell_file", type=click.Path(path_type=Path, dir_okay=False), help="Cell file."),
+        click.option(
+            "--tip", metavar="LINK", help="Last link of the arm in the URDF; what moves elsewhere is fixed at zero."
+        ),
         click.option("--robot", type=click.Path(path_type=Path, dir_okay=False), help="Robot as URDF."),
     ):
         function = option(function)
@@ -198,6 +202,12 @@ def model_options(function: Function) -> Function:
 
 
 data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(path_type=Path, dir_okay=False))
+
+
+def note_remarks(robot: Robot | None) -> None:
+    """Print what of a robot description is not used as it is written."""
+    for remark in () if robot is None else robot.remarks:
+        session_of().note(remark)
 
 
 def write_json(target: str, payload: Mapping[str, Any]) -> None:

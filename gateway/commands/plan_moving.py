@@ -11,7 +11,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import axis_names, axis_table, grid
-from gateway.commands.options import Function, session_of, write_json
+from gateway.commands.options import Function, note_remarks, session_of, write_json
 
 if TYPE_CHECKING:
     from gateway.excite.excitation import Excitation, MovingPlan
@@ -97,12 +97,14 @@ def plan_moving(
         periods=usual.periods if choice.periods is None else choice.periods,
         seed=usual.seed if seed is None else seed,
     )
+    config = arm_named(loaded, arm_name)
+    robot = arm_robot(loaded, config)
+    note_remarks(robot)
     with session.working("choosing motions"):
         plan = make_moving_plan(loaded, arm_name, request)
     show_moving_plan(plan)
     view, json_out = outputs
-    config = arm_named(loaded, plan.arm)
-    workspace = workspace_of(config, arm_robot(loaded, config))
+    workspace = workspace_of(config, robot)
     session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
         replace_file(view, view_of_moving_plan(plan, workspace))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import ConfigError
 from gateway.model.load_bounds import refuse_stated_loads
-from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf, with_flange
+from gateway.model.robot import Robot, or_another_tip, robot_from_dh, robot_from_urdf, with_flange
+from gateway.model.urdf_text import read_urdf
 
 
 def arm_named(loaded: LoadedCell, name: str | None = None) -> ArmConfig:
@@ -37,11 +38,11 @@ def robot_text(loaded: LoadedCell, arm: ArmConfig) -> str:
     """
     if arm.robot is None:
         return ""
-    path = loaded.path(arm.robot)
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}; correct the key robot of arm '{arm.name}'") from error
+        return read_urdf(loaded.path(arm.robot))
+    except ConfigError as error:
+        error.add_note(f"or correct the key robot of arm '{arm.name}'")
+        raise
 
 
 def robot_place(loaded: LoadedCell, arm: ArmConfig) -> str:
@@ -68,11 +69,11 @@ def robot_from_text(arm: ArmConfig, text: str, where: str) -> Robot:
     ConfigError
         Not a chain of two to eight revolute joints, or of another number than the arm has axes.
     """
-    robot = robot_from_dh(arm.dh, arm.name) if arm.dh is not None else robot_from_urdf(text, where)
+    robot = robot_from_dh(arm.dh, arm.name) if arm.dh is not None else robot_from_urdf(text, where, arm.tip)
     if robot.axes != len(arm.axis):
         raise ConfigError(
             f"{where}: robot '{robot.name}' has {robot.axes} axes, arm '{arm.name}' {len(arm.axis)} [[arm.axis]]"
-            " tables; one is needed for each axis"
+            f" tables; one is needed for each axis{or_another_tip(robot, len(arm.axis))}"
         )
     refuse_stated_loads(arm, robot, where)
     if arm.flange_xyz_m is None:

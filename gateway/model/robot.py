@@ -7,7 +7,7 @@ quantities are NaN: a link without inertial is unknown, not massless.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -71,6 +71,10 @@ class Robot:
         The same of what stands still below joint 1, in the base frame.
     source : str
         File the arm was read from: names of meshes start beside it.
+    frames : tuple of (str, array of shape (4, 4))
+        Links fixed to the last link, and their poses [m] in it.
+    remarks : tuple of str
+        What the source says and is not used as written.
     """
 
     name: str
@@ -89,6 +93,8 @@ class Robot:
     base_shapes: tuple[LinkShape, ...] = ()
     flange: Floats | None = None
     source: str = ""
+    frames: tuple[tuple[str, Floats], ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def axes(self) -> int:
@@ -163,29 +169,36 @@ def link_lengths_m(robot: Robot) -> Floats:
     return np.maximum(np.maximum(onward, np.nan_to_num(np.linalg.norm(robot.com_m, axis=1))), SHORTEST_M)
 
 
-def robot_from_urdf(text: str, where: str) -> Robot:
+def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
     """Read an arm from URDF text.
 
     Fixed joints are merged: what hangs on them counts to the link before. A fixed link without inertial is taken
-    as a mere frame, a link that a joint moves without inertial as unknown.
+    as a mere frame, a link that a joint moves without inertial as unknown. Joints that could move and are not the
+    arm's are taken as fixed at zero, which is among the remarks.
 
     Parameters
     ----------
     text : str
     where : str
         Name of the file, for messages.
+    tip : str, optional
+        Last link of the arm, where the file does not make it clear.
 
     Raises
     ------
     ConfigError
-        Not XML, entity declarations, not two to eight revolute joints in one chain, or a value that is missing or no
+        Not XML, entity declarations, not two to eight driven joints in one chain, or a value that is missing or no
         finite number; names file and element.
     """
-    chain = urdf.read_chain(text, where)
-    if not FEWEST_AXES <= len(chain.joints) <= MOST_AXES:
+    chain = urdf.read_chain(text, where, tip)
+    count = len(chain.joints)
+    if not FEWEST_AXES <= count <= MOST_AXES:
+        advice = (
+            urdf.name_the_tip(chain.joints[MOST_AXES - 1].child) if count > MOST_AXES else "name the URDF of the arm"
+        )
         raise ConfigError(
-            f"{where}: robot '{chain.name}' has {len(chain.joints)} moving joints in its chain, {FEWEST_AXES} to"
-            f' {MOST_AXES} revolute ones are needed; fix the others in the URDF (type="fixed")'
+            f"{where}: robot '{chain.name}' has {count} moving joints in its chain, {FEWEST_AXES} to {MOST_AXES}"
+            f" revolute ones are needed; {advice}"
         )
     placement = np.array([transform(rotation_rpy(joint.rpy_rad), joint.xyz_m) for joint in chain.joints])
     for i, joint in enumerate(chain.joints):
@@ -208,7 +221,25 @@ def robot_from_urdf(text: str, where: str) -> Robot:
         shapes=tuple(_shapes(link) for link in chain.links),
         base_shapes=tuple(LinkShape(_chained(placed.poses), placed.shape, True) for placed in chain.base_shapes),
         source=where,
+        frames=tuple((frame.name, _chained(frame.poses)) for frame in chain.frames),
+        remarks=tuple(_remarks(chain, where)),
     )
+
+
+def or_another_tip(robot: Robot, axes: int) -> str:
+    """What is typed where an arm of fewer axes is meant than a URDF has; empty where it has no more."""
+    if axes >= robot.axes or not robot.source:
+        return ""
+    more = ", ".join(robot.joint_names[axes:])
+    return f"; where {more} is no axis of the arm, {urdf.name_the_tip(robot.link_names[axes - 1])}"
+
+
+def _remarks(chain: urdf.Chain, where: str) -> Iterator[str]:
+    """What of the file is not used as it is written."""
+    if chain.fixed_at_zero:
+        yield f"{where}: joints taken as fixed at zero: {', '.join(chain.fixed_at_zero)}"
+    if chain.unused_shapes:
+        yield f"{where}: collision geometry left out: {', '.join(chain.unused_shapes)}"
 
 
 def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:

@@ -1,22 +1,35 @@
-"""URDF text -> the chain of its moving joints, as written: no arithmetic, only structure and refusal.
+"""URDF text -> the chain of its driven joints, as written: no arithmetic, only structure and refusal.
 
-Documents with a DTD are refused before anything is expanded, so that no entity can blow up.
+A driven joint is revolute or continuous and mimics no other. The arm is the path from the root to the last link, its
+tip. Every other joint that could move (linear track, finger, balancer, branch) is taken as fixed at zero, and listed.
 """
 
 from __future__ import annotations
 
+import difflib
 import math
+import re
 import xml.etree.ElementTree as ET
+from collections.abc import Sequence
 from dataclasses import dataclass
-from xml.parsers import expat
+from typing import Final
 
 from gateway.errors import ConfigError
 from gateway.model.urdf_elements import Pose, Three, number, origin, three
-from gateway.model.urdf_shapes import Shape, shapes_of
+from gateway.model.urdf_shapes import Shape, Unknown, shapes_of
+from gateway.model.urdf_text import parse_urdf
 
-MAX_CHARACTERS = 20_000_000
-MAX_DEPTH = 100
 TURNING = ("revolute", "continuous")
+#: Joint types that are not fixed and not driven: taken as fixed at zero outside the arm.
+PASSIVE: Final = ("prismatic", "floating", "planar")
+#: Of a whole humanoid with two hands, and more than twice as many.
+MOST_JOINTS: Final = 500
+#: Names of the plane that a tool is bolted to, the better one first: what turns beyond it is no axis of the arm.
+FLANGES: Final = ("tool0", "flange")
+#: Words of a link that ends an arm, beside those of a flange.
+_HANDS: Final = frozenset({*FLANGES, "tool", "hand", "tcp", "ee", "eef", "effector"})
+#: What is in the name of a joint or link of a gripper.
+_GRIPPER: Final = re.compile(r"finger|gripper|jaw|knuckle|claw|thumb", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,106 +77,242 @@ class MovedLink:
 
 
 @dataclass(frozen=True, slots=True)
+class Frame:
+    """A link fixed to the last link of the arm, and the poses that lead to it from there."""
+
+    name: str
+    poses: tuple[Pose, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Chain:
-    """Turning joints from the root to the end, the link each of them moves, and the shapes of what stands still."""
+    """Driven joints from the root to the tip, the link each of them moves, and the shapes of what stands still.
+
+    Attributes
+    ----------
+    name : str
+    joints : tuple of Joint
+    links : tuple of MovedLink
+    base_shapes : tuple of PlacedShape
+    fixed_at_zero : tuple of str
+        Joints that could move and are taken as fixed, each with its kind.
+    unused_shapes : tuple of str
+        Shapes of `<collision>` that cannot be used, and why.
+    frames : tuple of Frame
+        Links that fixed joints alone join to the last link, in the order of the file.
+    """
 
     name: str
     joints: tuple[Joint, ...]
     links: tuple[MovedLink, ...]
     base_shapes: tuple[PlacedShape, ...]
+    fixed_at_zero: tuple[str, ...]
+    unused_shapes: tuple[str, ...]
+    frames: tuple[Frame, ...]
 
 
-def read_chain(text: str, where: str) -> Chain:
-    """The chain of turning joints of a URDF; raises ConfigError naming file and element."""
-    root = _parse(text, where)
-    if root.tag != "robot":
-        raise ConfigError(f"{where}: the outermost element is <{root.tag}>, a URDF starts with <robot>")
-    links = _named(root, "link", where)
-    joints = _named(root, "joint", where)
-    children: dict[str, list[ET.Element]] = {name: [] for name in links}
-    moved: set[str] = set()
-    for name, joint in joints.items():
-        parent, child = (_reference(joint, tag, name, links, where) for tag in ("parent", "child"))
-        if child in moved:
-            raise ConfigError(f"{where}: link '{child}' is the child of two joints; the arm must be a chain")
-        moved.add(child)
-        children[parent].append(joint)
-    roots = [name for name in links if name not in moved]
-    if len(roots) != 1:
-        raise ConfigError(f"{where}: expected one root link, found {len(roots)}: {', '.join(roots) or 'a closed loop'}")
-    return _walk(root.get("name", "robot"), roots[0], links, children, where)
+def read_chain(text: str, where: str, tip: str | None = None) -> Chain:
+    """The chain of driven joints of a URDF.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        Name of the file, for messages.
+    tip : str, optional
+        Last link of the arm. Without it the arm must be clear: one path of driven joints, none of them of a gripper.
+
+    Raises
+    ------
+    ConfigError
+        No usable URDF, or it is not clear which joints are the arm's; names file and element, and what to type.
+    """
+    tree = _Tree(parse_urdf(text, where), where)
+    return tree.chain(tree.path_to(tip) if tip is not None else tree.only_path())
 
 
-def _walk(
-    name: str, root: str, links: dict[str, ET.Element], children: dict[str, list[ET.Element]], where: str
-) -> Chain:
-    chain_joints: list[Joint] = []
-    chain_links: list[MovedLink] = []
-    base_shapes: list[PlacedShape] = []
-    current: str | None = root
-    while current is not None:
-        fixed: list[tuple[tuple[Pose, ...], Inertial]] = []
-        own_shapes: list[PlacedShape] = []
-        fixed_shapes: list[PlacedShape] = []
-        onward: list[Joint] = []
-        waiting: list[tuple[str, tuple[Pose, ...]]] = [(current, ())]
-        while waiting:
-            link, poses = waiting.pop()
-            inertial = _inertial(links[link], link, where)
-            if inertial is not None and link != current:
-                fixed.append((poses, inertial))
-            placed = [PlacedShape((*poses, pose), shape) for pose, shape in shapes_of(links[link], link, where)]
-            (own_shapes if link == current else fixed_shapes).extend(placed)
-            for joint in children[link]:
-                if joint.get("type") == "fixed":
-                    waiting.append((_child(joint), (*poses, origin(joint, f"joint '{joint.get('name')}'", where))))
-                else:
-                    onward.append(_turning(joint, poses, where))
-        if len(onward) > 1:
+def name_the_tip(link: str) -> str:
+    """What a person types to say where the arm ends."""
+    return f'name the last link of the arm: --tip {link}, in a cell file tip = "{link}"'
+
+
+class _Tree:
+    """Links and joints of a URDF by name."""
+
+    def __init__(self, root: ET.Element, where: str) -> None:
+        self.name, self.where = root.get("name", "robot"), where
+        self.links = _named(root, "link", where)
+        self.parent: dict[str, ET.Element] = {}
+        self.children: dict[str, list[ET.Element]] = {name: [] for name in self.links}
+        joints = _named(root, "joint", where)
+        if len(joints) > MOST_JOINTS:
+            raise ConfigError(f"{where}: {len(joints)} joints, the limit is {MOST_JOINTS}; name the URDF of one arm")
+        for name, joint in joints.items():
+            if joint.get("type") not in (*TURNING, *PASSIVE, "fixed"):
+                known = ", ".join((*TURNING, *PASSIVE, "fixed"))
+                raise ConfigError(
+                    f"{where}: joint '{name}' is of type '{joint.get('type')}', which is none of {known}; correct it"
+                )
+            above, child = (_reference(joint, tag, name, self.links, where) for tag in ("parent", "child"))
+            if child in self.parent:
+                raise ConfigError(
+                    f"{where}: link '{child}' is the child of two joints, '{self.parent[child].get('name')}' and"
+                    f" '{name}'; the arm must be an open chain: remove the joint that closes the loop"
+                )
+            self.parent[child] = joint
+            self.children[above].append(joint)
+        roots = [name for name in self.links if name not in self.parent]
+        if len(roots) != 1:
+            found = ", ".join(roots) or "a closed loop"
             raise ConfigError(
-                f"{where}: joints '{onward[0].name}' and '{onward[1].name}' both turn on link '{current}';"
-                " the arm must be one chain, fix the joints that do not belong to it"
+                f"{where}: expected one root link, found {len(roots)}: {found}; join the others to it by joints of"
+                ' type="fixed", or remove them'
             )
-        if current == root:
-            base_shapes = own_shapes + fixed_shapes
-        else:
-            own = _inertial(links[current], current, where)
-            chain_links.append(MovedLink(current, own, tuple(fixed), tuple(own_shapes), tuple(fixed_shapes)))
-        chain_joints += onward
-        current = onward[0].child if onward else None
-    return Chain(name, tuple(chain_joints), tuple(chain_links), tuple(base_shapes))
+        self.root = roots[0]
+        self.reached = [self.root]
+        for link in self.reached:
+            self.reached += map(_child, self.children[link])
+
+    def path_to(self, tip: str) -> list[ET.Element]:
+        """Joints from the root to a link."""
+        if tip not in self.links:
+            near = difflib.get_close_matches(tip, self.links, 3, 0.5) or list(self.links)[-8:]
+            raise ConfigError(f"{self.where}: there is no link '{tip}' for the tip; links are {', '.join(near)}")
+        if tip not in self.reached:
+            raise ConfigError(f"{self.where}: the joints above link '{tip}' form a closed loop; remove one of them")
+        path: list[ET.Element] = []
+        while tip in self.parent:
+            path.append(self.parent[tip])
+            tip = _parent(path[-1])
+        return path[::-1]
+
+    def only_path(self) -> list[ET.Element]:
+        """Joints from the root to the last driven link, where there is one such path and no gripper at its end."""
+        driven = {link for link in self.reached[1:] if _is_driven(self.parent[link])}
+        above: set[str] = set()  # links from which driven joints are reached
+        for link in driven:
+            above.update(_parent(joint) for joint in self.path_to(link))
+        path: list[ET.Element] = []
+        current = self.root
+        while onward := [joint for joint in self.children[current] if _child(joint) in driven | above]:
+            if len(onward) > 1:
+                names = " and ".join(f"'{joint.get('name')}'" for joint in onward)
+                raise ConfigError(
+                    f"{self.where}: joints {names} both turn on link '{current}', or carry what turns, and one of them"
+                    f" alone can be the arm's: {name_the_tip(self._deepest(onward, driven))}"
+                )
+            path.append(onward[0])
+            current = _child(onward[0])
+        self._refuse_gripper(path)
+        return path
+
+    def _deepest(self, onward: Sequence[ET.Element], driven: set[str]) -> str:
+        """Last link of the longest path of driven joints through some joints."""
+        ends = [(0, "")]
+        for link in driven:
+            path = self.path_to(link)
+            if any(joint in path for joint in onward):
+                ends.append((sum(_is_driven(joint) for joint in path), link))
+        return max(ends, key=lambda end: end[0])[1]
+
+    def _refuse_gripper(self, path: Sequence[ET.Element]) -> None:
+        """Refuse to count a joint as an axis that seems to belong to a tool."""
+        flange, last, axes = "", "", 0
+        for joint in path:
+            name, child = joint.get("name", ""), _child(joint)
+            if _is_driven(joint):
+                why = f"is beyond '{flange}'" if flange else "has the name of a gripper"
+                if axes > 1 and (flange or _GRIPPER.search(name) or _GRIPPER.search(child)):
+                    raise ConfigError(
+                        f"{self.where}: joint '{name}' turns link '{child}' and {why}: it is not clear whether it is"
+                        f" axis {axes + 1} of the arm; {name_the_tip(last)} without it, or --tip {child} with it"
+                    )
+                axes, last = axes + 1, child
+            flange = flange or (child if axes > 1 and _HANDS & set(_words(child)) else "")
+
+    def chain(self, path: Sequence[ET.Element]) -> Chain:
+        """The chain along a path; everything else is fixed to it."""
+        axes = self._axes(path)
+        joints: list[Joint] = []
+        links: list[MovedLink] = []
+        unused: list[str] = []
+        base_shapes: list[PlacedShape] = []
+        frames: list[Frame] = []
+        for current in (self.root, *(_child(joint) for joint in axes)):
+            fixed: list[tuple[tuple[Pose, ...], Inertial]] = []
+            own_shapes: list[PlacedShape] = []
+            fixed_shapes: list[PlacedShape] = []
+            frames = []
+            waiting: list[tuple[str, tuple[Pose, ...], bool]] = [(current, (), True)]
+            while waiting:
+                link, poses, rigid = waiting.pop()
+                inertial = _inertial(self.links[link], link, self.where)
+                if link != current:
+                    if inertial is not None:
+                        fixed.append((poses, inertial))
+                    if rigid:
+                        frames.append(Frame(link, poses))
+                shapes = list(shapes_of(self.links[link], link, self.where))
+                unused += [f"link '{link}': {shape.what}" for _, shape in shapes if isinstance(shape, Unknown)]
+                placed = [PlacedShape((*poses, pose), shape) for pose, shape in shapes]
+                (own_shapes if link == current else fixed_shapes).extend(placed)
+                for joint in self.children[link]:
+                    if joint in axes:
+                        joints.append(_turning(joint, poses, self.where))
+                    else:
+                        pose = origin(joint, f"joint '{joint.get('name')}'", self.where)
+                        still = rigid and joint.get("type") == "fixed"
+                        waiting.append((_child(joint), (*poses, pose), still))
+            if current == self.root:
+                base_shapes = own_shapes + fixed_shapes
+            else:
+                own = _inertial(self.links[current], current, self.where)
+                links.append(MovedLink(current, own, tuple(fixed), tuple(own_shapes), tuple(fixed_shapes)))
+        fixed_at_zero = [
+            _kind(joint) for joint in self.parent.values() if joint.get("type") != "fixed" and joint not in axes
+        ]
+        return Chain(
+            self.name,
+            tuple(joints),
+            tuple(links),
+            tuple(base_shapes),
+            tuple(fixed_at_zero),
+            tuple(unused),
+            tuple(sorted(frames, key=lambda frame: list(self.links).index(frame.name))),
+        )
+
+    def _axes(self, path: Sequence[ET.Element]) -> list[ET.Element]:
+        """Driven joints of a path; between them nothing else may move."""
+        driven = [row for row, joint in enumerate(path) if _is_driven(joint)]
+        for joint in path[driven[0] : driven[-1]] if driven else ():
+            if joint.get("type") != "fixed" and not _is_driven(joint):
+                before = next(_child(each) for each in reversed(path[: list(path).index(joint)]) if _is_driven(each))
+                what = f"is of type '{joint.get('type')}'" if joint.find("mimic") is None else "mimics another one"
+                raise ConfigError(
+                    f"{self.where}: joint '{joint.get('name')}' {what}; only revolute and fixed joints are handled"
+                    f" between the axes of the arm; to end the arm before it, {name_the_tip(before)}"
+                )
+        return [path[row] for row in driven]
 
 
-def _parse(text: str, where: str) -> ET.Element:
-    if len(text) > MAX_CHARACTERS:
-        raise ConfigError(f"{where}: {len(text)} characters are no robot description (limit {MAX_CHARACTERS})")
-    depth = 0
+def flange_kind(link: str) -> str | None:
+    """Which of the usual names of the flange a link has, a prefix aside."""
+    return next((name for name in FLANGES if _words(link)[-1] == name), None)
 
-    def refuse(*_: object) -> None:
-        raise ConfigError(f"{where}: a document type or entity declaration is not allowed in a URDF; remove it")
 
-    def down(*_: object) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > MAX_DEPTH:
-            raise ConfigError(f"{where}: elements are nested more than {MAX_DEPTH} deep")
+def _words(name: str) -> list[str]:
+    return re.split(r"[-_/. ]", name.lower())
 
-    def up(*_: object) -> None:
-        nonlocal depth
-        depth -= 1
 
-    scanner = expat.ParserCreate()
-    scanner.StartDoctypeDeclHandler = refuse
-    scanner.EntityDeclHandler = refuse
-    scanner.StartElementHandler = down
-    scanner.EndElementHandler = up
-    try:
-        scanner.Parse(text, True)
-        return ET.fromstring(text)
-    except (expat.ExpatError, ET.ParseError, ValueError, LookupError) as error:
-        if isinstance(error, ConfigError):
-            raise
-        raise ConfigError(f"{where}: not readable as XML: {error}") from error
+def _is_driven(joint: ET.Element) -> bool:
+    return joint.get("type") in TURNING and joint.find("mimic") is None
+
+
+def _kind(joint: ET.Element) -> str:
+    """Name of a joint, and what it is."""
+    mimic = joint.find("mimic")
+    what = joint.get("type", "of no type") if mimic is None else f"mimics '{mimic.get('joint', '')}'"
+    return f"'{joint.get('name')}' ({what})"
 
 
 def _named(root: ET.Element, tag: str, where: str) -> dict[str, ET.Element]:
@@ -171,12 +320,12 @@ def _named(root: ET.Element, tag: str, where: str) -> dict[str, ET.Element]:
     for element in root.findall(tag):
         name = element.get("name")
         if not name:
-            raise ConfigError(f"{where}: a <{tag}> has no name")
+            raise ConfigError(f"{where}: a <{tag}> has no name; give each its own")
         if name in found:
-            raise ConfigError(f"{where}: two {tag}s are named '{name}'")
+            raise ConfigError(f"{where}: two {tag}s are named '{name}'; give each its own name")
         found[name] = element
     if not found:
-        raise ConfigError(f"{where}: there is no <{tag}>")
+        raise ConfigError(f"{where}: there is no <{tag}>; name the URDF of the arm")
     return found
 
 
@@ -184,9 +333,11 @@ def _reference(joint: ET.Element, tag: str, name: str, links: dict[str, ET.Eleme
     element = joint.find(tag)
     link = element.get("link") if element is not None else None
     if link is None:
-        raise ConfigError(f"{where}: joint '{name}': <{tag} link=\"..\"> is missing")
+        raise ConfigError(f"{where}: joint '{name}': <{tag} link=\"..\"> is missing; add it")
     if link not in links:
-        raise ConfigError(f"{where}: joint '{name}': <{tag}> names link '{link}', which does not exist")
+        raise ConfigError(
+            f"{where}: joint '{name}': <{tag}> names link '{link}', which does not exist; correct the name"
+        )
     return link
 
 
@@ -195,21 +346,20 @@ def _child(joint: ET.Element) -> str:
     return "" if element is None else element.get("link", "")
 
 
+def _parent(joint: ET.Element) -> str:
+    element = joint.find("parent")
+    return "" if element is None else element.get("link", "")
+
+
 def _turning(joint: ET.Element, poses: tuple[Pose, ...], where: str) -> Joint:
     name = joint.get("name", "")
     label = f"joint '{name}'"
-    if joint.get("type") not in TURNING:
-        raise ConfigError(
-            f"{where}: {label} is of type '{joint.get('type')}'; only revolute and fixed joints are handled"
-        )
-    if joint.find("mimic") is not None:
-        raise ConfigError(f"{where}: {label}: <mimic> is not handled; every axis needs its own drive")
     pose = origin(joint, label, where)
     axis_element = joint.find("axis")
     axis = (1.0, 0.0, 0.0) if axis_element is None else three(axis_element, "xyz", f"{label} <axis>", where, None)
     length = math.sqrt(sum(value * value for value in axis))
     if length < 1e-6:
-        raise ConfigError(f"{where}: {label}: the axis is a zero vector")
+        raise ConfigError(f"{where}: {label}: the axis is a zero vector; write its direction, such as 0 0 1")
     limit = joint.find("limit")
     lower, upper, velocity, effort = -math.inf, math.inf, math.nan, math.nan
     if limit is not None:
@@ -219,7 +369,7 @@ def _turning(joint: ET.Element, poses: tuple[Pose, ...], where: str) -> Joint:
             lower = number(limit, "lower", f"{label} <limit>", where, -math.inf)
             upper = number(limit, "upper", f"{label} <limit>", where, math.inf)
             if lower > upper:
-                raise ConfigError(f"{where}: {label} <limit>: lower {lower} is above upper {upper}")
+                raise ConfigError(f"{where}: {label} <limit>: lower {lower} is above upper {upper}; swap them")
     x, y, z = (value / length for value in axis)
     return Joint(name, _child(joint), pose.xyz_m, pose.rpy_rad, (x, y, z), lower, upper, velocity, effort, poses)
 
@@ -236,7 +386,7 @@ def _inertial(link: ET.Element, name: str, where: str) -> Inertial | None:
         )
     mass = number(mass_element, "value", f"{label} <mass>", where, None)
     if mass < 0:
-        raise ConfigError(f"{where}: {label}: mass {mass} kg is negative")
+        raise ConfigError(f"{where}: {label}: mass {mass} kg is negative; correct it, or remove the inertial")
     xx, xy, xz, yy, yz, zz = (
         number(tensor, key, f"{label} <inertia>", where, None) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
     )

@@ -43,7 +43,7 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A shape that is not understood; `what` names it."""
+    """A shape that is not understood, or has no size; `what` names it."""
 
     what: str
 
@@ -52,38 +52,40 @@ Shape = Sphere | Cylinder | Box | Mesh | Unknown
 
 
 def shapes_of(link: ET.Element, name: str, where: str) -> Iterator[tuple[Pose, Shape]]:
-    """Shapes of a link with their poses in it.
+    """Shapes of a link with their poses in it; what cannot be used, for want of a size, is `Unknown`.
 
     Raises
     ------
     ConfigError
-        A shape without its size, or with one that is not positive; names file and element.
+        A pose that is none; names file and element.
     """
     label = f"link '{name}' <collision>"
     for collision in link.findall("collision"):
         geometry = collision.find("geometry")
         for element in [] if geometry is None else list(geometry):
-            yield origin(collision, label, where), _shape(element, f"{label} <{element.tag}>", where)
+            yield origin(collision, label, where), _shape(element)
 
 
-def _shape(element: ET.Element, label: str, where: str) -> Shape:
-    if element.tag == "sphere":
-        return Sphere(_size(element, "radius", label, where))
-    if element.tag in ("cylinder", "capsule"):
-        radius, length = _size(element, "radius", label, where), _size(element, "length", label, where)
-        return Cylinder(radius, length, element.tag == "capsule")
-    if element.tag == "box":
-        size = three(element, "size", label, where, None)
-        if min(size) <= 0:
-            raise ConfigError(f"{where}: {label}: size {size} m must be positive")
-        return Box(size)
-    if element.tag == "mesh" and element.get("filename"):
-        return Mesh(element.get("filename", ""), three(element, "scale", label, where, (1.0, 1.0, 1.0)))
-    return Unknown(f"<{element.tag}>")
+def _shape(element: ET.Element) -> Shape:
+    tag = element.tag
+    try:
+        if tag == "sphere":
+            return Sphere(_size(element, "radius"))
+        if tag in ("cylinder", "capsule"):
+            return Cylinder(_size(element, "radius"), _size(element, "length"), tag == "capsule")
+        if tag == "box":
+            size = three(element, "size", tag, "", None)
+            return Box(size) if min(size) > 0 else Unknown(f"<box> of size {element.get('size')}")
+        if tag == "mesh" and element.get("filename"):
+            return Mesh(element.get("filename", ""), three(element, "scale", tag, "", (1.0, 1.0, 1.0)))
+    except ConfigError:
+        written = " ".join(f"{key}={value!r}" for key, value in element.attrib.items())
+        return Unknown(f"<{tag}> with {written or 'no size'}")
+    return Unknown(f"<{tag}>")
 
 
-def _size(element: ET.Element, key: str, label: str, where: str) -> float:
-    value = number(element, key, label, where, None)
+def _size(element: ET.Element, key: str) -> float:
+    value = number(element, key, element.tag, "", None)
     if value <= 0:
-        raise ConfigError(f"{where}: {label}: {key} {value} m must be positive")
+        raise ConfigError(f"{key} must be positive")
     return value

@@ -15,6 +15,7 @@ from gateway.cell.config import DhTable
 from gateway.errors import ConfigError
 from gateway.model.load_bounds import bounds_of
 from gateway.model.robot import Robot, robot_from_dh, robot_from_urdf
+from gateway.model.urdf_text import read_urdf
 from gateway.newcell import offers, questions
 from gateway.newcell.answers import ASSUMED, DH, Answer, CellAnswers
 from gateway.newcell.nodes import Address, Read, SeenNode, addresses, of_axes
@@ -90,9 +91,12 @@ def interview(answers: CellAnswers, eyes: Eyes, name: str, tell: Callable[[str],
     DriveError
         Bus or drive.
     """
-    answers.settle([(questions.NAME, Answer(name, "name of the file")), (questions.ROBOT, None)])
+    last = Answer("", "the last one that a joint turns")
+    answers.settle([(questions.NAME, Answer(name, "name of the file")), (questions.ROBOT, None), (questions.TIP, last)])
     robot, urdf = _robot(answers, name)
-    tell(f"{robot.name}: {robot.axes} axes")
+    tell(f"{robot.name}: {robot.axes} axes: {', '.join(robot.joint_names)}")
+    for remark in robot.remarks:
+        tell(remark)
     spec = _bus(answers)
     looked = not answers.value(questions.OFFLINE)
     on_bus = eyes.nodes(spec) if looked else ()
@@ -141,10 +145,11 @@ def _robot(answers: CellAnswers, name: str) -> tuple[Robot, str | None]:
         return robot_from_dh(dh_table(answers), name), None
     path = Path(said)
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}; name a URDF, or write dh for its rows") from error
-    return robot_from_urdf(text, str(path)), str(path.resolve())
+        text = read_urdf(path)
+    except ConfigError as error:
+        error.add_note("or write dh for Denavit-Hartenberg rows")
+        raise
+    return robot_from_urdf(text, str(path), answers.value(questions.TIP) or None), str(path.resolve())
 
 
 def dh_table(answers: CellAnswers) -> DhTable:

@@ -55,6 +55,9 @@ ROBOT: Final = CellQuestion(
     "the maker's ROS package has a URDF (`xacro robot.urdf.xacro > robot.urdf`); the rows stand in the manual",
     text(),
 )
+TIP: Final = CellQuestion(
+    "tip", "last link of the arm in the URDF", "where fingers, jaws or a second arm are in the file too", text()
+)
 DH_CONVENTION: Final = CellQuestion(
     "dh_convention",
     "convention of the rows: modified (Craig) or standard (Paul)",
@@ -196,6 +199,7 @@ POSES: Final = CellQuestion("poses", "the table [poses] of the cell", "", table(
 ALL: Final = (
     NAME,
     ROBOT,
+    TIP,
     DH_CONVENTION,
     *DH_ROWS,
     BUS,

@@ -120,6 +120,8 @@ def _arm(draft: Draft, files: Callable[[str], str]) -> list[str]:
     lines = ["[[arm]]", f"name = {toml_value(ARM)}", f"bus = {toml_value(BUS)}"]
     if draft.urdf is not None:
         lines.append(f"robot = {toml_value(files(draft.urdf))}")
+    if answers.value(questions.TIP):
+        lines.append(_line("tip", answers.taken[questions.TIP.key]))
     lines.append(_line("inertials", answers.taken[questions.INERTIALS.key]))
     lines.append(_line("gravity_m_s2", answers.taken[questions.MOUNTING.key]))
     flange, turn = answers.taken[questions.FLANGE.key], answers.taken[questions.FLANGE_TURN.key]

@@ -299,3 +299,20 @@ def test_a_load_that_was_not_hung_is_asked_for(table, tmp_path, command, seed, s
     assert says in done.stderr
     assert run("report", out, "-o", page).exit_code == 0
     assert f'class="verdict {status}"' in page.read_text(encoding="utf-8")
+
+
+def test_a_joint_beyond_the_data_is_refused_with_the_tip_to_type_and_fixed_with_it(table, tmp_path):
+    text = URDF.read_text(encoding="utf-8")
+    more = (
+        '<link name="l7"/><joint name="j7" type="revolute"><parent link="link_6"/><child link="l7"/>'
+        '<axis xyz="0 1 0"/><limit lower="0" upper="1" effort="5" velocity="1"/></joint></robot>'
+    )
+    seven, path = tmp_path / "seven.urdf", table()
+    seven.write_text(text.replace("</robot>", more), encoding="utf-8")
+    for command in ("estimate", "diagnose"):
+        complains(run(command, path, "--robot", seven), 3, "data are of 6 axes", "where j7 is no axis", "--tip link_6")
+    done = run("estimate", path, "--robot", seven, "--tip", "link_6", "--json", "-")
+    assert done.exit_code == 0, done.output
+    assert "seven.urdf: joints taken as fixed at zero: 'j7' (revolute)" in done.stderr
+    plain = run("estimate", path, "--robot", URDF, "--json", "-")
+    assert json.loads(done.stdout)["loads"] == json.loads(plain.stdout)["loads"]

@@ -103,6 +103,33 @@ def test_what_hangs_on_a_fixed_joint_belongs_to_the_link_that_carries_it(arm_of)
     np.testing.assert_allclose(after.com_m, expected, atol=1e-12)
 
 
+MORE = """
+  <link name="cylinder"><inertial><origin xyz="0 0 0.1"/><mass value="3"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="balancer" type="revolute"><parent link="link_1"/><child link="cylinder"/><axis xyz="0 1 0"/>
+    <mimic joint="joint_2" multiplier="-0.4"/></joint>
+  <link name="left"/><joint name="slide" type="prismatic"><parent link="link_6"/><child link="left"/></joint>
+  <sensor:camera/>
+</robot>"""
+JAW = '<link name="jaw"/><joint name="j7" type="revolute"><parent link="link_6"/><child link="jaw"/></joint></robot>'
+
+
+def test_what_no_servo_drives_is_at_zero_and_the_tip_ends_the_arm(arm_of):
+    plain = write_chain(arm_of("small").chain)
+    chain = read_chain(plain.replace("</robot>", MORE), "more")
+    assert len(chain.axis) == 6
+    assert chain.bodies[0].mass_kg == pytest.approx(arm_of("small").chain.bodies[0].mass_kg + 3.0)
+    assert len(read_chain(plain.replace("</robot>", JAW), "jaw").axis) == 7
+    assert len(read_chain(plain.replace("</robot>", JAW), "jaw", "link_6").axis) == 6
+    with pytest.raises(UrdfError, match="no link 'link6'"):
+        read_chain(plain, "plain", "link6")
+
+
+def test_a_file_in_the_encoding_it_declares_is_read(arm_of):
+    text = write_chain(arm_of("small").chain, "Gelenkärmchen").replace("?>", ' encoding="ISO-8859-1"?>', 1)
+    assert len(read_chain(text.encode("iso-8859-1"), "latin").axis) == 6
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -200,6 +200,28 @@ def test_robot_that_cannot_be_read(cell, tmp_path):
         arm_robot(loaded, loaded.cell.arm[0])
 
 
+def test_the_cell_names_the_last_link_of_its_arm(cell, tmp_path):
+    jaw = '<link name="l7"/><joint name="j7" type="revolute"><parent link="link_6"/><child link="l7"/></joint></robot>'
+    text = (EXAMPLES / "small" / "robot.urdf").read_text(encoding="utf-8").replace("</robot>", jaw)
+    (tmp_path / "robot.urdf").write_text(text, encoding="utf-8")
+    (tmp_path / "cell.toml").write_text(as_toml(cell))
+    loaded = load_cell(tmp_path / "cell.toml")
+    with pytest.raises(ConfigError, match=r'has 7 axes.*where j7 is no axis.*tip = "link_6"'):
+        arm_robot(loaded, loaded.cell.arm[0])
+    cell["arm"][0]["tip"] = "link_6"
+    (tmp_path / "cell.toml").write_text(as_toml(cell))
+    loaded = load_cell(tmp_path / "cell.toml")
+    assert arm_robot(loaded, loaded.cell.arm[0]).axes == 6
+
+
+def test_a_tip_needs_a_urdf(cell):
+    table = {key: [0.0] * 6 for key in ("alpha_rad", "a_m", "d_m", "theta_offset_rad")}
+    del cell["arm"][0]["robot"]
+    cell["arm"][0] |= {"dh": {"convention": "modified"} | table, "tip": "link_6"}
+    with pytest.raises(ConfigError, match="tip names a link of a URDF"):
+        parse_cell(as_toml(cell), "cell.toml")
+
+
 def test_safety_keys_are_read_and_off_by_default(cell):
     plain = parse_cell(as_toml(cell), "cell.toml")
     assert plain.bus["a"].allow_real_drive is False

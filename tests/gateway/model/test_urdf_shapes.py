@@ -6,7 +6,6 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from gateway.errors import ConfigError
 from gateway.model.urdf_shapes import Box, Cylinder, Mesh, Sphere, Unknown, shapes_of
 
 
@@ -37,15 +36,22 @@ def test_a_shape_is_read_with_its_size(geometry: str, shape: object):
     [
         '<sphere radius="0"/>',
         '<sphere radius="-0.1"/>',
+        "<sphere/>",
         '<cylinder radius="0.1" length="0"/>',
         '<cylinder radius="0" length="0.1"/>',
+        '<cylinder radius="0.1" length="long"/>',
         '<box size="0.1 0 0.3"/>',
         '<box size="0.1 0.2 -0.3"/>',
+        '<box size="0.1 0.2"/>',
+        '<mesh filename="a.stl" scale="1"/>',
     ],
 )
-def test_a_size_that_is_not_positive_is_refused(geometry: str):
-    with pytest.raises(ConfigError, match=r"r\.urdf: link 'a' <collision>.*must be positive"):
-        shapes(geometry)
+def test_a_shape_without_a_usable_size_is_unknown_and_named_as_it_is_written(geometry: str):
+    (shape,) = shapes(geometry)
+    assert isinstance(shape, Unknown)
+    tag, _, value = geometry.strip("<>/").partition(" ")
+    assert shape.what.startswith(f"<{tag}>")
+    assert all(part.split('"')[0] in shape.what for part in value.split('="')[1:])
 
 
 def test_a_collision_without_a_geometry_has_no_shape():

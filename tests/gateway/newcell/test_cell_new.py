@@ -234,3 +234,25 @@ def test_efforts_of_a_maker_are_limits(folder):
     axes = axes_of(folder).axis
     assert [axis.torque_limit_nm for axis in axes] == [140, 140, 75, 26, 22, 14]
     assert not any(axis.torque_limit_is_assumed for axis in axes)
+
+
+JAW = (
+    '<link name="jaw"/><joint name="jaw_joint" type="revolute"><parent link="{last}"/><child link="jaw"/>'
+    '<axis xyz="0 1 0"/><limit lower="0" upper="1" effort="5" velocity="1"/></joint></robot>'
+)
+
+
+def test_a_jaw_in_the_urdf_asks_for_the_tip_and_the_cell_says_it(folder):
+    urdf = folder / "arm.urdf"
+    text = urdf.read_text(encoding="utf-8")
+    last = "hand_link"
+    urdf.write_text(text.replace("</robot>", JAW.format(last=last)), encoding="utf-8")
+    refused = with_answers(folder, ENOUGH)
+    assert refused.exit_code == 3
+    assert f"--tip {last}" in refused.stderr
+    done = with_answers(folder, ENOUGH, "--tip", last)
+    assert done.exit_code == 0, done.output
+    assert "joints taken as fixed at zero: 'jaw_joint' (revolute)" in done.stderr
+    arm = axes_of(folder)
+    assert (arm.tip, len(arm.axis)) == (last, 6)
+    assert arm_robot(load_cell(folder / "cell.toml"), arm).axes == 6
