@@ -56,7 +56,7 @@ def capsule_of(body: LinkShape, source: str) -> Capsule:
     if isinstance(shape, Mesh):
         points = read_vertices(find_mesh(shape.file, source)) * shape.scale
         return capsule_around(points @ pose[:3, :3].T + middle)
-    raise MeshError(f"{shape.what} cannot be used")
+    raise MeshError(f"{shape.what} is not known, or has no size")
 
 
 def capsule_around(points_m: Floats) -> Capsule:

@@ -5,11 +5,10 @@ import struct
 import numpy as np
 import pytest
 
-from gateway.errors import ConfigError
 from gateway.model.arm_model import arm_robot, robot_from_text, robot_text
 from gateway.model.capsule import capsule_around
 from gateway.model.mesh import MeshError, find_mesh, read_vertices
-from gateway.model.robot import reach_m, robot_from_urdf
+from gateway.model.robot import reach_m
 from gateway.motion.body import body_of_parts, moving_parts
 from gateway.motion.workspace import workspace_of
 
@@ -194,9 +193,13 @@ def test_an_unknown_shape_leaves_the_stated_radius(small_cell):
 
 
 @pytest.mark.parametrize("shape", ['<sphere radius="0"/>', '<box size="1 -1 1"/>', '<cylinder radius="1"/>'])
-def test_a_shape_without_its_size_is_refused(small_cell, shape):
-    with pytest.raises(ConfigError, match=r"robot.urdf: link 'link_4' <collision>"):
-        robot_from_urdf(with_shape(small_cell, 4, shape), "robot.urdf")
+def test_a_shape_without_its_size_leaves_an_assumed_radius_and_is_named(small_cell, shape):
+    arm = arm_of(small_cell)
+    robot = robot_from_text(arm, with_shape(small_cell, 4, shape), "robot.urdf")
+    assert "collision geometry left out: link 'link_4': <" in robot.remarks[0]
+    source = source_of(body_of(arm, robot), "link 4")
+    assert source.startswith(f"{0.05 * reach_m(robot):.3f} m, assumed")
+    assert "has no size" in source
 
 
 def test_stated_radii_go_from_joint_to_joint(small_cell):
