@@ -17,6 +17,7 @@ from drives.datasheet.encoding import read_text, unreadable
 from drives.datasheet.numbers import is_ambiguous, number, plain_number
 from drives.datasheet.sections import COMMISSIONING_NAMES, LISTS, Address, Section, sections_of
 from drives.datasheet.sheet import Remark, Sheet, SheetObject
+from drives.printable import one_line
 
 #: Largest number of elements of an array (CiA 301: subindex 0xFF is the structure).
 MAX_ELEMENTS: Final = 254
@@ -238,7 +239,7 @@ class _Builder:
             self._add(SheetObject(index, 0, "Number of entries", datatypes.UNSIGNED8, "ro", default=str(count)))
         for sub in range(1, count + 1):
             if (index, sub) not in self.entries:
-                name = _printable(element_name(names, sub)) or f"{pattern.name}{sub}"
+                name = one_line(element_name(names, sub)) or f"{pattern.name}{sub}"
                 self._add(replace(pattern, subindex=sub, name=name))
         return count
 
@@ -266,11 +267,11 @@ class _Builder:
         entry = SheetObject(
             index,
             sub,
-            _printable(keys.get("parametername", ("", 0))[0]),
+            one_line(keys.get("parametername", ("", 0))[0]),
             data_type,
             word,
             bool(mappable),
-            _printable(keys.get("unit", ("", 0))[0]),
+            one_line(keys.get("unit", ("", 0))[0]),
             line=section.line,
         )
         return self._with_values(entry, section, keys)
@@ -409,8 +410,8 @@ def sheet_of_text(text: str, path: Path) -> Sheet:
     node_id = _node_id(builder, sections)
     sheet = Sheet(
         path.name,
-        _printable(device.get("vendorname", ("", 0))[0]),
-        _printable(device.get("productname", ("", 0))[0]),
+        one_line(device.get("vendorname", ("", 0))[0]),
+        one_line(device.get("productname", ("", 0))[0]),
         None,
         None,
         None,
@@ -471,8 +472,3 @@ def _spelled(key: str) -> str:
 def _near(key: str, known: tuple[str, ...] = _USED) -> str:
     """A known key that one is perhaps meant to be."""
     return next(iter(difflib.get_close_matches(key, known, 1, 0.7)), "")
-
-
-def _printable(text: str) -> str:
-    """A name without control characters."""
-    return "".join(char if char.isprintable() else " " for char in text).strip()

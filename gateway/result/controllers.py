@@ -52,7 +52,7 @@ def to_abb(loads: Sequence[ExportLoad], robot: str) -> str:
             note = f"{load.inertia_note}, by its principal axes"
         lines += [
             f"! {load.label}: {accuracy(load)}; {note}",
-            f"PERS loaddata {identifier(load.label)}:=[{number_text(load.mass_kg, 3)},[{cog}],{inertia}];",
+            f"PERS loaddata {load.name}:=[{number_text(load.mass_kg, 3)},[{cog}],{inertia}];",
         ]
     return "\n".join([*lines, ""])
 
@@ -98,7 +98,7 @@ def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
             inertia = f", [{', '.join(number_text(value, 6) for value in load.inertia_kg_m2)}]"
         lines += [
             f"# {load.label}: {accuracy(load)}; {note}",
-            f"def use_{identifier(load.label)}():",
+            f"def use_{load.name}():",
             f"  set_target_payload({number_text(load.mass_kg, 3)}, [{cog}]{inertia})",
             "end",
         ]
@@ -126,7 +126,7 @@ def to_fanuc(loads: Sequence[ExportLoad], robot: str) -> str:
     lines += [f"!{_remark(line)}" for line in _assumed("", loads, "faceplate turn is ASSUMED, check")]
     for number, load in enumerate(loads, start=1):
         moments, left = _moments(load)
-        lines += [f"!{_remark(load.label)}", f"!{_remark(_short_accuracy(load))}"]
+        lines += [f"!{_remark(load.heading)}", f"!{_remark(_short_accuracy(load))}"]
         lines.append(f"!{_remark(_short_inertia(load, left))}")
         lines.append(f"$PLST_GRP1[{number}].$PAYLOAD={number_text(load.mass_kg, 3)}")
         for axis, value in zip("XYZ", load.com_m, strict=True):
@@ -174,7 +174,6 @@ def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:
     ]
     for load in loads:
         com = ", ".join(number_text(1000 * value, 2) for value in load.com_m)
-        name = identifier(load.label)
         moments, left = _moments(load)
         moi, note = "0.0, 0.0, 0.0", f"{load.inertia_note}: 0, enter it from CAD if it is large"
         if load.inertia_kg_m2 is not None:
@@ -183,8 +182,8 @@ def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:
             f"    // {load.label}: {accuracy(load)}; {note}{f'; {left}' if left else ''}",
             "    {",
             '      preset: "tool",',
-            f'      id: "local.{identifier(robot).lower()}.{name.lower()}",',
-            f'      displayNames: {{ en: "{name[:16]}" }},',
+            f'      id: "local.{identifier(robot).lower()}.{load.name.lower()}",',
+            f'      displayNames: {{ en: "{load.screen_name}" }},',
             f"      weight: {number_text(load.mass_kg, 3)},",
             f"      com: [{com}],",
             f"      moi: [{moi}]",

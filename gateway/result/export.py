@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import TYPE_CHECKING
 from xml.sax.saxutils import quoteattr
 
+from drives.printable import one_line
 from gateway.errors import ConfigError, DataUnusable
 from gateway.result.controllers import to_abb, to_fanuc, to_kuka, to_ur, to_yaskawa
-from gateway.result.export_load import ExportLoad, accuracy, complete, identifier, number_text, one_line
+from gateway.result.export_load import SCREEN_WIDTH, ExportLoad, accuracy, complete, number_text, unique_names
 from gateway.result.opc40010 import to_opc40010
 
 if TYPE_CHECKING:
@@ -48,7 +49,12 @@ def export(result: Result, fmt: str, label: str | None = None) -> str:
     if fmt not in FORMATS:
         raise ConfigError(f"format '{fmt}' is not known; choose one of {', '.join(FORMATS)}")
     write, frames = FORMATS[fmt]
-    loads = [complete(load, frames, result.data) for load in _chosen(result, label)]
+    labels = [load.label for load in result.loads]
+    names, screen_names = unique_names(labels), unique_names(labels, SCREEN_WIDTH)
+    loads = [
+        replace(complete(load, frames, result.data), name=names[load.label], screen_name=screen_names[load.label])
+        for load in _chosen(result, label)
+    ]
     return write(loads, one_line(result.robot))
 
 
@@ -77,7 +83,7 @@ def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
             f"  <link name={quoteattr(frame)}/>",
         ]
     for load in loads:
-        name = f"load_{identifier(load.label)}"
+        name = f"load_{load.name}"
         xyz = " ".join(number_text(value, 6) for value in load.com_m)
         parts += [
             f"  <!-- {_comment(load.label)}: {accuracy(load)}; {_comment(load.inertia_note)};"
@@ -118,6 +124,7 @@ def to_json(loads: Sequence[ExportLoad], robot: str) -> str:
     for load in loads:
         told = asdict(load)
         note = told.pop("inertia_note")
+        del told["screen_name"]
         handed.append(told | {"note": note})
     return json_text({"robot": robot, "loads": handed})
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from hashlib import sha256
 from typing import TYPE_CHECKING
 
+from drives.printable import one_line
 from drives.profile_parts import is_assumed
 from gateway.errors import ConfigError, DataUnusable
 from gateway.model.load_bounds import NO_ARM
@@ -19,6 +22,9 @@ if TYPE_CHECKING:
     from gateway.result.result import LoadResult
     from gateway.result.values import Numbers, Vector
 
+#: Longest name of a load in a controller's language, and on the screen of a Smart Pendant [characters].
+NAME_WIDTH = 28
+SCREEN_WIDTH = 16
 INERTIA_NOTE = "inertia not measured (no motion reveals it at rest)"
 
 
@@ -43,6 +49,8 @@ class ExportLoad:
         [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity, axes of `frame`; None = not handed over.
     inertia_note : str
         How well it is known, or why it is not handed over.
+    name, screen_name : str
+        Its name in a controller's language and on a small screen, different from those of the result's other loads.
     """
 
     label: str
@@ -54,6 +62,8 @@ class ExportLoad:
     flange_source: str | None = None
     inertia_kg_m2: Numbers | None = None
     inertia_note: str = INERTIA_NOTE
+    name: str = ""
+    screen_name: str = ""
 
     @property
     def frame_note(self) -> str:
@@ -69,6 +79,11 @@ class ExportLoad:
     def tensor_kg_m2(self) -> Floats | None:
         """The inertia (3, 3)."""
         return None if self.inertia_kg_m2 is None else tensor_of(self.inertia_kg_m2)
+
+    @property
+    def heading(self) -> str:
+        """The label, for a remark that may lose characters; the unique name where that would hide which load it is."""
+        return self.label if self.name == identifier(self.label) else self.name
 
 
 def complete(load: LoadResult, frames: Sequence[str], drawn: Drawn | None) -> ExportLoad:
@@ -144,15 +159,34 @@ def number_text(value: float, digits: int) -> str:
     return text.lstrip("-") if float(text) == 0 else text
 
 
-def one_line(text: str) -> str:
-    """Text that cannot leave its line."""
-    return "".join(character if character.isprintable() else " " for character in text).strip()
-
-
-def identifier(label: str) -> str:
-    """A label as a name of a controller's language."""
+def identifier(label: str, width: int = NAME_WIDTH) -> str:
+    """A label as a name of a controller's language; different labels may have the same one: see `unique_names`."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", label)
-    return (name if name[:1].isalpha() else f"load_{name}")[:28]
+    return (name if name[:1].isalpha() else f"load_{name}")[:width]
+
+
+def unique_names(labels: Sequence[str], width: int = NAME_WIDTH) -> dict[str, str]:
+    """Names in a controller's language by label, no two of them equal, upper and lower case alike.
+
+    Labels that share an identifier get a digest of the label behind it, so that a name does not depend on the order.
+
+    Raises
+    ------
+    DataUnusable
+        Two loads have the same label, or labels that differ in what cannot be printed.
+    """
+    plain = {label: identifier(label, width) for label in labels}
+    count = Counter(name.casefold() for name in plain.values())
+    names = {
+        label: name if count[name.casefold()] == 1 else f"{name[: width - 7]}_{sha256(label.encode()).hexdigest()[:6]}"
+        for label, name in plain.items()
+    }
+    if not len({name.casefold() for name in names.values()}) == len(set(map(one_line, labels))) == len(labels):
+        raise DataUnusable(
+            f"the loads {', '.join(labels)} cannot be told apart by name in the file of a controller: give each load a"
+            " label of its own and measure or import it again"
+        )
+    return names
 
 
 def accuracy(load: ExportLoad) -> str:

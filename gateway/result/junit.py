@@ -12,6 +12,7 @@ from datetime import datetime
 from typing import Final
 from xml.etree.ElementTree import Element, SubElement, indent, tostring
 
+from drives.printable import one_line
 from gateway.result.acceptance import PASS, acceptance_findings, asked_for, measured, not_hung
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval
@@ -91,7 +92,7 @@ def junit_of(about: str, found: Sequence[Case], moment: datetime) -> str:
         root,
         "testsuite",
         {
-            "name": _text(f"{NAME} {about}".strip()),
+            "name": one_line(f"{NAME} {about}".strip()),
             "package": NAME,
             "id": "0",
             "hostname": "localhost",
@@ -103,19 +104,14 @@ def junit_of(about: str, found: Sequence[Case], moment: datetime) -> str:
     SubElement(suite, "properties")
     for case in found:
         line = SubElement(
-            suite, "testcase", {"classname": _text(case.group), "name": _text(case.name), "time": _NO_TIME}
+            suite, "testcase", {"classname": one_line(case.group), "name": one_line(case.name), "time": _NO_TIME}
         )
         if case.kind:
-            failure = SubElement(line, "failure", {"type": case.kind, "message": _text(case.why)})
-            failure.text = _text(case.why)
+            failure = SubElement(line, "failure", {"type": case.kind, "message": one_line(case.why)})
+            failure.text = one_line(case.why)
     SubElement(suite, "system-out")
     SubElement(suite, "system-err")
     indent(root)
     return tostring(root, encoding="unicode", xml_declaration=False, short_empty_elements=True).join(
         ('<?xml version="1.0" encoding="UTF-8"?>\n', "\n")
     )
-
-
-def _text(text: str) -> str:
-    """What XML can hold: a label may carry characters that no XML file may."""
-    return "".join(character if character.isprintable() else " " for character in text)

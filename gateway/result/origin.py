@@ -9,6 +9,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from drives.printable import one_line
 from gateway import __version__
 from gateway.errors import InputError
 from gateway.result.values import SILENT
@@ -109,4 +110,4 @@ def _whole(value: Any) -> int | None:
 
 
 def _text(value: Any) -> str | None:
-    return "".join(filter(str.isprintable, value)).strip() or None if isinstance(value, str) else None
+    return one_line(value) or None if isinstance(value, str) else None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gateway.errors import ConfigError, DataUnusable
+from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.result.export import FORMATS, export
 from gateway.result.names import EXPORT_FORMATS
 from gateway.result.result import from_json
@@ -294,3 +294,43 @@ def test_every_export_names_the_frame(fmt):
 def test_a_load_that_no_arm_carries_is_not_exported():
     with pytest.raises(DataUnusable, match=r"5679 kg is beyond 3000 kg .*grams\? that is 5\.679 kg"):
         export(result(mass_kg=5679.0), "kuka")
+
+
+ALIKE = {
+    "separators": ["tool-1", "tool_1", "tool 1"],
+    "cut": ["gripper_with_the_long_fingers_a", "gripper_with_the_long_fingers_b"],
+    "letters": ["größe", "grüße", "gr\N{GREEK SMALL LETTER ALPHA}\N{GREEK SMALL LETTER BETA}e"],
+    "case": ["Tool", "tool"],
+    "digits": ["1", "load_1"],
+    "screen": ["gripper_of_line_1", "gripper_of_line_2"],
+}
+#: What names a load in the file of each format; the languages of the controllers take upper and lower case alike.
+NAMED = {
+    "abb": r"PERS loaddata (\w+):=",
+    "ur": r"def (\w+)\(\):",
+    "urdf": r'<link name="(load_\w+)"',
+    "yaskawa": r'id: "(\S+)"',
+    "fanuc": r"^ *\d+:  !(?!loads of|kg,|select|inertia|\d)(.*) ;",
+}
+
+
+@pytest.mark.parametrize("labels", ALIKE.values(), ids=ALIKE)
+@pytest.mark.parametrize("fmt", NAMED)
+def test_loads_have_different_names_in_the_file_of_a_controller(fmt, labels):
+    body = holding([LOAD | {"label": label, "mass_kg": 3.0 + 4 * index} for index, label in enumerate(labels)])
+    text = export(body, fmt)
+    names = [name.strip().lower() for name in re.findall(NAMED[fmt], text, re.MULTILINE)]
+    assert len(names) == len(set(names)) == len(labels), names
+    for label, name in zip(labels, names, strict=True):  # alone in a file of its own: the same name
+        alone = re.findall(NAMED[fmt], export(body, fmt, label), re.MULTILINE)
+        assert [each.strip().lower() for each in alone] == [name]
+    screens = re.findall(r'displayNames: \{ en: "(.*)" \}', text)
+    assert len({name.lower() for name in screens}) == len(screens)
+    assert all(len(name) <= 16 for name in screens)
+
+
+@pytest.mark.parametrize("fmt", EXPORT_FORMATS)
+def test_two_loads_of_one_label_are_not_exported(fmt):
+    body = holding([LOAD, LOAD | {"mass_kg": 3.0}])
+    with pytest.raises((DataUnusable, InputError), match="gripper 2"):
+        export(body, fmt)
