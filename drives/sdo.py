@@ -14,6 +14,7 @@ from typing import Final
 from drives.abort import TOGGLE_NOT_ALTERNATED
 from drives.errors import DriveError, SdoTimeout
 from drives.objects import SIZE_BYTES, STRUCT_CODE, decode_integer
+from drives.printable import one_line
 from drives.sdo_channel import (
     CCS_DOWNLOAD,
     CCS_DOWNLOAD_SEGMENT,
@@ -98,8 +99,8 @@ class SdoClient(SdoChannel):
         self.download(index, subindex, data, options)
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible string."""
-        return self.upload(index, subindex).rstrip(b"\0").decode("latin-1").strip()
+        """Read a visible string; what cannot be printed in it becomes a space."""
+        return one_line(self.upload(index, subindex).rstrip(b"\0").decode("latin-1"))
 
     # -- transfers ---------------------------------------------------------------------------------------------------
 

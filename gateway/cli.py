@@ -27,6 +27,7 @@ from typing import Any
 
 import click
 
+from drives.printable import without_controls
 from gateway import __version__
 from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 from gateway.motion.stops import SIGNALS, StoppedByPerson, output_closed
@@ -197,7 +198,7 @@ def report_error(error: BaseException) -> int:
 def _say(text: str) -> None:
     """To stderr, if anybody is there to read it."""
     try:
-        click.echo(text, err=True)
+        click.echo(without_controls(text, keep="\n\t"), err=True)
     except (OSError, AttributeError):
         _let_go_of_terminal()
 

@@ -20,7 +20,7 @@ from drives.validation import Refused, Strict, Unfit, read_strict, refuse
 from gateway.cell import plausible
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.config_pair import DistanceConfig, PairConfig
-from gateway.cell.quantities import Finite, Positive, Vector3
+from gateway.cell.quantities import Finite, PlainName, Positive, Vector3
 from gateway.errors import ConfigError
 
 
@@ -249,7 +249,7 @@ No = Annotated[bool, Field(strict=True)]
 class ArmConfig(Strict):
     """One arm on one bus, of two to eight axes; six is the usual case: `link_6` stands for the last link."""
 
-    name: str = Field(description="of the arm, in every file; `--arm` asks for it where there are several")
+    name: PlainName = Field(description="of the arm, in every file; `--arm` asks for it where there are several")
     bus: str = Field(description="name of its [bus.NAME]")
     robot: str | None = Field(default=None, description="URDF beside the cell; either this or [arm.dh]")
     tip: Annotated[str, Field(min_length=1)] | None = Field(
@@ -480,7 +480,7 @@ class PosesConfig(Strict):
 class Cell(Strict):
     """The whole cell file."""
 
-    name: str = Field(description="of the cell")
+    name: PlainName = Field(description="of the cell")
     bus: dict[str, BusConfig] = Field(description="one table a bus: [bus.a]")
     arm: tuple[ArmConfig, ...] = Field(min_length=1, description="one table an arm: [[arm]]")
     poses: PosesConfig = Field(default=PosesConfig(), description="rest poses")

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+
+def _printable(text: str) -> str:
+    if not text.isprintable():
+        raise ValueError("holds a control character: write printable text")
+    return text
+
+
+#: A name that reaches terminals, pages and files.
+PlainName = Annotated[str, AfterValidator(_printable)]
 #: Of a place, a direction or a turn: larger is a slip, and overflows further on.
 _Component = Annotated[float, Field(ge=-1e6, le=1e6)]
 Vector3 = tuple[_Component, _Component, _Component]

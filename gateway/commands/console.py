@@ -8,18 +8,20 @@ import math
 import os
 import sys
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rich import box
-from rich.console import Console
+from rich.console import Console, ConsoleOptions
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from drives.printable import without_controls
 from gateway.commands.outlet import Outlet
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval
@@ -32,11 +34,27 @@ PLAIN_WIDTH = 140
 
 
 class _Terminal(Console):
-    """A console whose closed pipe is an error like any other; rich would end the program at once, arms or not."""
+    """The one output to the terminal.
+
+    What is printed cannot control the terminal; a closed pipe is an error like any other, where rich would end the
+    program at once, arms or not.
+    """
+
+    def render(self, renderable: Any, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render as rich does, without the control characters of names that come from drives and files."""
+        for each in super().render(renderable, options):
+            yield each if each.control else Segment(without_controls(each.text, keep="\n\t"), each.style)
 
     def on_broken_pipe(self) -> None:
         """Nobody reads any more."""
         raise BrokenPipeError(errno.EPIPE, "the terminal was closed")
+
+
+class _PlainFormatter(logging.Formatter):
+    """Log lines that cannot control the terminal."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return without_controls(super().format(record), keep="\n\t")
 
 
 @dataclass(slots=True)
@@ -79,6 +97,7 @@ class Session:
             errors: Any = self._outlets[True]
             log = logging.StreamHandler(errors)
             log.setLevel(logging.WARNING)
+            log.setFormatter(_PlainFormatter())
             logging.getLogger().addHandler(log)
             stack.callback(logging.getLogger().removeHandler, log)
             yield

@@ -19,6 +19,13 @@ STORE = click.argument("store", type=click.Path(path_type=Path, file_okay=False)
 #: Robots that are named at the terminal.
 NAMED = 10
 INDEX = "index.html"
+PEM = click.Path(path_type=Path, dir_okay=False)
+#: Said of a scheduler that is reached without TLS.
+UNAUTHENTICATED = (
+    "--scheduler without TLS: tasks and results pass as pickles, unauthenticated and unencrypted: whoever reaches the"
+    " scheduler's port can run programs here and on the workers. Use tls:// with --tls-ca-file, --tls-cert, --tls-key,"
+    " or a network of its own"
+)
 
 
 @click.group()
@@ -55,8 +62,13 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
 @fleet.command("analyse")
 @STORE
 @click.option(
-    "--scheduler", metavar="ADDRESS", help="Dask scheduler, tcp://HOST:PORT; processes of this machine if omitted."
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Dask scheduler, tls://HOST:PORT (tcp:// is not authenticated); processes of this machine if omitted.",
 )
+@click.option("--tls-ca-file", type=PEM, metavar="PEM", help="Of a scheduler at tls://: certificate of its authority.")
+@click.option("--tls-cert", type=PEM, metavar="PEM", help="Of a scheduler at tls://: certificate of this program.")
+@click.option("--tls-key", type=PEM, metavar="PEM", help="Of a scheduler at tls://: key of that certificate.")
 @click.option(
     "--workers", "count", type=click.IntRange(1), help="Processes on this machine; one per processor if omitted."
 )
@@ -66,7 +78,15 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
 @json_option
 @common
 def fleet_analyse(
-    store: Path, scheduler: str | None, count: int | None, as_of: str | None, silent_days: float, json_out: str | None
+    store: Path,
+    scheduler: str | None,
+    tls_ca_file: Path | None,
+    tls_cert: Path | None,
+    tls_key: Path | None,
+    count: int | None,
+    as_of: str | None,
+    silent_days: float,
+    json_out: str | None,
 ) -> None:
     """Estimate every recording anew with this version, find what drifts, and rank the robots by what needs a visit.
 
@@ -74,13 +94,19 @@ def fleet_analyse(
     """
     from gateway.fleet.analyse import AsOf, analyse
     from gateway.fleet.store import open_store
-    from gateway.fleet.workers import workers
+    from gateway.fleet.workers import Certificates, workers
     from gateway.result.values import plain_values
 
     if scheduler is not None and count is not None:
         raise click.UsageError("--workers is of this machine; a scheduler has its own")
+    certificates = [file for file in (tls_ca_file, tls_cert, tls_key) if file is not None]
+    if certificates and (len(certificates) < 3 or not (scheduler or "").startswith("tls://")):
+        raise click.UsageError("--tls-ca-file, --tls-cert and --tls-key go together, with --scheduler tls://HOST:PORT")
     asked, opened, session = AsOf(_moment(as_of), silent_days), open_store(store), session_of()
-    with workers(scheduler, count) as spread, session.working("analysis"):
+    if scheduler is not None and not certificates:
+        session.note(UNAUTHENTICATED)
+    security = Certificates(*certificates) if certificates else None
+    with workers(scheduler, count, security) as spread, session.working("analysis"):
         found = analyse(opened, spread, asked)
     _show(found)
     if json_out:

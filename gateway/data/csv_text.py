@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -21,6 +22,8 @@ from gateway.errors import InputError
 AXES = range(1, MOST_AXES + 1)
 BLOCK_ROWS = 2048
 
+#: What a spreadsheet may take for a formula, and what would be read as marked against that.
+_FORMULA = re.compile(r"'*[=+\-@]")
 TEXT = frozenset({"run", "load"})
 #: Columns of our own that rows at rest have and rows of a motion have not, or the other way round.
 _OWN_OF_ONE_KIND = ("x_validation", "x_excitation", "x_period", "x_phase_s")
@@ -219,7 +222,12 @@ def _is_number(cell: str) -> bool:
 
 
 def _text(cells: tuple[str, ...]) -> np.ndarray:
-    return np.array(cells, dtype=object)
+    return np.array([cell[1:] if _FORMULA.match(cell[1:]) and cell[0] == "'" else cell for cell in cells], dtype=object)
+
+
+def text_cells(texts: Sequence[object]) -> list[object]:
+    """Cells that no spreadsheet takes for a formula: an apostrophe before what begins like one; reading removes it."""
+    return [f"'{text}" if isinstance(text, str) and _FORMULA.match(text) else text for text in texts]
 
 
 def _numbers(name: str, cells: tuple[str, ...], line: np.ndarray, file: str) -> np.ndarray:

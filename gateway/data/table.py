@@ -10,7 +10,7 @@ import numpy as np
 
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.cell.conversion import AxisConversion
-from gateway.data.csv_text import CsvColumns, empty_cell, read_columns
+from gateway.data.csv_text import CsvColumns, empty_cell, read_columns, text_cells
 from gateway.data.labels import LONGEST, label_refused
 from gateway.data.rows import MOVING, Table, concatenate, without_duplicates
 from gateway.errors import InputError
@@ -237,7 +237,7 @@ def csv_of(table: Table) -> str:
 
 
 def _columns_to_write(table: Table) -> dict[str, list[object]]:
-    columns: dict[str, list[object]] = {"run": table.run.tolist(), "load": table.load.tolist()}
+    columns: dict[str, list[object]] = {"run": text_cells(table.run.tolist()), "load": text_cells(table.load.tolist())}
     if (~table.moving).any():
         columns["pose"] = ["" if moves else int(pose) for pose, moves in zip(table.pose, table.moving, strict=True)]
     if np.isfinite(table.time_s).any():
@@ -260,7 +260,7 @@ def _columns_to_write(table: Table) -> dict[str, list[object]]:
                 columns[pattern.format(joint + 1)] = _cells(values[:, joint])
     if (table.count != 1).any():
         columns["n"] = table.count.tolist()
-    return columns | {name: _cells(values) for name, values in table.extra.items()}
+    return columns | {name: text_cells(_cells(values)) for name, values in table.extra.items()}
 
 
 def _refuse_part_of_an_axis(torque_nm: np.ndarray) -> None:

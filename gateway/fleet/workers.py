@@ -10,7 +10,8 @@ import os
 import socket
 from collections.abc import Callable, Generator, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from typing import Any, Final, Protocol, TypeVar
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol, TypeVar
 
 from gateway.errors import ConfigError, GatewayError
 from gateway.fleet.libraries import library
@@ -21,6 +22,14 @@ Done = TypeVar("Done")
 PATIENCE_S: Final = 15.0
 #: Tasks handed out for every worker: one that it does, and the next one.
 _AHEAD: Final = 2
+
+
+class Certificates(NamedTuple):
+    """PEM files for TLS: of the authority, the certificate of this program, its key."""
+
+    authority: Path
+    certificate: Path
+    key: Path
 
 
 class Spreading(Protocol):
@@ -38,7 +47,9 @@ def one_by_one(function: Callable[[Item], Done], items: Iterable[Item]) -> Itera
 
 
 @contextmanager
-def workers(scheduler: str | None, count: int | None = None) -> Generator[Spreading]:
+def workers(
+    scheduler: str | None, count: int | None = None, security: Certificates | None = None
+) -> Generator[Spreading]:
     """Workers of a cluster, or of this machine where no scheduler is named.
 
     Parameters
@@ -47,13 +58,20 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
         Address, such as tcp://10.0.0.5:8786.
     count : int, optional
         Processes on this machine; one per processor if omitted.
+    security : Certificates, optional
+        For a scheduler at a tls:// address.
 
     Raises
     ------
     ConfigError
-        Nobody answers there, or no more.
+        Nobody answers there, or no more; a tls:// address without certificates, or certificates that cannot be used.
     """
     distributed = library("distributed")
+    options: dict[str, Any] = {}
+    if security is not None:
+        options["security"] = _security(security)
+    elif (scheduler or "").startswith("tls://"):
+        raise ConfigError(f"--scheduler {scheduler}: needs --tls-ca-file, --tls-cert and --tls-key")
     if scheduler is not None:
         _reach(scheduler)
     library("dask").config.set({"distributed.comm.timeouts.connect": f"{PATIENCE_S}s"})
@@ -69,7 +87,7 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
                 silence_logs="CRITICAL",
             )
         try:
-            client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False)
+            client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False, **options)
         except (OSError, ValueError) as error:
             raise ConfigError(_nobody(str(scheduler))) from error
         yield _Dask(client, scheduler or "the workers of this machine")
@@ -79,6 +97,21 @@ def workers(scheduler: str | None, count: int | None = None) -> Generator[Spread
                 client.close(timeout=1.0)
             if cluster is not None:
                 cluster.close(timeout=10.0)
+
+
+def _security(files: Certificates) -> Any:
+    for file in files:
+        if not file.is_file():
+            raise ConfigError(f"{file}: there is no such file; name the PEM file of the cluster's certificates")
+    authority, certificate, key = map(str, files)
+    try:
+        security = library("distributed").Security(
+            tls_ca_file=authority, tls_client_cert=certificate, tls_client_key=key, require_encryption=True
+        )
+        security.get_connection_args("client")  # reads the files
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{authority}, {certificate}, {key}: cannot be used for TLS: {error}") from error
+    return security
 
 
 def _reach(scheduler: str) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.plausible import LARGEST_ANGLE_RAD
+from gateway.data.csv_text import text_cells
 from gateway.data.labels import BARE_LABEL, label_refused
 from gateway.errors import InputError
 from gateway.formats.log import Log
@@ -208,5 +209,5 @@ def _text(columns: dict[str, list[object]]) -> tuple[str, int]:
     stream = io.StringIO(newline="")
     writer = csv.writer(stream)
     writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    writer.writerows(zip(*map(text_cells, columns.values()), strict=True))
     return stream.getvalue(), len(next(iter(columns.values())))

@@ -5,10 +5,13 @@ NaN, null in the file, is unknown. Times are UTC. Joints count from 1; joint 0 i
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
 
+from drives.printable import one_line
+from gateway.errors import InputError
 from gateway.result.result import Outcome
 from gateway.result.seal import refuse_edited
 from gateway.result.values import NAN, SILENT, Number, Numbers, check_kind, check_lengths, decoded, json_object, text_of
@@ -240,7 +243,11 @@ def read_fleet(path: Path) -> FleetHealth:
     data = json_object(text_of(path, f"write it {AGAIN}"), str(path))
     check_kind(data, SCHEMA, FLEET_KIND, str(path))
     refuse_edited(data, str(path), AGAIN)
-    return decoded(FleetHealth, data, str(path))
+    found = decoded(FleetHealth, data, str(path))
+    for line in found.robots:
+        if not re.fullmatch(r"[\w-]+", line.robot):
+            raise InputError(f"{path}: '{one_line(line.robot)}' is no name of a robot: write it {AGAIN}")
+    return found
 
 
 def read_robot(path: Path) -> RobotHealth:

@@ -52,6 +52,11 @@ def test_segmented_upload(sdo, slave, length):
     assert sdo.upload(0x1008) == slave.texts[0x1008, 0]
 
 
+def test_a_name_in_a_drive_is_text_without_control_characters(sdo, slave):
+    slave.texts[0x1008, 0] = b"drive\x1b]0;owned\x07\x9b2Jend\r\n\0"
+    assert sdo.read_text(0x1008) == "drive ]0;owned  2Jend"
+
+
 @pytest.mark.parametrize("length", [0, 5, 7, 8, 14, 15, 50])
 def test_segmented_download(sdo, slave, length):
     data = bytes(range(length))

@@ -1,7 +1,7 @@
 """Typed, tolerant access to HDF5 files of unknown origin: a value of the expected kind, or `InputError` with its place.
 
 libhdf5 reports damage by many kinds of exception, and a damaged header may claim any size: sizes are compared with the
-file before anything is read, links that lead out of the file are refused.
+file before anything is read. Refused: links and storage that lead out of the file, and objects that are linked twice.
 """
 
 from __future__ import annotations
@@ -99,6 +99,13 @@ class Place:
             raise self.refuse(f"@{name}", f"is {type(value).__name__}, text expected")
         return value
 
+    def label(self, name: str) -> str:
+        """A text attribute that is the label of a load."""
+        value = self.text(name)
+        if not value or not value.isprintable():
+            raise self.refuse(f"@{name}", "is empty or holds control characters: the label of a load is printable text")
+        return value
+
     def integer(self, name: str, default: int | None = None) -> int:
         """An integer attribute."""
         value = self._attribute(name, default)
@@ -144,6 +151,8 @@ class Place:
         found = self._object(name)
         if not isinstance(found, h5py.Dataset):
             raise self.refuse(name, "is no dataset")
+        if found.is_virtual or found.external is not None:
+            raise self.refuse(name, "keeps its numbers in another file; a recording holds all of its own")
         return found
 
     def _object(self, name: str) -> Any:
@@ -151,7 +160,10 @@ class Place:
             raise self.refuse(name, "is missing")
         if not isinstance(self.group.get(name, getlink=True), h5py.HardLink):
             raise self.refuse(name, "leads out of the file")
-        return self.group[name]
+        found = self.group[name]
+        if h5py.h5o.get_info(found.id).rc != 1:
+            raise self.refuse(name, "is linked more than once; a recording holds each group and dataset once")
+        return found
 
 
 @contextmanager

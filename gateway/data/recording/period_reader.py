@@ -63,7 +63,7 @@ def _period(
     require_length(place, arrays, len(arrays["sync_index"]))
     period = Period(
         number=number,
-        load=place.text("load"),
+        load=place.label("load"),
         excitation=place.integer("excitation"),
         name=place.text("name"),
         kind=place.text("kind"),
@@ -84,7 +84,7 @@ def _period(
 
 
 def _require_labels(place: Place, period: Period, axes: int) -> None:
-    if not period.load or period.kind not in KINDS or not 0 <= period.joint <= axes or period.period < 1:
+    if period.kind not in KINDS or not 0 <= period.joint <= axes or period.period < 1:
         raise place.refuse("", "load, kind, joint or period is not what a period has")
     if not (0 < period.speed <= 1 and period.period_s > 0):
         raise place.refuse("@speed", "speed must be above 0 and at most 1, period_s above 0")

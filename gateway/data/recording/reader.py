@@ -141,7 +141,7 @@ def _number(visits: Place, name: str) -> int:
 def _visit(place: Place, number: int, axes: int, torque_unit_nm: np.ndarray | None) -> Visit:
     visit = Visit(
         number=number,
-        load=place.text("load"),
+        load=place.label("load"),
         pose=place.integer("pose"),
         purpose=place.text("purpose", "fit"),
         approach=place.integer("approach"),
@@ -153,6 +153,6 @@ def _visit(place: Place, number: int, axes: int, torque_unit_nm: np.ndarray | No
         gravity_nm=place.numbers("gravity_nm", axes) if "gravity_nm" in place.group.attrs else None,
         friction_band_nm=place.numbers("friction_band_nm", axes) if "friction_band_nm" in place.group.attrs else None,
     )
-    if visit.purpose not in ("fit", "validation") or visit.approach not in SIDES or not visit.load:
+    if visit.purpose not in ("fit", "validation") or visit.approach not in SIDES:
         raise place.refuse("", "load, purpose or approach is not what a visit has")
     return visit

@@ -62,6 +62,8 @@ AXIS = ("arm", 0, "axis", 2)
     ("place", "key", "value", "message"),
     [
         ((), "colour", "red", "colour: unknown key"),
+        ((), "name", "cell\x9b2J", "holds a control character: write printable text"),
+        (("arm", 0), "name", "arm\N{RIGHT-TO-LEFT OVERRIDE}", "holds a control character: write printable text"),
         (AXIS, "gear_ration", 100, "J3: gear_ration: unknown key (units are part of the name): write gear_ratio"),
         (AXIS, "speed_limit_deg_s", 30, "speed_limit_deg_s: unknown key"),
         (AXIS, "gear_ratio", None, 'write gear_ratio = { value = NUMBER, source = "..." }'),

@@ -345,3 +345,24 @@ def test_tables_of_different_arms_are_not_put_together(tmp_path):
     tables = [read_csv(write(tmp_path / "a.csv", rest_rows()), None), read_csv(write(tmp_path / "b.csv", four), None)]
     with pytest.raises(InputError, match=r"different numbers of axes \(.*a.csv 6, .*b.csv 4\)"):
         concatenate(tables)
+
+
+@pytest.mark.parametrize("label", ['=HYPERLINK("http://x")', "+1", "-tool", "@x", "'=quoted", "'plain", "''+twice"])
+def test_a_label_is_no_formula_in_a_spreadsheet_and_comes_back(tmp_path, label):
+    text = ",".join(["load", "run", "pose", "x_note", *(f"q{i}_rad" for i in range(1, 7)), "tau2_nm"])
+    quoted = '"' + label.replace('"', '""') + '"'
+    first = tmp_path / "first.csv"
+    first.write_text(f"{text}\n{quoted},{quoted},1,{quoted},0,0,0,0,0,0,-1.5\n")
+    table = read_csv(first, None)
+    write_csv(table, tmp_path / "second.csv")
+    with (tmp_path / "second.csv").open(newline="") as stream:
+        header, row = csv.reader(stream)
+    cells = dict(zip(header, row, strict=True))
+    assert not [name for name in ("load", "run", "x_note") if cells[name][0] in "=+-@"]
+    assert float(cells["tau2_nm"]) == -1.5
+    back = read_csv(tmp_path / "second.csv", None)
+    assert (back.load[0], back.run[0], back.extra["x_note"][0]) == (
+        table.load[0],
+        table.run[0],
+        table.extra["x_note"][0],
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import UTC, timedelta
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import one_by_one
 from gateway.report.fleet import headline, render_fleet, render_robot
 from gateway.result.fleet import FleetHealth, RobotLine, read_fleet, read_robot
+from gateway.result.seal import sealed
 from tests.fleets import FIRST, checks, write_table
 from tests.visits import ARM_HEADER, CELL, header_of, visit
 
@@ -154,7 +156,7 @@ def here(monkeypatch: pytest.MonkeyPatch):
     from contextlib import contextmanager
 
     @contextmanager
-    def alone(_scheduler, _count=None):
+    def alone(_scheduler, _count=None, _security=None):
         yield one_by_one
 
     monkeypatch.setattr(workers_module, "workers", alone)
@@ -162,6 +164,35 @@ def here(monkeypatch: pytest.MonkeyPatch):
 
 def run(*words: object):
     return CliRunner().invoke(main, [str(word) for word in words])
+
+
+@pytest.mark.usefixtures("here")
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--scheduler", "tcp://h:1"], 0, "pass as pickles, unauthenticated and unencrypted"),
+        (["--scheduler", "tls://h:1", "--tls-ca-file", "a", "--tls-cert", "b", "--tls-key", "c"], 0, None),
+        ([], 0, None),
+        (["--scheduler", "tls://h:1", "--tls-ca-file", "a"], 2, "go together"),
+        (["--scheduler", "tcp://h:1", "--tls-ca-file", "a", "--tls-cert", "b", "--tls-key", "c"], 2, "go together"),
+    ],
+)
+def test_a_scheduler_without_certificates_is_named_as_such(tmp_path: Path, words, code, said) -> None:
+    store = tmp_path / "store"
+    run("fleet", "ingest", store, write_table(tmp_path / "a.csv", checks("one", days=range(3))))
+    done = run("fleet", "analyse", store, "--as-of", "2026-02-11", *words)
+    assert done.exit_code == code, done.output
+    assert ("pickles" in done.output) == (code == 0 and said is not None)
+    assert said is None or said in " ".join(done.output.split())
+
+
+def test_a_robot_of_a_store_cannot_name_a_file_elsewhere(store: Store, tmp_path: Path) -> None:
+    analysed(store, tmp_path, checks("a", days=range(40)))
+    data = json.loads((store.analysis / "fleet.json").read_text())
+    data["robots"][0]["robot"] = "../../outside"
+    (store.analysis / "fleet.json").write_text(json.dumps(sealed(data)))
+    with pytest.raises(InputError, match=r"'\.\./\.\./outside' is no name of a robot"):
+        read_fleet(store.analysis / "fleet.json")
 
 
 @pytest.mark.usefixtures("here")

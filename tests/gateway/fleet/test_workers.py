@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -39,12 +40,12 @@ if __name__ == "__main__":
 """
 
 
-def ran(folder: Path, text: str, word: object) -> subprocess.CompletedProcess[str]:
-    """A program in a process of its own, with a word of its command line."""
+def ran(folder: Path, text: str, *words: object) -> subprocess.CompletedProcess[str]:
+    """A program in a process of its own, with words of its command line."""
     program = folder / "program.py"
     program.write_text(text)
     done = subprocess.run(
-        [sys.executable, program, str(word)], capture_output=True, text=True, cwd=ROOT, timeout=120,
+        [sys.executable, program, *map(str, words)], capture_output=True, text=True, cwd=ROOT, timeout=120,
         env={"PYTHONPATH": str(ROOT), "PATH": "/usr/bin:/bin", "OPENBLAS_NUM_THREADS": "1"},
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
@@ -139,3 +140,73 @@ if __name__ == "__main__":
 def test_cluster_that_goes_away_or_has_nobody_is_one_sentence(tmp_path: Path, cluster: str, said: str) -> None:
     done = ran(tmp_path, GONE, cluster)
     assert re.fullmatch(said, done.stdout.strip()), done.stdout + done.stderr
+
+
+# -- who may connect ---------------------------------------------------------------------------------------------------
+
+
+def _certificates(folder: Path, name: str) -> module.Certificates:
+    """An authority of its own and a certificate of it, by openssl."""
+    files = module.Certificates(*(folder / f"{name}-{part}.pem" for part in ("ca", "cert", "key")))
+    authority_key, request = folder / f"{name}-ca-key.pem", folder / f"{name}.csr"
+    key = ["-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-subj"]
+    for words in (
+        ["req", "-x509", "-days", "2", *key, "/CN=authority", "-keyout", authority_key, "-out", files.authority],
+        ["req", *key, "/CN=cluster", "-keyout", files.key, "-out", request],
+        ["x509", "-req", "-days", "2", "-in", request, "-CA", files.authority, "-CAkey", authority_key,
+         "-CAcreateserial", "-out", files.certificate],
+    ):  # fmt: skip
+        subprocess.run(["openssl", *map(str, words)], check=True, capture_output=True)
+    return files
+
+
+#: A cluster with TLS on this machine, and what comes of the client whose files are named on the command line.
+TLS = """
+import sys
+from pathlib import Path
+from distributed import LocalCluster, Security
+from gateway.errors import ConfigError
+from gateway.fleet import workers as module
+
+if __name__ == "__main__":
+    module.PATIENCE_S = 3.0
+    names = [str(name) for name in sys.argv[1:]]
+    authority, certificate, key = names[:3]
+    security = Security(
+        tls_ca_file=authority, tls_scheduler_cert=certificate, tls_scheduler_key=key, tls_worker_cert=certificate,
+        tls_worker_key=key, tls_client_cert=certificate, tls_client_key=key, require_encryption=True,
+    )
+    with LocalCluster(
+        n_workers=1, processes=False, protocol="tls", security=security, dashboard_address=None, silence_logs="CRITICAL"
+    ) as cluster:
+        try:
+            client = module.Certificates(*map(Path, names[3:]))
+            with module.workers(cluster.scheduler_address, security=client) as spread:
+                print(sorted(spread(abs, [-1, 2])))
+        except ConfigError:
+            print("refused")
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
+@pytest.mark.parametrize(("client", "said"), [("own", "[(-1, 1), (2, 2)]"), ("foreign", "refused")])
+def test_a_cluster_with_certificates_works_for_whoever_has_them(tmp_path: Path, client: str, said: str) -> None:
+    files = {name: _certificates(tmp_path, name) for name in ("own", "foreign")}
+    done = ran(tmp_path, TLS, *files["own"], *files[client])
+    assert said in done.stdout
+
+
+def test_a_scheduler_with_tls_needs_certificates_that_are_there(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="needs --tls-ca-file, --tls-cert and --tls-key"), module.workers("tls://h:1"):
+        pass
+    missing = module.Certificates(*(tmp_path / name for name in ("ca.pem", "cert.pem", "key.pem")))
+    with (
+        pytest.raises(ConfigError, match=r"ca\.pem: there is no such file"),
+        module.workers("tls://h:1", None, missing),
+    ):
+        pass
+    for file in missing:
+        file.write_text("no certificate")
+    with pytest.raises(ConfigError, match="cannot be used for TLS"), module.workers("tls://h:1", None, missing):
+        pass

@@ -334,3 +334,10 @@ def test_two_loads_of_one_label_are_not_exported(fmt):
     body = holding([LOAD, LOAD | {"mass_kg": 3.0}])
     with pytest.raises((DataUnusable, InputError), match="gripper 2"):
         export(body, fmt)
+
+
+@pytest.mark.parametrize("fmt", EXPORT_FORMATS)
+def test_labels_that_look_alike_once_they_are_printable_are_not_exported(fmt):
+    body = holding([LOAD | {"label": "tool\x1ba"}, LOAD | {"label": "tool a", "mass_kg": 3.0}])
+    with pytest.raises(DataUnusable, match="cannot be told apart"):
+        export(body, fmt)

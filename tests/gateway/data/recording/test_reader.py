@@ -263,6 +263,53 @@ def test_damaged_content_is_named(path, change, message):
     assert message in str(refused.value)
 
 
+def _stored_elsewhere(kind):
+    """The torque words of a visit, as HDF5 keeps them in another file: a pipe, which would hang whoever reads it."""
+
+    def change(file) -> None:
+        group, pipe = file["/arms/main/visits/0001"], Path(file.filename).with_name("pipe")
+        shape = group["torque_permille"].shape
+        del group["torque_permille"]
+        if kind == "external":
+            os.mkfifo(pipe)
+            group.create_dataset("torque_permille", shape, "i4", external=[(str(pipe), 0, h5py.h5f.UNLIMITED)])
+        else:
+            layout = h5py.VirtualLayout(shape, "i4")
+            layout[:] = h5py.VirtualSource(str(pipe), "numbers", shape)
+            group.create_virtual_dataset("torque_permille", layout)
+
+    return change
+
+
+@pytest.mark.parametrize("kind", ["external", "virtual"])
+def test_numbers_in_another_file_are_not_read(path, kind):
+    forge(path, _stored_elsewhere(kind))
+    with pytest.raises(InputError, match="0001/torque_permille: keeps its numbers in another file"):
+        read(path)
+
+
+@pytest.mark.parametrize("what", ["visit", "dataset"])
+def test_an_object_that_is_linked_many_times_is_read_not_even_once(path, what):
+    def change(file) -> None:
+        visits = file["/arms/main/visits"]
+        if what == "visit":
+            for number in range(100, 9100):
+                visits[f"{number:04d}"] = visits["0001"]
+        else:
+            visits["0002/other"] = visits["0001/q_rad"]
+
+    forge(path, change)
+    with pytest.raises(InputError, match="is linked more than once"):
+        read(path)
+
+
+@pytest.mark.parametrize("label", ["a\x1b]0;mine\x07", "a\nb", "a\N{RIGHT-TO-LEFT OVERRIDE}b", ""])
+def test_a_label_that_would_control_a_terminal_is_not_read(path, label):
+    forge(path, lambda file: file["/arms/main/visits/0001"].attrs.__setitem__("load", label))
+    with pytest.raises(InputError, match="0001/@load: is empty or holds control characters"):
+        read(path)
+
+
 def test_a_dataset_that_claims_more_than_the_file_is_not_read(path):
     def change(file) -> None:
         group = file["/arms/main/visits/0001"]
