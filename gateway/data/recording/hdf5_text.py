@@ -6,6 +6,7 @@ file before anything is read. Refused: links and storage that lead out of the fi
 
 from __future__ import annotations
 
+import importlib
 import json
 from collections.abc import Generator
 from contextlib import contextmanager
@@ -29,6 +30,9 @@ DAMAGE = (
     OverflowError,
     MemoryError,
 )
+
+#: Low-level access to objects; h5py has no types for it.
+_objects: Any = importlib.import_module("h5py.h5o")
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +165,7 @@ class Place:
         if not isinstance(self.group.get(name, getlink=True), h5py.HardLink):
             raise self.refuse(name, "leads out of the file")
         found = self.group[name]
-        if h5py.h5o.get_info(found.id).rc != 1:
+        if _objects.get_info(found.id).rc != 1:
             raise self.refuse(name, "is linked more than once; a recording holds each group and dataset once")
         return found
 
