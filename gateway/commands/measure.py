@@ -81,7 +81,8 @@ def plan(
     config = arm_named(loaded, arm_name)
     robot = arm_robot(loaded, config)
     note_remarks(robot)
-    chosen = make_plan(loaded, n_poses, seed, arm_name)
+    with session_of().working("reading the arm's geometry, choosing poses and paths"):
+        chosen = make_plan(loaded, n_poses, seed, arm_name)
     show_plan(chosen)
     workspace = workspace_of(config, robot)
     session_of().show("\n  ".join(["kept apart:", *space_in_words(workspace)]))

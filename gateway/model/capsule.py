@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gateway.model.mesh import MeshError, find_mesh, read_vertices
+from gateway.model.mesh import MeshError, find_mesh, mesh_corners
 from gateway.model.robot import LinkShape
 from gateway.model.urdf_shapes import Box, Cylinder, Mesh, Sphere
 
@@ -54,7 +54,7 @@ def capsule_of(body: LinkShape, source: str) -> Capsule:
         half = shape.size_m[longest] / 2 * pose[:3, longest]
         return Capsule(middle - half, middle + half, float(np.linalg.norm(across)) / 2)
     if isinstance(shape, Mesh):
-        points = read_vertices(find_mesh(shape.file, source)) * shape.scale
+        points = mesh_corners(find_mesh(shape.file, source)) * shape.scale
         return capsule_around(points @ pose[:3, :3].T + middle)
     raise MeshError(f"{shape.what} is not known, or has no size")
 

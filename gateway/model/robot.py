@@ -22,6 +22,13 @@ from gateway.model.urdf_shapes import Shape
 
 Floats = NDArray[np.float64]
 SHORTEST_M = 0.1
+#: Longer than any arm of this kind [m]; from where on only millimetres give a number like that.
+LONGEST_M, MILLIMETRES_FROM_M = 20.0, 600.0
+#: More than the moving links of the heaviest arms weigh, 8 t at a payload of 2.3 t [kg].
+HEAVIEST_KG = 20_000.0
+#: Mass of the moving links over the cube of the reach: the densest arms have 200; one of 4 kg in grams has 20 000.
+#: A reach below half a metre counts as that, and turntables of few axes, whose reach is none, are left alone.
+DENSEST_KG_M3, SMALLEST_ROOM_M, MOST_AXES_OF_TABLES = 4000.0, 0.5, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -205,7 +212,7 @@ def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
         for pose in reversed(joint.fixed_before):
             placement[i] = transform(rotation_rpy(pose.rpy_rad), pose.xyz_m) @ placement[i]
     inertials = [_merged(link) for link in chain.links]
-    return Robot(
+    robot = Robot(
         name=chain.name,
         placement=placement,
         axis=np.array([joint.axis for joint in chain.joints]),
@@ -224,6 +231,26 @@ def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
         frames=tuple((frame.name, _chained(frame.poses)) for frame in chain.frames),
         remarks=tuple(_remarks(chain, where)),
     )
+    _refuse_units(robot, where)
+    return robot
+
+
+def _refuse_units(robot: Robot, where: str) -> None:
+    """Refuse lengths and masses that no arm has: a URDF is in metres and kilograms, whatever its exporter drew in."""
+    from_joints_m = np.linalg.norm(np.nan_to_num(robot.com_m), axis=1).max()
+    for what, length_m in (("from joint to joint", reach_m(robot)), ("to a centre of mass", float(from_joints_m))):
+        if length_m > LONGEST_M:
+            unit = "millimetres" if length_m > MILLIMETRES_FROM_M else "centimetres or millimetres"
+            raise ConfigError(
+                f"{where}: robot '{robot.name}' measures {length_m:.4g} m {what}, beyond {LONGEST_M:g} m: its lengths"
+                f" are in {unit}; export it in metres (lengths, centres of mass, and inertia in kg m2)"
+            )
+    mass_kg, room_m3 = float(np.nansum(robot.mass_kg)), max(reach_m(robot), SMALLEST_ROOM_M) ** 3
+    if mass_kg > HEAVIEST_KG or (robot.axes > MOST_AXES_OF_TABLES and mass_kg > DENSEST_KG_M3 * room_m3):
+        raise ConfigError(
+            f"{where}: the moving links of robot '{robot.name}' weigh {mass_kg:.4g} kg at a reach of"
+            f" {reach_m(robot):.3g} m: its masses are in grams; export it in kilograms (and inertia in kg m2)"
+        )
 
 
 def or_another_tip(robot: Robot, axes: int) -> str:

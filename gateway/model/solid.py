@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from gateway.model.capsule import Capsule, capsule_of
-from gateway.model.mesh import find_mesh, read_vertices
+from gateway.model.mesh import find_mesh, mesh_corners
 from gateway.model.robot import LinkShape
 from gateway.model.urdf_shapes import Box, Cylinder, Mesh
 
@@ -55,7 +55,7 @@ def solid_box(size_m: Floats, pose: Floats) -> Solid:
 
 
 def solid_of(body: LinkShape, source: str) -> Solid:
-    """Body, in the link's frame, of one shape of a link; of a mesh its convex hull.
+    """Body, in the link's frame, of one shape of a link; of a mesh its convex hull, or a simpler body around that.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def solid_of(body: LinkShape, source: str) -> Solid:
     elif isinstance(shape, Box):
         points = _CORNERS * shape.size_m
     elif isinstance(shape, Mesh):
-        points = read_vertices(find_mesh(shape.file, source)) * shape.scale
+        points = mesh_corners(find_mesh(shape.file, source)) * shape.scale
         try:
             points = points[ConvexHull(points).vertices]
         except (QhullError, ValueError):  # flat or few: the capsule is the body

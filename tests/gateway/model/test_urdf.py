@@ -207,3 +207,43 @@ def test_frames_fixed_to_the_last_link_are_listed_with_their_poses_in_it():
     assert [name for name, _ in robot.frames] == ["flange", "tool0"]
     for name, pose in robot.frames:
         np.testing.assert_allclose(pose, model.frames[model.getFrameId(name)].placement.homogeneous, atol=1e-12)
+
+
+def scaled(text: str, lengths: float = 1.0, masses: float = 1.0) -> str:
+    """The same arm in other units, as an exporter writes it."""
+
+    def times(factor: float):
+        return lambda found: found[1] + " ".join(repr(float(v) * factor) for v in found[2].split()) + '"'
+
+    text = re.sub(r'(xyz=")(?=[^"]*"\s*rpy)([^"]*)"', times(lengths), text)
+    return re.sub(r'(<mass value=")([^"]*)"', times(masses), text)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "in millimetres"), (100.0, "in centimetres or millimetres")])
+def test_an_arm_in_another_unit_of_length_is_refused_with_it(factor: float, unit: str):
+    with pytest.raises(ConfigError, match=rf"beyond 20 m: its lengths are {unit}; export it in metres"):
+        robot_from_urdf(scaled(arm(0), lengths=factor), "r.urdf")
+
+
+def test_centres_of_mass_in_millimetres_are_refused():
+    text = re.sub(r'(<inertial><origin xyz=")([^"]*)"', r'\g<1>100 20 30"', arm(0), count=1)
+    with pytest.raises(ConfigError, match="to a centre of mass"):
+        robot_from_urdf(text, "r.urdf")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_an_arm_in_grams_is_refused_and_one_of_steel_is_not(seed: int):
+    with pytest.raises(ConfigError, match="its masses are in grams; export it in kilograms"):
+        robot_from_urdf(scaled(arm(seed), masses=1000.0), "r.urdf")
+    assert robot_from_urdf(scaled(arm(seed), masses=3.0), "r.urdf").axes == 6
+
+
+def test_the_published_masses_of_large_and_small_arms_are_kilograms():
+    """(axes, reach [m], mass of the moving links [kg]) of a desk arm, a cobot, a foundry arm and a turntable."""
+    text = arm(0)
+    for reach, mass in ((0.33, 4.5), (1.3, 28.0), (0.58, 20.0), (3.2, 3700.0), (4.7, 8000.0)):
+        robot = robot_from_urdf(text, "r.urdf")
+        length = reach / float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
+        assert robot_from_urdf(scaled(text, length, mass / float(robot.mass_kg.sum())), "r.urdf").axes == 6
+    table = scaled(arm(0, axes=2), 1e-3, 500.0 / 20.0)
+    assert robot_from_urdf(table, "r.urdf").axes == 2
