@@ -205,8 +205,10 @@ data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(
 
 
 def note_remarks(robot: Robot | None) -> None:
-    """Print what of a robot description is not used as it is written."""
-    for remark in () if robot is None else robot.remarks:
+    """Print what of a robot description is not used as it is written, or is a placeholder."""
+    from gateway.model.placeholders import placeholders
+
+    for remark in () if robot is None else (*robot.remarks, *placeholders(robot)):
         session_of().note(remark)
 
 

@@ -370,8 +370,20 @@ def _turning(joint: ET.Element, poses: tuple[Pose, ...], where: str) -> Joint:
             upper = number(limit, "upper", f"{label} <limit>", where, math.inf)
             if lower > upper:
                 raise ConfigError(f"{where}: {label} <limit>: lower {lower} is above upper {upper}; swap them")
+            lower, upper = _softened(joint, lower, upper, where)
     x, y, z = (value / length for value in axis)
     return Joint(name, _child(joint), pose.xyz_m, pose.rpy_rad, (x, y, z), lower, upper, velocity, effort, poses)
+
+
+def _softened(joint: ET.Element, lower: float, upper: float, where: str) -> tuple[float, float]:
+    """Joint limits narrowed by those of a `<safety_controller>`; one without a range of its own changes nothing."""
+    soft = joint.find("safety_controller")
+    if soft is None:
+        return lower, upper
+    label = f"joint '{joint.get('name')}' <safety_controller>"
+    low = max(lower, number(soft, "soft_lower_limit", label, where, lower))
+    high = min(upper, number(soft, "soft_upper_limit", label, where, upper))
+    return (low, high) if low < high else (lower, upper)
 
 
 def _inertial(link: ET.Element, name: str, where: str) -> Inertial | None:

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from drives.profile import DriveProfile
 from drives.profile_parts import is_assumed
 from gateway.identify.links import default_inertials
+from gateway.model.placeholders import effort_placeholder, mass_placeholder
 from gateway.model.robot import Robot
+from gateway.model.urdf import FLANGES, flange_kind
 from gateway.newcell.answers import ASSUMED, Answer
 from gateway.newcell.nodes import SeenNode, counts_per_turn, rated_current_a, rated_torque_nm
 from gateway.result.inertia import zyx_degrees
@@ -23,8 +25,6 @@ GEAR_EFFICIENCY = 0.8
 FIRST_SPEED_RAD_S = 0.5
 #: Efforts of a URDF that exporters fill in: they carry no statement about the arm, and refuse motion until confirmed.
 PLACEHOLDER = f"{ASSUMED}, a placeholder"
-#: No joint of a six-axis arm has more: the largest palletizers have about 20 kNm at J2 [Nm].
-LARGEST_EFFORT_NM = 50_000.0
 #: 0x607E: the sign of positions is turned round in the drive.
 _POSITION_REVERSED = 0x80
 
@@ -158,7 +158,7 @@ def torque_limits(robot: Robot, axes: Axes) -> Answer | None:
             return None
         found.append(min(bounds))
         by_drive.append(most_nm is not None and most_nm <= min(bounds))
-    why = placeholder_efforts(robot)
+    why = effort_placeholder(robot)
     if all(by_drive) and (why or not np.isfinite(robot.effort_nm).all()):
         return Answer(tuple(found), f"{ASSUMED}: what the drive allows (0x6076, 0x6072) times the gear ratio")
     if why:
@@ -166,17 +166,6 @@ def torque_limits(robot: Robot, axes: Axes) -> Answer | None:
     if np.isfinite(robot.effort_nm).all():
         return Answer(tuple(found), "URDF" if tuple(found) == tuple(robot.effort_nm) else "URDF and drive, 0x6072")
     return Answer(tuple(found), f"{ASSUMED}: what the drive allows (0x6076, 0x6072) times the gear ratio")
-
-
-def placeholder_efforts(robot: Robot) -> str:
-    """Why the efforts of a URDF are not limits of this arm; empty where they may be."""
-    stated = [float(effort) for effort in robot.effort_nm if math.isfinite(effort)]
-    absurd = [effort for effort in stated if not 0.0 < effort <= LARGEST_EFFORT_NM]
-    if absurd:
-        return f"the URDF states an effort of {absurd[0]:g} Nm"
-    if len(stated) > 2 and len(set(stated)) == 1:
-        return f"the URDF states the same effort of {stated[0]:g} Nm on every axis"
-    return ""
 
 
 def _drive_torque_nm(axes: Axes, joint: int) -> float | None:
@@ -199,17 +188,20 @@ def _rounded(value: float) -> float:
 
 def inertials(robot: Robot) -> Answer:
     """Trust of the description's masses."""
-    what = default_inertials(robot)
+    what, why = default_inertials(robot), mass_placeholder(robot)
+    if why:
+        return Answer("ignore", f"{PLACEHOLDER}: {why}")
     return Answer(what, "no masses in the description" if what == "ignore" else f"{ASSUMED}: masses of a maker's URDF")
 
 
 def flange_frame(robot: Robot) -> tuple[Answer, Answer] | None:
-    """Place and turn of the flange that the arm's description has; None where it has none."""
-    if robot.flange is None:
+    """Place and turn of the `tool0` or `flange` that is fixed to the last link; None where there is none."""
+    found = [(kind, name, pose) for name, pose in robot.frames if (kind := flange_kind(name)) is not None]
+    if not found:
         return None
-    source = "URDF, its flange frame"
-    xyz_m, rpy_rad = robot.flange[:3, 3], np.radians(zyx_degrees(robot.flange[:3, :3]))[::-1]
-    return _vector(xyz_m, source), _vector(rpy_rad, source)
+    _, name, pose = min(found, key=lambda each: FLANGES.index(each[0]))
+    source = f"URDF, frame {name}"
+    return _vector(pose[:3, 3], source), _vector(np.radians(zyx_degrees(pose[:3, :3]))[::-1], source)
 
 
 def _vector(values: NDArray[np.float64], source: str) -> Answer:

@@ -7,6 +7,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from drives.values import Identity
@@ -219,24 +220,37 @@ def test_a_flange_that_was_turned_is_not():
 
 def test_the_flange_of_the_description_is_offered_with_its_turn():
     robot = robot_from_urdf((OWN / "arm.urdf").read_text(encoding="utf-8"), "arm.urdf")
-    assert offers.flange_frame(robot) is None
-    xyz, rpy = offers.flange_frame(with_flange(robot, (0.1, 0.0, 0.02), (0.3, math.pi / 4, -1.2))) or (None, None)
+    assert offers.flange_frame(replace(robot, frames=())) is None
+    tool = with_flange(robot, (0.1, 0.0, 0.02), (0.3, math.pi / 4, -1.2)).flange
+    frames = (("cover", np.eye(4)), ("left_flange", 2 * np.eye(4)), ("left_tool0", tool))
+    xyz, rpy = offers.flange_frame(replace(robot, frames=frames)) or (None, None)
     assert xyz is not None
     assert rpy is not None
     assert xyz.value == (0.1, 0.0, 0.02)
     assert rpy.value == pytest.approx((0.3, math.pi / 4, -1.2))
-    assert not xyz.guessed
-    assert not rpy.guessed
+    assert xyz.source == rpy.source == "URDF, frame left_tool0"
+    (kept,) = (each for each in (offers.flange_frame(replace(robot, frames=frames[:2])) or ())[:1])
+    assert kept.source == "URDF, frame left_flange"
 
 
-def test_the_turn_of_the_flange_is_asked_where_a_flange_is_stated():
+def test_the_tool0_of_a_urdf_is_the_flange_of_the_cell():
+    draft = asked(Bench(six()))
+    (arm,) = parse_cell(cell_text(draft, str), "cell.toml").arm
+    (pose,) = (pose for name, pose in draft.robot.frames if name == "tool0")
+    assert arm.flange_xyz_m == pytest.approx(tuple(pose[:3, 3]))
+    assert not draft.answers.taken["flange_xyz_m"].guessed
+
+
+def test_the_turn_of_the_flange_is_asked_where_a_flange_is_stated(tmp_path):
     questions_asked = []
+    plain = tmp_path / "arm.urdf"
+    plain.write_text((OWN / "arm.urdf").read_text(encoding="utf-8").replace("tool0", "face"), encoding="utf-8")
 
     def ask(question, offer, read):
         questions_asked.append(question.key)
         return read([0, 0, 0.1]) if question.key == "flange_xyz_m" else None
 
-    given = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100}
+    given = {"robot": str(plain), "bus": "virtual:x", "gear_ratio": 100}
     said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers", ask)
     interview(said, Bench(six()), "cell", lambda text: None)
     assert {"flange_xyz_m", "flange_rpy_rad", "rated_load_kg"} <= set(questions_asked)

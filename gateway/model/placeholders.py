@@ -1,0 +1,61 @@
+"""Values of a URDF that exporters fill in: the same effort or mass everywhere, inertia that no body has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from gateway.model.robot import Robot
+
+#: No joint of a six-axis arm has more: the largest palletizers have about 20 kNm at J2 [Nm].
+LARGEST_EFFORT_NM: Final = 50_000.0
+#: What rounding in a file may take from the triangle inequality of principal moments.
+_ROUNDED: Final = 1e-6
+
+
+def placeholders(robot: Robot) -> Iterator[str]:
+    """What of a robot model is a placeholder, each in a sentence that says what to do."""
+    for why, advice in (
+        (effort_placeholder(robot), "take torque limits from the data sheet of the gears"),
+        (mass_placeholder(robot), "correct the masses, or give --inertials ignore"),
+        (inertia_placeholder(robot), "correct it, or trust no prior of the inertia in motion"),
+    ):
+        if why:
+            yield f"{robot.source}: a placeholder: {why}; {advice}"
+
+
+def effort_placeholder(robot: Robot) -> str:
+    """Why the efforts of a URDF are not limits of this arm; empty where they may be."""
+    stated = robot.effort_nm[np.isfinite(robot.effort_nm)].tolist()
+    absurd = [effort for effort in stated if not 0.0 < effort <= LARGEST_EFFORT_NM]
+    if absurd:
+        return f"the URDF states an effort of {absurd[0]:g} Nm"
+    if len(stated) > 2 and len(set(stated)) == 1:
+        return f"the URDF states the same effort of {stated[0]:g} Nm on every axis"
+    return ""
+
+
+def mass_placeholder(robot: Robot) -> str:
+    """Why the masses of a URDF are not those of this arm; empty where they may be."""
+    stated = robot.mass_kg[np.isfinite(robot.mass_kg)]
+    if len(stated) > 2 and np.ptp(stated) <= 1e-9 * stated[0]:
+        return f"the URDF states the same mass of {stated[0]:g} kg for every link"
+    return ""
+
+
+def inertia_placeholder(robot: Robot) -> str:
+    """Which links have an inertia that no body has; empty where none has."""
+    names: list[str] = []
+    for name, tensor in zip(robot.link_names, robot.inertia_kg_m2, strict=True):
+        if np.isfinite(tensor).all():
+            least, middle, largest = np.linalg.eigvalsh(tensor).tolist()
+            if least <= 0.0 or least + middle < (1.0 - _ROUNDED) * largest:
+                names.append(name)
+    if not names:
+        return ""
+    return (
+        f"the inertia of {', '.join(names)} is none of a body (a principal moment is not positive, or above the sum of"
+        " the others)"
+    )
