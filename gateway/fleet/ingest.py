@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from drives.files import replace_file
 from gateway.data.reading import is_recording
-from gateway.errors import InputError
+from gateway.errors import GatewayError, InputError
 from gateway.fleet.checks import Row, rows_of_recording, rows_of_result
 from gateway.fleet.columns import columns
 from gateway.fleet.libraries import library
@@ -78,7 +78,7 @@ def ingest(
                 for block in _blocks(store, path, now):
                     held.append(block)
                     _note_clock(faults, path, block)
-            except InputError as error:
+            except GatewayError as error:
                 refused.append(str(error))
             if len(held) >= _HELD or sum(block.num_rows for block in held) >= _HELD_OF_TABLES:
                 put()

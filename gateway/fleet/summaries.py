@@ -11,11 +11,12 @@ import re
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
+from gateway.data.regular import regular_size
 from gateway.errors import InputError
 from gateway.fleet.checks import AHEAD_S, EARLIEST
 from gateway.fleet.columns import SUMMARY, TEMPERATURE, columns
@@ -26,8 +27,13 @@ from gateway.result.origin import file_sha256
 
 SUFFIXES: Final = (".csv", ".parquet")
 #: Text that is read at a time [bytes]: memory does not grow with the table.
-_BLOCK: Final = 1 << 25
+_BLOCK: Final = 1 << 23
 _ROWS: Final = 50_000
+#: Texts of a table (names of cells, loads, programs) and its header are no longer than that [bytes].
+_LONGEST_TEXT: Final = 200
+_LONGEST_HEADER: Final = 1 << 16
+#: Size of the columns of a Parquet file, unpacked, as a multiple of the file.
+_UNPACKED_RATIO: Final = 100
 _TEXTS: Final = ("cell", "arm", "software", "load", "outcome", "time_utc")
 _OUTCOMES: Final = ("pass", "fail", "cannot tell")
 _DAY_US: Final = 86_400_000_000
@@ -42,51 +48,76 @@ def summary_blocks(path: Path, now: datetime) -> Iterator[Any]:
     InputError
         With file and column or line: not readable, an unknown or a missing column, no number, no time.
     """
+    pa = library("pyarrow")
+    size_bytes = regular_size(path)
     sha256 = file_sha256(path)
-    axes: int | None = None
     seen: dict[str, int] = {}
     line = 2
-    for block in _read(path):
-        if axes is None:
-            axes = _axes(block.schema.names, str(path))
-        if block.num_rows:
-            yield _rows(block, axes, (str(path), path.name, sha256, line), (now, seen))
-        line += block.num_rows
-
-
-def _read(path: Path) -> Iterator[Any]:
-    pa = library("pyarrow")
     try:
-        if path.suffix.lower() == ".parquet":
-            with path.open("rb") as stream:
-                for batch in library("pyarrow.parquet").ParquetFile(stream).iter_batches(_ROWS):
-                    yield pa.Table.from_batches([batch])
-        else:
-            yield from _csv(path)
-    except pa.ArrowException as error:
-        words = " ".join(str(error).split())[:200]
-        raise InputError(f"{path}: cannot be read as a table of summaries: {words}") from error
+        with path.open("rb") as stream:
+            axes, blocks = (_parquet if path.suffix.lower() == ".parquet" else _csv)(path, stream, size_bytes)
+            for block in blocks:
+                if block.num_rows:
+                    yield _rows(block, axes, (str(path), path.name, sha256, line), (now, seen))
+                line += block.num_rows
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (pa.ArrowException, ValueError, TypeError, KeyError, OverflowError) as error:
+        words = " ".join(str(error).split())[:200]
+        raise InputError(f"{path}: cannot be read as a table of summaries: {words}") from error
 
 
-def _csv(path: Path) -> Iterator[Any]:
+def _parquet(path: Path, stream: IO[bytes], size_bytes: int) -> tuple[int, Iterator[Any]]:
+    """Number of axes, and the rows a block at a time; texts stay in dictionaries until their length is known."""
+    pa, parquet = library("pyarrow"), library("pyarrow.parquet")
+    axes, wanted = _axes(parquet.ParquetFile(stream).schema_arrow.names, str(path))
+    file = parquet.ParquetFile(stream, read_dictionary=[name for name in wanted if name in _TEXTS])
+    for field in file.schema_arrow:
+        kind = field.type.value_type if pa.types.is_dictionary(field.type) else field.type
+        if field.name in wanted and (pa.types.is_nested(kind) or pa.types.is_binary(kind)):
+            raise InputError(f"{path}: column '{field.name}' holds {kind}; write numbers, texts and times")
+    about = file.metadata
+    unpacked = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
+    if about.num_rows > size_bytes or unpacked > _UNPACKED_RATIO * size_bytes + _BLOCK:
+        raise InputError(
+            f"{path}: {size_bytes} bytes claim {about.num_rows} rows and {unpacked / 1e6:.0f} MB: no table of summaries"
+            " packs like that"
+        )
+    return axes, (_plain(path, batch) for batch in file.iter_batches(_ROWS, columns=wanted, use_threads=False))
+
+
+def _plain(path: Path, batch: Any) -> Any:
+    """A block with its dictionaries written out."""
+    pa, pc = library("pyarrow"), library("pyarrow.compute")
+    columns = []
+    for name, column in zip(batch.schema.names, batch.columns, strict=True):
+        if pa.types.is_dictionary(column.type):
+            if (pc.max(pc.binary_length(column.dictionary)).as_py() or 0) > _LONGEST_TEXT:
+                raise InputError(f"{path}: column '{name}' holds a text of more than {_LONGEST_TEXT} bytes")
+            column = column.cast(pa.string())
+        columns.append(column)
+    return pa.Table.from_arrays(columns, names=batch.schema.names)
+
+
+def _csv(path: Path, stream: IO[bytes], size_bytes: int) -> tuple[int, Iterator[Any]]:
+    """Number of axes, and the rows a block at a time."""
+    del size_bytes
     pa, csv = library("pyarrow"), library("pyarrow.csv")
-    with path.open(encoding="utf-8") as stream:
-        names = stream.readline().strip().split(",")
-    kinds = {name: pa.string() if name in _TEXTS else pa.float64() for name in names}
-    kinds |= {name: pa.int64() for name in names if name.startswith("serial")}
+    names = stream.readline(_LONGEST_HEADER).decode("utf-8").strip().split(",")
+    stream.seek(0)
+    axes, wanted = _axes(names, str(path))
+    kinds = {name: pa.string() if name in _TEXTS else pa.float64() for name in wanted}
+    kinds |= {name: pa.int64() for name in wanted if name.startswith("serial")}
     reader = csv.open_csv(
-        path,
+        stream,
         read_options=csv.ReadOptions(block_size=_BLOCK, use_threads=False),
-        convert_options=csv.ConvertOptions(column_types=kinds, strings_can_be_null=True),
+        convert_options=csv.ConvertOptions(column_types=kinds, strings_can_be_null=True, include_columns=wanted),
     )
-    for batch in reader:
-        yield pa.Table.from_batches([batch])
+    return axes, (pa.Table.from_batches([batch]) for batch in reader)
 
 
-def _axes(names: Sequence[str], where: str) -> int:
-    """Number of axes that the columns are of; a column that is not known is refused."""
+def _axes(names: Sequence[str], where: str) -> tuple[int, list[str]]:
+    """Number of axes that the columns are of, and the columns that are read; one that is not known is refused."""
     if len(set(names)) != len(names):
         raise InputError(f"{where}:1: a column stands twice")
     for needed in ("cell", "time_utc"):
@@ -102,7 +133,7 @@ def _axes(names: Sequence[str], where: str) -> int:
     unknown = [name for name in names if name not in known and not name.startswith("x_")]
     if unknown:
         raise InputError(f"{where}:1: column '{unknown[0]}' is not known; a column of your own begins with x_")
-    return axes
+    return axes, [name for name in names if name in known]
 
 
 def _rows(block: Any, axes: int, source: tuple[str, str, str, int], clock: tuple[datetime, dict[str, int]]) -> Any:

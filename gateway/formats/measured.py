@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from gateway.cell.plausible import LARGEST_ANGLE_RAD
 from gateway.data.csv_text import text_cells
 from gateway.data.labels import BARE_LABEL, label_refused
+from gateway.data.regular import regular_size
 from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.log_map import LogColumn, LogMap
@@ -70,6 +71,7 @@ def table_from_log(path: Path, given: LogMap) -> tuple[str, int]:
 
 
 def _opened(path: Path, given: LogMap) -> Log:
+    regular_size(path)
     if path.suffix.lower() not in SUFFIXES:
         return read_text_log(path, given.log)
     if given.joints is None:

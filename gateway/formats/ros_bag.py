@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import sqlite3
 from collections.abc import Iterator, Sequence
-from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import IO, Any, Final
 
 import numpy as np
 
 from gateway.data.extras import needed
-from gateway.errors import InputError
+from gateway.data.regular import regular_size
+from gateway.errors import GatewayError, InputError
+from gateway.formats.bag_database import BagDatabase, open_bag
 from gateway.formats.log import Log
 from gateway.formats.mcap_file import JOINT_STATE, JOINT_STATE_TEXT
 
@@ -21,6 +22,9 @@ SUFFIXES: Final = (".mcap", ".db3")
 #: What a message tells of each of its joints.
 _PARTS: Final = ("position", "velocity", "effort")
 _NS: Final = 1_000_000_000
+#: Unpacked size that a chunk may have [bytes], and all chunks together as a multiple of the file.
+CHUNK_BYTES: Final = 32_000_000
+UNPACKED_RATIO: Final = 200
 
 #: Time of logging [ns], content.
 _Raw = tuple[int, bytes]
@@ -107,7 +111,7 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
                     **{part: list(getattr(message, part)) for part in _PARTS},
                 ),
             )
-    except InputError:
+    except GatewayError:
         raise
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -117,31 +121,62 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
 
 
 def _of_mcap(path: Path, topic: str) -> Iterator[_Raw]:
-    reader_module: Any = needed("mcap.reader", "MCAP", "formats")
+    records: Any = needed("mcap.records", "MCAP", "formats")
+    schemas: dict[int, str] = {}
+    channels: dict[int, tuple[str, str]] = {}
     topics: dict[str, str] = {}
     with path.open("rb") as stream:
-        for schema, channel, message in reader_module.make_reader(stream).iter_messages(log_time_order=False):
-            topics[channel.topic] = "" if schema is None else schema.name
-            if channel.topic == topic:
-                _refuse_type(path, topic, topics[topic], channel.message_encoding)
-                yield message.log_time, message.data
+        for record in _records(path, stream):
+            if isinstance(record, records.Schema):
+                schemas[record.id] = record.name
+            elif isinstance(record, records.Channel):
+                channels[record.id] = record.topic, record.message_encoding
+                topics[record.topic] = schemas.get(record.schema_id, "")
+            elif isinstance(record, records.Message):
+                name, form = channels[record.channel_id]
+                if name == topic:
+                    _refuse_type(path, topic, topics[topic], form)
+                    yield record.log_time, record.data
     _refuse_without(path, topic, topics)
 
 
+def _records(path: Path, stream: IO[bytes]) -> Iterator[Any]:
+    """Records of an MCAP file in their order; a chunk is unpacked only as far as a bag of that size may reach."""
+    library: Any = needed("mcap.stream_reader", "MCAP", "formats")
+    records: Any = needed("mcap.records", "MCAP", "formats")
+    size_bytes = regular_size(path)
+    left_bytes = CHUNK_BYTES + UNPACKED_RATIO * size_bytes
+    for record in library.StreamReader(stream, emit_chunks=True, record_size_limit=size_bytes).records:
+        if isinstance(record, records.Chunk):
+            data = _unpacked(path, record, min(CHUNK_BYTES, left_bytes))
+            left_bytes -= len(data)
+            yield from library.breakup_chunk(replace(record, compression="", data=data))
+        else:
+            yield record
+
+
+def _unpacked(path: Path, chunk: Any, most_bytes: int) -> bytes:
+    if chunk.compression == "zstd":
+        zstandard: Any = needed("zstandard", "MCAP", "formats")
+        data = zstandard.ZstdDecompressor().stream_reader(chunk.data).read(most_bytes + 1)
+    elif chunk.compression == "lz4":
+        lz4: Any = needed("lz4.frame", "MCAP", "formats")
+        data = lz4.LZ4FrameDecompressor().decompress(chunk.data, most_bytes + 1)
+    else:
+        data = chunk.data
+    if len(data) > most_bytes:
+        raise InputError(f"{path}: a chunk unpacks to more than {most_bytes / 1e6:.0f} MB: record with smaller chunks")
+    return data
+
+
 def _of_sqlite(path: Path, topic: str) -> Iterator[_Raw]:
-    if not path.is_file():
-        raise FileNotFoundError(2, "there is no such file", str(path))
-    with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as file:
-        known = {
-            name: (key, kind, form)
-            for key, name, kind, form in file.execute("SELECT id, name, type, serialization_format FROM topics")
-        }
+    with open_bag(path) as file:
+        bag = BagDatabase(path, file)
+        known = bag.topics()
         _refuse_without(path, topic, {name: kind for name, (_, kind, _) in known.items()})
         key, kind, form = known[topic]
         _refuse_type(path, topic, kind, form)
-        query = "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY id"
-        for log_ns, content in file.execute(query, (key,)):
-            yield int(log_ns), bytes(content)
+        yield from bag.messages(key)
 
 
 def _refuse_type(path: Path, topic: str, kind: str, form: str) -> None:

@@ -11,9 +11,6 @@ from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.log_map import LogFormat
 
-#: Largest log that is taken into memory.
-MOST_BYTES = 2_000_000_000
-
 
 def read_text_log(path: Path, form: LogFormat) -> Log:
     """Read a log as text; cells stay text until they are asked for.
@@ -24,8 +21,6 @@ def read_text_log(path: Path, form: LogFormat) -> Log:
         It cannot be read, has no header or no row, a name stands twice, or a row is of another length.
     """
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise InputError(f"{path}: is larger than any log; cut it")
         with path.open(encoding="utf-8-sig" if form.encoding == "utf-8" else form.encoding, newline="") as stream:
             lines = list(stream)
     except OSError as error:

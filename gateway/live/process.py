@@ -14,9 +14,11 @@ import sys
 from typing import Final
 
 import uvicorn
+from starlette.types import ASGIApp
 
 from drives.realtime import leave_real_time
 from gateway.live.guard import Door
+from gateway.live.punctual import MOST_WAITING, REQUEST_S, PunctualProtocol, most_connections
 from gateway.live.server import Pages, live_app
 from gateway.live.show import Show
 from gateway.live.wire import MOST_BYTES, STOP, Hello, Unpacker
@@ -73,6 +75,24 @@ async def first_word(end: socket.socket) -> Hello | None:
     return None
 
 
+def config_of(app: ASGIApp) -> uvicorn.Config:
+    """How the page is served."""
+    return uvicorn.Config(
+        app,
+        http=PunctualProtocol,
+        ws="websockets-sansio",
+        ws_max_size=1024,
+        limit_concurrency=most_connections(2 * MOST_PAGES),
+        backlog=MOST_WAITING,
+        timeout_keep_alive=int(REQUEST_S),
+        lifespan="off",
+        access_log=False,
+        log_level="critical",
+        server_header=False,
+        timeout_graceful_shutdown=1,
+    )
+
+
 async def run(end: socket.socket, listener: socket.socket) -> None:
     """Serve until the other end is gone or says that it is over."""
     hello = await first_word(end)
@@ -80,20 +100,7 @@ async def run(end: socket.socket, listener: socket.socket) -> None:
         return
     show, channel = Show(hello), Channel(end)
     pages = Pages(show, channel.stop)
-    server = uvicorn.Server(
-        uvicorn.Config(
-            live_app(pages, Door(hello.port, hello.token)),
-            http="h11",
-            ws="websockets-sansio",
-            ws_max_size=1024,
-            limit_concurrency=2 * MOST_PAGES,
-            lifespan="off",
-            access_log=False,
-            log_level="critical",
-            server_header=False,
-            timeout_graceful_shutdown=1,
-        )
-    )
+    server = uvicorn.Server(config_of(live_app(pages, Door(hello.port, hello.token))))
     serving = asyncio.create_task(server.serve(sockets=[listener]))
     parent = os.getppid()
     while not show.over and not serving.done():

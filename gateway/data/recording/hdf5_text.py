@@ -17,6 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from gateway.data.regular import regular_size
 from gateway.errors import InputError
 
 DAMAGE = (
@@ -180,7 +181,7 @@ def open_recording(path: Path) -> Generator[Place]:
         Not there, no HDF5, truncated, damaged.
     """
     try:
-        size = path.stat().st_size
+        size = regular_size(path)
         with h5py.File(path, "r", locking=False) as file:
             yield Place(str(path), size, file)
     except InputError:

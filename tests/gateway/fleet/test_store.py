@@ -9,6 +9,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import duckdb
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -232,6 +233,47 @@ def test_table_that_cannot_be_used_is_refused(
     (refused,) = ingest(store, [write_table(tmp_path / "a.csv", rows)], NOW).refused
     assert re.search(said, refused)
     assert store.robots() == []
+
+
+COUNT = 100_000
+#: Tables that a few kilobytes unpack to gigabytes, or that hold what no table of summaries holds.
+HOSTILE = {
+    "long text": lambda: {"cell": pa.DictionaryArray.from_arrays(pa.array([0] * COUNT), pa.array(["x" * 80_000]))},
+    "many rows": lambda: {"gain1": pa.array(np.ones(5_000_000))},
+    "other kinds": lambda: {"gain1": pa.array([[1.0]] * COUNT)},
+    "bytes": lambda: {"load": pa.array([b"\xff\xfe"] * COUNT)},
+    "text for number": lambda: {"gain1": pa.array(["much"] * COUNT)},
+    "number for text": lambda: {"cell": pa.array([1.5] * COUNT)},
+    "number for time": lambda: {"time_utc": pa.array([1e300] * COUNT)},
+    "nothing": lambda: {"cell": pa.nulls(COUNT)},
+}
+
+
+@pytest.mark.parametrize("change", HOSTILE.values(), ids=HOSTILE)
+def test_one_hostile_file_costs_little_and_the_others_are_added(store: Store, tmp_path: Path, change) -> None:
+    good = write_table(tmp_path / "z.csv", checks("one", days=range(3)))
+    changed = change()
+    count = len(next(iter(changed.values())))
+    told = {"cell": pa.array(["a"]), "time_utc": pa.array(["2026-03-01"]), "gain1": pa.array([1.0]),
+            "gain2": pa.array([1.0])}  # fmt: skip
+    whole = {name: pa.repeat(values[0], count) for name, values in told.items()} | changed
+    pq.write_table(pa.table(whole), tmp_path / "a.parquet", compression="zstd")
+    before, pool = pa.default_memory_pool(), pa.proxy_memory_pool(pa.default_memory_pool())
+    pa.set_memory_pool(pool)
+    try:
+        done = ingest(store, [tmp_path / "a.parquet", good], NOW)
+    finally:
+        pa.set_memory_pool(before)
+    assert done.added == 3
+    assert [said.split(": ")[0] for said in done.refused] == [str(tmp_path / "a.parquet")]
+    assert (pool.max_memory() or 0) < 200e6
+
+
+def test_a_column_of_ones_own_is_not_even_read(store: Store, tmp_path: Path) -> None:
+    rows = checks("one", days=range(3))
+    table = pa.Table.from_pylist(rows).append_column("x_deep", pa.array([[["x" * 1000]]] * 3))
+    pq.write_table(table, tmp_path / "a.parquet", compression="zstd")
+    assert ingest(store, [tmp_path / "a.parquet"], NOW).added == 3
 
 
 def test_table_as_parquet_gives_the_same_rows(store: Store, tmp_path: Path) -> None:

@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import sqlite3
+import time
+import tracemalloc
+from contextlib import closing
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap import writer as mcap_writer
 from mcap_ros2.writer import Writer
 
 from gateway.cli import main
 from gateway.data.table import read_csv
+from gateway.errors import InputError
+from gateway.formats import bag_database
+from gateway.formats.bag_database import BagDatabase
 from gateway.formats.mcap_file import JOINT_STATE, JOINT_STATE_TEXT
 from gateway.formats.smooth import rates
 from gateway.formats.units import TIME_UNITS, UNITS
@@ -229,6 +238,98 @@ def test_joint_states_of_ros_2(tmp_path, suffix):
     assert table.tau_nm == pytest.approx(np.arange(200)[:, None] + [0.0, 3.0])
     inner = slice(30, -30)
     assert table.qdd_rad_s2[inner] == pytest.approx(-np.sin(at)[inner], abs=0.02)
+
+
+#: `messages` of a bag that computes its rows without end, or holds what no bag holds.
+ENDLESS = (
+    "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n) SELECT i AS id, 2 AS topic_id, i AS timestamp"
+)
+NO_TABLES = {
+    "view": f"CREATE VIEW messages AS {ENDLESS}, zeroblob(100) AS data FROM n",
+    "virtual": "CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)",
+    "none": "SELECT 1",
+    "without rowid": "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data) WITHOUT ROWID",
+    "generated": "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id, timestamp, data AS (zeroblob(1000000000)))",
+}
+
+
+@pytest.mark.parametrize("sql", NO_TABLES.values(), ids=NO_TABLES)
+def test_a_bag_is_read_from_its_tables_alone(tmp_path, sql):
+    path = bag(tmp_path / "bag.db3")
+    with closing(sqlite3.connect(path)) as file:
+        file.execute("DROP TABLE messages")
+        file.execute(sql)
+        if "generated" in sql or "data AS" in sql:
+            file.executemany("INSERT INTO messages (topic_id, timestamp) VALUES (2, ?)", [[1], [2]])
+        file.commit()
+    began_s = time.process_time()
+    done, out = imported(tmp_path, path.read_bytes(), ROS, path.name)
+    assert (done.exit_code, out.exists()) == (3, False), done.output
+    assert "no bag" in done.stderr
+    assert time.process_time() - began_s < 2.0
+
+
+class Interrupted(BaseException):
+    """What a signal raises wherever the program is."""
+
+
+@pytest.mark.parametrize("reason", ["time", "signal"])
+def test_a_bag_that_computes_on_and_on_is_stopped(tmp_path, monkeypatch, reason):
+    path = bag(tmp_path / "bag.db3")
+    looks = iter(range(3))
+
+    def clock() -> float:
+        """A signal is raised in whatever Python code runs, here the look at the clock; or the time is over."""
+        if next(looks, None) is None:
+            if reason == "signal":
+                raise Interrupted
+            return 1e9
+        return 0.0
+
+    monkeypatch.setattr(bag_database, "time", SimpleNamespace(monotonic=clock))
+    with bag_database.open_bag(path) as file:
+        opened = BagDatabase(path, file)
+        raised, match = (
+            (Interrupted, None) if reason == "signal" else (InputError, "takes too long for a bag of its size")
+        )
+        with pytest.raises(raised, match=match):
+            list(opened._rows(f"{ENDLESS} FROM n WHERE i < 0", ()))
+
+
+def test_a_bag_gives_no_more_than_its_file_has(tmp_path):
+    path = bag(tmp_path / "bag.db3")
+    with bag_database.open_bag(path) as file, pytest.raises(InputError, match="more bytes than the file has"):
+        list(BagDatabase(path, file)._rows(f"{ENDLESS} FROM n", ()))
+
+
+@pytest.mark.parametrize("compression", ["ZSTD", "LZ4"])
+def test_a_chunk_is_unpacked_no_further_than_a_bag_may_reach(tmp_path, compression):
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as stream:
+        writer = mcap_writer.Writer(stream, compression=mcap_writer.CompressionType[compression])
+        writer.start()
+        schema = writer.register_schema(JOINT_STATE, "ros2msg", b"")
+        channel = writer.register_channel("/joint_states", "cdr", schema)
+        writer.add_message(channel, 0, bytes(40_000_000), 0)
+        writer.finish()
+    assert path.stat().st_size < 500_000
+    tracemalloc.start()
+    done, _ = imported(tmp_path, path.read_bytes(), ROS, path.name)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert done.exit_code == 3
+    assert "a chunk unpacks to more than 32 MB" in done.stderr
+    assert peak < 100e6
+
+
+@pytest.mark.parametrize("name", ["bag.db3", "bag.mcap", "log.csv"])
+def test_a_log_that_is_a_pipe_is_refused(tmp_path, name):
+    os.mkfifo(tmp_path / name)
+    (tmp_path / "map.toml").write_text(ROS)
+    words = ["import", str(tmp_path / name), "--map", str(tmp_path / "map.toml"), "-o", str(tmp_path / "out.csv")]
+    done = CliRunner().invoke(main, words)
+    assert done.exit_code == 3, done.output
+    assert "device, pipe or socket; name a regular file" in " ".join(done.stderr.split())
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3"])
