@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space pages clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages clean
 
 venv: $(STAMP)
 
@@ -100,6 +100,10 @@ blackbox: venv
 # 200 random cells, every planned way looked at by PyBullet: half an hour on an idle machine.
 space: venv
 	$(BIN)/python -m benchmarks.space --out out/space
+
+# Files as strangers bring them, drawn with fixed seeds: read right, or answered with what to type.
+strangers: venv
+	$(BIN)/python -m benchmarks.strangers --out out/strangers
 
 # Two arms: the numpy tier and two seeds over PyBullet and twelve CAN drives; all rows on ten seeds, with verdicts.
 pair: venv

@@ -28,6 +28,8 @@ MOST_JOINTS: Final = 500
 FLANGES: Final = ("tool0", "flange")
 #: Words of a link that ends an arm, beside those of a flange.
 _HANDS: Final = frozenset({*FLANGES, "tool", "hand", "tcp", "ee", "eef", "effector"})
+#: A jaw has no more joints one after another.
+_JOINTS_OF_A_JAW: Final = 2
 #: What is in the name of a joint or link of a gripper.
 _GRIPPER: Final = re.compile(r"finger|gripper|jaw|knuckle|claw|thumb", re.IGNORECASE)
 
@@ -186,6 +188,23 @@ class _Tree:
             tip = _parent(path[-1])
         return path[::-1]
 
+    def likely_tip(self) -> str:
+        """Last link of what is likely the arm: down the longest branch, to a gripper or to two short branches alike."""
+        below = dict.fromkeys(self.reached, 0)
+        for link in reversed(self.reached[1:]):
+            above = _parent(self.parent[link])
+            below[above] = max(below[above], below[link] + _is_driven(self.parent[link]))
+        current, last, axes = self.root, self.root, 0
+        while onward := [joint for joint in self.children[current] if below[_child(joint)] + _is_driven(joint) > 0]:
+            onward.sort(key=lambda joint: below[_child(joint)] + _is_driven(joint), reverse=True)
+            longest, *others = (below[_child(joint)] + _is_driven(joint) for joint in onward)
+            alike = others[:1] == [longest] and longest <= _JOINTS_OF_A_JAW
+            if axes > 1 and (alike or self._of_a_tool(onward[0], current)):
+                break
+            current, axes = _child(onward[0]), axes + _is_driven(onward[0])
+            last = current if _is_driven(onward[0]) else last
+        return last
+
     def only_path(self) -> list[ET.Element]:
         """Joints from the root to the last driven link, where there is one such path and no gripper at its end."""
         driven = {link for link in self.reached[1:] if _is_driven(self.parent[link])}
@@ -199,36 +218,38 @@ class _Tree:
                 names = " and ".join(f"'{joint.get('name')}'" for joint in onward)
                 raise ConfigError(
                     f"{self.where}: joints {names} both turn on link '{current}', or carry what turns, and one of them"
-                    f" alone can be the arm's: {name_the_tip(self._deepest(onward, driven))}"
+                    f" alone can be the arm's: {name_the_tip(self.likely_tip())}"
                 )
             path.append(onward[0])
             current = _child(onward[0])
         self._refuse_gripper(path)
         return path
 
-    def _deepest(self, onward: Sequence[ET.Element], driven: set[str]) -> str:
-        """Last link of the longest path of driven joints through some joints."""
-        ends = [(0, "")]
-        for link in driven:
-            path = self.path_to(link)
-            if any(joint in path for joint in onward):
-                ends.append((sum(_is_driven(joint) for joint in path), link))
-        return max(ends, key=lambda end: end[0])[1]
-
     def _refuse_gripper(self, path: Sequence[ET.Element]) -> None:
         """Refuse to count a joint as an axis that seems to belong to a tool."""
-        flange, last, axes = "", "", 0
+        last, axes = "", 0
         for joint in path:
             name, child = joint.get("name", ""), _child(joint)
+            why = self._of_a_tool(joint, _parent(joint)) if axes > 1 else ""
+            if why:
+                raise ConfigError(
+                    f"{self.where}: joint '{name}' turns link '{child}' and {why}: it is not clear whether it is axis"
+                    f" {axes + 1} of the arm; {name_the_tip(last)} without it, or --tip {child} with it"
+                )
             if _is_driven(joint):
-                why = f"is beyond '{flange}'" if flange else "has the name of a gripper"
-                if axes > 1 and (flange or _GRIPPER.search(name) or _GRIPPER.search(child)):
-                    raise ConfigError(
-                        f"{self.where}: joint '{name}' turns link '{child}' and {why}: it is not clear whether it is"
-                        f" axis {axes + 1} of the arm; {name_the_tip(last)} without it, or --tip {child} with it"
-                    )
                 axes, last = axes + 1, child
-            flange = flange or (child if axes > 1 and _HANDS & set(_words(child)) else "")
+
+    def _of_a_tool(self, joint: ET.Element, above: str) -> str:
+        """Why a driven joint seems to belong to a tool; empty where it does not."""
+        if not _is_driven(joint):
+            return ""
+        if _GRIPPER.search(joint.get("name", "")) or _GRIPPER.search(_child(joint)):
+            return "has the name of a gripper"
+        while _HANDS.isdisjoint(_words(above)):
+            if above not in self.parent or _is_driven(self.parent[above]):
+                return ""
+            above = _parent(self.parent[above])
+        return f"is beyond '{above}'"
 
     def chain(self, path: Sequence[ET.Element]) -> Chain:
         """The chain along a path; everything else is fixed to it."""

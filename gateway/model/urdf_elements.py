@@ -33,11 +33,11 @@ def three(element: ET.Element, key: str, label: str, where: str, default: Three 
     text = element.get(key)
     if text is None:
         if default is None:
-            raise ConfigError(f"{where}: {label}: {key} is missing")
+            raise ConfigError(f"{where}: {label}: {key} is missing; add it")
         return default
     words = text.split()
     if len(words) != 3:
-        raise ConfigError(f'{where}: {label}: {key}="{text}" needs three numbers')
+        raise ConfigError(f'{where}: {label}: {key}="{text}" needs three numbers; write three, apart by spaces')
     x, y, z = (finite(word, f"{label} {key}", where) for word in words)
     return x, y, z
 
@@ -47,7 +47,7 @@ def number(element: ET.Element, key: str, label: str, where: str, default: float
     text = element.get(key)
     if text is None:
         if default is None:
-            raise ConfigError(f"{where}: {label}: {key} is missing")
+            raise ConfigError(f"{where}: {label}: {key} is missing; add it")
         return default
     return finite(text, f"{label} {key}", where)
 
@@ -57,7 +57,8 @@ def finite(text: str, label: str, where: str) -> float:
     try:
         value = float(text)
     except ValueError as error:
-        raise ConfigError(f"{where}: {label}: '{text}' is not a number") from error
+        advice = f"such as {text.replace(',', '.')}" if "," in text else "of digits and a point"
+        raise ConfigError(f"{where}: {label}: '{text}' is not a number; write a number {advice}") from error
     if not math.isfinite(value):
-        raise ConfigError(f"{where}: {label}: '{text}' is not finite")
+        raise ConfigError(f"{where}: {label}: '{text}' is not finite; write a number")
     return value
