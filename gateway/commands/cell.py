@@ -27,7 +27,7 @@ from gateway.commands.options import (
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gateway.newcell.answers import Answer, CellAnswers, GivenAnswer
+    from gateway.newcell.answers import Answer, Asked, CellAnswers, GivenAnswer
     from gateway.newcell.interview import Draft
     from gateway.newcell.questions import CellQuestion
     from gateway.newcell.text import Left
@@ -113,18 +113,28 @@ def cell_new(
     from gateway.newcell.reading import BusEyes
     from gateway.newcell.text import left_over
 
+    session, kept = session_of(), output.with_suffix(".answers.toml")
     given = {} if answers is None else read_answers(answers)
+    resumed = read_answers(kept) if answers is None and kept.is_file() else {}
+    if resumed:
+        session.note(f"{kept}: {len(resumed)} answers of an earlier run are taken; delete the file to be asked again")
     given |= _options(
         {"robot": robot, "tip": tip, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed
     )
-    said = CellAnswers(given, str(answers or "answers"), None if answers is not None else _ask)
-    session = session_of()
+    said = CellAnswers(given, str(answers or "answers"), None if answers is not None else _ask, resumed)
     try:
         draft = interview(said, BusEyes(listen_s), output.stem, session.note)
+        _write(draft, output)
+    except BaseException as error:
+        if said.typed:  # nobody types them twice because a drive did not answer
+            _save(said, kept)
+            error.add_note(f"the answers are kept in {kept}: run the same command again to go on from there")
+        raise
     finally:
-        if save_answers is not None and said.said:  # nobody types them twice because a drive did not answer
+        if save_answers is not None and said.said:
             _save(said, save_answers)
-    _write(draft, output)
+    if answers is None:
+        kept.unlink(missing_ok=True)
     left, items = left_over(draft), _checked(output, draft)
     _show(output, said, left, items)
     if json_out:
@@ -147,12 +157,14 @@ def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnsw
     return found
 
 
-def _ask(question: CellQuestion, offer: Answer | None, read: Callable[[Any], Answer]) -> Answer | None:
+def _ask(asked: Asked) -> Answer | None:
     """Ask at the terminal until the answer has the right form; Enter takes what is offered."""
     from gateway.newcell.forms import typed
     from gateway.newcell.text import short
 
-    click.echo(f"\n{question.asks}\n  {question.how}", err=True)
+    question, offer = asked.question, asked.offer
+    most = f"question {asked.number} of {asked.most}" + (" at most" if asked.most > asked.number else "")
+    click.echo(f"\n{most}: {question.asks}\n  {question.how}", err=True)
     if offer is not None:
         click.echo(f"  Enter: {short(offer.value)} ({offer.source})", err=True)
     while True:
@@ -161,7 +173,7 @@ def _ask(question: CellQuestion, offer: Answer | None, read: Callable[[Any], Ans
             return None
         value, _, source = line.partition(";")
         try:
-            return read({"value": typed(value), "source": source.strip()} if source.strip() else typed(value))
+            return asked.read({"value": typed(value), "source": source.strip()} if source.strip() else typed(value))
         except ValueError as error:
             click.echo(f"  {error}", err=True)
 

@@ -113,7 +113,10 @@ def _json_target(ctx: click.Context, param: click.Parameter, value: str | None) 
     if value == "-":
         session_of(ctx).data_on_stdout = True
     elif value is not None:
-        new_file(ctx, param, Path(value))
+        path = Path(value)
+        if not path.parent.is_dir():
+            raise InputError(f"--json {value}: the folder {path.parent} does not exist: make it, or name another file")
+        new_file(ctx, param, path)
     return value
 
 

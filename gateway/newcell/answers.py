@@ -6,13 +6,15 @@ from as `{ value = 101, source = "data sheet p. 4" }`.
 
 from __future__ import annotations
 
+import difflib
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, cast
 
-from drives.profile_file import list_profiles
+from drives.errors import ProfileError
+from drives.profile_file import find_profile, list_profiles
 from drives.profile_parts import is_assumed
 from drives.toml_lines import key_lines
 from drives.toml_text import parse_toml, toml_string
@@ -52,8 +54,30 @@ class GivenAnswer:
     folder: Path
 
 
-#: Asks a person: question, what is offered, number of axes -> what was typed, None = the offer is taken.
-Ask = Callable[[CellQuestion, Answer | None, Callable[[Any], Answer]], Answer | None]
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A question as a person sees it.
+
+    Attributes
+    ----------
+    question : CellQuestion
+    offer : Answer or None
+        What is taken where the person types nothing.
+    number, most : int
+        Which question this is, and how many there are at most: what is read or offered is not asked.
+    read : callable
+        Value of TOML as typed -> the answer; raises ValueError in words.
+    """
+
+    question: CellQuestion
+    offer: Answer | None
+    number: int
+    most: int
+    read: Callable[[Any], Answer]
+
+
+#: Asks a person: what was typed, None = the offer is taken.
+Ask = Callable[[Asked], Answer | None]
 
 
 class CellAnswers:
@@ -67,6 +91,8 @@ class CellAnswers:
         Where an answer that nobody gave has to be written.
     ask : callable, optional
         Asks a person for what was not given; None = nobody is asked, offers are taken.
+    resumed : mapping
+        Key -> answers that were kept when an earlier run ended early; one that does not hold any more is asked again.
 
     Attributes
     ----------
@@ -76,10 +102,20 @@ class CellAnswers:
         Key -> the answers among them that somebody gave.
     bounds : LoadBounds
         What stated loads are held against.
+    typed : int
+        Answers that a person typed in this run.
     """
 
-    def __init__(self, given: Mapping[str, GivenAnswer], missing_in: str, ask: Ask | None = None) -> None:
+    def __init__(
+        self,
+        given: Mapping[str, GivenAnswer],
+        missing_in: str,
+        ask: Ask | None = None,
+        resumed: Mapping[str, GivenAnswer] | None = None,
+    ) -> None:
         self._given, self._missing_in, self._ask = dict(given), missing_in, ask
+        self._resumed = dict(resumed or {})
+        self._asked = self.typed = 0
         self.taken: dict[str, Answer] = {}
         self.said: dict[str, Answer] = {}
         self.bounds = NO_ARM
@@ -114,15 +150,59 @@ class CellAnswers:
         given = self._given.get(question.key)
         if given is not None:
             answer = self._read(question, given, axes)
-        elif self._ask is None or (offer is not None and not offer.guessed):
-            return offer
         else:
-            here = Path.cwd()
-            asked = self._ask(question, offer, lambda value: self._read(question, GivenAnswer(value, "", here), axes))
-            if asked is None:
+            answer = self._kept(question, axes)
+            if answer is None and (self._ask is None or (offer is not None and not offer.guessed)):
                 return offer
-            answer = asked
+            if answer is None and self._ask is not None:
+                answer = self._person(self._ask, question, offer, axes)
+            if answer is None:
+                return offer
         self.said[question.key] = answer
+        return answer
+
+    def _kept(self, question: CellQuestion, axes: int) -> Answer | None:
+        """The answer of an earlier run, where it still holds."""
+        kept = self._resumed.get(question.key)
+        try:
+            return None if kept is None else self._verified(question, kept, axes)
+        except ValueError:
+            return None
+
+    def _person(self, ask: Ask, question: CellQuestion, offer: Answer | None, axes: int) -> Answer | None:
+        """Ask at the terminal; the answer is held against files and profiles at once."""
+        here = Path.cwd()
+        self._asked += 1
+        done = {*self.taken, *self._given, *(each.key for each in questions.UNASKED), question.key}
+        rows = () if self.taken.get(questions.ROBOT.key, Answer("", "")).value == DH else questions.DH_KEYS
+        left = [key for key in questions.KEYS if key not in done and key not in rows]
+
+        def read(value: Any) -> Answer:
+            return self._verified(question, GivenAnswer(value, "", here), axes)
+
+        answer = ask(Asked(question, offer, self._asked, self._asked + len(left), read))
+        self.typed += answer is not None
+        return answer
+
+    def _verified(self, question: CellQuestion, given: GivenAnswer, axes: int) -> Answer:
+        """Read an answer whose files are there and can be read; names of profiles are completed.
+
+        Raises
+        ------
+        ValueError
+            In words.
+        """
+        answer = self._read(question, given, axes)
+        try:
+            if question is questions.PROFILE:
+                names = tuple(completed_profile(name) for name in answer.value)
+                for name in set(names):
+                    find_profile(name, given.folder)
+                return Answer(names, answer.source)
+        except ProfileError as error:
+            raise ValueError(f"{question.key}: {error}") from error
+        if question is questions.ROBOT and answer.value != DH and not Path(answer.value).is_file():
+            raise ValueError(f"{question.key}: there is no file {answer.value}")
         return answer
 
     def _read(self, question: CellQuestion, given: GivenAnswer, axes: int) -> Answer:
@@ -147,6 +227,25 @@ def _placed(value: Any, folder: Path) -> Any:
     if isinstance(value, tuple):
         return tuple(_placed(part, folder) for part in cast("tuple[str, ...]", value))
     return value if value == DH or value in list_profiles() else str(folder / value)
+
+
+def completed_profile(name: str) -> str:
+    """The profile of the package that a path or a beginning stands for; any other name as it is.
+
+    Raises
+    ------
+    ValueError
+        A file that is not there: says which profiles are alike.
+    """
+    stem, known = Path(name).name, list_profiles()
+    if name in known or Path(name).is_file() or Path(f"{name}.toml").is_file():
+        return name
+    begun = [each for each in known if each.startswith(stem)]
+    if len(begun) == 1:
+        return begun[0]
+    near = begun or difflib.get_close_matches(stem, known, 3, 0.5)
+    said = f"did you mean {' or '.join(near)}?" if near else f"the package has {', '.join(known)}"
+    raise ValueError(f"profile: '{stem}' is neither a profile of the package nor a file; {said}")
 
 
 def read_answers(path: Path) -> dict[str, GivenAnswer]:

@@ -6,7 +6,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, cast
 
 from drives.toml_text import parse_toml
@@ -36,7 +36,19 @@ def typed(line: str) -> Any:
             return parse_toml(f"x = {text}")["x"]
         except (tomllib.TOMLDecodeError, KeyError):
             continue
-    return [part.strip() for part in line.split(",")] if "," in line else line
+    parts = [part.strip() for part in line.replace("[", "").replace("]", "").split(",")]
+    if len(parts) == 1:
+        return line
+    unit = _NUMBER.fullmatch(parts[-1])
+    if unit and unit["unit"] and all(_PLAIN.fullmatch(part) for part in parts[:-1]):
+        parts[:-1] = [f"{part} {unit['unit']}" for part in parts[:-1]]
+    return parts
+
+
+_PLAIN: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
+_NUMBER: Final = re.compile(rf"(?P<number>{_PLAIN.pattern})\s*(?P<unit>[A-Za-z%][\w/%]*)?")
+_RATIO: Final = re.compile(r"(?P<sign>[-+]?)\s*(?P<first>\d+\.?\d*)\s*:\s*(?P<second>\d+\.?\d*)")
+_RANGE: Final = re.compile(r"(\d+)\s*-\s*(\d+)")
 
 
 def text() -> Form:
@@ -119,7 +131,23 @@ class FormRule:
 
     holds: Callable[[float], bool]
     otherwise: str
+    units: Mapping[str, float] = field(default_factory=dict)
+    ratio: bool = False
 
+    def of(self, units: Mapping[str, float], *, ratio: bool = False) -> FormRule:
+        """The same rule for a number that may be written with a unit (factors to SI), or as a ratio such as 1:160."""
+        return replace(self, units=units, ratio=ratio)
+
+
+#: Units that an answer may carry, and their factors.
+ANGLES: Final = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
+SPEEDS: Final = {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30}
+TORQUES: Final = {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3}
+CONSTANTS: Final = {"Nm/A": 1.0, "mNm/A": 1e-3}
+MASSES: Final = {"kg": 1.0, "g": 1e-3, "t": 1e3}
+LENGTHS: Final = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}
+TIMES: Final = {"s": 1.0, "ms": 1e-3}
+PERCENT: Final = {"%": 0.01, "percent": 0.01}
 
 ANY: Final = FormRule(math.isfinite, "not finite")
 POSITIVE: Final = FormRule(lambda value: value > 0, "not above 0")
@@ -143,8 +171,19 @@ def numbers(rule: FormRule = ANY) -> Form:
 
 def node_ids() -> Form:
     """A list with the node id of each axis."""
-    read = numbers(NODE_ID).read
-    return Form(lambda value, axes: tuple(int(part) for part in read(value, axes)))
+    plain = numbers(NODE_ID).read
+
+    def read(value: Any, axes: int) -> tuple[int, ...]:
+        parts: list[Any] = []
+        for part in cast("list[Any]", value) if isinstance(value, list) else [value]:
+            ends = _RANGE.fullmatch(part.strip()) if isinstance(part, str) else None
+            parts += [part] if ends is None else range(int(ends[1]), min(int(ends[2]), 127) + 1)
+        try:
+            return tuple(int(part) for part in plain(parts, axes))
+        except ValueError as error:
+            raise ValueError(f"{error}; write such as 1-6, or 11, 12, 13, 14, 15, 16") from error
+
+    return Form(read)
 
 
 def per_axis(rule: FormRule = ANY) -> Form:
@@ -153,13 +192,13 @@ def per_axis(rule: FormRule = ANY) -> Form:
 
 
 def _kept(value: Any, rule: FormRule) -> float:
-    number = _number(value)
+    number = _number(value, rule)
     if not rule.holds(number):
         raise ValueError(f"holds {number:g}, which is {rule.otherwise}")
     return number
 
 
-def pairs() -> Form:
+def pairs(rule: FormRule = ANY) -> Form:
     """Lowest and highest for all axes, or for each."""
 
     def read(value: Any, axes: int) -> tuple[tuple[float, float], ...]:
@@ -168,7 +207,7 @@ def pairs() -> Form:
             rows = [rows] * max(axes, 1)
         if not rows or (axes and len(rows) != axes) or not all(isinstance(row, list) and len(row) == 2 for row in rows):
             raise ValueError("is neither a pair [low, high] nor one for each axis, [[low, high], ...]")
-        found = tuple((_number(low), _number(high)) for low, high in rows)
+        found = tuple((_number(low, rule), _number(high, rule)) for low, high in rows)
         for low, high in found:
             if not low < high:
                 raise ValueError(f"holds [{low:g}, {high:g}], of which the first is not below the second")
@@ -177,7 +216,7 @@ def pairs() -> Form:
     return Form(read)
 
 
-def place(**named: tuple[float, ...]) -> Form:
+def place(rule: FormRule = ANY, **named: tuple[float, ...]) -> Form:
     """Three numbers, or a word that stands for them."""
 
     def read(value: Any, axes: int) -> tuple[float, ...]:
@@ -186,7 +225,7 @@ def place(**named: tuple[float, ...]) -> Form:
             return named[value]
         if not isinstance(value, list) or len(cast("list[Any]", value)) != 3:
             raise ValueError(" or ".join(["is no list of three numbers", *(f"no `{word}`" for word in named)]))
-        return tuple(_number(part) for part in cast("list[Any]", value))
+        return tuple(_number(part, rule) for part in cast("list[Any]", value))
 
     return Form(read)
 
@@ -211,7 +250,21 @@ def _parts(value: Any, axes: int) -> list[Any]:
     return parts
 
 
-def _number(value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise ValueError(f"holds {value!r}, which is no number")
-    return float(value)
+def _number(value: Any, rule: FormRule) -> float:
+    number = _written(value, rule) if isinstance(value, str) else value
+    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+        examples = [f"1 {unit}" for unit in rule.units] + ["1:160"] * rule.ratio
+        said = f"; write a number, or such as {', '.join(examples)}" if examples else ""
+        raise ValueError(f"holds {value!r}, which is no number{said}")
+    return float(number)
+
+
+def _written(text: str, rule: FormRule) -> float | None:
+    """A number with its unit, or a reduction: 1:160 and 160:1 are 160. None where it is neither."""
+    ratio = _RATIO.fullmatch(text.strip()) if rule.ratio else None
+    if ratio is not None:
+        ends = sorted((float(ratio["first"]), float(ratio["second"])))
+        return None if ends[0] == 0 else (-1 if ratio["sign"] == "-" else 1) * ends[1] / ends[0]
+    found = _NUMBER.fullmatch(text.strip())
+    factor = None if found is None else rule.units.get(found["unit"] or "", 1.0 if found["unit"] is None else None)
+    return None if found is None or factor is None else float(found["number"]) * factor

@@ -6,10 +6,19 @@ from dataclasses import dataclass
 from typing import Final
 
 from gateway.newcell.forms import (
+    ANGLES,
+    ANY,
+    CONSTANTS,
+    LENGTHS,
+    MASSES,
     NOT_ZERO,
+    PERCENT,
     POSITIVE,
     SHARE,
     SIGN,
+    SPEEDS,
+    TIMES,
+    TORQUES,
     Form,
     choice,
     flag,
@@ -81,7 +90,7 @@ BUS: Final = CellQuestion(
 )
 NODES: Final = CellQuestion(
     "nodes",
-    "node ids from the base to the flange",
+    "node ids from the base to the flange, such as 1-6 or 11, 12, 13, 14, 15, 16",
     "DIP switch or label of each drive; `check --move` sees an order that is wrong",
     node_ids(),
 )
@@ -93,21 +102,23 @@ PROFILE: Final = CellQuestion(
 )
 GEAR_RATIO: Final = CellQuestion(
     "gear_ratio",
-    "gear ratio, motor turns per joint turn, negative where it turns the sense; one for all or one per axis",
+    "gear ratio, motor turns per joint turn, such as 160 or 1:160, negative where it turns the sense; one for all or "
+    "one per axis",
     "data sheet or plate of the gear; `check --move` compares it with gravity and the drives' speeds",
-    per_axis(NOT_ZERO),
+    per_axis(NOT_ZERO.of({}, ratio=True)),
 )
 GEAR_EFFICIENCY: Final = CellQuestion(
     "gear_efficiency",
-    "gear efficiency, 0 to 1; one for all or one per axis",
+    "gear efficiency, such as 0.85 or 85 %; one for all or one per axis",
     "data sheet of the gear at the torques of the arm",
-    per_axis(SHARE),
+    per_axis(SHARE.of(PERCENT)),
 )
 TORQUE_CONSTANT: Final = CellQuestion(
     "torque_constant_nm_per_a",
-    "torque constant of the motor [Nm/A], per ampere (rms or peak) as the profile states; one for all or one per axis",
+    "torque constant of the motor [Nm/A], such as 0.21 or 210 mNm/A, per ampere (rms or "
+    "peak) as the profile states; one for all or one per axis",
     "data sheet of the motor; for peak amperes it is the rms value over 1.414",
-    per_axis(POSITIVE),
+    per_axis(POSITIVE.of(CONSTANTS)),
 )
 POSITION_SIGN: Final = CellQuestion(
     "position_sign",
@@ -125,25 +136,26 @@ ZERO_OFFSET: Final = CellQuestion(
     "zero_offset_rad",
     "joint angle [rad] at which each drive's position is zero; one for all or one per axis",
     "the calibration sheet of the arm, or the angle shown by its old controller while the drives show zero",
-    per_axis(),
+    per_axis(ANY.of(ANGLES)),
 )
 POSITION_LIMIT: Final = CellQuestion(
     "position_limit_rad",
-    "lowest and highest joint angle [rad]; one pair for all or one per axis, such as [[-2.9, 2.9], [-1.5, 2.0]]",
+    "lowest and highest joint angle [rad], or such as -170, 170 deg; one pair for all or one per axis, such as "
+    "[[-2.9, 2.9], [-1.5, 2.0]]",
     "the manual's working range, a little inside the hard stops",
-    pairs(),
+    pairs(ANY.of(ANGLES)),
 )
 SPEED_LIMIT: Final = CellQuestion(
     "speed_limit_rad_s",
     "fastest that each joint may turn [rad/s]; one for all or one per axis",
     "slow is enough: a load is measured at rest",
-    per_axis(POSITIVE),
+    per_axis(POSITIVE.of(SPEEDS)),
 )
 TORQUE_LIMIT: Final = CellQuestion(
     "torque_limit_nm",
     "largest torque at each joint [Nm]; one for all or one per axis",
     "data sheet of the gear, or rated torque of the motor times gear ratio",
-    per_axis(POSITIVE),
+    per_axis(POSITIVE.of(TORQUES)),
 )
 INERTIALS: Final = CellQuestion(
     "inertials",
@@ -161,32 +173,32 @@ FLANGE: Final = CellQuestion(
     "flange_xyz_m",
     "flange in the last link, x, y, z [m], or none",
     "the drawing of the wrist; without it results are in the last link alone",
-    place(none=()),
+    place(ANY.of(LENGTHS), none=()),
 )
 FLANGE_TURN: Final = CellQuestion(
     "flange_rpy_rad",
-    "turn of the flange in the last link, roll, pitch, yaw [rad], such as [0, 1.5708, 0]",
+    "turn of the flange in the last link, roll, pitch, yaw [rad], such as 0, 1.5708, 0 or 0, 90, 0 deg",
     "the drawing of the wrist: where z of the flange points along another axis of the last link, it is turned",
-    place(),
+    place(ANY.of(ANGLES)),
 )
 RATED_LOAD: Final = CellQuestion(
     "rated_load_kg",
     "load that the arm is rated for [kg], or none",
     "data sheet or plate of the arm; loads beyond five times as much are refused as slips of units",
-    number_or_none(POSITIVE),
+    number_or_none(POSITIVE.of(MASSES)),
 )
 MAX_LOAD: Final = CellQuestion(
     "max_load_kg",
     "heaviest load that will hang on the flange [kg], or none",
     "the rated load if not stated; without either half of each torque limit is kept for the load",
-    number_or_none(POSITIVE),
+    number_or_none(POSITIVE.of(MASSES)),
 )
 NAME: Final = CellQuestion("name", "name of the cell", "", text())
 SYNC_PERIOD: Final = CellQuestion(
     "sync_period_s",
     "time from SYNC to SYNC [s]",
     "0.01 suits six drives at 1 Mbit/s; `check` reckons the load of the bus",
-    one_number(POSITIVE),
+    one_number(POSITIVE.of(TIMES)),
 )
 PACING: Final = CellQuestion("pacing", "real, or lockstep on the simulator", "", choice("real", "lockstep"))
 OFFLINE: Final = CellQuestion("offline", "true: no bus is looked at", "", flag())
@@ -242,9 +254,12 @@ FOR_ALL: Final = tuple(
         TORQUE_LIMIT,
     )
 )
+DH_KEYS: Final = (DH_CONVENTION.key, *(question.key for question in DH_ROWS))
 #: Answers that are names of files.
 FILES: Final = (ROBOT.key, EDS.key, PROFILE.key)
 
+#: Questions that a person is not asked: an offer that holds without one, or an option of the command.
+UNASKED: Final = (NAME, TIP, OFFLINE, EDS, SYNC_PERIOD, PACING, MAX_LOAD, POSES)
 
 #: Their keys, in order.
 KEYS: Final = tuple(question.key for question in ALL)

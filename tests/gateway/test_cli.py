@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from drives.errors import BusError
 from gateway import cli
-from gateway.cli import paragraph
+from gateway.cli import main, paragraph
 from gateway.commands.console import Session
 from gateway.commands.moving import MoveChoice, stoppable
 from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
@@ -340,3 +340,26 @@ def test_an_arm_that_was_under_power_is_reported_as_far_as_its_stop_is_confirmed
         command()
     assert cli.report_error(caught.value) == 130
     assert capsys.readouterr().err == f"{said}\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("estmate",), "No such command 'estmate'. Did you mean estimate?"),
+        (("cell", "nwe"), "Did you mean 'new'?"),
+        (("estimate", "--knwon", "x"), "'--known'?"),
+        (("xyzzy",), "No such command 'xyzzy'.\n"),
+    ],
+)
+def test_a_misspelled_command_or_option_is_answered_with_what_is_alike(words, says):
+    done = CliRunner().invoke(main, list(words))
+    assert done.exit_code == 2
+    assert says in done.output
+
+
+def test_no_folder_is_made_for_a_result(tmp_path):
+    target = tmp_path / "new" / "folder" / "r.json"
+    done = CliRunner().invoke(main, ["plan", "cell.toml", "--json", str(target)])
+    assert done.exit_code == 3
+    assert f"the folder {target.parent} does not exist" in done.output
+    assert not (tmp_path / "new").exists()

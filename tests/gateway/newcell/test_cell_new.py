@@ -7,6 +7,7 @@ import re
 import shutil
 from pathlib import Path
 
+import click
 import pytest
 from click.testing import CliRunner
 
@@ -256,3 +257,60 @@ def test_a_jaw_in_the_urdf_asks_for_the_tip_and_the_cell_says_it(folder):
     arm = axes_of(folder)
     assert (arm.tip, len(arm.axis)) == (last, 6)
     assert arm_robot(load_cell(folder / "cell.toml"), arm).axes == 6
+
+
+AT_FIRST = ["11-16", "generic-cia402", "1:101; plate"]
+
+
+def at_the_terminal(folder, lines, ends=None):
+    """A run in which a person types these lines, and then does something else."""
+    typed_lines = iter(lines)
+
+    def prompt(*_args, **_named):
+        line = next(typed_lines, None)
+        if line is None and ends is not None:
+            raise ends
+        return line or ""
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("click.prompt", prompt)
+        patch.setattr("sys.stdin.isatty", lambda: True, raising=False)
+        return new(folder, "--robot", folder / "arm.urdf", "--bus", "socketcan:can0", "--offline")
+
+
+@pytest.mark.parametrize("ends", [KeyboardInterrupt(), click.Abort(), RuntimeError("a defect")])
+def test_answers_are_kept_on_every_exit_and_taken_up_again(folder, ends):
+    first = at_the_terminal(folder, AT_FIRST, ends)
+    assert first.exit_code in (1, 3, 130)
+    assert "cell.answers.toml: run the same command again" in first.stderr
+    assert not (folder / "cell.toml").exists()
+    again = at_the_terminal(folder, ["", "0.12"])
+    assert again.exit_code == 0, again.output
+    axis = axes_of(folder).axis[5]
+    assert (axis.node_id, axis.gear_ratio.value, axis.gear_ratio.source) == (16, 101, "plate")
+    assert axis.torque_constant_nm_per_a.value == 0.12
+    assert not (folder / "cell.answers.toml").exists()
+
+
+def test_a_kept_answer_that_does_not_hold_is_asked_again(folder):
+    (folder / "cell.answers.toml").write_text('nodes = [1, 2, 3]\nprofile = "gone"\n', encoding="utf-8")
+    done = at_the_terminal(folder, [*AT_FIRST, "", "0.12"])
+    assert done.exit_code == 0, done.output
+    assert axes_of(folder).axis[0].node_id == 11
+
+
+def test_a_wrong_profile_name_is_asked_again_with_what_is_alike(folder):
+    lines = ["11-16", "generic-cia403", "generic", "1:101", "", "0.12"]
+    done = at_the_terminal(folder, lines)
+    assert done.exit_code == 0, done.output
+    assert "did you mean generic-cia402" in done.stderr
+    assert {axis.profile for axis in axes_of(folder).axis} == {"generic-cia402"}
+
+
+def test_questions_are_counted(folder):
+    done = at_the_terminal(folder, [*AT_FIRST, "", "0.12"])
+    counts = [tuple(map(int, pair)) for pair in re.findall(r"question (\d+) of (\d+)", done.stderr)]
+    assert [number for number, _ in counts] == list(range(1, len(counts) + 1))
+    assert len(counts) <= 14
+    assert all(number <= most for number, most in counts)
+    assert sorted((most for _, most in counts), reverse=True) == [most for _, most in counts]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import pytest
 
@@ -23,6 +24,10 @@ from gateway.newcell.forms import SHARE, node_ids, number_or_none, pairs, per_ax
         ("a.toml, b.toml", ["a.toml", "b.toml"]),
         ("true", True),
         ("0x0B, 12", [11, 12]),
+        ("1:160, 1:101", ["1:160", "1:101"]),
+        ("-170, 170 deg", ["-170 deg", "170 deg"]),
+        ("[-170, 170] deg", ["-170 deg", "170 deg"]),
+        ("85 %, 80 %", ["85 %", "80 %"]),
     ],
 )
 def test_a_typed_line_is_what_toml_makes_of_it_or_text(line, value):
@@ -68,3 +73,57 @@ def test_a_form_that_is_not_kept_is_said_in_words(form, value, words):
 
 def test_every_question_has_a_key_of_its_own():
     assert len(set(questions.KEYS)) == len(questions.KEYS)
+
+
+def read(question, line, axes=1):
+    return question.form.read(typed(line), axes)
+
+
+@pytest.mark.parametrize(
+    ("question", "line", "value"),
+    [
+        (questions.GEAR_RATIO, "1:160", (160.0,)),
+        (questions.GEAR_RATIO, "160:1", (160.0,)),
+        (questions.GEAR_RATIO, "-1:101", (-101.0,)),
+        (questions.GEAR_EFFICIENCY, "85 %", (0.85,)),
+        (questions.TORQUE_CONSTANT, "210 mNm/A", (0.21,)),
+        (questions.TORQUE_CONSTANT, "0.21 Nm/A", (0.21,)),
+        (questions.SPEED_LIMIT, "90 deg/s", (math.pi / 2,)),
+        (questions.TORQUE_LIMIT, "1.5 kNm", (1500.0,)),
+        (questions.POSITION_LIMIT, "-90, 180 deg", ((-math.pi / 2, math.pi),)),
+        (questions.FLANGE, "0, 0, 60 mm", (0.0, 0.0, 0.06)),
+        (questions.FLANGE_TURN, "0, 90, 0 deg", (0.0, math.pi / 2, 0.0)),
+        (questions.RATED_LOAD, "5000 g", 5.0),
+        (questions.RATED_LOAD, "none", None),
+    ],
+)
+def test_a_number_may_be_written_as_on_the_data_sheet(question, line, value):
+    found = read(question, line)
+    assert (found is None) == (value is None)
+    if value is not None:
+        assert (
+            found == pytest.approx(value)
+            if not isinstance(found, tuple)
+            else list(found) == [pytest.approx(part) for part in value]
+        )
+
+
+@pytest.mark.parametrize(("line", "ids"), [("1-6", (1, 2, 3, 4, 5, 6)), ("11 - 14, 1, 2", (11, 12, 13, 14, 1, 2))])
+def test_node_ids_may_be_a_range(line, ids):
+    assert read(questions.NODES, line, 6) == ids
+
+
+@pytest.mark.parametrize(
+    ("question", "line", "says"),
+    [
+        (questions.GEAR_RATIO, "0:160", "1:160"),
+        (questions.TORQUE_CONSTANT, "210 Nm", "such as 1 Nm/A, 1 mNm/A"),
+        (questions.GEAR_EFFICIENCY, "850 %", "holds 8.5, which is not in 0 to 1"),
+        (questions.GEAR_EFFICIENCY, "85 Nm", "1 %"),
+        (questions.NODES, "1-", "write such as 1-6"),
+        (questions.NODES, "100-140", "one for each is needed; write such as 1-6"),
+    ],
+)
+def test_what_is_refused_comes_with_an_example(question, line, says):
+    with pytest.raises(ValueError, match=re.escape(says)):
+        read(question, line, 1)

@@ -246,9 +246,9 @@ def test_the_turn_of_the_flange_is_asked_where_a_flange_is_stated(tmp_path):
     plain = tmp_path / "arm.urdf"
     plain.write_text((OWN / "arm.urdf").read_text(encoding="utf-8").replace("tool0", "face"), encoding="utf-8")
 
-    def ask(question, offer, read):
-        questions_asked.append(question.key)
-        return read([0, 0, 0.1]) if question.key == "flange_xyz_m" else None
+    def ask(asked):
+        questions_asked.append(asked.question.key)
+        return asked.read([0, 0, 0.1]) if asked.question.key == "flange_xyz_m" else None
 
     given = {"robot": str(plain), "bus": "virtual:x", "gear_ratio": 100}
     said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers", ask)
