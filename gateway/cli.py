@@ -50,6 +50,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "commission": ("guided", "All of it, guided: from the check to the report."),
     "estimate": ("analyse", "Mass and centre of gravity of the load(s) from DATA."),
     "diagnose": ("analyse", "What the model lacks, judged on data that no fit has seen."),
+    "compare": ("compare", "Two results of one robot, before and after service: what changed."),
     "report": ("handover", "One HTML page from a result."),
     "export": ("handover", "A load in a robot controller's syntax; a recording for other programs."),
     "import": ("handover", "A measured table from another program's log, by a map of its columns."),

@@ -89,6 +89,26 @@ def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Rec
     return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), poses)
 
 
+def plan_again(loaded: LoadedCell, config: ArmConfig, numbers: Collection[int], earlier: Recording) -> Plan:
+    """Plan over poses that a recording holds or asks for, by their numbers.
+
+    Raises
+    ------
+    InputError
+        The recording has no pose of that number.
+    PlanRefused
+        As `plan_asked`.
+    """
+    stored = earlier.arm(config.name)
+    known = {} if stored is None else {pose.number: pose for pose in stored.poses}
+    missing = sorted(set(numbers) - set(known))
+    if missing:
+        held = ", ".join(map(str, sorted(known))) or "none"
+        raise InputError(f"{earlier.path}: has no pose {missing[0]} of arm '{config.name}'; its poses are {held}")
+    poses = tuple(known[number] for number in dict.fromkeys(numbers))
+    return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), poses)
+
+
 def _numbered(
     asked: Sequence[tuple[float, ...]], known: Sequence[RestPose], taken: Collection[int]
 ) -> tuple[RestPose, ...]:

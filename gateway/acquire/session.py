@@ -63,11 +63,14 @@ class RecordRequest:
         The recording.
     resume : bool
         Go on with a file that is there: measure only what is missing under this load.
+    again : bool
+        Measure the poses of the plan once more, also where the file holds them under this load.
     """
 
     load: str
     path: Path
     resume: bool = False
+    again: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +142,7 @@ def record(
     poses = _all_poses(plan, earlier)
     stored = None if earlier is None else earlier.arm(plan.arm)
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
-    done = () if stored is None else tuple(wanted.intersection(stored.done(request.load)))
+    done = () if stored is None or request.again else tuple(wanted.intersection(stored.done(request.load)))
     with keeping(opened, request.path, arm_header(opened, poses), earlier) as kept:
         if len(done) < len(wanted):
             run_plan(kept.station(listeners, options), RunRequest(plan, request.load, done))

@@ -58,6 +58,7 @@ def cell_schema() -> None:
 def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
     """Draw the arm at its named postures, the boxes around it, and say what is assumed. Needs no bus."""
     from gateway.cell.config import load_cell
+    from gateway.commands.pages import write_page
     from gateway.commands.plan_view import space_in_words, view_of_cell
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.motion.workspace import workspace_of
@@ -69,7 +70,7 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
     workspace = workspace_of(config, robot)
     target, session = output or cell.with_suffix(".html"), session_of()
     refuse_to_replace(target, "-o", session)
-    replace_file(target, view_of_cell(config, workspace))
+    write_page(target, view_of_cell(config, workspace))
     session.show("\n  ".join([f"arm '{config.name}': {target}", *space_in_words(workspace)]))
 
 

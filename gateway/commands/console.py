@@ -69,11 +69,14 @@ class Session:
         True when stdout carries JSON, so that tables go to stderr.
     replaces : bool
         True when files that are there may be replaced.
+    in_degrees : bool
+        True when joint angles are typed in degrees.
     """
 
     verbosity: int = 0
     data_on_stdout: bool = False
     replaces: bool = False
+    in_degrees: bool = False
     _consoles: dict[bool, Console] = field(default_factory=dict)
     _outlets: dict[bool, Outlet] = field(default_factory=dict)
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from drives.files import replace_file
 from gateway.commands.console import Session, axis_names, findings_table, grid
 from gateway.commands.measure import arm_option
 from gateway.commands.moving import MoveChoice, move_options, stoppable
@@ -24,6 +23,7 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings
+from gateway.commands.pages import write_page
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def follow(
     if json_out:
         write_json(json_out, plain_values(result))
     if report_file:
-        replace_file(report_file, render_follow(result))
+        write_page(report_file, render_follow(result))
     _show(result, session)
     if report_file:
         session.show(f"report: {report_file}")

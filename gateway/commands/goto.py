@@ -9,7 +9,15 @@ import click
 
 from gateway.commands.measure import arm_option
 from gateway.commands.moving import MoveChoice, slow_move_options, stoppable
-from gateway.commands.options import bus_option, cell_argument, common, joint_angles, note_remarks, session_of
+from gateway.commands.options import (
+    bus_option,
+    cell_argument,
+    common,
+    joint_angles,
+    note_remarks,
+    session_of,
+    unit_option,
+)
 
 if TYPE_CHECKING:
     from gateway.acquire.goto import Destination
@@ -21,9 +29,9 @@ if TYPE_CHECKING:
 NAMES = ("home", "loading")
 
 
-def _to(_ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[float, ...]:
+def _to(ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[float, ...]:
     """A name, or joint angles."""
-    return value if value in NAMES else joint_angles(value)
+    return value if value in NAMES else joint_angles(value, session_of(ctx))
 
 
 @click.command()
@@ -34,8 +42,9 @@ def _to(_ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple
     required=True,
     callback=_to,
     metavar="home|loading|J1,J2,...",
-    help="home_rad or loading_rad of the cell file, or joint angles [rad].",
+    help="home_rad or loading_rad of the cell file, or joint angles in the unit of --unit.",
 )
+@unit_option
 @arm_option
 @bus_option
 @slow_move_options

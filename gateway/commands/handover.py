@@ -20,14 +20,17 @@ RESULT = click.Path(path_type=Path, dir_okay=False)
 
 @click.command()
 @click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
-@output_option("-o", "--output", required=True, metavar="REPORT.html", help="Page to write.")
+@output_option(
+    "-o", "--output", required=True, metavar="REPORT.html", help="Page to write; .pdf is printed by a browser."
+)
 @json_option
 @common
 def report(result: Path, output: Path, json_out: str | None) -> None:
-    """One HTML page from a result: it opens offline and prints on paper.
+    """One page from a result: it opens offline and prints on paper; as PDF where a browser is installed.
 
     Of a recording that was stopped before its end, or of its black box: the last seconds before the stop.
     """
+    from gateway.commands.pages import write_page
     from gateway.data.reading import is_recording
     from gateway.report.render import render
 
@@ -35,7 +38,7 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
         _stop_page(result, output, json_out)
         return
     held = _whole(result)
-    replace_file(output, render(held))
+    write_page(output, render(held))
     if json_out:
         write_json(json_out, {"schema": 1, "report": str(output), "robot": held.robot, "verdict": held.verdict})
     session_of().show(f"report: {output}")
@@ -43,6 +46,7 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
 
 def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     """The page on what the black box beside a recording holds."""
+    from gateway.commands.pages import write_page
     from gateway.data.blackbox.box import read_box
     from gateway.data.blackbox.ring import box_of
     from gateway.data.blackbox.salvage import salvage
@@ -57,7 +61,7 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
             "measured give the OUT.json of estimate or diagnose"
         )
     box = read_box(path)
-    replace_file(output, render_stop(box))
+    write_page(output, render_stop(box))
     if json_out:
         told = {"schema": 1, "report": str(output), "recording": box.recording, "reason": box.reason}
         write_json(json_out, told)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from drives.files import replace_file
 from gateway.commands.console import axis_names, axis_table, grid
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -23,6 +22,7 @@ from gateway.commands.options import (
     output_option,
     session_of,
     trace_option,
+    unit_option,
     write_json,
 )
 from gateway.commands.plan_moving import MovingChoice, moving_plan_options, plan_moving
@@ -73,6 +73,7 @@ def plan(
         return
     from gateway.acquire.planning import make_plan
     from gateway.cell.config import load_cell
+    from gateway.commands.pages import write_page
     from gateway.commands.plan_view import space_in_words, view_of_plan
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.motion.workspace import workspace_of
@@ -87,14 +88,19 @@ def plan(
     workspace = workspace_of(config, robot)
     session_of().show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
-        replace_file(view, view_of_plan(chosen, workspace))
+        write_page(view, view_of_plan(chosen, workspace))
         session_of().show(f"{view}: poses, ways and boxes")
     if json_out:
         write_json(json_out, plan_as_json(chosen))
 
 
-def _postures(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
-    return tuple(joint_angles(value) for value in values)
+def _poses(
+    ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
+) -> tuple[tuple[tuple[float, ...], ...], tuple[int, ...]]:
+    """Postures, and numbers of poses: no arm has one axis, so a number alone is the number of a pose."""
+    numbers = [value for value in values if value.strip().isdecimal()]
+    postures = tuple(joint_angles(value, session_of(ctx)) for value in values if value not in numbers)
+    return postures, tuple(map(int, numbers))
 
 
 def show_plan(chosen: Plan) -> None:
@@ -157,10 +163,11 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     "--pose",
     "poses",
     multiple=True,
-    callback=_postures,
-    metavar="J1,J2,...",
-    help="Measure this pose [rad] instead of those of the cell; repeatable.",
+    callback=_poses,
+    metavar="J1,J2,...|N",
+    help="Measure this pose instead of those of the cell, or pose N of RUN.h5 once more; repeatable.",
 )
+@unit_option
 @click.option(
     "--next",
     "result",
@@ -195,7 +202,7 @@ def record(
     output: Path,
     resume: bool,
     trace: Path | None,
-    poses: tuple[tuple[float, ...], ...],
+    poses: tuple[tuple[tuple[float, ...], ...], tuple[int, ...]],
     result: Path | None,
     in_motion: bool,
     moving_plan: Path | None,
@@ -218,16 +225,19 @@ def record(
     from gateway.result.values import plain_values
 
     refuse_mixed(
-        in_motion, [*poses, *(wish for wish in (result, until.goal) if wish is not None)], moving_plan, rate_hz
+        in_motion,
+        [*poses[0], *poses[1], *(wish for wish in (result, until.goal) if wish is not None)],
+        moving_plan,
+        rate_hz,
     )
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     if in_motion:
         record_in_motion(context, arm, MovingWish(label, output, resume, moving_plan, rate_hz, trace, json_out), moving)
         return
-    wanted = _Wanted(output, resume, poses, result)
+    wanted = _Wanted(output, resume or bool(poses[1]), *poses, result)
     asked: _Planned | PoseByPose = (
-        _Planned(_plan_for(context.loaded, arm, wanted), RecordRequest(label, output, resume))
+        _Planned(_plan_for(context.loaded, arm, wanted), RecordRequest(label, output, wanted.resume, bool(poses[1])))
         if until.goal is None
         else _search_for(context.loaded, arm, wanted, until.request(label, output, cell))
     )
@@ -276,6 +286,8 @@ class _Wanted:
     resume : bool
     poses : tuple of tuples of floats
         Joint angles that were typed.
+    again : tuple of int
+        Numbers of poses to measure once more.
     result : Path or None
         Whose `next` asks for poses.
     """
@@ -283,12 +295,13 @@ class _Wanted:
     output: Path
     resume: bool
     poses: tuple[tuple[float, ...], ...]
+    again: tuple[int, ...]
     result: Path | None
 
 
 def _search_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted, request: UntilRequest) -> PoseByPose:
     """A recording whose poses are chosen on the way."""
-    if wanted.poses or wanted.result is not None:
+    if wanted.poses or wanted.again or wanted.result is not None:
         raise click.UsageError("--until chooses the poses itself: leave out --pose and --next")
     _refuse_to_replace(wanted)
     return pose_by_pose(loaded, arm, request)
@@ -303,16 +316,20 @@ def _refuse_to_replace(wanted: _Wanted) -> None:
 
 def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
     """Poses that are asked for, else those of the file that is gone on with, else those of the cell."""
-    from gateway.acquire.asking import Asked, asked_by, plan_asked
+    from gateway.acquire.asking import Asked, asked_by, plan_again, plan_asked
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
 
-    if wanted.poses and wanted.result is not None:
-        raise click.UsageError("--pose and --next both say which poses: give one of them")
+    if sum(map(bool, (wanted.poses, wanted.again, wanted.result))) > 1:
+        raise click.UsageError("--pose J1,J2,.., --pose N and --next all say which poses: give one of them")
     if any(len(q_rad) != len(arm.axis) for q_rad in wanted.poses):
         raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes, one joint angle each is needed")
     _refuse_to_replace(wanted)
     earlier = read(wanted.output) if wanted.output.exists() else None
+    if wanted.again:
+        if earlier is None:
+            raise InputError(f"--pose {wanted.again[0]}: there is no {wanted.output} yet whose pose that would be")
+        return plan_again(loaded, arm, wanted.again, earlier)
     if wanted.result is not None:
         return plan_asked(loaded, arm, asked_by(wanted.result, loaded, arm), earlier)
     if wanted.poses:

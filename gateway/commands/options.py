@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from drives.files import replace_file
+from gateway.cell.plausible import LARGEST_ANGLE_RAD
 from gateway.commands.console import Session
 from gateway.data.labels import label_refused
 from gateway.errors import InputError
@@ -286,14 +287,35 @@ def confirm(question: str, *, yes: bool) -> None:
         raise click.Abort(NOT_AGREED)
 
 
-def joint_angles(text: str) -> tuple[float, ...]:
-    """Joint angles [rad] of `J1,J2,..`; anything else is a usage error."""
+def _unit(ctx: click.Context, _param: click.Parameter, value: str) -> None:
+    session_of(ctx).in_degrees = value == "deg"
+
+
+unit_option = click.option(
+    "--unit",
+    type=click.Choice(["rad", "deg"]),
+    default="rad",
+    show_default=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_unit,
+    help="Unit of the joint angles that are typed.",
+)
+
+
+def joint_angles(text: str, session: Session) -> tuple[float, ...]:
+    """Joint angles [rad] of `J1,J2,..` in the unit of `--unit`; anything else is a usage error."""
+    unit, example = ("deg", "0,-30,70,0,20,0") if session.in_degrees else ("rad", "0,-0.5,1.2,0,0.4,0")
     try:
         values = tuple(float(part) for part in text.split(","))
     except ValueError:
         values = (math.nan,)
     if not all(map(math.isfinite, values)):
-        raise click.BadParameter(f"'{text}': give joint angles in rad, one per axis, such as 0,-0.5,1.2,0,0.4,0")
+        raise click.BadParameter(f"'{text}': give joint angles in {unit}, one per axis, such as {example}")
+    if session.in_degrees:
+        return tuple(map(math.radians, values))
+    if max(map(abs, values)) > LARGEST_ANGLE_RAD:
+        raise click.BadParameter(f"'{text}': rad is meant, and these can only be degrees: add --unit deg")
     return values
 
 

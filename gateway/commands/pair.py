@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from drives.files import replace_file
 from gateway.commands.console import grid, number
 from gateway.commands.moving import MoveChoice, move_options, stoppable
 from gateway.commands.options import (
@@ -22,6 +21,7 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
+from gateway.commands.pages import write_page
 
 if TYPE_CHECKING:
     from gateway.commands.cell_context import CellContext
@@ -274,5 +274,5 @@ def pair_report(cell: Path, output: Path, store: Path | None) -> None:
     if not runs:
         raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
     origin = Origin(in_words(datetime.now(UTC)), software(), files=files_of((cell, *kept.run_files())))
-    replace_file(output, render_pair(pair.loaded.cell.name, bound, runs, origin))
+    write_page(output, render_pair(pair.loaded.cell.name, bound, runs, origin))
     session_of().show(f"{output}: {len(runs)} embodiments")

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from drives.files import replace_file
 from gateway.commands.console import axis_names, axis_table, grid
 from gateway.commands.options import Function, note_remarks, session_of, write_json
+from gateway.commands.pages import write_page
 
 if TYPE_CHECKING:
     from gateway.excite.excitation import Excitation, MovingPlan
@@ -107,7 +107,7 @@ def plan_moving(
     workspace = workspace_of(config, robot)
     session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
-        replace_file(view, view_of_moving_plan(plan, workspace))
+        write_page(view, view_of_moving_plan(plan, workspace))
         session.show(f"{view}: ways, boxes, positions and speeds")
     if json_out:
         write_json(json_out, plan_as_plain(plan))

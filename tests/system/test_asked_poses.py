@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 
 import pytest
 
@@ -50,10 +51,34 @@ def test_a_pose_and_what_a_result_asks_for_are_measured(place, gateway, serve):
     assert drives.stand_still()
 
 
+@pytest.mark.slow
+def test_a_pose_is_measured_once_more_by_its_number(place, gateway, serve):
+    drives = serve()
+    degrees = ",".join(str(math.degrees(float(value))) for value in POSE.split(","))
+    done = record(gateway, place, drives, "--pose", degrees, "--unit", "deg", "--pose", "8,-3,9,3,-9,12")
+    assert done.exit_code == 0, done.output
+    (arm,) = place.recording().arms
+    assert arm.poses[0].q_rad == pytest.approx(tuple(map(float, POSE.split(","))))
+    again = record(gateway, place, drives, "--pose", "1")
+    assert again.exit_code == 0, again.output
+    assert visits(place) == [(1, -1), (1, -1), (1, 1), (1, 1), (2, -1), (2, 1)]
+    table = place.recording().table()  # a repeated visit is told apart by its time
+    assert sorted(table.pose.tolist()) == [1, 1, 1, 1, 2, 2]
+    missing = record(gateway, place, drives, "--pose", "7")
+    assert (
+        missing.exit_code,
+        "has no pose 7 of arm 'main'; its poses are 1, 2" in " ".join(missing.output.split()),
+    ) == (3, True)
+
+
 def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway):
     nobody = ("record", place.cell, "--bus", "virtual:nobody", "--load", "none", "-o", place.run, "--yes")
     for more, code, says in (
         (("--pose", "0.1,0.2"), 2, "has 6 axes"),
+        (("--pose", "0,30,0,0,30,0"), 2, "add --unit deg"),
+        (("--pose", "a,b", "--unit", "deg"), 2, "joint angles in deg"),
+        (("--pose", "7"), 3, "--pose 7: there is no"),
+        (("--pose", "7", "--pose", POSE), 2, "give one of them"),
         (("--pose", POSE, "--next", asking(place)), 2, "give one of them"),
         (("--next", asking(place, cell="other")), 3, "was made on cell 'other', not on 'small'"),
         (("--next", asking(place, poses=())), 3, "asks for no pose"),

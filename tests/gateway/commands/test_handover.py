@@ -7,6 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
+from gateway.commands.pages import find_browser
 from gateway.data.recording.reader import read
 from gateway.data.table import read_csv
 from sim.__main__ import main as simulator
@@ -68,3 +69,72 @@ def test_force_replaces_what_is_there(tmp_path):
 def test_both_programs_say_their_version():
     versions = {run("--version").output.split()[-1], CliRunner().invoke(simulator, ["--version"]).output.split()[-1]}
     assert len(versions) == 1
+
+
+def written(tmp_path, name, **changes):
+    """A result file whose load differs."""
+    body = {key: value for key, value in RESULT.items() if key != "sha256"}
+    load = body["loads"][0] | {"mass_kg": 5.0, "mass_std_kg": 0.02} | changes
+    path = tmp_path / name
+    path.write_text(json.dumps(body | {"loads": [load]}), encoding="utf-8")
+    return path
+
+
+def test_two_results_are_compared(tmp_path):
+    before, after = written(tmp_path, "a.json"), written(tmp_path, "b.json", mass_kg=5.3)
+    page, out = tmp_path / "c.html", tmp_path / "c.json"
+    done = run("compare", before, after, "-o", page, "--json", out)
+    assert done.exit_code == 7, done.output
+    assert "changed: mass of load" in done.stderr
+    held = json.loads(out.read_text())
+    assert (held["kind"], held["verdict"]) == ("comparison", "changed")
+    (mass,) = (row for row in held["quantities"] if row["what"] == "mass")
+    assert mass["difference"] == pytest.approx(0.3)
+    assert "Before and after" in page.read_text(encoding="utf-8")
+    assert run("compare", before, after, "--tolerance", "mass=20%,com=50mm").exit_code == 0
+    same = run("compare", before, before)
+    assert (same.exit_code, "verdict: unchanged" in same.stdout) == (0, True)
+
+
+BROWSER = """#!/bin/sh
+for word in "$@"; do case "$word" in --print-to-pdf=*) printf '%s' "{says}" > "${{word#--print-to-pdf=}}";; esac; done
+echo "the last line" >&2
+"""
+
+
+def with_browser(tmp_path, monkeypatch, says):
+    folder = tmp_path / "bin"
+    folder.mkdir()
+    if says is not None:
+        (folder / "chromium").write_text(BROWSER.format(says=says), encoding="utf-8")
+        (folder / "chromium").chmod(0o755)
+    monkeypatch.setenv("PATH", str(folder))
+    monkeypatch.setattr("gateway.commands.pages.PLACES", ())
+
+
+@pytest.mark.parametrize(
+    ("says", "code", "message"),
+    [
+        ("%PDF-1.4 page", 0, "report: "),
+        ("no page", 3, "printed no PDF (the last line)"),
+        (None, 3, "install chromium, or write"),
+    ],
+)
+def test_a_pdf_is_printed_by_the_browser_or_refused(tmp_path, monkeypatch, says, code, message):
+    source = written(tmp_path, "a.json")
+    with_browser(tmp_path, monkeypatch, says)
+    done = run("report", source, "-o", tmp_path / "r.pdf")
+    assert (done.exit_code, message in done.output) == (code, True), done.output
+    assert (tmp_path / "r.pdf").exists() == (code == 0)
+    if code == 0:
+        assert (tmp_path / "r.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.slow
+def test_an_installed_browser_prints_the_report(tmp_path):
+    if find_browser() is None:
+        pytest.skip("no browser is installed")
+    done = run("report", written(tmp_path, "a.json"), "-o", tmp_path / "r.pdf")
+    assert done.exit_code == 0, done.output
+    assert (tmp_path / "r.pdf").read_bytes()[:5] == b"%PDF-"
+    assert (tmp_path / "r.pdf").stat().st_size > 10_000
