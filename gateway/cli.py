@@ -212,7 +212,9 @@ def report_error(error: BaseException) -> int:
 def _say(text: str) -> None:
     """To stderr, if anybody is there to read it."""
     try:
-        click.echo(without_controls(text, keep="\n\t"), err=True)
+        from gateway.result.numerals import with_degrees
+
+        click.echo(with_degrees(without_controls(text, keep="\n\t")), err=True)
     except (OSError, AttributeError):
         _let_go_of_terminal()
 

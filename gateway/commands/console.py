@@ -24,7 +24,7 @@ from rich.text import Text
 from drives.printable import without_controls
 from gateway.commands.outlet import Outlet
 from gateway.result.interval import SAID
-from gateway.result.numerals import with_interval
+from gateway.result.numerals import with_degrees, with_interval
 
 if TYPE_CHECKING:
     from gateway.result.result import Result
@@ -116,12 +116,13 @@ class Session:
         A line is left whole, whatever the width: a path or a phrase in it can be found, and a terminal folds it itself.
         """
         if self.verbosity >= 0:
-            self.console(err=self.data_on_stdout).print(item, markup=False, soft_wrap=isinstance(item, str))
+            told = with_degrees(item) if isinstance(item, str) else item
+            self.console(err=self.data_on_stdout).print(told, markup=False, soft_wrap=isinstance(item, str))
 
     def note(self, text: str, level: int = 0) -> None:
         """Print a remark to stderr, left whole as every line."""
         if self.verbosity >= level:
-            self.console(err=True).print(text, markup=False, soft_wrap=True)
+            self.console(err=True).print(with_degrees(text), markup=False, soft_wrap=True)
 
     @contextmanager
     def progress(self, total: float, text: str) -> Generator[Bar]:
@@ -260,5 +261,5 @@ def findings_table(findings: Sequence[Judged], title: str = "findings") -> Table
     table = grid(title, ["severity", "where", "what", "advice"], [], left=4)
     for told in findings:
         severity = Text(told.severity, style=SEVERITY_STYLE.get(told.severity, "default"))
-        table.add_row(severity, told.where, told.what, told.advice)
+        table.add_row(severity, told.where, with_degrees(told.what), with_degrees(told.advice))
     return table

@@ -10,6 +10,11 @@ from drives.drive import DriveReading
 from drives.values import InstrumentReading
 
 
+def following_error_rad(target_rad: np.ndarray, position_rad: np.ndarray) -> np.ndarray:
+    """Return the following error as ISO 9283 and CiA 402 (0x60F4) count it: target less actual position."""
+    return target_rad - position_rad
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSample:
     """What the drives of an arm of N axes reported for one SYNC, on the joint side.

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.sample import ArmSample
+from gateway.data.sample import ArmSample, following_error_rad
 from gateway.result.follow import FedLoad, FollowedSetting
 from gateway.result.values import numbers
 
@@ -57,7 +57,7 @@ class Track:
     @property
     def error_rad(self) -> Floats:
         """Following error (n, 6): target less measured."""
-        return self.target_rad - self.measured_rad
+        return following_error_rad(self.target_rad, self.measured_rad)
 
     @property
     def velocity_rad_s(self) -> Floats:

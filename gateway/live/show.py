@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from drives.cia402 import State, decode_state, describe
 from gateway.acquire.events import Progress
+from gateway.data.sample import following_error_rad
 from gateway.live.feed import PHASES
 from gateway.live.sayings import FAIL, saying
 from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen, ShownArm, ShownCell
@@ -52,7 +53,9 @@ class _ArmPast:
         """A row of shape (PER_AXIS, N)."""
         q_rad, followed_rad, torque_nm, modelled_nm, self.status = row
         speed = self._speed(time_s, q_rad)
-        values = np.concatenate([[time_s], q_rad, speed, q_rad - followed_rad, torque_nm, modelled_nm])
+        values = np.concatenate(
+            [[time_s], q_rad, speed, following_error_rad(followed_rad, q_rad), torque_nm, modelled_nm]
+        )
         self.fresh.append(_plain(values))
         if not np.isnan(q_rad).any():
             self.q_rad = q_rad

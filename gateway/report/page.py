@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from gateway.report import words
+from gateway.result.numerals import with_degrees
 from gateway.result.origin import DriveOrigin, Origin
 
 
@@ -73,6 +74,6 @@ def page(template: str, head: Head, **values: Any) -> str:
         lstrip_blocks=True,
     )
     filters: dict[str, Any] = environment.filters
-    filters.update(significant=words.significant, rounded=words.rounded, known=words.known)
+    filters.update(significant=words.significant, rounded=words.rounded, known=words.known, degrees=with_degrees)
     style = files("gateway.report").joinpath("report.css").read_text(encoding="utf-8")
     return environment.get_template(template).render(head=head, css=Markup(style), **values)

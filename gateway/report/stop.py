@@ -8,6 +8,7 @@ import numpy as np
 
 from gateway.data.blackbox.box import ArmBox, BlackBox
 from gateway.data.blackbox.story import BoxDrive, Told, drives_of, sample_times_s, story
+from gateway.data.sample import following_error_rad
 from gateway.report import stop_figures, words
 from gateway.report.page import Head, page
 from gateway.report.stop_figures import Floats, StopCurves
@@ -63,7 +64,7 @@ def curves_of(arm: ArmBox, time_s: Floats, sync_index: np.ndarray) -> StopCurves
         time_s[drawn],
         sync_index[drawn],
         values["q_rad"][drawn],
-        (told - values["q_rad"])[drawn],
+        following_error_rad(told, values["q_rad"])[drawn],
         _speed(values["q_rad"], time_s)[drawn],
         values["joint_torque_nm"][drawn],
         values["modelled_torque_nm"][drawn],
@@ -90,17 +91,20 @@ def _name(curves: StopCurves, arms: int) -> str:
 def _last(curves: StopCurves) -> list[tuple[str, list[str]]]:
     """How the axes stood at the stop: the last value of each that is known."""
     rows = (
+        ("position [rad]", curves.q_rad, _place),
         ("position [deg]", DEGREES * curves.q_rad, _place),
         ("speed [rad/s]", curves.speed_rad_s, words.rounded),
+        ("speed [deg/s]", DEGREES * curves.speed_rad_s, words.rounded),
         ("following error [mrad]", MRAD * curves.error_rad, words.rounded),
+        ("following error [deg]", DEGREES * curves.error_rad, words.rounded),
         ("torque [Nm]", curves.torque_nm, words.rounded),
         ("model [Nm]", curves.model_nm, words.rounded),
     )
     return [(said, [_known_last(column, text) for column in values.T]) for said, values, text in rows]
 
 
-def _place(degrees: float) -> str:
-    return words.plain(degrees, 2)
+def _place(angle: float) -> str:
+    return words.plain(angle, 3)
 
 
 def _known_last(values: Floats, text: Callable[[float], str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Final
 
 from gateway.result.interval import PLUS_MINUS, half_width
@@ -15,6 +16,32 @@ _TWO_DIGITS: Final = 100.0
 #: Powers of ten between which a number is written out.
 _LEAST_POWER: Final = -4
 _MOST_POWER: Final = 7
+
+
+_VALUE = r"[-\u2212]?\d+(?:\.\d+)?(?:e[-+]?\d+)?"
+#: An angle in a sentence: `0.3 rad`, `-1 to 1 rad/s`, `[0.1, 0.2] rad`, `3.6 mrad`.
+_ANGLE: Final = re.compile(
+    rf"(?:\[(?P<list>{_VALUE}(?:, {_VALUE})*)\]|(?:(?P<low>{_VALUE}) to )?(?P<value>{_VALUE}))"
+    r" (?P<unit>m?rad)(?P<per>/s[23]?)?(?![\w/(])(?! \()"
+)
+#: Beyond two turns a number is no joint angle [rad].
+_FARTHEST_RAD: Final = 4 * math.pi
+
+
+def with_degrees(text: str) -> str:
+    """Return a text with degrees beside every angle in radians: `0.3 rad (17.2 deg)`."""
+    return _ANGLE.sub(_beside, text) if "rad" in text else text
+
+
+def _beside(found: re.Match[str]) -> str:
+    scale = 1e-3 if found["unit"] == "mrad" else 1.0
+    listed = found["list"].split(", ") if found["list"] else [each for each in (found["low"], found["value"]) if each]
+    angles = [scale * float(each.replace(MINUS, "-")) for each in listed]
+    if not found["per"] and max(map(abs, angles)) > _FARTHEST_RAD:
+        return found[0]
+    degrees = [f"{math.degrees(angle):.3g}" if abs(angle) < 1 else f"{math.degrees(angle):.1f}" for angle in angles]
+    said = f"[{', '.join(degrees)}]" if found["list"] else " to ".join(degrees)
+    return f"{found[0]} ({said} deg{found['per'] or ''})"
 
 
 def known(value: float | None) -> bool:

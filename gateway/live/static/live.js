@@ -101,13 +101,14 @@ class Arm {
       cells[0].textContent = state;
       cells[0].className = `state ${grave}`;
       const last = (kind) => this.values[kind][joint][this.time.length - 1];
-      const put = (cell, value, digits, limit) => {
-        cell.textContent = value == null ? "-" : value.toFixed(digits);
+      const put = (cell, value, digits, limit, radians) => {
+        const degrees = radians == null || value == null ? "" : ` (${(radians * value * 180 / Math.PI).toFixed(2)})`;
+        cell.textContent = value == null ? "-" : value.toFixed(digits) + degrees;
         cell.classList.toggle("over", value != null && limit != null && Math.abs(value) > limit);
       };
-      put(cells[1], last(0), 4);
-      put(cells[2], last(1), 3, this.arm.speed_rad_s[joint]);
-      put(cells[3], last(2) == null ? null : 1e3 * last(2), 2, 1e3 * this.arm.following_error_rad[joint]);
+      put(cells[1], last(0), 4, null, 1);
+      put(cells[2], last(1), 3, this.arm.speed_rad_s[joint], 1);
+      put(cells[3], last(2) == null ? null : 1e3 * last(2), 2, 1e3 * this.arm.following_error_rad[joint], 1e-3);
       put(cells[4], last(3), 2, this.arm.torque_nm[joint]);
       put(cells[5], this.arm.modelled ? last(4) : null, 2);
     });

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,11 +12,12 @@ import pytest
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, StateChanged, Stopped
 from gateway.live.drawing import stage_of
 from gateway.live.feed import PHASES
-from gateway.live.show import Show
+from gateway.live.show import Show, _ArmPast
 from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen
 from gateway.model.kinematics import link_frames
 from gateway.motion.observer import RowTold
 from gateway.motion.state import CellState, Phase
+from gateway.report.stop import curves_of
 
 ENABLED, FAULT = 0x1237, 0x1218
 
@@ -48,7 +50,7 @@ def test_a_frame_holds_rows_frames_of_the_links_and_states(show, workspace):
     assert rows[:, 0] == pytest.approx([0.01, 0.02, 0.03, 0.04])
     assert rows[-1, 1:7] == pytest.approx(1.4 * q_rad, abs=1e-5)
     assert rows[-1, 7:13] == pytest.approx(10.0 * q_rad, abs=1e-4)  # speed
-    assert rows[-1, 13:19] == pytest.approx(np.full(6, -1e-3), abs=1e-5)  # following error
+    assert rows[-1, 13:19] == pytest.approx(np.full(6, 1e-3), abs=1e-5)  # target less actual
     assert rows[-1, 19:25] == pytest.approx(range(6))
     assert rows[-1, 25:31] == pytest.approx(np.ones(6))
     frames = np.array(arm["frames"]).reshape(6, 3, 4)
@@ -110,3 +112,22 @@ def test_a_page_that_is_opened_later_sees_the_same(show):
     assert {"pose", "event"} <= {key for each in later for key in each}
     show.take(CommandOver("The command has ended."))
     assert json.loads(show.past()[-1]) == {"over": "The command has ended."}
+
+
+def test_the_following_error_has_one_sign_on_the_live_page_and_in_the_stop_report():
+    """Target less actual (ISO 9283, 0x60F4): a joint 2 mrad behind a rising target has +2 mrad on both."""
+    time_s = 0.004 * np.arange(10)
+    target = np.outer(time_s, np.ones(6))
+    actual = target - 2e-3
+    sent = np.vstack([target[1:], target[-1:]])  # what goes out with a SYNC is due at the next
+    values = {
+        "q_rad": actual,
+        "target_rad": sent,
+        "joint_torque_nm": np.zeros((10, 6)),
+        "modelled_torque_nm": np.zeros((10, 6)),
+    }
+    curves = curves_of(SimpleNamespace(name="main", values=values), time_s - time_s[-1], np.arange(10))
+    assert curves.error_rad[1:] == pytest.approx(np.full((9, 6), 2e-3))
+    past = _ArmPast(SimpleNamespace(robot=None))
+    past.take(0.0, np.array([actual[3], target[3], np.zeros(6), np.zeros(6), np.zeros(6)]))
+    assert past.fresh[0][13:19] == pytest.approx([2e-3] * 6)

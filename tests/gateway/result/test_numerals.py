@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from gateway.result.numerals import plus_minus, significant, with_interval
+from gateway.result.numerals import plus_minus, significant, with_degrees, with_interval
 
 
 @pytest.mark.parametrize(
@@ -43,3 +43,22 @@ def test_a_half_width_has_two_digits_and_the_value_as_many_places(value, half, t
 
 def test_an_interval_is_196_hundredths_of_the_standard_deviation():
     assert with_interval(0.012, 0.02, 100.0) == "1.2 \N{PLUS-MINUS SIGN} 3.9"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("joint 2 stands at 0.500 rad, outside", "joint 2 stands at 0.500 rad (28.6 deg), outside"),
+        ("limits -1 to 1 rad", "limits -1 to 1 rad (-57.3 to 57.3 deg)"),
+        ("at [0.0000, 1.000] rad; ", "at [0.0000, 1.000] rad ([0, 57.3] deg); "),
+        ("its limit is 0.5 rad/s", "its limit is 0.5 rad/s (28.6 deg/s)"),
+        ("3.6 mrad away", "3.6 mrad (0.206 deg) away"),
+        ("tilt \u22120.01 rad", "tilt \u22120.01 rad (-0.573 deg)"),
+        ("write zero_offset_rad = 0.5", "write zero_offset_rad = 0.5"),
+        ("90 rad is beyond 6.283, these are degrees", "90 rad is beyond 6.283, these are degrees"),
+        ("0.3 rad (17.2 deg)", "0.3 rad (17.2 deg)"),
+        ("5 Nm/rad and 3 radians", "5 Nm/rad and 3 radians"),
+    ],
+)
+def test_degrees_stand_beside_radians(text, shown):
+    assert with_degrees(text) == shown
