@@ -137,9 +137,11 @@ def import_(log: Path, map_file: Path, output: Path) -> None:
     from gateway.formats.log_map import read_map
     from gateway.formats.measured import table_from_log
 
-    text, rows = table_from_log(log, read_map(map_file))
-    replace_file(output, text)
-    session_of().show(f"{output}: {rows} rows")
+    done = table_from_log(log, read_map(map_file))
+    replace_file(output, done.text)
+    for remark in done.remarks:
+        session_of().note(f"{log}: {remark}")
+    session_of().show(f"{output}: {done.rows} rows")
 
 
 def _table(path: Path, arm_name: str | None, label: str | None) -> str:

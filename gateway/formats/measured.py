@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -18,7 +19,7 @@ from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.log_map import LogColumn, LogMap
 from gateway.formats.ros_bag import SUFFIXES, read_bag
-from gateway.formats.smooth import rates
+from gateway.formats.smooth import Motion, clock_of, motion_of
 from gateway.formats.standing import Stretch, standing
 from gateway.formats.text_log import read_text_log
 from gateway.formats.units import NEEDS, TIME_UNITS, UNITS, kind_of, pattern_of
@@ -30,10 +31,26 @@ _SPREADS: Final = {"tau{}_nm": "tau{}_std_nm", "taum{}_nm": "taum{}_std_nm", "i{
 #: Speeds are taken from so many rows at least, and not over a step that is so many times as wide as the others.
 _FEWEST_ROWS: Final = 20
 _WIDE: Final = 1.5
+#: Samples lost in a row are interpolated over this share of a period of the cutoff at most.
+_WIDE_PERIODS: Final = 0.25
+#: Stamps beyond half a step from the clock, as a share of all, from which on it is unknown when rows were sampled.
+_FAR_SHARE: Final = 0.01
+#: Scatter of the stamps, as a share of the step, that makes a difference.
+_NOTED_SHARE: Final = 1e-3
+_RATES: Final = ("qd{}_rad_s", "qdd{}_rad_s2")
 
 
-def table_from_log(path: Path, given: LogMap) -> tuple[str, int]:
-    """Text of the measured table that a map makes of a log, and its number of rows.
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """Text of a measured table, its number of rows, and what was noticed."""
+
+    text: str
+    rows: int
+    remarks: tuple[str, ...] = ()
+
+
+def table_from_log(path: Path, given: LogMap) -> Imported:
+    """Measured table that a map makes of a log.
 
     Parameters
     ----------
@@ -63,11 +80,16 @@ def table_from_log(path: Path, given: LogMap) -> tuple[str, int]:
                 f"{path}: the arm nowhere stands for {given.rest.seconds:g} s within {given.rest.within_rad:g} rad; see"
                 " [rest] of the map"
             )
-        return _text(_at_rest(found, time_s, labels, values))
-    values |= _derived(log, given, time_s, values)
+        return _imported(_at_rest(found, time_s, labels, values))
+    motion = _derived(log, given, time_s, values)
+    remarks: tuple[str, ...] = ()
+    if motion is not None:
+        time_s, remarks = motion.time_s, (_clock_remark(motion),)
+        for pattern, columns in zip(_RATES, (motion.qd_rad_s, motion.qdd_rad_s2), strict=True):
+            values = {pattern.format(axis + 1): columns[:, axis] for axis in range(given.axes)} | values
     rows = slice(None, None, given.rows.every)
-    columns: dict[str, list[object]] = {"load": labels[rows].tolist(), "time_s": time_s[rows].tolist()}
-    return _text(columns | {name: _whole(name, cells[rows]) for name, cells in values.items()})
+    table: dict[str, list[object]] = {"load": labels[rows].tolist(), "time_s": time_s[rows].tolist()}
+    return _imported(table | {name: _whole(name, cells[rows]) for name, cells in values.items()}, remarks)
 
 
 def _opened(path: Path, given: LogMap) -> Log:
@@ -156,26 +178,44 @@ def _joined(values: dict[str, Floats], axes: int, pattern: str = "q{}_rad") -> F
     return np.column_stack([values[pattern.format(axis + 1)] for axis in range(axes)])
 
 
-def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats]) -> dict[str, Floats]:
-    """Speeds and accelerations that the log does not hold."""
-    wanted = [f"{kind.format(axis + 1)}" for kind in ("qd{}_rad_s", "qdd{}_rad_s2") for axis in range(given.axes)]
+def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats]) -> Motion | None:
+    """Speeds and accelerations by [motion], on the log's clock; None where the log holds them all."""
+    wanted = [kind.format(axis + 1) for kind in _RATES for axis in range(given.axes)]
     if given.motion is None or all(name in values for name in wanted):
-        return {}
+        return None
     if len(time_s) < _FEWEST_ROWS:
         raise InputError(
             f"{log.file}: {len(time_s)} rows are too few for the speeds of [motion]: {_FEWEST_ROWS} at least"
         )
-    gaps = np.diff(time_s)
-    wide = gaps > _WIDE * np.median(gaps)
+    clock = clock_of(time_s)
+    wide = np.diff(clock.index) * clock.step_s > max(_WIDE * clock.step_s, _WIDE_PERIODS / given.motion.cutoff_hz)
     if wide.any():
         row = int(np.argmax(wide)) + 1
         raise InputError(
-            f"{log.where(row)}: {gaps[row - 1]:.4g} s after the row before, where steps are {np.median(gaps):.4g} s;"
-            " [motion] needs even steps: keep a part without gaps by [rows] of the map"
+            f"{log.where(row)}: {time_s[row] - time_s[row - 1]:.4g} s after the row before, where steps"
+            f" are {np.median(np.diff(time_s)):.4g} s; [motion] needs even steps: keep a part without gaps by [rows]"
+            " of the map"
         )
-    qd, qdd = rates(time_s, _joined(values, given.axes), given.motion.cutoff_hz)
-    made = dict(zip(wanted, np.concatenate([qd, qdd], axis=1).T, strict=True))
-    return {name: column for name, column in made.items() if name not in values}
+    far = np.abs(clock.jitter_s) > 0.5 * clock.step_s
+    if far.mean() > _FAR_SHARE:
+        row = int(np.argmax(far))
+        raise InputError(
+            f"{log.where(row)}: time stamps scatter by {clock.jitter_s.std():.2g} s around even steps of"
+            f" {clock.step_s:.4g} s: it is unknown when the rows were sampled. Log at a fixed rate, or name another"
+            " time column"
+        )
+    return motion_of(time_s, _joined(values, given.axes), given.motion.cutoff_hz)
+
+
+def _clock_remark(motion: Motion) -> str:
+    """What the time stamps are like, for the person who imports."""
+    clock = motion.clock
+    jitter_ms = 1e3 * clock.jitter_s
+    text = f"time: steps of {1e3 * clock.step_s:.6g} ms, stamps off by {jitter_ms.std():.2g} ms (standard deviation)"
+    text += f", {np.abs(jitter_ms).max():.2g} ms at most; {clock.lost} samples lost"
+    if motion.time_s is not clock.time_s and np.abs(jitter_ms).max() > _NOTED_SHARE * 1e3 * clock.step_s:
+        return f"{text}; the positions agree with the stamps: speeds are taken at these times"
+    return f"{text}; speeds are taken on the even steps"
 
 
 def _at_rest(
@@ -207,9 +247,9 @@ def _whole(name: str, values: Floats) -> list[object]:
     return [int(value) if whole and value == int(value) else value for value in values.tolist()]
 
 
-def _text(columns: dict[str, list[object]]) -> tuple[str, int]:
+def _imported(columns: dict[str, list[object]], remarks: tuple[str, ...] = ()) -> Imported:
     stream = io.StringIO(newline="")
     writer = csv.writer(stream)
     writer.writerow(columns)
     writer.writerows(zip(*map(text_cells, columns.values()), strict=True))
-    return stream.getvalue(), len(next(iter(columns.values())))
+    return Imported(stream.getvalue(), len(next(iter(columns.values()))), remarks)

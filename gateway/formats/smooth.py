@@ -1,12 +1,110 @@
-"""Speeds and accelerations of logged positions."""
+"""Clock of a log, and speeds and accelerations of its positions.
+
+A logger samples at even steps and stamps late by what the computer was busy with; some samples are lost. Differences of
+positions over such stamps are wrong by stamp over step, and a digital filter assumes even steps anyway. So a straight
+clock t = start + step * k is fitted to the stamps, the positions are filtered and differentiated on its grid, and the
+scatter of the stamps around it is returned. Where the data are smoother over the stamps than over the clock, the arm
+was sampled at the stamped times, and the positions are interpolated from these.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.signal import butter, sosfiltfilt
 
 Floats = NDArray[np.float64]
+#: How much of the difference between a stamp and the expected one is taken over into the expectation of the next.
+_FOLLOWS = 0.1
+#: The stamps are of the samples themselves where the positions are so much smoother over them than over the clock.
+_SMOOTHER = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Clock:
+    """A straight clock through time stamps.
+
+    Attributes
+    ----------
+    index : int array of shape (n,)
+        Number of each sample, from 0; a number that is left out was lost.
+    start_s, step_s : float
+    jitter_s : array of shape (n,)
+        Stamp minus clock.
+    """
+
+    index: NDArray[np.int64]
+    start_s: float
+    step_s: float
+    jitter_s: Floats
+
+    @property
+    def time_s(self) -> Floats:
+        """Time of each sample (n,)."""
+        return self.start_s + self.step_s * self.index.astype(float)
+
+    @property
+    def lost(self) -> int:
+        """Samples that are missing between the first and the last."""
+        return int(self.index[-1]) + 1 - len(self.index)
+
+
+def clock_of(stamp_s: Floats) -> Clock:
+    """Fit a straight clock to increasing time stamps (n,), n >= 3."""
+    step_s = float(np.median(np.diff(stamp_s)))
+    index, expected_s = [0], float(stamp_s[0])
+    for at_s in stamp_s[1:].tolist():
+        steps = max(1, round((at_s - expected_s) / step_s))
+        index.append(index[-1] + steps)
+        expected_s += steps * step_s
+        expected_s += _FOLLOWS * (at_s - expected_s)
+    number = np.array(index)
+    step_s, start_s = np.polyfit(number, stamp_s, 1).tolist()
+    return Clock(number, start_s, step_s, stamp_s - start_s - step_s * number)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """Time (n,), speeds and accelerations (n, N) of logged positions, and the clock that was found."""
+
+    time_s: Floats
+    qd_rad_s: Floats
+    qdd_rad_s2: Floats
+    clock: Clock
+
+
+def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> Motion:
+    """Speeds and accelerations of positions (n, N) that were logged at nearly even steps.
+
+    Parameters
+    ----------
+    stamp_s : array of shape (n,)
+        Increasing.
+    q_rad : array of shape (n, N)
+    cutoff_hz : float
+        As `rates`.
+    """
+    clock = clock_of(stamp_s)
+    grid_s = clock.start_s + clock.step_s * np.arange(clock.index[-1] + 1)
+    at_clock, at_stamps = (_at(time_s, q_rad, grid_s) for time_s in (clock.time_s, stamp_s))
+    if _roughness(at_stamps) < _SMOOTHER * _roughness(at_clock):
+        qd, qdd = (_at(grid_s, each, stamp_s) for each in rates(grid_s, at_stamps, cutoff_hz))
+        return Motion(stamp_s, qd, qdd, clock)
+    qd, qdd = rates(grid_s, at_clock, cutoff_hz)
+    return Motion(clock.time_s, qd[clock.index], qdd[clock.index], clock)
+
+
+def _at(time_s: Floats, values: Floats, wanted_s: Floats) -> Floats:
+    """Cubic spline through values (n, N), at other times."""
+    return np.asarray(make_interp_spline(time_s, values, k=3)(wanted_s), dtype=float)
+
+
+def _roughness(values: Floats) -> float:
+    """Size of what is left of evenly spaced values (n, N) after a cubic through four neighbours."""
+    return float(np.sqrt((np.diff(values, 4, axis=0) ** 2).sum()))
 
 
 def rates(time_s: Floats, q_rad: Floats, cutoff_hz: float) -> tuple[Floats, Floats]:
