@@ -42,9 +42,14 @@ PATIENCE_S: Final = 0.2
 _RAMP_S: Final = 2.0
 #: SYNCs without an answer after which an axis is asked by SDO: a drive may leave NMT state OPERATIONAL (0x1029).
 _SILENT: Final = 2
-#: Motor revolutions between two SYNCs that count as standing: a braked axis shakes while others are stopped.
+#: An axis stands when its motor has stayed within so many revolutions for so long [s]: a braked axis shakes while
+#: others are stopped.
 _STILL_REVOLUTIONS: Final = 0.003
-_STILL_SYNCS: Final = 3
+_STILL_S: Final = 0.05
+#: The same as a share of what the motor travelled in that time at its largest speed: less with a low gear ratio.
+_STILL_SHARE: Final = 0.2
+#: Rounding of a sum of SYNC periods [s].
+_HAIR_S: Final = 1e-9
 #: SYNCs after which a drive that was told to hold its axis again is given the position that it has reached meanwhile.
 _ENABLE_SYNCS: Final = 3
 #: Controlwords from SWITCH ON DISABLED to OPERATION ENABLED.
@@ -129,12 +134,14 @@ class _Axis:
         self.state = State.OPERATION_ENABLED
         self.enabled_s = 0.0
         self.left_s: float | None = None
-        self._still = 0
         self._moving_s = 0.0
+        self._seen_s = 0.0
+        self._fastest_per_s = 0.0
+        self._low = self._high = 0
         self._stood = False
         self._counts: list[int] = []
         self._at_leaving = 0
-        self._allowed = max(1.0, drive.scale.revolutions(_STILL_REVOLUTIONS))
+        self._allowed = abs(drive.scale.revolutions(_STILL_REVOLUTIONS))
 
     @property
     def done(self) -> bool:
@@ -143,17 +150,28 @@ class _Axis:
 
     def see(self, time_s: float, state: State, count: int) -> None:
         """One answer."""
-        if self._counts:
-            self._still = self._still + 1 if abs(count - self._counts[-1]) <= self._allowed else 0
-            self._moving_s = self._moving_s if self._still else time_s
+        self._look_whether_still(time_s, count)
         self._counts.append(count)
         self.state = state
         if state is State.OPERATION_ENABLED and self.left_s is None:
             self.enabled_s = time_s
             self._at_leaving = len(self._counts) - 1
         elif self.left_s is None:
-            self.left_s, self._still = time_s, 0
-        self._stood |= self.left_s is not None and self._still >= _STILL_SYNCS
+            self.left_s = time_s
+        still_s = time_s - max(self._moving_s, self.left_s or 0.0)
+        self._stood |= self.left_s is not None and still_s >= _STILL_S - _HAIR_S
+
+    def _look_whether_still(self, time_s: float, count: int) -> None:
+        """Note when the motor last left the range within which it counts as standing, `_moving_s`."""
+        if not self._counts:
+            self._low = self._high = count
+        elif time_s > self._seen_s:
+            self._fastest_per_s = max(self._fastest_per_s, abs(count - self._counts[-1]) / (time_s - self._seen_s))
+        self._low, self._high = min(self._low, count), max(self._high, count)
+        if self._high - self._low > max(1.0, min(self._allowed, _STILL_SHARE * _STILL_S * self._fastest_per_s)):
+            self._low = self._high = count
+            self._moving_s = time_s
+        self._seen_s = time_s
 
     def ask(self, time_s: float) -> None:
         """The same by SDO."""

@@ -118,6 +118,13 @@ def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
     assert {slave.state for slave in slaves} == {"switch on disabled"}
 
 
+def test_a_drive_that_goes_on_at_the_speed_of_the_proof_did_not_stand(group, slaves):
+    """A motor behind a low gear ratio turns by a tenth of what a braked one shakes between two SYNCs."""
+    slaves[1].ways = {"quick stop": [STEP] * 400}
+    traces = fall_silent(group, rows(slaves, 10))
+    assert [trace.stood for trace in traces] == [True, False, True]
+
+
 def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
     """Error behaviour 0x1029: a missing heartbeat may end NMT state OPERATIONAL too, and the answers to SYNC."""
     slave = slaves[1]
