@@ -2,7 +2,8 @@
 
 A brake that does not hold is no reason to let the axis fall: the test begins with a short time, and the drive holds the
 axis again at the first SYNC beyond the limit. Then the arm stays under power until a person has supported it, since its
-next stop would leave it to that brake.
+next stop would leave it to that brake. A request to stop that comes while an axis moves in its brake is answered once
+the drive holds the axis again and, where the brake has failed, once the arm is supported.
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ from drives.errors import DriveError
 from drives.proof import BrakeTest
 from gateway.check.stop import motion_station
 from gateway.data.sample import ArmSample
+from gateway.errors import LimitExceeded
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import SAG_RAD, powered
+from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.preflight.rules import CheckItem
 
@@ -32,6 +35,10 @@ GRAVITY_SHARE: Final = 0.25
 #: How long the torque is measured, with all brakes open [s], and the share of its SYNCs that have to be answered.
 MEASURE_S: Final = 0.2
 MEASURED_SHARE: Final = 0.5
+#: A requested stop waits for so many SYNCs, in which the drive takes hold again of the axis that hangs on its brake; if
+#: it has moved farther than this [rad, joint], until the drive holds it.
+LOOK_SYNCS: Final = 2
+LETS_GO_RAD: Final = 0.0003
 #: How long an axis may take to come to rest before its brake is tried [s].
 REST_S: Final = 1.0
 #: How long an arm is held under power after a brake has failed, where nobody can say that it is supported [s].
@@ -155,7 +162,7 @@ def _watched(trial: _Trial, found: list[CheckItem]) -> CheckItem:
     """Leave an axis to its brake for longer and longer."""
     moved_rad = 0.0
     for number, seconds in enumerate(WATCH_S):
-        test = _released(trial, seconds, number == len(WATCH_S) - 1)
+        test, stopped = _released(trial, seconds, number == len(WATCH_S) - 1)
         moved_rad = test.moved_rad * trial.joint_per_motor
         fell_rad = test.farthest_rad * trial.joint_per_motor
         how = f"within {test.released_syncs * trial.stream.station.period_s:.2f} s, and is held by its drive again"
@@ -163,8 +170,15 @@ def _watched(trial: _Trial, found: list[CheckItem]) -> CheckItem:
             found.append(_failed(trial.where, fell_rad, how))
         elif moved_rad > STEP_RAD and number < len(WATCH_S) - 1:
             found.append(_failed(trial.where, fell_rad, how, STEP_RAD))
+        elif stopped is not None:
+            what = f"sank by {fell_rad:.4f} rad in its brake before the requested stop, and is held by its drive again"
+            advice = "its brake may not hold: support the arm before its axes are disabled, then try this brake again"
+            found.append(CheckItem("fail", trial.where, what, advice))
         if found:
-            _hold_until_supported(trial, found[0])
+            _hold_until_supported(trial, found[0], stopped is not None)
+        if stopped is not None:
+            raise stopped
+        if found:
             return found[0]
     return CheckItem("ok", trial.where, f"its brake held it for {WATCH_S[-1]:g} s: it moved by {moved_rad:.4f} rad")
 
@@ -174,8 +188,11 @@ def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = SAG_RAD
     return CheckItem("fail", where, what, "this brake does not hold: do not power this arm before it is repaired")
 
 
-def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> BrakeTest:
-    """Leave an axis to its brake for a time; at the end its drive holds it, as soon as it has moved too far."""
+def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[BrakeTest, BaseException | None]:
+    """Leave an axis to its brake for a time; at the end its drive holds it, as soon as it has moved too far.
+
+    The second value is the cause of a request to stop, still to be raised, where the axis was moving in its brake.
+    """
     stream, group, period_s = trial.stream, trial.opened.group, trial.stream.station.period_s
     for _ in range(math.ceil(REST_S / period_s)):
         if group.stands:
@@ -184,22 +201,44 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> BrakeTes
     stream.excuse(0, trial.turns > 0.0)
     test = group.release(trial.axis, SAG_RAD / trial.joint_per_motor, disables_voltage)
     rows = math.ceil(seconds / period_s)
-    while test.released_syncs < rows and not test.beyond_limit:
-        stream.hold("watch the brake", test.released_syncs, rows)
-    test.enable_again()
-    while not test.held:
-        stream.hold("hold the axis again", 0, 1)
-    return test
+    stopped: BaseException | None = None
+    try:
+        while test.released_syncs < rows and not test.beyond_limit:
+            stream.hold("watch the brake", test.released_syncs, rows)
+        test.enable_again()
+        while not test.held:
+            stream.hold("hold the axis again", 0, 1)
+    except (DriveError, LimitExceeded):
+        raise
+    except BaseException as cause:
+        # what the axis has done since the last answer shows in the next one, while its drive takes hold again
+        test.enable_again()
+        for _ in range(LOOK_SYNCS):
+            stream.hold("hold the axis again before the stop", 0, 1, heed=False)
+        if test.farthest_rad * trial.joint_per_motor <= LETS_GO_RAD:
+            raise
+        while not test.held:
+            stream.hold("hold the axis again before the stop", 0, 1, heed=False)
+        stopped = cause
+    return test, stopped
 
 
-def _hold_until_supported(trial: _Trial, item: CheckItem) -> None:
-    """Hold the arm under power: once its axes are disabled, the brake that has failed is all that carries it."""
+def _hold_until_supported(trial: _Trial, item: CheckItem, stopping: bool) -> None:
+    """Hold the arm under power: once its axes are disabled, the brake that has failed is all that carries it.
+
+    `stopping`: a stop was already requested. A quick stop ends this after `SUPPORT_S`; a request that becomes one ends
+    it at once.
+    """
     done = trial.ask(
         f"{item.where} {item.what}. The arm is under power and holds itself. Support it, or let it down to where it "
         "cannot fall. Its axes are then disabled."
     )
     rows = math.ceil(SUPPORT_S / trial.stream.station.period_s)
+    urgent, desk = trial.stream.urgent, trial.stream.station.options.desk
     row = 0
-    while row < rows if done is None else not done():
-        trial.stream.hold("hold the arm until it is supported", row, rows)
+    while (row < rows if done is None else not done()) and not (stopping and urgent and row >= rows):
+        wish = desk.look()
+        if stopping and not urgent and wish is not None and wish.kind is StopKind.QUICK_STOP:
+            return
+        trial.stream.hold("hold the arm until it is supported", row, rows, heed=not stopping)
         row += 1

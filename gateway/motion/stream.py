@@ -253,11 +253,12 @@ class Stream:
         self._look(samples, self._moved() if modelled is None else modelled)
         way.take(at, rate, samples)
 
-    def hold(self, what: str, row: int, rows: int) -> tuple[ArmSample, ...]:
-        """One SYNC of the standing arms; raises as `drive`."""
+    def hold(self, what: str, row: int, rows: int, *, heed: bool = True) -> tuple[ArmSample, ...]:
+        """One SYNC of the standing arms; raises as `drive`. Without `heed` requests to stop are left for later."""
         if row % self._every == 0:
             self._report(what, row, rows)
-        self._heed()
+        if heed:
+            self._heed()
         samples = self.samples = self._arms.hold()
         self._look(samples, self._gravity_nm)
         return samples

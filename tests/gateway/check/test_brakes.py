@@ -207,6 +207,48 @@ def test_a_stop_while_the_arm_is_held_names_the_brake(rig):
     assert {slave.state for slave in slaves} == {"switch on disabled"}
 
 
+@pytest.mark.parametrize("kind", StopKind)
+@pytest.mark.parametrize("syncs", [1, 2])
+def test_a_request_while_an_axis_moves_in_its_brake_is_answered_once_the_arm_is_held_and_supported(rig, kind, syncs):
+    opened, slaves = rig
+    slaves[0].falls_rad_s2 = 10.0
+    person = Person(opened, slaves)
+
+    def asks() -> StopRequest | None:
+        released = slaves[0].states[-syncs:].count("switched on") == syncs and slaves[0].farthest_rad > 0.0
+        return StopRequest(kind, StoppedByPerson("a person")) if released else None
+
+    with pytest.raises(StoppedByPerson, match="a person") as caught:
+        try_brakes(opened, MoveOptions(StopDesk(asks)), person)
+    assert len(person.asked) == 1
+    assert person.states[1:] == [{"operation enabled"}] * (len(person.states) - 1)
+    assert any("J1 node 1: sank by 0.0" in note for note in caught.value.__notes__)
+    assert slaves[0].farthest_rad < 4 * SAG_RAD
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+def test_a_second_request_ends_the_wait_for_support(rig):
+    opened, slaves = rig
+    slaves[0].falls_rad_s2 = 10.0
+    desk, texts = StopDesk(), []
+
+    def ask(text: str) -> Callable[[], bool]:
+        texts.append(text)
+        slaves[0].falls_rad_s2 = 0.0
+        desk.ask(StoppedByPerson("again"), StopKind.QUICK_STOP)
+        return lambda: False
+
+    def asks() -> StopRequest | None:
+        falls = slaves[0].states[-1:] == ["switched on"] and slaves[0].farthest_rad > 0.0
+        return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person")) if falls else None
+
+    desk.watch(asks)
+    with pytest.raises(StoppedByPerson, match="a person"):
+        try_brakes(opened, MoveOptions(desk), ask)
+    assert len(texts) == 1
+    assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
 @pytest.mark.parametrize("sync", [20, 60, 75, 110, 180, 250])
 @pytest.mark.parametrize("kind", StopKind)
 def test_a_request_at_any_sync_of_the_brake_test_disables_all_at_once(rig, sync, kind):
