@@ -135,10 +135,10 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
 def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
     """Move slowly, withhold the heartbeat, watch every drive stop; then the same with a quick stop; then go back.
 
-    A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, since the
-    person who asked for the proof asked for that fault; any other fault stays. Where the loss of the master has not
-    stopped every drive as stated, nothing moves any more. An arm that was found outside its joint range does not go
-    back there.
+    A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, also where the
+    proof was interrupted, since the person who asked for the proof asked for that fault; any other fault stays. Where
+    the loss of the master has not stopped every drive as stated, nothing moves any more. An arm that was found outside
+    its joint range does not go back there.
 
     Parameters
     ----------
@@ -155,7 +155,12 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     """
     options = options or MoveOptions()
     start_rad = opened.arm.where()
-    test, speed_rad_s = _stopped_slowly(opened, options, opened.group.withhold_heartbeat, goes_on=True)
+    try:
+        test, speed_rad_s = _stopped_slowly(opened, options, opened.group.withhold_heartbeat, goes_on=True)
+    except BaseException as error:
+        for node, what in _reset_provoked(opened).items():
+            error.add_note(f"node {node}: {what}")
+        raise
     proof = _judge(opened, test.traces(), speed_rad_s, _reset_provoked(opened))
     if not proof.passed:
         return proof

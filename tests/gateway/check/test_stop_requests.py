@@ -125,6 +125,29 @@ def test_a_request_at_any_sync_of_the_proof_is_answered_within_one_sync_and_the_
     assert not opened.group.enabled
 
 
+@pytest.mark.parametrize(("code", "left"), [(0x8130, "switch on disabled"), (0x7305, "fault")])
+def test_a_fault_that_a_stopped_proof_has_provoked_is_reset_and_another_is_named(rig, phases, monkeypatch, code, left):
+    """Some drives answer the lost heartbeat with FAULT, whatever 0x6007 says."""
+    opened, slaves = rig
+    slave, asked = slaves[2], list[int]()
+    supervise = slave._supervise_master
+
+    def faults() -> None:
+        supervise()
+        if slave.state == "quick stop":
+            slave.state = "fault"
+
+    slave.values[0x603F, 0] = code
+    monkeypatch.setattr(slave, "_supervise_master", faults)
+    desk = asks_at(slaves, phases["after they have stopped"], StopKind.ALONG_PATH, asked)
+    with pytest.raises(StoppedByPerson, match="a person") as caught:
+        prove_stop(opened, MoveOptions(desk))
+    assert asked
+    assert slave.state == left
+    named = [note for note in caught.value.__notes__ if note.startswith("node 3: stays in FAULT")]
+    assert bool(named) == (left == "fault")
+
+
 def test_a_proof_that_was_stopped_is_not_kept_as_proven(rig, phases, tmp_path, monkeypatch):
     opened, slaves = rig
     path, asked = tmp_path / "proof.json", []
