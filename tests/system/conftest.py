@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import sys
 import uuid
@@ -19,6 +20,7 @@ from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from sim.serve import RunningSimulation, running
 from tests.support.rigs.pacing import in_lockstep
+from tests.support.rigs.proofs import keep_proof_of_stop
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"
 POSES = """[poses]
@@ -29,6 +31,8 @@ samples = 20
 validation = 2
 seed = 2
 """
+#: Of every axis: an arm that moves faster is simulated for less time.
+FASTER = {"speed_limit_rad_s": 1.2, "acceleration_limit_rad_s2": 3.0, "jerk_limit_rad_s3": 30.0}
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,24 @@ def place(tmp_path) -> Place:
     text = (SMALL / "cell.toml").read_text(encoding="utf-8")
     (tmp_path / "cell.toml").write_text(in_lockstep(text[: text.index("[poses]")]) + POSES, encoding="utf-8")
     return Place(tmp_path)
+
+
+@pytest.fixture
+def fast_arm(place, tmp_path_factory) -> Callable[[Drives], Drives]:
+    """The small cell with an arm that moves faster; calling it keeps a proof that the drives of this cell stop.
+
+    Without it a command proves the stop first and then moves at a tenth of its speed, which other tests are about.
+    """
+    text = place.cell.read_text(encoding="utf-8").replace("approach_speed_rad_s = 0.1", "approach_speed_rad_s = 0.2")
+    for key, limit in FASTER.items():
+        text = re.sub(rf"(?m)^{key} = .*", f"{key} = {limit}", text)
+    place.cell.write_text(text, encoding="utf-8")
+
+    def proven(drives: Drives, cell: Path | None = None) -> Drives:
+        keep_proof_of_stop(cell or place.cell, drives.bus, tmp_path_factory)
+        return drives
+
+    return proven
 
 
 @pytest.fixture

@@ -6,14 +6,14 @@ import pytest
 
 pytestmark = pytest.mark.system
 
-KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 2500\n' for node in range(1, 7))
-SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 2500\n'
+KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 800\n' for node in range(1, 7))
+SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 800\n'
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault", "named"), [(KILLED, "nodes 1 to 6"), (SILENT, "node 3")])
-def test_a_failure_is_told_once_and_shortly(place, gateway, serve, fault, named):
-    drives = serve(fault=fault)
+def test_a_failure_is_told_once_and_shortly(place, gateway, serve, fast_arm, fault, named):
+    drives = fast_arm(serve(fault=fault))
     done = gateway("record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, "--yes", "-q")
     assert done.exit_code == 4, done.output
     lines = done.stderr.splitlines()

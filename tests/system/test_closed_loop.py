@@ -15,9 +15,10 @@ EFFECTS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(EFFECTS))
-def test_an_undeclared_effect_is_named_with_its_axis(serve, commission, name):
+def test_an_undeclared_effect_is_named_with_its_axis(serve, commission, fast_arm, name):
     joints, parameters = EFFECTS[name]
-    drives = serve(effect=f'[[effect]]\nname = "{name}"\njoints = {joints}\nparameters = {{ {parameters} }}\n')
+    effect = f'[[effect]]\nname = "{name}"\njoints = {joints}\nparameters = {{ {parameters} }}\n'
+    drives = fast_arm(serve(effect=effect))
     code, result, hands, output = commission(drives)
     assert code == (7 if name == "sign_reversed" else 0), output.err
     found = [(effect["name"], effect["joints"]) for effect in result["effects"]]

@@ -12,11 +12,11 @@ TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 
 @pytest.mark.slow
-def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway):
+def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway, fast_arm):
     """The load is hung where the arm stands."""
     lines = place.cell.read_text().splitlines(keepends=True)
     place.cell.write_text("".join(line for line in lines if not line.startswith("loading_rad")))
-    drives = serve()
+    drives = fast_arm(serve())
     more = ("--expect", "load=6.0,0.6", "--operator", "A. Person", "--junit", place.folder / "accept.xml")
     code, result, hands, output = commission(drives, *more)
     assert code == 0, output.err
@@ -53,8 +53,8 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
 
 
 @pytest.mark.slow
-def test_a_load_that_was_forgotten_is_asked_for_and_never_green(place, serve, commission, gateway):
-    code, result, _, output = commission(serve(), "--expect", "load=6.0,0.2", forgets=True)
+def test_a_load_that_was_forgotten_is_asked_for_and_never_green(place, serve, commission, fast_arm):
+    code, result, _, output = commission(fast_arm(serve()), "--expect", "load=6.0,0.2", forgets=True)
     assert code == 7
     assert "kg: was it hung?" in output.err
     (load,) = result["loads"]
@@ -76,21 +76,21 @@ def test_the_check_stops_the_job_before_anything_moves(place, serve, commission)
 
 
 @pytest.mark.slow
-def test_a_job_that_broke_is_gone_on_with(place, serve, commission):
-    broken = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 7000\n')
+def test_a_job_that_broke_is_gone_on_with(serve, commission, fast_arm):
+    broken = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 1500\n'))
     code, result, _, output = commission(broken)
     assert code == 4
     assert "commission --resume" in output.err
     assert result is None
     assert broken.stand_still()
-    code, result, _, output = commission(serve(), "--resume")
+    code, result, _, output = commission(fast_arm(serve()), "--resume")
     assert code == 0, output.err
     assert result["loads"][0]["mass_kg"] == pytest.approx(TRUTH_KG, rel=0.02)
 
 
 @pytest.mark.slow
-def test_nobody_hangs_the_load(serve, commission):
-    drives = serve()
+def test_nobody_hangs_the_load(serve, commission, fast_arm):
+    drives = fast_arm(serve())
     code, result, _, output = commission(drives, hangs=False)
     assert code == 130
     assert result is None

@@ -114,10 +114,11 @@ def test_a_drive_that_must_not_be_used(place, gateway, serve, kind, says):
 
 
 @pytest.mark.slow
-def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve):
+def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve, fast_arm):
     lost = '[[fault]]\nkind = "tpdo_lost"\nnode = 4\nsyncs = 1\nat_sync = {}\n'
-    drives = serve(fault="".join(lost.format(sync) for sync in range(300, 6600, 120)))
-    cell = place.variant("long", ("samples = 20", "samples = 60"))
+    drives = serve(fault="".join(lost.format(sync) for sync in range(300, 6600, 60)))
+    cell = place.variant("long", ("samples = 20", "samples = 60"), ("count = 4", "count = 2"))
+    fast_arm(drives, cell)
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     assert done.exit_code == 0, done.output
     assert "not answered by J4" in done.stderr
@@ -127,9 +128,10 @@ def test_an_incomplete_epoch_is_sampled_again(place, gateway, serve):
 
 
 @pytest.mark.slow
-def test_a_pose_that_never_settles(place, gateway, serve):
-    drives = serve(fault='[[fault]]\nkind = "never_settles"\nnode = 2\nat_sync = 4000\n')
+def test_a_pose_that_never_settles(place, gateway, serve, fast_arm):
+    drives = serve(fault='[[fault]]\nkind = "never_settles"\nnode = 2\nat_sync = 1000\n')
     cell = place.variant("short", ("[poses]", "[poses]\nsettle_timeout_s = 2.0"))
+    fast_arm(drives, cell)
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     complains(done, 5, "does not settle", "settle_timeout_s")
     assert drives.stand_still()
@@ -139,14 +141,14 @@ def test_a_pose_that_never_settles(place, gateway, serve):
 
 
 @pytest.mark.slow
-def test_a_drive_that_faults_in_motion_and_the_run_is_resumed(place, gateway, serve):
-    drives = serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 4000\n')
+def test_a_drive_that_faults_in_motion_and_the_run_is_resumed(place, gateway, serve, fast_arm):
+    drives = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 1000\n'))
     done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     complains(done, 4, "node 5")
     assert drives.stand_still()
     kept = len([visit for visit in place.recording().arms[0].visits if visit.complete])
     assert kept > 0
-    fresh = serve()
+    fresh = fast_arm(serve())
     again = gateway("record", place.cell, "--bus", fresh.bus, "--load", "none", "-o", place.run, "--yes", "--resume")
     assert again.exit_code == 0, again.output
     assert f"{kept} were there already" in again.stdout

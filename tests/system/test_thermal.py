@@ -18,8 +18,8 @@ DRIFT = "".join(
 
 
 @pytest.mark.slow
-def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serve, commission):
-    code, result, hands, output = commission(serve(effect=DRIFT), "--thermal", "--warm-up", "0.1")
+def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serve, commission, fast_arm):
+    code, result, hands, output = commission(fast_arm(serve(effect=DRIFT)), "--thermal", "--warm-up", "0.1")
     assert code in (0, 7), output.err
     assert hands.asked == ["load", "none", "load"]
     assert (place.folder / "out" / "warm-up.h5").exists()

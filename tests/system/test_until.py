@@ -15,8 +15,8 @@ def record(gateway, place, bus, load, *more):
 
 
 @pytest.mark.slow
-def test_a_load_is_measured_until_it_is_known(place, gateway, serve):
-    drives = serve()
+def test_a_load_is_measured_until_it_is_known(place, gateway, serve, fast_arm):
+    drives = fast_arm(serve())
     bare = record(gateway, place, drives.bus, "none")
     assert bare.exit_code == 0, bare.output
     drives.hang("load")
@@ -59,8 +59,8 @@ def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway
 
 
 @pytest.mark.slow
-def test_the_whole_job_measures_a_load_until_it_is_known(place, serve, commission):
-    drives = serve()
+def test_the_whole_job_measures_a_load_until_it_is_known(serve, commission, fast_arm):
+    drives = fast_arm(serve())
     code, result, hands, output = commission(drives, "--until", "mass=20%,com=15mm")
     assert code == 0, output.err
     assert hands.asked == ["load"]

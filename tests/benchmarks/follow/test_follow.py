@@ -14,6 +14,7 @@ from gateway.result.follow import read_follow
 from gateway.result.result import LoadResult, Result, to_json
 from tests.support.follow import rig
 from tests.support.follow.rig import peaks
+from tests.support.rigs.proofs import keep_proof_of_stop
 
 # What an identification of this load with these build errors gave, rounded; the truth is 70 kg at (50, -20, 220) mm.
 LOAD = LoadResult("load", 69.9, 0.13, (0.0495, -0.0206, 0.2208), (0.0006, 0.0007, 0.0012))
@@ -37,8 +38,9 @@ def place(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def drives(place):
+def drives(place, tmp_path_factory):
     with rig.drives(place, BUILD_ERRORS) as handle:
+        keep_proof_of_stop(place.cell, handle.bus, tmp_path_factory)
         handle.hang("load")
         yield handle
 
@@ -112,10 +114,11 @@ def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives
     assert not any(drive.automaton.energised for drive in arm.drives)
 
 
-def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place):
+def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place, tmp_path_factory):
     fault = place.folder / "fault.toml"
     fault.write_text('[[fault]]\nkind = "drive_fault"\nnode = 3\nat_sync = 2400\n')
     with rig.drives(place, BUILD_ERRORS, fault=fault) as handle:
+        keep_proof_of_stop(place.cell, handle.bus, tmp_path_factory)
         handle.hang("load")
         told = rig.follow_command(place, handle, place.result, place.folder / "fault.html")
         assert told.exit_code == 4, told.output

@@ -1,4 +1,4 @@
-"""A few hundred inputs for each target; `python -m benchmarks.chaos fuzz` runs the full number."""
+"""Some hundred inputs for each target; `python -m benchmarks.chaos fuzz` runs the full number."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import pytest
 from tests.support.fuzz.runner import run
 from tests.support.fuzz.targets import TARGETS, Target
 
-SHORT = {"decoder": 300, "reader": 120}
+SHORT = {"decoder": 150, "reader": 60}
 
 
 @pytest.mark.slow

@@ -38,7 +38,7 @@ def test_friction_of_arms_that_stand_is_no_force_in_the_part() -> None:
     """Arms without errors, ways forward and back: the guard of the way to the start stops none of them."""
     with stepped(None, PERIOD_S) as bench:
         run = bench.begin("C1i", None)
-        most = [bench.cycle(run) for _ in range(3)]
+        most = [bench.cycle(run) for _ in range(2)]
         bench.power.off()
     assert max(most) < 0.5 * bench.cell.config.force_limit_n
 

@@ -1,4 +1,4 @@
-"""Numpy tier of the pair, short: three seeds, the main rows, bounds of the pilot's orders of magnitude."""
+"""Numpy tier of the pair, short: one seed, the main rows, bounds of the pilot's orders of magnitude."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.support.pair.model_verdicts import Figures, Verdict, verdicts
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
-SEEDS = range(3)
+SEEDS = (0,)
 SKIP = ("C8r", "C6", "C7", "C8 no lead", "C2c no lead", "C2m no lag", "C3 nearest")
 SHORT = Scope(
     frozen_cycles=2,
@@ -96,7 +96,7 @@ def test_impedance_alone_does_not_suffice_at_speed_and_learning_helps_there(give
 @pytest.mark.xdist_group("pair-model")
 def test_measured_positions_learn_the_lag_with_the_wrong_sign(given: Figures) -> None:
     cycles = given.cycles("C2m", FAST)
-    assert sum(each[-1] > 1.1 * each[0] for each in cycles) >= len(SEEDS) - 1
+    assert all(each[-1] > 1.1 * each[0] for each in cycles)
 
 
 @pytest.mark.xdist_group("pair-model")
@@ -127,7 +127,7 @@ def test_gap_is_kept_by_distance_sensors() -> None:
 
 
 def test_three_sensors_keep_the_gap_in_three_components() -> None:
-    for gap in gaps((0,), ("z", "rx", "ry")):
+    for gap in gaps(SEEDS, ("z", "rx", "ry")):
         assert gap.sensors == 3
         assert gap.without_m >= 1e-3
         assert gap.cycles_m[-1] <= 0.1e-3

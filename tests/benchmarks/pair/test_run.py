@@ -163,9 +163,9 @@ def test_an_arm_that_stands_elsewhere_is_refused() -> None:
 def test_teaching_goes_on_where_it_ended() -> None:
     rule = TeachRule(force_n=40.0, moment_nm=10.0, sweep_s=0.2, way_m_s=0.6)
     with pair_rig(0) as rig:
-        indices = rig.cell.path(1.0).uniform(3)
+        indices = rig.cell.path(1.0).uniform(2)
         lesson, saved = Lesson("path", "cell"), []
-        for count in (1, 3):
+        for count in (1, 2):
             options = PairMotionOptions(force_limit_n=NO_LIMIT_N)
             stream = Stream(rig.link.station(rig.cell, options.moves))
             teacher = Teacher(PairMotion(rig.cell, stream, options), cell_gains(rig.cell), rule)
@@ -173,5 +173,5 @@ def test_teaching_goes_on_where_it_ended() -> None:
                 teacher.run(lesson, indices[:count], lambda _lesson, point: saved.append(point.command - 1))
             lesson = lesson_from_json(lesson.to_json(), "points.json")
     assert saved == indices.tolist()
-    assert len(lesson.function(np.eye(4))) == 3
+    assert len(lesson.function(np.eye(4))) == 2
     assert all(point.force_n[-1] <= 40.0 for point in lesson.points)

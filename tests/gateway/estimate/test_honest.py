@@ -74,7 +74,7 @@ def inside(found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "seeds"), [("joint", 24), ("posture", 16), ("difference", SEEDS)], ids=list(BY_METHOD)
+    ("method", "seeds"), [("joint", 24), ("posture", 8), ("difference", SEEDS)], ids=list(BY_METHOD)
 )
 def test_intervals_hold_the_truth_in_every_condition(arm, poses, gravity, band_nm, table_of, method, seeds):
     hold = {}

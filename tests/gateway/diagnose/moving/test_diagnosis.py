@@ -13,23 +13,23 @@ from tests.moving_arm import World, measured
 
 IGNORE = DiagnoseOptions(inertials="ignore")
 FOUND = [
-    ("load_dependent_friction", (2,), World(load_friction={1: 0.25}), IGNORE, {"coefficient": (0.25, 0.02)}),
-    ("velocity_friction", (3,), World(stribeck={2: (0.15, 0.15)}), IGNORE, {}),
-    ("axis_coupling", (5, 6), World(coupling=(4, 5, 1.0)), IGNORE, {"coefficient": (1.0, 0.05)}),
-    ("axis_coupling", (2, 3), World(coupling=(1, 2, 1.0)), IGNORE, {"coefficient": (1.0, 0.1)}),
-    ("axis_coupling", (3, 4), World(coupling=(2, 3, -1.0)), IGNORE, {"coefficient": (-1.0, 0.1)}),
-    ("balancer_spring", (2,), World(spring=(0.8, 0.1)), DiagnoseOptions(), {"phase_rad": (0.1, 0.1)}),
-    ("cable_torque", (5,), World(cable={4: 0.15}), IGNORE, {}),
-    ("base_tilt", (), World(tilt=(0.03, 0.02)), IGNORE, {"tilt_x_rad": (0.03, 0.005), "tilt_y_rad": (0.02, 0.005)}),
-    ("torque_ripple", (2,), World(ripple={1: (0.08, 40.0)}), IGNORE, {"per_revolution": (40.0, 0.5)}),
+    ("velocity_friction", (3,), World(stribeck={2: (0.15, 0.15)}), {}),
+    ("axis_coupling", (5, 6), World(coupling=(4, 5, 1.0)), {"coefficient": (1.0, 0.05)}),
+    ("axis_coupling", (3, 4), World(coupling=(2, 3, -1.0)), {"coefficient": (-1.0, 0.1)}),
+    ("cable_torque", (5,), World(cable={4: 0.15}), {}),
+    ("base_tilt", (), World(tilt=(0.03, 0.02)), {"tilt_x_rad": (0.03, 0.005), "tilt_y_rad": (0.02, 0.005)}),
+    ("torque_ripple", (2,), World(ripple={1: (0.08, 40.0)}), {"per_revolution": (40.0, 0.5)}),
 ]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "joints", "world", "options", "truth"), FOUND, ids=lambda value: str(value)[:24])
-def test_the_effect_is_found_alone_with_its_parameters(name, joints, world, options, truth):
-    table, robot, _ = measured(1, world)
-    result = diagnose_motion(table, robot, options)
+@pytest.mark.parametrize(("name", "joints", "world", "truth"), FOUND, ids=lambda value: str(value)[:24])
+def test_the_effect_is_found_alone_with_its_parameters(name, joints, world, truth):
+    found_alone(diagnose_motion(*measured(1, world)[:2], IGNORE), name, joints, truth)
+
+
+def found_alone(result, name, joints, truth):
+    """The effect, beyond chance and on rows that chose nothing, with its parameters within their tolerances."""
     assert [(effect.name, effect.joints) for effect in result.effects] == [(name, joints)]
     effect = result.effects[0]
     for key, (value, tolerance) in truth.items():
@@ -60,6 +60,7 @@ def test_nothing_is_claimed_on_a_clean_run(seed, inertials):
     assert result.verdict == "none_needed"
     assert np.isnan(result.noise_floor_nm).all()
     assert result.rejected
+    assert not result.data.curves
 
 
 @pytest.mark.slow
@@ -89,7 +90,7 @@ def test_load_is_estimated_through_a_missing_balancer():
     payload = (6.0, 0.03, -0.02, 0.12)
     table, robot, _ = measured(5, World(spring=(0.8, 0.1), payload=payload), duration_s=30.0)
     result = diagnose_motion(table, robot, DiagnoseOptions())
-    assert [effect.name for effect in result.effects] == ["balancer_spring"]
+    found_alone(result, "balancer_spring", (2,), {"phase_rad": (0.1, 0.1)})
     load = result.loads[0]
     assert load.label == "a"
     assert load == result.after.loads[0]
@@ -141,9 +142,10 @@ def test_too_short_a_run_is_undecided_and_says_what_to_measure():
 
 
 @pytest.mark.slow
-def test_what_the_report_draws_of_a_moving_run():
+def test_losses_by_load_are_found_alone_and_drawn():
     table, robot, _ = measured(1, World(load_friction={1: 0.25}))
     result = diagnose_motion(table, robot, IGNORE)
+    found_alone(result, "load_dependent_friction", (2,), {"coefficient": (0.25, 0.02)})
     data, rows = result.data, result.rows
     assert set(data.role) == {"fit"}
     assert np.shape(data.model_before_nm) == np.shape(rows.tau_nm)
@@ -159,12 +161,6 @@ def test_what_the_report_draws_of_a_moving_run():
     assert y == pytest.approx(result.effects[0].parameters["coefficient"] * x, rel=0.02, abs=0.02 * np.abs(y).max())
     assert (np.array(curve.low) <= y).all()
     assert np.sqrt(np.mean((np.array(curve.points_y) - 0.25 * x) ** 2)) < 0.5 * np.abs(y).max()
-
-
-@pytest.mark.slow
-def test_a_clean_moving_run_draws_no_curve():
-    table, robot, _ = measured(0, World())
-    assert not diagnose_motion(table, robot, IGNORE).data.curves
 
 
 @pytest.mark.slow

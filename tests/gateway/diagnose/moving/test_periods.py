@@ -107,14 +107,6 @@ def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robo
 
 
 @pytest.mark.slow
-def test_with_its_effect_the_error_falls_to_the_noise() -> None:
-    table, robot, _ = bare_and_loaded(6, World(coil=(20_000.0, 0.05, 0.3, 0.2)))
-    result = diagnose(table, robot, DiagnoseOptions())
-    assert [(effect.name, effect.joints) for effect in result.effects] == [("balancer_spring", (2,))]
-    assert result.verdict == "explained"
-
-
-@pytest.mark.slow
 def test_what_repeats_and_has_no_name_is_told(clean: tuple[Table, Robot, np.ndarray]) -> None:
     table, robot, _ = bare_and_loaded(5, World(strange={2: 0.3}))
     result = diagnose(table, robot, DiagnoseOptions())

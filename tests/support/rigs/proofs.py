@@ -1,0 +1,44 @@
+"""The proof that the drives of a cell stop on loss of the master, made once for all tests with an equal cell."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import uuid
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from gateway.cli import main
+from gateway.commands.cell_context import open_cell
+from sim.serve import running
+
+
+def keep_proof_of_stop(cell: Path, bus: str, folders: pytest.TempPathFactory) -> None:
+    """Store a proof for a cell file on a bus in the current state folder, with the remark that the arm has moved.
+
+    The proof is made by `check --prove-stop` on simulated drives without faults, for the first test that asks for it,
+    and kept in the folder that the workers of one test run share. It is void where a drive differs from that.
+    """
+    kept = folders.getbasetemp().parent / f"proof-{hashlib.sha256(cell.read_bytes()).hexdigest()[:16]}.json"
+    with kept.with_suffix(".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not kept.exists():
+            kept.write_text(_proof(cell, folders.mktemp("proof")), encoding="utf-8")
+    path = _stored_at(cell, bus)
+    path.write_text(kept.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+def _stored_at(cell: Path, bus: str) -> Path:
+    context = open_cell(cell, bus)
+    return context.stop_proof(context.loaded.cell.arm[0])
+
+
+def _proof(cell: Path, state: Path) -> str:
+    bus = f"virtual:proof-{uuid.uuid4().hex}"
+    with pytest.MonkeyPatch.context() as patch, running(cell, bus):
+        patch.setenv("XDG_STATE_HOME", str(state))
+        done = CliRunner().invoke(main, ["check", str(cell), "--bus", bus, "--prove-stop", "--yes"])
+        assert done.exit_code == 0, done.output
+        return _stored_at(cell, bus).read_text(encoding="utf-8").replace('"moved": false', '"moved": true')
