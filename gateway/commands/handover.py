@@ -13,6 +13,7 @@ from gateway.commands.options import common, json_option, one_of, output_option,
 from gateway.result.names import EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
 
 if TYPE_CHECKING:
+    from gateway.formats.log_map import LogMap
     from gateway.result.result import Result
 
 RESULT = click.Path(path_type=Path, dir_okay=False)
@@ -126,10 +127,22 @@ def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], out
 
 @click.command("import")
 @click.argument("log", metavar="FILE", type=RESULT)
-@click.option("--map", "map_file", required=True, metavar="MAP.toml", type=RESULT, help="Which column is which.")
-@output_option("-o", "--output", required=True, metavar="TABLE.csv", help="Measured table to write.")
+@click.option(
+    "--map",
+    "map_file",
+    required=True,
+    metavar="MAP.toml|NAME",
+    type=RESULT,
+    help="Which column is which; or a ready map: ur-rtde, kuka-rsi, abb-egm, ros-joint-states.",
+)
+@click.option("--load", "label", metavar="LABEL", help="What was on the flange, under all rows.")
+@click.option("--joints", metavar="NAME,NAME,..", help="Names of the joints in the log, in the arm's order.")
+@click.option("--dry-run", is_flag=True, help="Show first values, units, ranges and what looks wrong; write nothing.")
+@output_option("-o", "--output", metavar="TABLE.csv", help="Measured table to write.")
 @common
-def import_(log: Path, map_file: Path, output: Path) -> None:
+def import_(
+    log: Path, map_file: Path, label: str | None, joints: str | None, dry_run: bool, output: Path | None
+) -> None:
     """A measured table from what another program logged: text in columns, MCAP, a ROS 2 bag (.db3).
 
     The map says which column of the log is which of the table, in which unit, with which sign.
@@ -137,11 +150,39 @@ def import_(log: Path, map_file: Path, output: Path) -> None:
     from gateway.formats.log_map import read_map
     from gateway.formats.measured import table_from_log
 
-    done = table_from_log(log, read_map(map_file))
+    changes: dict[str, object] = {} if label is None else {"load": {"label": label}}
+    if joints is not None:
+        names = tuple(name.strip() for name in joints.split(","))
+        changes |= {"joints": names, "axes": len(names)}
+    given = read_map(map_file, changes)
+    if dry_run:
+        _preview(log, given)
+        return
+    if output is None:
+        raise click.UsageError("name the table to write by -o, or look at the log first by --dry-run")
+    done = table_from_log(log, given)
     replace_file(output, done.text)
     for remark in done.remarks:
         session_of().note(f"{log}: {remark}")
     session_of().show(f"{output}: {done.rows} rows")
+
+
+def _preview(log: Path, given: LogMap) -> None:
+    """First values, ranges and what looks wrong of a log."""
+    from gateway.commands.console import grid
+    from gateway.formats.measured import preview_of
+
+    columns, remarks = preview_of(log, given)
+    rows = [
+        [each.name, each.source, each.remark, *("  ".join(f"{value:.5g}" for value in part) for part in
+         (each.first, (each.least, each.most)))]
+        for each in columns
+    ]  # fmt: skip
+    session = session_of()
+    names = ["column", "from the log", "looks wrong", "first rows", "least, most"]
+    session.show(grid(f"{log}, in the units of the table", names, rows, left=3))
+    for remark in remarks:
+        session.show(remark)
 
 
 def _table(path: Path, arm_name: str | None, label: str | None) -> str:

@@ -2,11 +2,25 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from typing import Final
 
 import numpy as np
 
 from gateway.errors import InputError
+
+_TIME: Final = re.compile(
+    r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d\d):(\d\d):(\d\d(?:[.,]\d+)?)\s*(Z|[-+]\d\d:?\d\d)?", re.IGNORECASE
+)
+#: Characters that stand for a mark between thousands.
+_SPELLINGS: Final = {
+    " ": ("\N{NO-BREAK SPACE}", "\N{NARROW NO-BREAK SPACE}"),
+    "'": ("\N{RIGHT SINGLE QUOTATION MARK}",),
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,8 +36,11 @@ class Log:
         Line, or number of the message, from 1.
     row_word : str
         Before the number of a row: empty for a line, `message ` for a message.
-    decimal : str
-        Decimal mark of the text columns.
+    decimal, thousands : str, str or None
+        Decimal mark of the text columns, and mark between thousands.
+    units : dict of str to (int, str)
+        Line and text of what a row below the header says of a column.
+    header_line : int
     """
 
     file: str
@@ -31,6 +48,9 @@ class Log:
     line: np.ndarray
     row_word: str = ""
     decimal: str = "."
+    thousands: str | None = None
+    units: Mapping[str, tuple[int, str]] = field(default_factory=dict[str, tuple[int, str]])
+    header_line: int = 1
 
     def where(self, row: int) -> str:
         """`file:line` of a row."""
@@ -39,7 +59,7 @@ class Log:
     def take(self, rows: np.ndarray) -> Log:
         """The rows of a mask (n,)."""
         columns = {name: values[rows] for name, values in self.columns.items()}
-        return Log(self.file, columns, self.line[rows], self.row_word, self.decimal)
+        return replace(self, columns=columns, line=self.line[rows])
 
     def text(self, name: str) -> np.ndarray:
         """A column as it stands there.
@@ -51,7 +71,10 @@ class Log:
         """
         if name not in self.columns:
             held = ", ".join(list(self.columns)[:12]) + (" .." if len(self.columns) > 12 else "")
-            raise InputError(f"{self.file}:1: column '{name}', which the map names, is missing; the log holds {held}")
+            raise InputError(
+                f"{self.file}:{self.header_line}: column '{name}', which the map names, is missing; the log holds"
+                f" {held}"
+            )
         return self.columns[name]
 
     def numbers(self, name: str) -> np.ndarray:
@@ -64,7 +87,9 @@ class Log:
         """
         cells = self.text(name)
         values = (
-            cells if cells.dtype.kind == "f" else np.array([_number(cell, self.decimal) for cell in cells.tolist()])
+            cells
+            if cells.dtype.kind == "f"
+            else np.array([number_of(cell, self.decimal, self.thousands) for cell in cells.tolist()])
         )
         bad = ~np.isfinite(values)
         if bad.any():
@@ -75,12 +100,51 @@ class Log:
             )
         return values.astype(float)
 
+    def times(self, name: str) -> np.ndarray | None:
+        """A column of ISO 8601 times, or times of a day, in s (n,); None where its first cell is not one.
 
-def _number(cell: str, decimal: str) -> float:
+        Raises
+        ------
+        InputError
+            It is missing, or another cell is no time.
+        """
+        cells = self.text(name)
+        if cells.dtype.kind == "f" or not len(cells) or seconds_of(cells[0]) is None:
+            return None
+        found = [seconds_of(cell) for cell in cells.tolist()]
+        if None in found:
+            row = found.index(None)
+            raise InputError(f"{self.where(row)}: {name}: '{str(cells[row])[:40]}' is no time like those above it")
+        return np.array(found, dtype=float)
+
+
+def number_of(cell: str, decimal: str, thousands: str | None = None) -> float:
+    """A cell as a number, NaN where it is none."""
     text = cell.strip()
+    if thousands is not None:
+        for like in _SPELLINGS.get(thousands, ()):
+            text = text.replace(like, thousands)
+        if thousands in text:
+            mark, point = re.escape(thousands), re.escape(decimal)
+            if not re.fullmatch(rf"[-+]?\d{{1,3}}({mark}\d{{3}})+({point}\d*)?", text):
+                return math.nan
+            text = text.replace(thousands, "")
     if decimal == ",":
         text = text.replace(",", ".") if "." not in text else "?"
     try:
-        return float("nan") if "_" in text else float(text)
+        return math.nan if "_" in text else float(text)
     except ValueError:
-        return float("nan")
+        return math.nan
+
+
+def seconds_of(cell: str) -> float | None:
+    """Seconds of an ISO 8601 time (since 1970, UTC where it names no zone) or of a time of the day; None = no time."""
+    found = _TIME.fullmatch(cell.strip())
+    if found is None:
+        return None
+    day, hours, minutes, seconds, zone = found.groups()
+    try:
+        at = datetime.fromisoformat(f"{day or '1970-01-01'}T00:00:00{(zone or 'Z').replace('Z', '+00:00')}")
+    except ValueError:
+        return None
+    return at.timestamp() + 3600 * int(hours) + 60 * int(minutes) + float(seconds.replace(",", "."))

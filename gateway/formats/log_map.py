@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,11 +28,14 @@ _BEHIND_A_GEAR = ("angle", "speed", "acceleration")
 class LogFormat(Strict):
     """How the log is written."""
 
-    separator: Literal[",", ";", " ", "\t"] = Field(
-        default=",", description="of a text log; a blank: any number of them"
+    separator: Literal[",", ";", " ", "\t"] | None = Field(
+        default=None, description="of a text log; a blank: any number of them; found by the names if left out"
     )
-    decimal: Literal[".", ","] = Field(default=".", description="decimal mark of a text log")
-    encoding: Literal["utf-8", "latin-1"] = Field(default="utf-8", description="of a text log")
+    decimal: Literal[".", ","] | None = Field(default=None, description="of a text log; found if left out")
+    thousands: Literal[",", ".", " ", "'"] | None = Field(default=None, description="mark between thousands")
+    encoding: Literal["utf-8", "latin-1", "utf-16"] = Field(
+        default="utf-8", description="of a text log without a byte order mark"
+    )
     skip_lines: int = Field(default=0, ge=0, le=1000, description="lines of a text log above its header")
     topic: Name = Field(default="/joint_states", description="of a bag: JointState messages")
 
@@ -88,6 +93,7 @@ class LogColumn(Strict):
     counts_per_revolution: Positive | tuple[Positive, ...] | None = Field(default=None, description="of unit counts")
     rated: Positive | tuple[Positive, ...] | None = Field(default=None, description="of unit % and permille: Nm or A")
     first: Literal[0, 1] = Field(default=1, description="number of the first axis in the log")
+    optional: bool = Field(default=False, description="left out where the log does not hold it")
 
     @model_validator(mode="after")
     def _fits(self) -> LogColumn:
@@ -182,6 +188,15 @@ class LogMap(Strict):
                     found.append((("column", index, key), f"{key}: {len(value)} values for {self.axes} axes"))
         return found
 
+    def needed(self) -> tuple[set[str], set[str]]:
+        """Columns that a log has to hold: those that are read as text, those that are numbers or times."""
+        texts = {name for name in (self.load.column,) if name is not None}
+        numbers = {name for name in (self.time.column, self.rows.column) if name is not None}
+        for column in self.column:
+            if not column.optional:
+                numbers |= {source for source, _, _ in self.names(column)}
+        return texts, numbers
+
     def names(self, column: LogColumn) -> list[tuple[str, str, int]]:
         """Name in the log, name in the table, and axis from 0 of each column that a rule stands for."""
         if "{}" not in column.table:
@@ -193,16 +208,33 @@ class LogMap(Strict):
         ]
 
 
-def read_map(path: Path) -> LogMap:
-    """Read a map.
+def ready_maps() -> dict[str, Any]:
+    """Maps that come with the package, by name."""
+    return {Path(file.name).stem: file for file in files("gateway.formats").joinpath("maps").iterdir()}
+
+
+def read_map(path: Path, changes: Mapping[str, Any] | None = None) -> LogMap:
+    """Read a map, or one of the ready ones by its name.
+
+    Parameters
+    ----------
+    path : Path
+    changes : mapping of str to value, optional
+        Tables or values that replace those of the file.
 
     Raises
     ------
     ConfigError
         With every problem of the file: line, what is wrong, what to write.
     """
+    ready = ready_maps()
     try:
-        return read_strict(path.read_text(encoding="utf-8"), LogMap)
+        source = path if path.exists() or str(path) not in ready else ready[str(path)]
+        found = read_strict(source.read_text(encoding="utf-8"), LogMap)
+        return LogMap.model_validate({**found.model_dump(exclude_unset=True), **changes}) if changes else found
+    except FileNotFoundError as error:
+        known = ", ".join(sorted(ready))
+        raise ConfigError(f"{path}: cannot be read: there is no such file, and no ready map ({known})") from error
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     except Unfit as error:

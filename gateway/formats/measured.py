@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -18,11 +19,12 @@ from gateway.data.regular import regular_size
 from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.log_map import LogColumn, LogMap
+from gateway.formats.preview import PreviewColumn, preview
 from gateway.formats.ros_bag import SUFFIXES, read_bag
 from gateway.formats.smooth import Motion, clock_of, motion_of
 from gateway.formats.standing import Stretch, standing
 from gateway.formats.text_log import read_text_log
-from gateway.formats.units import NEEDS, TIME_UNITS, UNITS, kind_of, pattern_of
+from gateway.formats.units import NEEDS, TIME_UNITS, UNITS, kind_of, pattern_of, unit_named
 
 Floats = NDArray[np.float64]
 #: Columns whose samples have a spread over a stretch of standing, and what that is called.
@@ -66,13 +68,7 @@ def table_from_log(path: Path, given: LogMap) -> Imported:
     ConfigError
         A library is not installed.
     """
-    log = _opened(path, given)
-    time_s = _times(log, given)
-    kept = _kept(log, given, time_s)
-    if not kept.any():
-        raise InputError(f"{path}: [rows] of the map keeps none of the log's {len(kept)} rows")
-    log, time_s = log.take(kept), time_s[kept]
-    labels, values = _labels(log, given), _values(log, given)
+    log, time_s, labels, values = _kept_rows(path, given)
     if given.rest is not None:
         found = standing(time_s, _joined(values, given.axes), labels, given.rest)
         if not found:
@@ -84,7 +80,9 @@ def table_from_log(path: Path, given: LogMap) -> Imported:
     motion = _derived(log, given, time_s, values)
     remarks: tuple[str, ...] = ()
     if motion is not None:
-        time_s, remarks = motion.time_s, (_clock_remark(motion),)
+        time_s = motion.time_s
+        if motion.clock.lost or np.abs(motion.clock.jitter_s).max() > _NOTED_SHARE * motion.clock.step_s:
+            remarks = (_clock_remark(motion),)
         for pattern, columns in zip(_RATES, (motion.qd_rad_s, motion.qdd_rad_s2), strict=True):
             values = {pattern.format(axis + 1): columns[:, axis] for axis in range(given.axes)} | values
     rows = slice(None, None, given.rows.every)
@@ -92,17 +90,51 @@ def table_from_log(path: Path, given: LogMap) -> Imported:
     return _imported(table | {name: _whole(name, cells[rows]) for name, cells in values.items()}, remarks)
 
 
+def preview_of(path: Path, given: LogMap) -> tuple[list[PreviewColumn], list[str]]:
+    """What a log holds by a map, column by column, and what is to be said of it as a whole; raises as above."""
+    log, time_s, labels, values = _kept_rows(path, given)
+    sources = {
+        target: f"{source} [{column.unit}]" for column in given.column for source, target, _ in given.names(column)
+    }
+    sources["time_s"] = f"{given.time.column} [{given.time.unit}]"
+    motion = _derived(log, given, time_s, values)
+    remarks = [f"{len(time_s)} rows, {time_s[-1] - time_s[0]:.6g} s, load {', '.join(sorted(set(map(str, labels))))}"]
+    if given.load.column is None and given.load.label == BARE_LABEL:
+        remarks.append("no load is named: every row is of the bare arm; name it under [load], or by --load")
+    if log.units:
+        line, _ = next(iter(log.units.values()))
+        remarks.append(f"line {line} holds units, and is left out")
+    if motion is not None:
+        remarks.append(_clock_remark(motion))
+    return list(preview(time_s, values, sources)), remarks
+
+
+def _kept_rows(path: Path, given: LogMap) -> tuple[Log, Floats, NDArray[np.object_], dict[str, Floats]]:
+    """Rows that the map keeps: the log, times, labels, and columns of the table."""
+    log = _opened(path, given)
+    time_s = _times(log, given)
+    kept = _kept(log, given, time_s)
+    if not kept.any():
+        raise InputError(f"{path}: [rows] of the map keeps none of the log's {len(kept)} rows")
+    log, time_s = log.take(kept), time_s[kept]
+    return log, time_s, _labels(log, given), _values(log, given)
+
+
 def _opened(path: Path, given: LogMap) -> Log:
     regular_size(path)
     if path.suffix.lower() not in SUFFIXES:
-        return read_text_log(path, given.log)
+        return read_text_log(path, given.log, *given.needed())
     if given.joints is None:
-        raise InputError(f"{path}: a bag tells of joints by name: write joints = [..] into the map, in the arm's order")
+        raise InputError(
+            f"{path}: a bag tells of joints by name: write joints = [..] into the map, in the arm's order, or --joints"
+        )
     return read_bag(path, given.log.topic, given.joints)
 
 
 def _times(log: Log, given: LogMap) -> Floats:
-    time_s = log.numbers(given.time.column) * TIME_UNITS[given.time.unit]
+    _refuse_unit(log, given.time.column, given.time.unit)
+    stamps = log.times(given.time.column)
+    time_s = log.numbers(given.time.column) * TIME_UNITS[given.time.unit] if stamps is None else stamps
     back = np.diff(time_s) <= 0
     if back.any():
         row = int(np.argmax(back)) + 1
@@ -141,11 +173,27 @@ def _values(log: Log, given: LogMap) -> dict[str, Floats]:
     found: dict[str, Floats] = {}
     for column in given.column:
         for source, target, axis in given.names(column):
+            if column.optional and source not in log.columns:
+                continue
+            _refuse_unit(log, source, column.unit)
             values = _converted(log.numbers(source), column, axis)
             if kind_of(column.table) == "angle":
                 _refuse_degrees(log, source, target, values)
             found[target] = values
     return found
+
+
+def _refuse_unit(log: Log, name: str, unit: str) -> None:
+    """Refuse a unit of the map that is another one than the row below the header, or the name, says."""
+    line, told = log.units.get(name, (log.header_line, ""))
+    if not told and (found := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)):
+        told = found[1]
+    said = unit_named(told)
+    if said is not None and said != unit:
+        raise InputError(
+            f"{log.file}:{line}: {name}: the log says '{told[:20]}', the map says {unit}; write unit = \"{said}\" if"
+            " the log is right"
+        )
 
 
 def _converted(values: Floats, column: LogColumn, axis: int) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from typing import Final
 
@@ -64,3 +65,29 @@ def pattern_of(column: str) -> str:
 def kind_of(column: str) -> str | None:
     """What a column of the table measures; None = it is no column that a log can give."""
     return "number" if column.startswith("x_") else KIND_OF.get(pattern_of(column))
+
+
+#: Spellings of units in logs, lower case and without blanks.
+_SPELLED: Final = {
+    "deg": "deg", "degree": "deg", "degrees": "deg", "grad": "deg", "\N{DEGREE SIGN}": "deg",
+    "radian": "rad", "radians": "rad",
+    "\N{DEGREE SIGN}/s": "deg/s", "degrees/s": "deg/s", "radians/s": "rad/s", "1/min": "rpm", "u/min": "rpm",
+    "rad/s^2": "rad/s2", "deg/s^2": "deg/s2", "\N{DEGREE SIGN}/s^2": "deg/s2",
+    "n*m": "Nm", "n\N{MIDDLE DOT}m": "Nm", "n.m": "Nm", "amp": "A", "amps": "A", "ampere": "A", "amperes": "A",
+    "percent": "%", "\N{PER MILLE SIGN}": "permille", "0.1%": "permille", "sec": "s", "second": "s", "seconds": "s",
+    "\N{MICRO SIGN}s": "us", "\N{GREEK SMALL LETTER MU}s": "us", "msec": "ms", "milliseconds": "ms",
+    "\N{DEGREE SIGN}c": "C", "degc": "C",
+}  # fmt: skip
+_BY_LOWER: Final = {
+    unit.lower(): unit for unit in (*(unit for units in UNITS.values() for unit in units), *TIME_UNITS) if unit != "1"
+}
+
+
+def unit_named(text: str) -> str | None:
+    """The unit that a text in a log names; None = none that is known."""
+    plain = re.sub(r"[\s\[\]()]", "", text)
+    if len(plain) == 1 and plain not in ("%", "\N{DEGREE SIGN}"):
+        return plain if plain in (*_BY_LOWER.values(),) else None
+    if plain in ("mNm", "kNm", "mA"):  # a capital would be another prefix
+        return plain
+    return _SPELLED.get(plain.lower()) or (_BY_LOWER.get(plain.lower()) if plain.lower() not in ("mnm", "ma") else None)
