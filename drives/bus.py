@@ -8,6 +8,8 @@ that the adapter brings back (udp_multicast) are told apart from those of anothe
 from __future__ import annotations
 
 import contextlib
+import errno
+import socket
 import threading
 import time
 from collections import Counter
@@ -56,6 +58,10 @@ _ADVICE: Final = {
     "socketcan": "bring it up: ip link set {channel} txqueuelen 1000 up type can bitrate {bitrate_bit_s}",
     "udp_multicast": "needs msgpack and a multicast address such as 239.74.163.2,port=43113",
 }
+_NO_KERNEL_CAN: Final = (
+    "this kernel has no CAN: load it by `modprobe can_raw`, use a kernel with CONFIG_CAN (containers and WSL often have"
+    " none), or an adapter with a driver of its own; `servo-gateway doctor` tells what is there"
+)
 #: How long a full transmit queue is waited for before the send counts as failed.
 SEND_TIMEOUT_S: Final = DRIVE_RULES["queue_full"].limit
 #: Receptions that may fail in a row (stray datagrams) before the adapter counts as broken.
@@ -444,6 +450,15 @@ def _as_sent(frame: Frame) -> can.Message:
     )
 
 
+def _no_kernel_can(error: BaseException | None) -> bool:
+    """Whether an error says that the kernel has no CAN sockets (errno 97), at its root."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
+            return True
+        error = error.__cause__ or error.__context__
+    return not hasattr(socket, "AF_CAN")
+
+
 def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
     """Open a bus.
 
@@ -478,6 +493,8 @@ def open_bus(spec: BusSpec, trace: Path | None = None) -> Bus:
         missing = isinstance(error, NameError | AttributeError | ImportError)
         needs = _NEEDS.get(spec.interface, "check the name of the interface, its driver and its options")
         advice = _ADVICE.get(spec.interface, needs).format(channel=spec.channel, bitrate_bit_s=spec.bitrate_bit_s)
+        if spec.interface == "socketcan" and _no_kernel_can(error):
+            advice = _NO_KERNEL_CAN
         what = "its driver or package is not installed" if missing else " ".join(str(error).split())
         raise BusError(f"bus {spec} cannot be opened: {what}", advice=advice) from error
     try:

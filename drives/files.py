@@ -63,7 +63,7 @@ def temporary_file(path: Path, write: Callable[[int], None]) -> Path:
         temporary, descriptor = _create(path.parent)
         try:
             if mode is not None:
-                os.fchmod(descriptor, mode)
+                os.chmod(descriptor if os.chmod in os.supports_fd else temporary, mode)
             write(descriptor)
             os.fsync(descriptor)
         finally:
@@ -93,6 +93,8 @@ def place_file(temporary: Path, path: Path) -> None:
             temporary.unlink(missing_ok=True)
         error.filename = str(path)
         raise
+    if os.name == "nt":  # there a folder cannot be opened, and the move is durable by itself
+        return
     folder = os.open(path.parent, os.O_RDONLY)
     try:
         os.fsync(folder)
@@ -124,5 +126,7 @@ def _create(folder: Path) -> tuple[Path, int]:
     while True:
         path = folder / f".{secrets.token_hex(8)}.tmp"
         with suppress(FileExistsError):
-            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
+            for name in ("O_NOFOLLOW", "O_CLOEXEC", "O_BINARY"):  # not every system has each
+                flags |= getattr(os, name, 0)
             return path, os.open(path, flags, 0o666)

@@ -10,7 +10,6 @@ new original.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import time
@@ -22,6 +21,7 @@ from typing import Any, Final, Literal, get_args
 
 from drives.bus_spec import NETWORKS
 from drives.errors import ConfigurationRefused
+from drives.file_lock import lock_file
 from drives.files import replace_file
 from drives.objects import STRUCT_CODE, object_name
 from drives.values import Identity
@@ -371,7 +371,7 @@ def _locked(path: Path) -> Generator[None]:
         until_s = time.monotonic() + _PATIENCE_S
         while True:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock_file(lock)
                 break
             except BlockingIOError:
                 if time.monotonic() > until_s:

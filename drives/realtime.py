@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
-import resource
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -117,6 +116,10 @@ def _no_lock(error: object) -> str:
 
 def _limit(name: str) -> float:
     """Soft limit of this process; infinite where there is none, 0 where the system does not know it."""
+    try:
+        import resource  # Windows has none
+    except ImportError:
+        return 0.0
     number = getattr(resource, name, None)
     if number is None:
         return 0.0

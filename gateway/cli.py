@@ -61,6 +61,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
     "fleet": ("fleet", "Many robots over months: ingest, analyse, report."),
     "cell": ("cell", "Cell files: new, schema."),
+    "doctor": ("doctor", "This computer: Python, real time, CAN interfaces, clock, browser, disk."),
     "completion": ("completion", "Completion of commands and options for bash, zsh or fish."),
     "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
 }

@@ -5,7 +5,6 @@ What the pipe has no room for stays here until the next call.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import pickle
 import select
@@ -209,6 +208,8 @@ class WriterProcess:
 
 def _own_end(pipe: Any) -> int:
     """This end of a pipe, made one that never waits, above 2: where standard streams are closed, others write there."""
+    import fcntl  # pipes of this kind are of Linux and macOS; what only reads needs none
+
     with pipe:
         descriptor = fcntl.fcntl(pipe.fileno(), fcntl.F_DUPFD_CLOEXEC, 3)
     os.set_blocking(descriptor, False)

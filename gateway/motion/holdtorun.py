@@ -13,10 +13,8 @@ import math
 import os
 import select
 import sys
-import termios
 import threading
 import time
-import tty
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -64,6 +62,8 @@ class HeldKey:
         PlanRefused
             No key was pressed within `PATIENCE_S`.
         """
+        import termios
+
         with self._reading:
             with contextlib.suppress(termios.error):  # no terminal: nothing is typed ahead
                 termios.tcflush(self._terminal, termios.TCIFLUSH)
@@ -183,6 +183,8 @@ def line_entered(terminal: int) -> Callable[[], bool]:
     terminal : int
         File descriptor; what was typed before is dropped.
     """
+    import termios
+
     termios.tcflush(terminal, termios.TCIFLUSH)
 
     def entered() -> bool:
@@ -202,6 +204,9 @@ def held_key() -> Generator[HeldKey]:
     """
     if sys.stdin is None or not sys.stdin.isatty():
         raise ConfigError("--hold-to-run needs a terminal whose keys can be held: standard input is none")
+    import termios  # with tty, of Linux and macOS
+    import tty
+
     terminal = sys.stdin.fileno()
     before = termios.tcgetattr(terminal)
     tty.setcbreak(terminal)

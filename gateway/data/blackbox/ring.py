@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 from collections import deque
@@ -11,6 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
+from drives.file_lock import lock_file
 from gateway.data.blackbox.part import BoxHeader, BoxPart, unpack
 
 #: So much is kept [s], by the time of the run; and no more than this by the wall clock, where the run stands still.
@@ -60,7 +60,7 @@ class Ring:
         remove(folder)
         folder.mkdir(parents=True)
         self._header = os.open(folder / HEADER, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
-        fcntl.flock(self._header, fcntl.LOCK_EX)
+        lock_file(self._header, wait=True)
         os.write(self._header, _header_text(header).encode())
 
     def add(self, content: bytes, time_s: float, wall_s: float) -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 from pathlib import Path
 from typing import Final
 
+from drives.file_lock import lock_file
 from gateway.data.blackbox.ring import HEADER, box_of, folder_of, header_in, parts_in, remove
 
 BOTH_KILLED: Final = (
@@ -28,7 +28,7 @@ def salvage(recording: Path) -> None:
     except FileNotFoundError:
         return
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock_file(descriptor)
         header, parts = header_in(folder), parts_in(folder)
         if header is not None and parts:
             from gateway.data.blackbox.box import write_box  # HDF5 takes its time to load, and is seldom needed

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from drives.file_lock import lock_file
 from gateway.errors import InputError
 
 _LOOK_S = 0.02
@@ -50,7 +50,7 @@ def _taken(mark: Path) -> int | None:
     """The mark, held; None if another one holds it, or has just taken it away."""
     descriptor = os.open(mark, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock_file(descriptor)
         if os.path.samestat(os.fstat(descriptor), os.stat(mark)):
             return descriptor
     except (BlockingIOError, FileNotFoundError):

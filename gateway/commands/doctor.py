@@ -1,0 +1,212 @@
+"""doctor: whether this computer can run an arm, and what to type where it cannot."""
+
+from __future__ import annotations
+
+import errno
+import os
+import platform
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import click
+
+from gateway.commands.console import findings_table
+from gateway.commands.options import common, json_option, session_of, write_json
+from gateway.commands.pages import find_browser
+
+#: Versions of Python that it is tried on.
+TRIED: Final = ((3, 11), (3, 13))
+#: What a network device of Linux says of its kind when it is a CAN interface (linux/if_arp.h).
+ARPHRD_CAN: Final = "280"
+#: Bit rates of the CiA 301 recommendation that a bus of drives runs at [bit/s].
+BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
+#: Free space below which a day of recordings may not fit [GB].
+LEAST_GB: Final = 2.0
+#: A wall clock before this is not set [s since 1970]: 2025.
+CLOCK_SET_S: Final = 1_735_689_600.0
+#: Clock sources of Linux that are read without a system call.
+FAST_CLOCKS: Final = frozenset({"tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page"})
+BRING_UP: Final = "sudo ip link set {name} txqueuelen 1000 up type can bitrate 1000000"
+
+
+@dataclass(frozen=True, slots=True)
+class Check:
+    """One thing of this computer: its state, and what to type; `severity` as in a pre-flight check."""
+
+    severity: Literal["ok", "warn", "fail"]
+    where: str
+    what: str
+    advice: str = ""
+
+
+@click.command()
+@json_option
+@common
+def doctor(json_out: str | None) -> None:
+    """This computer: Python, real-time permission, CAN interfaces, clock, browser, disk; and what to type.
+
+    Nothing is sent and nothing is changed.
+    """
+    checks = list(look(Path("/"), Path.cwd()))
+    if json_out:
+        write_json(json_out, as_json(checks))
+    session_of().show(findings_table(checks, "this computer"))
+
+
+def as_json(checks: list[Check]) -> dict[str, Any]:
+    """The checks as plain values."""
+    rows = [
+        {"severity": each.severity, "where": each.where, "what": each.what, "advice": each.advice} for each in checks
+    ]
+    return {"schema": 1, "checks": rows}
+
+
+def look(root: Path, folder: Path) -> Iterator[Check]:
+    """Look at this computer.
+
+    Parameters
+    ----------
+    root : Path
+        Where the files of the system are found.
+    folder : Path
+        Where recordings are to be written.
+    """
+    yield _python()
+    yield _system()
+    yield from _real_time()
+    yield from can_interfaces(root, kernel_has_can())
+    yield from _clock(root)
+    yield _browser()
+    yield _disk(folder)
+
+
+def _python() -> Check:
+    now = sys.version_info[:2]
+    what = f"{platform.python_version()} ({sys.executable})"
+    if TRIED[0] <= now <= TRIED[1]:
+        return Check("ok", "Python", what)
+    low, high = (".".join(map(str, each)) for each in TRIED)
+    return Check("warn", "Python", f"{what}: tried with {low} to {high}", f"python{low} -m venv .venv")
+
+
+def _system() -> Check:
+    what = f"{platform.system()} {platform.release()}"
+    if sys.platform == "linux":
+        return Check("ok", "system", what)
+    return Check("warn", "system", f"{what}: reads data here, moves arms on Linux only", "use Linux for the bus")
+
+
+def _real_time() -> Iterator[Check]:
+    from drives.realtime import available
+
+    status = available()
+    advice = 'sudo sh -c \'printf "%s - rtprio 40\\n%s - memlock unlimited\\n" $SUDO_USER $SUDO_USER >>'
+    advice = f"{advice} /etc/security/limits.conf', then log in again"
+    for name, given, missing in (
+        ("real-time scheduler", status.fifo, "not permitted (RLIMIT_RTPRIO): the loop may be late under load"),
+        ("locked memory", status.locked, "not permitted (RLIMIT_MEMLOCK): the loop may wait for the disk"),
+    ):
+        yield Check("ok", name, "permitted") if given else Check("warn", name, missing, advice)
+
+
+def kernel_has_can() -> bool:
+    """Whether the kernel opens a raw CAN socket."""
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except AttributeError:
+        return False
+    except OSError as error:
+        return error.errno not in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT)
+    return True
+
+
+def can_interfaces(root: Path, kernel: bool) -> Iterator[Check]:
+    """CAN interfaces of the system: driver, state and bit rate of each."""
+    if not kernel:
+        yield Check(
+            "warn",
+            "CAN",
+            "this kernel has no SocketCAN",
+            "sudo modprobe can can_raw; where there is no such module: a kernel with CONFIG_CAN, or an adapter with a"
+            " driver of its own (pcan, kvaser, slcan: see `[bus.X] interface`)",
+        )
+        return
+    found = [each for each in sorted((root / "sys/class/net").glob("*")) if _text(each / "type") == ARPHRD_CAN]
+    if not found:
+        serial = sorted(each.name for each in (root / "dev").glob("ttyACM*"))
+        slcan = f"; a serial adapter: sudo slcand -o -s8 /dev/{serial[0]} can0" if serial else ""
+        yield Check("warn", "CAN", "no CAN interface", f"plug in an adapter, and see `dmesg | tail`{slcan}")
+    for each in found:
+        yield _interface(each)
+
+
+def _interface(place: Path) -> Check:
+    driver = (place / "device/driver").resolve().name if (place / "device/driver").exists() else "virtual"
+    state, rate = _text(place / "operstate"), _bitrate(place.name)
+    said = f"driver {driver}, {state or 'state unknown'}" + (f", {rate} bit/s" if rate else "")
+    if driver == "virtual":
+        return Check("ok", place.name, f"{said}: no wire behind it")
+    bring_up = BRING_UP.format(name=place.name)
+    if state == "down":
+        return Check("warn", place.name, said, bring_up)
+    if rate and rate not in BITRATES:
+        return Check(
+            "warn", place.name, f"{said}: not a bit rate of CiA 301", f"sudo ip link set {place.name} down; {bring_up}"
+        )
+    return Check("ok", place.name, said)
+
+
+def _bitrate(name: str) -> int | None:
+    """Bit rate of an interface, as the program `ip` reports it; None where it is not known."""
+    import json
+
+    try:
+        words = ["ip", "-details", "-json", "link", "show", name]
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=5)
+        told = json.loads(done.stdout or "[]")
+        rate = told[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+    except (OSError, ValueError, LookupError, TypeError, subprocess.TimeoutExpired):
+        return None
+    return rate if isinstance(rate, int) else None
+
+
+def _clock(root: Path) -> Iterator[Check]:
+    source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
+    if source and source not in FAST_CLOCKS:
+        yield Check("warn", "clock", f"clock source {source} is slow to read", "boot with clocksource=tsc")
+    else:
+        resolution_s = time.get_clock_info("monotonic").resolution
+        yield Check("ok", "clock", f"{source or 'monotonic'}, resolution {1e9 * resolution_s:.0f} ns")
+    if time.time() < CLOCK_SET_S:
+        yield Check("warn", "time of day", "is not set: files carry a wrong date", "sudo timedatectl set-ntp true")
+
+
+def _browser() -> Check:
+    found = find_browser()
+    if found is None:
+        return Check("warn", "browser", "none that prints PDF", "sudo apt-get install chromium; reports are HTML else")
+    return Check("ok", "browser", found)
+
+
+def _disk(folder: Path) -> Check:
+    free_gb = shutil.disk_usage(folder).free / 1e9
+    what = f"{free_gb:.1f} GB free in {folder}"
+    if not os.access(folder, os.W_OK):
+        return Check("warn", "disk", f"{folder} cannot be written", "cd to a folder of your own")
+    if free_gb < LEAST_GB:
+        return Check("warn", "disk", what, "free some space, or record elsewhere: -o /other/disk/run.h5")
+    return Check("ok", "disk", what)
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""
