@@ -23,6 +23,7 @@ from gateway.commands.options import (
     load_option,
     note_remarks,
     operator_option,
+    refuse_unwritable,
     session_of,
     write_json,
 )
@@ -82,6 +83,8 @@ def commission(
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job
     from gateway.commands.commission import commission as run
+    from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import refuse_other_cell
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.report.render import render
     from gateway.result.acceptance import check_expected
@@ -95,6 +98,9 @@ def commission(
     note_remarks(arm_robot(context.loaded, arm))
     out.mkdir(parents=True, exist_ok=True)
     recording = out / "run.h5"
+    refuse_unwritable(recording, "--out")
+    if resume and recording.exists():
+        refuse_other_cell(read(recording), context.loaded.text)
     if not resume:
         for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
             _set_aside(path, session_of())

@@ -20,6 +20,7 @@ from gateway.commands.options import (
     load_option,
     note_remarks,
     output_option,
+    recording_file,
     session_of,
     trace_option,
     unit_option,
@@ -155,6 +156,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     required=True,
     metavar="RUN.h5",
     type=click.Path(path_type=Path, dir_okay=False),
+    callback=recording_file,
     help="Recording to write; one that is there is never replaced.",
 )
 @click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
@@ -304,6 +306,11 @@ def _search_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted, request: Un
     if wanted.poses or wanted.again or wanted.result is not None:
         raise click.UsageError("--until chooses the poses itself: leave out --pose and --next")
     _refuse_to_replace(wanted)
+    if wanted.output.exists():
+        from gateway.data.recording.reader import read
+        from gateway.data.recording.writer import refuse_other_cell
+
+        refuse_other_cell(read(wanted.output), loaded.text)
     return pose_by_pose(loaded, arm, request)
 
 
@@ -319,6 +326,7 @@ def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
     from gateway.acquire.asking import Asked, asked_by, plan_again, plan_asked
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import refuse_other_cell
 
     if sum(map(bool, (wanted.poses, wanted.again, wanted.result))) > 1:
         raise click.UsageError("--pose J1,J2,.., --pose N and --next all say which poses: give one of them")
@@ -326,6 +334,7 @@ def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
         raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes, one joint angle each is needed")
     _refuse_to_replace(wanted)
     earlier = read(wanted.output) if wanted.output.exists() else None
+    refuse_other_cell(earlier, loaded.text)
     if wanted.again:
         if earlier is None:
             raise InputError(f"--pose {wanted.again[0]}: there is no {wanted.output} yet whose pose that would be")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -80,6 +81,35 @@ def refuse_to_replace(path: Path, option: str, session: Session) -> None:
     """
     if path.is_file() and not session.replaces:
         raise InputError(f"{path} exists and is not replaced: name another file for {option}, or give --force")
+    refuse_unwritable(path, option)
+
+
+def refuse_unwritable(path: Path, option: str) -> None:
+    """Refuse a file that cannot be written where it is to be, before anything moves; nothing is left behind.
+
+    A folder that does not exist yet is taken for one that can be made if that can be written which is there.
+
+    Raises
+    ------
+    InputError
+    """
+    folder = path.parent
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        why = error.strerror or error
+        raise InputError(
+            f"{option} {path}: cannot be written in {folder}: {why}; check the path and its permissions"
+        ) from error
+
+
+def recording_file(_ctx: click.Context, param: click.Parameter, value: Path) -> Path:
+    """A recording to write or to go on with; it is found out before anything moves that it can be written."""
+    refuse_unwritable(value, param.opts[0])
+    return value
 
 
 def writes(*options: Callable[[Function], Function]) -> Callable[[Function], Function]:

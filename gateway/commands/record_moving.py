@@ -62,13 +62,14 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     from gateway.acquire.session import RecordRequest, open_arm
     from gateway.commands.progress import moving_with_progress
     from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import NOT_REPLACED
+    from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
     from gateway.result.values import plain_values
 
     if wish.output.exists() and not wish.resume:
         raise InputError(f"{wish.output} exists; {NOT_REPLACED}")
     earlier = read(wish.output) if wish.output.exists() else None
     context = context.for_motion(arm, wish.rate_hz)
+    refuse_other_cell(earlier, context.loaded.text)
     chosen = _plan_for(context.loaded, arm, wish.plan, earlier)
     stored = None if earlier is None else earlier.arm(arm.name)
     driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(wish.label)

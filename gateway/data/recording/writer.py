@@ -105,6 +105,18 @@ class Numbering:
         return replace(visit, number=self._number, time_s=visit.time_s + self._shift_s)
 
 
+def refuse_other_cell(earlier: Recording | None, cell_text: str) -> None:
+    """Refuse to go on with a recording that another cell file was recorded with.
+
+    Raises
+    ------
+    InputError
+    """
+    if earlier is not None and earlier.cell_text != cell_text:
+        what = "was recorded with another cell file; choose another name for this recording"
+        raise InputError(f"{earlier.path} {what}")
+
+
 class RecordingWriter:
     """Adds visits and periods to one file; `visits` counts both.
 
@@ -130,11 +142,9 @@ class RecordingWriter:
         self._write = write or write_recording
         if earlier is None and path.exists():
             raise InputError(f"{path} exists; {NOT_REPLACED}")
+        refuse_other_cell(earlier, header.cell)
         self._file = h5py.File("in-memory", "w", driver="core", backing_store=False)
         if earlier is not None:
-            if earlier.cell_text != header.cell:
-                self._file.close()
-                raise InputError(f"{path} was recorded with another cell file; choose another name for this recording")
             with h5py.File(path, "r") as source:
                 source.copy("arms", self._file)
             if _stored(self._file.require_group("arms")) != {
