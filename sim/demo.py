@@ -20,6 +20,7 @@ from typing import Any
 
 import click
 
+from sim.cellfile import read_payloads
 from sim.serve import command, free_bus, wait_until_ready
 from sim.simulation import ServeOptions
 
@@ -98,6 +99,8 @@ def _commission(demo: Demo, bus: str, simulator: subprocess.Popen[str]) -> int:
     """Run the gateway, show what it says, hang the loads it asks for."""
     words = [sys.executable, "-m", "gateway.cli", "commission", str(demo.cell)]
     words += ["--bus", bus, "--pacing", PACING, "--yes", "--out", str(demo.out)]
+    for label in read_payloads(demo.payload):
+        words += ["--load", label]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as gateway:
         if gateway.stdout is None or gateway.stdin is None:
             return 1

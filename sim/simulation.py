@@ -138,11 +138,15 @@ class Simulation:
     def hang(self, label: str, arm: str | None = None) -> None:
         """Hang a load on the flange (`none`: take it off); returns when it hangs. Call from outside the servers.
 
+        `load` stands for the only load of the file, whatever its name.
+
         Raises
         ------
         KeyError : no such load
         ValueError : the arms are a pair, which holds its workpiece and nothing else
         """
+        if label == "load" and label not in self.loads and len(self.loads) == 1:
+            label = next(iter(self.loads))
         payload = Payload() if label == "none" else self.loads[label]
         for server in self.servers:
             for unit in server.arms:

@@ -63,7 +63,10 @@ def judge_lateness(late_s: Sequence[float], period_s: float) -> CheckItem:
     period_s : float
     """
     p99_s = float(np.percentile(late_s, 99))
-    what = f"a bare timer at {1000 * period_s:g} ms is late by up to {1000 * p99_s:.2g} ms (99 % of {len(late_s)})"
+    what = (
+        f"this computer wakes a loop of {1000 * period_s:g} ms up to {1000 * p99_s:.2g} ms late (99 % of {len(late_s)}"
+        " cycles)"
+    )
     if p99_s > LATE_SHARE * period_s:
         return CheckItem("fail", "computer", what, "raise sync_period_s or free this computer")
     return CheckItem("ok", "computer", what)

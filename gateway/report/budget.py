@@ -27,7 +27,7 @@ NUISANCE_WORDS: Final = {
     "gain": ("gain of the torque", "%", 100.0),
     "bias_nm": ("bias by direction", "Nm", 1.0),
     "load_friction": ("losses over torque", "%", 100.0),
-    "one_efficiency": ("of these, as of one efficiency both ways", "%", 100.0),
+    "one_efficiency": ("share of these losses that one gear efficiency for both directions explains", "%", 100.0),
     "cold_fast": ("more friction when cold, fading in 10 min", "%", 100.0),
     "cold_slow": ("more friction when cold, fading in 40 min", "%", 100.0),
 }

@@ -54,7 +54,7 @@ def test_a_process_of_its_own_answers_hangs_loads_and_writes_the_truth(tmp_path)
     options = {"payload": EXAMPLES / "small" / "payload.toml", "undeclared": undeclared, "truth": truth}
     with running(SMALL, **options) as simulation:
         assert json.loads(truth.read_text(encoding="utf-8")) == {
-            "loads": [{"label": "load", "mass_kg": 6.0, "com_m": [0.02, 0.01, 0.10]}],
+            "loads": [{"label": "gripper", "mass_kg": 6.0, "com_m": [0.02, 0.01, 0.10]}],
             "effects": [{"name": "torque_offset", "joints": [3], "parameters": {"offset_nm": 2.0}}],
         }
         channel, _, port = simulation.bus.removeprefix("udp_multicast:").partition(",port=")
@@ -68,7 +68,7 @@ def test_a_process_of_its_own_answers_hangs_loads_and_writes_the_truth(tmp_path)
             master.shutdown()
         simulation.hang("load")
         simulation.hang("none")
-        with pytest.raises(KeyError, match="known are none, load"):
+        with pytest.raises(KeyError, match="known are none, gripper"):
             simulation.hang("anvil")
 
 

@@ -71,7 +71,7 @@ def test_truth_and_plant_hold_what_was_drawn(tmp_path, channel):
             written = json.loads(truth.read_text(encoding="utf-8"))
             assert len(written["effects"]) == count
             assert simulation.simulation.effects == written["effects"]
-            assert written["loads"][0]["label"] == "load"
+            assert written["loads"][0]["label"] == "gripper"
             plant = simulation.simulation.arms[0].world.plant
             assert np.any(plant.load_friction > 0) == (count == 1)
 

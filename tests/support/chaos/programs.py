@@ -44,7 +44,9 @@ speed_share = 1.0
 dwell_s = 0.2
 """
 #: What a program says that was held up by other work on this computer; it is then run again.
-DISTURBED = re.compile(r"held up for|SYNCs in a row unanswered|a bare timer|SYNCs went out late|is this computer busy")
+DISTURBED = re.compile(
+    r"held up for|SYNCs in a row unanswered|this computer wakes a loop|SYNCs went out late|is this computer busy"
+)
 TRIES = 5
 VISIT = re.compile(r"visit \d+/\d+: pose (\d+) from (below|above)")
 PERIOD = re.compile(r"period \d+/\d+: '([^']+)' number (\d+)")
