@@ -56,11 +56,12 @@ _EDITS = st.tuples(
 
 def edited(seeds: Sequence[bytes]) -> st.SearchStrategy[bytes]:
     """A valid file after a few edits (sometimes none), or a short run of any bytes."""
-    changed = st.builds(_apply, st.sampled_from(list(seeds)), st.lists(_EDITS, max_size=5))
+    changed = st.builds(apply_edits, st.sampled_from(list(seeds)), st.lists(_EDITS, max_size=5))
     return st.one_of(changed, changed, changed, st.binary(max_size=200))
 
 
-def _apply(seed: bytes, edits: Sequence[Edit]) -> bytes:
+def apply_edits(seed: bytes, edits: Sequence[Edit]) -> bytes:
+    """A file after edits: what, where, how long, and the piece that is put in."""
     data = seed
     for kind, position, length, piece in edits:
         start = position % (len(data) + 1)
