@@ -67,6 +67,15 @@ class Place:
         return path
 
 
+def with_few_poses(place: Place) -> None:
+    """Where the course of a command is claimed and not the accuracy of its result: half as many visits."""
+    text = place.cell.read_text(encoding="utf-8")
+    for old, new in (("count = 4", "count = 3"), ("validation = 2", "validation = 0")):
+        assert old in text
+        text = text.replace(old, new, 1)
+    place.cell.write_text(text, encoding="utf-8")
+
+
 @dataclass(frozen=True)
 class Drives:
     """Simulated drives that run."""

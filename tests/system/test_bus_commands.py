@@ -90,9 +90,10 @@ def test_plan_says_what_will_be_measured_and_how_well(place, gateway):
 
 
 @pytest.mark.slow
-def test_ctrl_c_stops_the_arm_and_keeps_the_data(place):
+def test_ctrl_c_stops_the_arm_and_keeps_the_data(place, fast_arm):
     words = [sys.executable, "-m", "gateway.cli", "record", str(place.cell), "--load", "none", "-o", str(place.run)]
     with running(place.cell, payload=place.payload) as drives:
+        fast_arm(drives)
         process = subprocess.Popen(
             [*words, "--yes", "-v", "--bus", drives.bus],
             stderr=subprocess.PIPE,

@@ -6,8 +6,8 @@ import pytest
 
 pytestmark = pytest.mark.system
 
-KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 800\n' for node in range(1, 7))
-SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 800\n'
+KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 400\n' for node in range(1, 7))
+SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 400\n'
 
 
 @pytest.mark.slow

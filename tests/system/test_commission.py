@@ -7,6 +7,8 @@ import json
 
 import pytest
 
+from tests.system.conftest import with_few_poses
+
 pytestmark = pytest.mark.system
 TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
@@ -76,8 +78,9 @@ def test_the_check_stops_the_job_before_anything_moves(place, serve, commission)
 
 
 @pytest.mark.slow
-def test_a_job_that_broke_is_gone_on_with(serve, commission, fast_arm):
-    broken = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 1500\n'))
+def test_a_job_that_broke_is_gone_on_with(place, serve, commission, fast_arm):
+    with_few_poses(place)
+    broken = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 1000\n'))
     code, result, _, output = commission(broken)
     assert code == 4
     assert "commission --resume" in output.err
@@ -89,7 +92,8 @@ def test_a_job_that_broke_is_gone_on_with(serve, commission, fast_arm):
 
 
 @pytest.mark.slow
-def test_nobody_hangs_the_load(serve, commission, fast_arm):
+def test_nobody_hangs_the_load(place, serve, commission, fast_arm):
+    with_few_poses(place)
     drives = fast_arm(serve())
     code, result, _, output = commission(drives, hangs=False)
     assert code == 130

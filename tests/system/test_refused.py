@@ -2,6 +2,8 @@
 
 import pytest
 
+from tests.system.conftest import with_few_poses
+
 pytestmark = pytest.mark.system
 
 OTHER_MAKE = ('profile = "generic-cia402"', 'profile = "maxon-epos4"')
@@ -142,7 +144,8 @@ def test_a_pose_that_never_settles(place, gateway, serve, fast_arm):
 
 @pytest.mark.slow
 def test_a_drive_that_faults_in_motion_and_the_run_is_resumed(place, gateway, serve, fast_arm):
-    drives = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 1000\n'))
+    with_few_poses(place)
+    drives = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 5\nat_sync = 700\n'))
     done = gateway("record", place.cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
     complains(done, 4, "node 5")
     assert drives.stand_still()

@@ -7,6 +7,7 @@ import pytest
 from gateway.analyse.given import ModelRequest, estimate_options, given, read_rows, split_validation
 from gateway.estimate import run as estimate
 from gateway.identify.drift import AGAIN
+from tests.system.conftest import with_few_poses
 
 pytestmark = pytest.mark.system
 TRUTH_KG = 6.0
@@ -19,6 +20,7 @@ DRIFT = "".join(
 
 @pytest.mark.slow
 def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serve, commission, fast_arm):
+    with_few_poses(place)
     code, result, hands, output = commission(fast_arm(serve(effect=DRIFT)), "--thermal", "--warm-up", "0.1")
     assert code in (0, 7), output.err
     assert hands.asked == ["load", "none", "load"]

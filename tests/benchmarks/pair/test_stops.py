@@ -344,7 +344,7 @@ def interrupt(simulation: Simulation, words: list[str], settings: dict[str, str]
     world: Any = simulation.arms[0].world
     quick: list[bool] = []
     try:
-        until_s = time.monotonic() + 30.0
+        until_s = time.monotonic() + 120.0
         while np.abs(world.motors.omega).max() < 0.2 and time.monotonic() < until_s and process.poll() is None:
             time.sleep(0.02)
         world.after.append(

@@ -20,6 +20,7 @@ from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from sim.plant import Payload
 from sim.serve import running
 from tests.cells import CELLS
+from tests.support.rigs.proofs import keep_proof_of_stop
 from tests.support.rigs.tables import simulated_table
 
 LOAD = Payload("tool", 3.0, np.array([0.05, -0.03, 0.06]))
@@ -163,12 +164,15 @@ def test_a_table_of_another_arm_is_refused(arm, tmp_path):
 @pytest.mark.slow
 @pytest.mark.system
 @pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
-def test_recordings_are_diagnosed(arm, tmp_path):
+def test_recordings_are_diagnosed(arm, tmp_path, tmp_path_factory):
     for name in ("cell.toml", "robot.urdf", "payload.toml"):
         shutil.copy(arm.folder / name, tmp_path / name)
     cell, bare, loaded, out = (tmp_path / name for name in ("cell.toml", "bare.h5", "loaded.h5", "out.json"))
+    text = cell.read_text(encoding="utf-8")
+    cell.write_text(text.replace("count = 6", "count = 4").replace("validation = 2", "validation = 0"))
     bus = f"virtual:axes-{uuid.uuid4().hex}"
     with running(cell, bus, payload=tmp_path / "payload.toml") as handle:
+        keep_proof_of_stop(cell, handle.bus, tmp_path_factory)
         at = ("--bus", handle.bus, "--yes")
         said = command("record", cell, *at, "--load", "none", "-o", bare)
         assert said.exit_code == 0, said.output

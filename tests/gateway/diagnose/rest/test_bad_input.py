@@ -65,7 +65,7 @@ def gross(table: Table, bench: Bench, entries: list[tuple[int, int]], bands: flo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 3, 6])
+@pytest.mark.parametrize("seed", [1, 6])
 def test_gross_visits_are_set_aside_listed_and_hardly_move_the_answer(seed):
     bench = Bench(seed, [])
     table = bench.both()
@@ -193,7 +193,7 @@ def test_a_load_of_one_run_alone_is_told_with_its_own_doubt():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 3, 8])
+@pytest.mark.parametrize("seed", [1, 8])
 def test_a_table_without_directions_names_no_wiring_mistake(seed):
     bench = Bench(seed, [])
     table = bench.both()
