@@ -12,7 +12,7 @@ from sim.pacing import PACINGS
 FILE_ERROR, BUS_ERROR = 3, 4
 
 
-@click.group()
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="servo-gateway", prog_name="servo-sim")
 def main() -> None:
     """Simulated arms and drives on a CAN bus."""

@@ -33,7 +33,6 @@ class MotorAxis:
         "_fallen_rad",
         "_fallen_rad_s",
         "compliance_rad_nm",
-        "damping",
         "fall_rad_s2",
         "fastest_rad_s",
         "fed",
@@ -48,7 +47,6 @@ class MotorAxis:
         "shown_sum_nm",
         "slip_rad_s",
         "step",
-        "stiffness",
         "theta_rad",
         "torque_nm",
     )
@@ -62,12 +60,11 @@ class MotorAxis:
         self.shown_lag = TICK_S / (TICK_S + filter_s)
         self.theta_rad = self.omega_rad_s = self.torque_nm = self.position_rad = 0.0
         self.shown_nm = self.shown_sum_nm = 0.0
-        self.compliance_rad_nm = self.shift_rad = self.stiffness = self.damping = self.step = 0.0
+        self.compliance_rad_nm = self.shift_rad = self.step = 0.0
 
-    def tick(self, q_rad: float, qd_rad_s: float) -> float:
-        """One millisecond; returns the torque on the link [Nm]."""
+    def tick(self, q_rad: float, torque: float) -> None:
+        """One millisecond, while the coupling transmits a torque [Nm] to the link."""
         omega = self.omega_rad_s
-        torque = self.stiffness * (self.theta_rad - q_rad) + self.damping * (omega - qd_rad_s)
         self.torque_nm = torque
         self.position_rad = position = q_rad + self.compliance_rad_nm * torque - self.shift_rad
         if self.free:
@@ -88,7 +85,6 @@ class MotorAxis:
         self.shown_sum_nm += self.shown_nm
         if omega > self.fastest_rad_s or -omega > self.fastest_rad_s:
             self.fastest_rad_s = abs(omega)
-        return torque
 
     @property
     def falls(self) -> bool:

@@ -19,7 +19,7 @@ from sim.friction import JointFriction
 from sim.motor import MotorAxis
 from sim.plant import Payload, Plant
 from sim.servo import TICK_S
-from sim.tuning import coupling, servo_loops
+from sim.tuning import Coupling, coupling, coupling_at_once, servo_loops
 from sim.urdf import SimBody, SimChain, UrdfError, combine, write_chain
 
 Array = NDArray[np.float64]
@@ -105,21 +105,29 @@ class ArmWorld:
 
     def _masses(self) -> list[Array]:
         """Mass matrices (N, N) on the motor side of a coupling, in the present and twelve other postures."""
+        return [self._mass(q) for q in self._postures()]
+
+    def _mass(self, q_rad: Sequence[float] | Array) -> Array:
         inverse = np.eye(len(self._q)) if self._coupling is None else np.linalg.inv(self._coupling)
-        return [
-            inverse.T
-            @ np.array(bullet.calculateMassMatrix(self._body, list(q), physicsClientId=self._client))
-            @ inverse
-            for q in self._postures()
-        ]
+        mass = np.array(bullet.calculateMassMatrix(self._body, list(q_rad), physicsClientId=self._client))
+        return inverse.T @ mass @ inverse
 
     def _tune(self) -> None:
         """Size the numerical coupling for what hangs on the arm."""
         rotor = self.plant.rotor_inertia_kg_m2
-        stiffness, damping = coupling(self._masses(), rotor)
+        self._gears: Coupling = coupling(self._masses(), rotor)
         for i, axis in enumerate(self.axes):
-            axis.stiffness, axis.damping = float(stiffness[i]), float(damping[i])
             axis.step = float(TICK_S / rotor[i])
+
+    def _retune(self) -> None:
+        """Take over the present posture where all axes are coupled at once; no torque changes by that."""
+        if self._gears.at_once:
+            angles = self._motor_angles()
+            wound = [axis.theta_rad - angle for axis, angle in zip(self.axes, angles, strict=True)]
+            torque = (self._gears.stiffness @ wound).tolist()
+            self._gears = coupling_at_once(self._mass(self._q), self.plant.rotor_inertia_kg_m2)
+            for axis, angle, ahead in zip(self.axes, angles, self._gears.wound_rad(torque), strict=True):
+                axis.theta_rad = angle + ahead
 
     def _take_over(self) -> None:
         """Hand the present plant's numbers to gears and encoders."""
@@ -146,9 +154,10 @@ class ArmWorld:
         angle = np.array(self._q)
         if self._coupling is not None:
             need, angle = np.linalg.solve(self._coupling.T, need), self._coupling @ angle
-        for axis, torque, q in zip(self.axes, need.tolist(), angle.tolist(), strict=True):
+        wound = self._gears.wound_rad(need.tolist())
+        for axis, torque, q, ahead in zip(self.axes, need.tolist(), angle.tolist(), wound, strict=True):
             axis.torque_nm = torque
-            axis.theta_rad = q + torque / axis.stiffness
+            axis.theta_rad = q + ahead
             axis.position_rad = q + axis.compliance_rad_nm * torque - axis.shift_rad
             axis.omega_rad_s = 0.0
             axis.servo.reference_rad = axis.position_rad
@@ -163,8 +172,9 @@ class ArmWorld:
         self._tune()
         self._take_over()
         if any(axis.free for axis in self.axes):
-            for axis, q in zip(self.axes, self._motor_angles(), strict=True):
-                axis.theta_rad = q + axis.torque_nm / axis.stiffness
+            wound = self._gears.wound_rad([axis.torque_nm for axis in self.axes])
+            for axis, q, ahead in zip(self.axes, self._motor_angles(), wound, strict=True):
+                axis.theta_rad = q + ahead
         else:
             self._settle()
 
@@ -172,6 +182,7 @@ class ArmWorld:
         """Step the physics by whole milliseconds."""
         while ticks > 0:
             self._refresh()
+            self._retune()
             self._step(min(ticks, REFRESH_TICKS))
             ticks -= REFRESH_TICKS
 
@@ -182,7 +193,11 @@ class ArmWorld:
             axis.shown_sum_nm = 0.0
         for _ in range(ticks):
             a, b = (self._q, self._qd) if self._coupling is None else self._coupled()
-            forces = list(map(MotorAxis.tick, axes, a, b))
+            wound = [axis.theta_rad - angle for axis, angle in zip(axes, a, strict=True)]
+            turning = [axis.omega_rad_s - speed for axis, speed in zip(axes, b, strict=True)]
+            forces = self._gears.torque(wound, turning)
+            for axis, angle, force in zip(axes, a, forces, strict=True):
+                MotorAxis.tick(axis, angle, force)
             if self._coupling is not None:
                 forces = (np.array(forces) @ self._coupling).tolist()
             if self._passive is not None:

@@ -94,6 +94,21 @@ def table(*rows: str, header: str = HEADER) -> Callable[[Path], object]:
     return together(text("\n".join([header, *(rows or (ROW,))]) + "\n", "t.csv"), cell())
 
 
+def robot(pattern: str, new: Callable[[re.Match[str]], str]) -> Callable[[Path], object]:
+    """A measured table, the small cell, and its robot changed in every place."""
+
+    def make(folder: Path) -> None:
+        path = folder / "robot.urdf"
+        path.write_text(re.sub(pattern, new, path.read_text(encoding="utf-8")), encoding="utf-8")
+
+    return together(table(), make)
+
+
+def thousandfold(found: re.Match[str]) -> str:
+    """The numbers of an attribute, times 1000."""
+    return f'{found[1]}="{" ".join(str(1000 * float(value)) for value in found[2].split())}"'
+
+
 def together(*makes: Callable[[Path], object]) -> Callable[[Path], object]:
     """All of these files."""
 
@@ -217,6 +232,29 @@ CELLS = [
     ("poses that are not there", ("[poses]", '[poses]\nfile = "p.csv"'), "p.csv: cannot be read", "p.csv"),
 ]
 
+ROBOTS = [
+    (
+        "in millimetres",
+        r"robot\.urdf: .*millimetres; export it in metres",
+        robot(r'(xyz)="([^"]* [^"]*)"', thousandfold),
+    ),
+    ("in grams", r"robot\.urdf: .*in grams; export it in kilograms", robot(r'(mass value)="([^"]*)"', thousandfold)),
+    (
+        "as xacro",
+        r"robot\.urdf: this is a xacro file: expand it first: `xacro",
+        robot(r'upper="[^"]*"', lambda _: 'upper="${pi}"'),
+    ),
+    (
+        "with a jaw",
+        r"robot\.urdf: joint 'jaw_joint'.*name the last link of the arm: --tip link_6",
+        robot("</robot>", lambda _: JAW),
+    ),
+]
+JAW = (
+    '<link name="jaw"/><joint name="jaw_joint" type="revolute"><parent link="link_6"/><child link="jaw"/></joint>'
+    "</robot>"
+)
+
 TABLES = [
     ("a header without rows", table("", header=HEADER), r"t\.csv:1: the table has a header but no row"),
     ("a NaN", table(ROW.replace("0.1", "nan")), r"t\.csv:2: q1_rad: 'nan' is not a finite number; .*correct or remove"),
@@ -297,6 +335,11 @@ KINDS: list[Kind] = [
     Kind("recording: not there", ("estimate", "run.h5"), 3, (r"run\.h5: there is no such file",)),
     Kind("recording: cut off", ("estimate", "run.h5"), 3, (r"run\.h5",), cut),
     Kind("recording: a bit turned", ("estimate", "run.h5"), 3, (r"run\.h5",), flipped),
+    *(
+        Kind(f"robot: {name}, {words[0]}", words, 3, (says,), make)
+        for name, says, make in ROBOTS
+        for words in (PLAN, ESTIMATE, ("diagnose", *ESTIMATE[1:]))
+    ),
     Kind("recording: text", ("estimate", "run.h5"), 3, (r"run\.h5",), text("hello", "run.h5")),
     Kind("recording: empty", ("estimate", "run.h5"), 3, (r"run\.h5",), text("", "run.h5")),
     Kind(

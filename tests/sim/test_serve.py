@@ -404,3 +404,10 @@ def test_the_demo_hides_what_its_own_file_says(monkeypatch):
     (effect,) = tomllib.loads(hidden.undeclared.read_text(encoding="utf-8"))["effect"]
     assert (effect["name"], effect["joints"], hidden.seed) == ("balancer_spring", [2], None)
     assert (drawn.undeclared, drawn.seed) == (None, 3)
+
+
+def test_help_is_given_by_the_short_option_too():
+    for words in (["-h"], ["serve", "-h"]):
+        done = CliRunner().invoke(sim_command, words)
+        assert done.exit_code == 0
+        assert done.output.startswith("Usage: ")
