@@ -104,8 +104,8 @@ def simple_corners(points: Floats) -> Floats:
     hull = ConvexHull(chosen)
     corners, normals = chosen[hull.vertices], hull.equations[:, :3]
     inside = corners.mean(axis=0)
-    room = -(normals @ inside + hull.equations[:, 3])
-    beyond = max(float(((part - inside) @ normals.T / room).max()) for part in _parts(spread))
+    outward = (normals / -(normals @ inside + hull.equations[:, 3])[:, None]).T  # 1 on each face
+    beyond = max(float(((part - inside) @ outward).max()) for part in _parts(spread))
     enlarged = inside + max(beyond, 1.0) * (1.0 + 1e-12) * (corners - inside)
     return middle + enlarged * extent @ axes.T
 
