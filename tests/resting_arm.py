@@ -10,9 +10,9 @@ import numpy as np
 from gateway.data.table import Table, concatenate
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
-from gateway.diagnose.rest.linear import RestProblem
-from gateway.diagnose.rest.rows import rest_rows
+from gateway.identify.rest.linear import RestProblem
 from gateway.model.robot import Robot, robot_from_urdf
+from gateway.model.visits import pair_visits
 from gateway.result.result import Result
 from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.effects import apply_effects
@@ -55,7 +55,7 @@ class Bench:
 def problems(bench: Bench, table: Table) -> Callable[[Table], RestProblem]:
     """How a diagnosis makes a problem of this table, also with mistakes in it undone; gross visits are aside."""
     diagnosis = RestDiagnosis(bench.robot, bench.options)
-    return partial(diagnosis.problem, aside=diagnosis.aside(rest_rows(table, bench.options.efficiency)))
+    return partial(diagnosis.problem, aside=diagnosis.aside(pair_visits(table, bench.options.efficiency)))
 
 
 def problem_of(bench: Bench, table: Table) -> RestProblem:

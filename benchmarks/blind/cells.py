@@ -9,15 +9,16 @@ import numpy as np
 
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions, close_loop, diagnose
-from gateway.diagnose.rest.linear import Fit
-from gateway.diagnose.rest.loads import loads_of
 from gateway.diagnose.rest.mistakes import Mistake
-from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
-from gateway.diagnose.rest.rows import rest_rows
 from gateway.diagnose.rest.search import Search
+from gateway.identify.rest.linear import Fit
+from gateway.identify.rest.loads import loads_of
+from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot, robot_from_urdf
+from gateway.model.visits import pair_visits
 from gateway.result.result import LoadResult, Result
 from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell, strength_beyond
 from sim.draw import choose_poses
@@ -193,7 +194,7 @@ def told_loads(
             factor = float(effect["parameters"].get("factor", 1.0))  # type: ignore[union-attr]
             mistake = Mistake(str(effect["name"]), tuple(effect["joints"]), factor, True)  # type: ignore[arg-type]
             table = mistake.undo(table)
-    rows = rest_rows(table, options.efficiency)
+    rows = pair_visits(table, options.efficiency)
     problem = build_problem(robot, rows, Knowledge(inertials="prior:0.05", known=options.known))
     noise = first_noise(problem)
     torque = np.abs(np.nan_to_num(rows.sum_nm))

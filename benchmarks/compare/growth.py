@@ -1,6 +1,6 @@
-"""Processor time and memory of `diagnose` at rest by the number of visits.
+"""Processor time and memory of `diagnose` or `estimate` at rest by the number of visits.
 
-python -m benchmarks.compare.growth VISITS: one arm drawn by nature, half of the visits bare, half with a load; each
+python -m benchmarks.compare.growth VISITS [estimate]: one arm drawn by nature, bare and loaded; each
 visit from both sides. A process of its own for each number: memory is the most that it ever had.
 """
 
@@ -21,10 +21,11 @@ def main(argv: list[str]) -> int:
     import numpy as np
 
     from gateway.diagnose import diagnose
+    from gateway.estimate import run
     from gateway.model.robot import robot_from_urdf
     from sim.nature.cell import VISIT_S, draw_cell
     from sim.offline import PlannedVisit
-    from tests.support.blind.nature import diagnose_options
+    from tests.support.blind.nature import diagnose_options, estimate_options
     from tests.support.rigs.tables import simulated_table
 
     half = int(argv[0]) // 2
@@ -38,9 +39,12 @@ def main(argv: list[str]) -> int:
         for number, q in enumerate(poses)
     ]
     table = simulated_table(cell.measure(visits, 99)[0], "many")
-    robot, options = robot_from_urdf(cell.stated.urdf, "drawn"), diagnose_options(cell)
+    robot = robot_from_urdf(cell.stated.urdf, "drawn")
     begin = time.process_time()
-    result = diagnose(table, robot, options)
+    if argv[1:] == ["estimate"]:
+        result = run(table, robot, estimate_options(cell))
+    else:
+        result = diagnose(table, robot, diagnose_options(cell))
     taken_s = time.process_time() - begin
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
     load = result.loads[0]

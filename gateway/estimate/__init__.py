@@ -18,7 +18,6 @@ from gateway.estimate.coefficient import estimate_coefficient
 from gateway.estimate.describe import axis_sigma
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.friction import friction_bands
 from gateway.estimate.handover import to_result
 from gateway.estimate.joint import estimate_joint, refused_loads
 from gateway.estimate.moving import estimate_moving
@@ -92,7 +91,7 @@ def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     rest = fitted_rest(sound, robot, options)
     present = set(np.asarray(sound.load).tolist())
     at_rest = replace(options, known={label: value for label, value in options.known.items() if label in present})
-    gone = refused_loads(rest, robot, at_rest)
+    gone = refused_loads(rest.problem, rest.fit, robot, at_rest)
     kept = ~np.isin(np.asarray(table.load), list(gone))
     if gone and not (table.moving & kept).any():
         return _of_visits(estimate_joint)(table.take(~table.moving), robot, at_rest)
@@ -106,7 +105,7 @@ def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
         method="joint",
         loads=(*found.loads, *gone.values()),
         sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest.fit),
-        band_nm=found.band_nm if rest is None else friction_bands(rest.problem.visits),
+        band_nm=found.band_nm if rest is None else np.abs(rest.problem.rows.band_nm),
         set_aside=(*aside.entries, *found.set_aside),
         findings=(*aside.findings, *found.findings),
     )

@@ -1,158 +1,119 @@
-"""A fitted problem in words of the arm: loads, torque by axis, noise floor, base parameters of the bare arm."""
+"""A fit of rest visits in words of the arm: parameters, loads, torque by axis, base parameters of the bare arm."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.fitting import Fitted
-from gateway.estimate.friction import friction_bands
-from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.problem import Problem
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, Sources, budget_of
-from gateway.identify.load_estimate import (
-    LoadEstimate,
-    load_directions,
-    load_from_moment,
-    negative_mass,
-    refused_load,
-    without_guesses,
-)
-from gateway.identify.solve import determined
-from gateway.model.base import rest_base
-from gateway.model.regressor import load_regressor
-from gateway.model.robot import Robot, reach_m
-from gateway.result.result import Bare, NuisanceResult
+from gateway.identify.links import PER_LINK_AT_REST, link_prior
+from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.loads import load_estimates, ordinary_of, sure, widening
+from gateway.identify.rest.ordinary import KINDS
+from gateway.model.base import BaseSet, rest_base
+from gateway.model.regressor import gravity_names
+from gateway.model.robot import Robot
+from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-_INFORMATIVE = 0.05
+LOAD_NAMES = ("mass", "hx", "hy", "hz")
+LOAD_UNITS = ("kg", "kg m", "kg m", "kg m")
+#: Names and units of the nuisances in a list of parameters.
+_NUISANCES = {"gain": ("gain", "1"), "bias": ("offset", "Nm"), "load_friction": ("loss", "1")}
 
 
-def describe(fitted: Fitted, robot: Robot, options: EstimateOptions) -> Estimate:
-    """The estimate that a fitted problem stands for."""
-    problem, fit, prior = fitted.problem, fitted.fit, fitted.prior
-    solution = fit.solution
-    count = len(problem.names)
-    found = determined(solution, np.eye(count))
-    std = np.where(found, fit.std(np.eye(count)), np.nan)
-    loads = tuple(_load(fitted, robot, options, label) for label in problem.loads)
-    lumped = tuple(name for name, good in zip(problem.names, found, strict=True) if not good)
+@dataclass(frozen=True, slots=True, eq=False)
+class LinkColumns:
+    """The 4 N link parameters [m, hx, hy, hz]: columns with a prior, columns that are open, their base combinations."""
+
+    held: Ints
+    open: Ints
+    base: BaseSet
+
+    @staticmethod
+    def of(robot: Robot, options: EstimateOptions) -> LinkColumns:
+        """By what the options say of the robot model's inertials."""
+        _, std = link_prior(robot, options.trust, PER_LINK_AT_REST)
+        open_ = np.flatnonzero(np.isinf(std))
+        return LinkColumns(
+            np.flatnonzero(np.isfinite(std)), open_, rest_base(robot, options.gravity_m_s2, open_.tolist())
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Named:
+    """Linear functions (k, p) of the parameters of a fit, with names and units."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    directions: Floats
+
+
+def describe(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> Estimate:
+    """The estimate that a fit of rest visits stands for."""
+    named = _named(problem, LinkColumns.of(robot, options), len(fit.scale))
+    found = sure(problem, fit, named.directions)
+    wide = widening(problem, fit, named.directions)
+    covariance = named.directions @ fit.covariance @ named.directions.T * np.outer(wide, wide)
+    value = named.directions @ fit.common
     return Estimate(
         method="joint",
-        loads=loads,
-        names=problem.names,
-        units=problem.units,
-        value=np.where(found, solution.value, np.nan),
-        std=std,
-        covariance=fit.covariance,
+        loads=load_estimates(problem, fit, robot),
+        names=named.names,
+        units=named.units,
+        value=np.where(found, value, np.nan),
+        std=np.where(found, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan),
+        covariance=covariance,
         rows=fitted_rows(problem, fit),
         sigma_nm=axis_sigma(problem, fit),
-        band_nm=friction_bands(problem.visits),
-        rank=solution.rank,
-        condition=solution.condition,
-        lumped=lumped,
+        band_nm=np.abs(problem.rows.band_nm),
+        rank=fit.rank,
+        condition=fit.condition,
+        lumped=tuple(name for name, good in zip(named.names, found, strict=True) if not good),
         bare=bare_of(problem, fit, robot, options),
-        nuisance=nuisances(fitted, std),
-        quality={"rows": len(problem.target), "parameters": count, "offset_std_nm": prior.std[problem.offsets]},
+        nuisance=ordinary_of(problem, fit),
+        quality={"rows": len(problem.target), "parameters": len(named.names)},
     )
 
 
-def nuisances(fitted: Fitted, std: Floats) -> dict[str, NuisanceResult]:
-    """Gain, bias and loss of every axis as fitted, with standard deviations; NaN where the axis was not measured."""
-    problem, value, axes = fitted.problem, fitted.fit.solution.value, fitted.problem.visits.axes
+def _named(problem: RestProblem, links: LinkColumns, count: int) -> _Named:
+    """Links with a prior one by one, open ones as base parameters, loads, friction bands and nuisances."""
+    names, units, rows = list[str](), list[str](), list[Floats]()
+    everything = np.eye(count)
 
-    def of(columns: Ints) -> NuisanceResult:
-        out = np.full((2, axes), np.nan)
-        out[:, problem.offset_axis] = value[columns], std[columns]
-        return NuisanceResult(*(tuple(row) for row in out.tolist()))
+    def add(name: str, unit: str, direction: Floats) -> None:
+        names.append(name)
+        units.append(unit)
+        rows.append(direction)
 
-    # half differences give the load friction of two-sided visits, a column that of one-sided ones
-    losses = np.stack([fitted.loss, fitted.loss_std])
-    alone = np.isnan(losses[0, problem.sided])
-    losses[:, problem.sided[alone]] = value[problem.losses[alone]], std[problem.losses[alone]]
-    loss = NuisanceResult(*(tuple(row) for row in losses.tolist()))
-    return {"gain": of(problem.gains), "bias_nm": of(problem.offsets), "load_friction": loss}
-
-
-def mass_budget(fitted: Fitted, label: str) -> Mapping[str, float]:
-    """Share of the variance of a load's mass by source: one-sided rows are friction, all other rows noise."""
-    problem, fit = fitted.problem, fitted.fit
-    count = len(problem.names)
-    direction = np.zeros(count)
-    direction[problem.loads[label]] = 1.0
-    links, friction = np.zeros(count), np.ones(count)
-    links[: len(problem.links.columns)] = 1.0
-    friction[: problem.offsets[0]] = 0.0
-    one_sided = ~problem.visits.two_sided[problem.visit]
-    return budget_of(
-        problem.design,
-        fit.weight,
-        fitted.prior,
-        fit.solution.covariance,
-        direction,
-        Sources(
-            np.where(one_sided, FRICTION, NOISE),
-            {CONSTANTS: fitted.constants, LINKS: links, FRICTION: friction - fitted.constants},
-        ),
-    )
+    for column in links.held:
+        add(gravity_names(problem.axes)[column], LOAD_UNITS[column % PER_LINK_AT_REST], everything[column])
+    for name, kept, combination in zip(links.base.names, links.base.indices, links.base.combination, strict=True):
+        add(name, LOAD_UNITS[links.open[kept] % PER_LINK_AT_REST], combination @ everything[links.open])
+    for index, label in enumerate(problem.labels):
+        for name, unit, row in zip(LOAD_NAMES, LOAD_UNITS, everything[problem.load_part(index)], strict=True):
+            add(f"{name}[{label}]", unit, row)
+    for axis in np.flatnonzero(problem.sided):
+        add(f"friction[J{axis + 1}]", "Nm", everything[problem.band_part.start + axis])
+    for kind, (name, unit) in _NUISANCES.items():
+        start = problem.nuisance_part.start + KINDS.index(kind) * problem.axes
+        for axis in np.flatnonzero(problem.use_sum.any(axis=0)):
+            add(f"{name}[J{axis + 1}]", unit, everything[start + axis])
+    return _Named(tuple(names), tuple(units), np.array(rows))
 
 
-def _load(fitted: Fitted, robot: Robot, options: EstimateOptions, label: str) -> LoadEstimate:
-    problem, fit = fitted.problem, fitted.fit
-    first = problem.loads[label]
-    part = slice(first, first + 4)
-    solution = fit.solution
-    moment = solution.value[part]
-    turn = load_directions(moment)
-    directions = np.zeros((4, len(solution.value)))
-    directions[:, part] = turn
-    pure = np.zeros_like(directions)
-    pure[:, part] = np.eye(4)
-    sure = determined(solution, pure)
-    sure[1:] &= sure[0]
-    widening = fit.widening(directions)
-    per_pose = per_pose_mass(problem, fit, robot, options, label) if sure.all() else {}
-    load = load_from_moment(label, moment, fit.covariance[part, part], widening, sure, per_pose)
-    if sure[0] and (reason := negative_mass(load.mass_kg, load.mass_std_kg)) is not None:
-        return refused_load(label, reason, per_pose)
-    return replace(without_guesses(load, reach_m(robot)), budget=mass_budget(fitted, label) if sure[0] else {})
-
-
-def per_pose_mass(
-    problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str
-) -> dict[str, float]:
-    """Mass [kg] that each pose alone would give, its centre of mass taken as estimated; informative poses only."""
-    first = problem.loads[label]
-    moment = fit.solution.value[first : first + 4]
-    if abs(moment[0]) < 1e-9:
-        return {}
-    here = problem.visits.load[problem.visit] == label
-    columns = load_regressor(robot, problem.visits.q_rad, options.gravity_m_s2)[problem.visit, problem.axis]
-    lever = columns @ (moment / moment[0]) * (1.0 + fit.solution.value[problem.rows.gain])
-    own = fit.solution.residual + lever * moment[0]
-    weight = np.where(here, fit.weight**2, 0.0)
-    poses, place = np.unique(problem.visits.pose[problem.visit[here]], return_inverse=True)
-    strength = np.bincount(place, weights=(weight * lever**2)[here], minlength=len(poses))
-    share = np.bincount(place, weights=(weight * lever * own)[here], minlength=len(poses))
-    told = strength > _INFORMATIVE * strength.max(initial=0.0)
-    mass = share[told] / strength[told]
-    return dict(zip([str(int(pose)) for pose in poses[told]], mass.tolist(), strict=True))
-
-
-def fitted_rows(problem: Problem, fit: NoiseFit) -> FittedRows:
+def fitted_rows(problem: RestProblem, fit: Fit) -> FittedRows:
     """Measured and modelled torque of every visit."""
-    visits = problem.visits
+    visits = problem.rows
 
     def spread(values: Floats) -> Floats:
-        out = np.full((len(visits), visits.axes), np.nan)
-        out[problem.visit, problem.axis] = values
+        out = np.full(visits.sum_nm.shape, np.nan)
+        out[problem.use_sum] = values[: int(problem.use_sum.sum())]
         return out
 
     return FittedRows(
@@ -161,43 +122,38 @@ def fitted_rows(problem: Problem, fit: NoiseFit) -> FittedRows:
         pose=visits.pose,
         time_s=visits.time_s,
         q_rad=visits.q_rad,
-        direction=visits.direction,
-        tau_nm=visits.tau_nm,
-        model_nm=spread(visits.tau_nm[problem.visit, problem.axis] - fit.solution.residual),
-        band_nm=visits.band_nm,
-        std_nm=spread(1.0 / fit.weight),
-        leverage=spread(fit.solution.leverage),
+        direction=visits.side.astype(int),
+        tau_nm=visits.sum_nm,
+        model_nm=spread(problem.target - fit.residual),
+        band_nm=visits.difference_nm,
+        std_nm=spread(fit.noise.std[problem.group]),
+        leverage=spread(fit.basis.leverage),
     )
 
 
-def axis_sigma(problem: Problem, fit: NoiseFit) -> Floats:
-    """Typical standard deviation (N,) [Nm] of the rows of each axis; NaN where not measured."""
-    return np.array(
-        [
-            float(np.sqrt(np.median(fit.weight[problem.axis == k] ** -2.0))) if (problem.axis == k).any() else np.nan
-            for k in range(problem.visits.axes)
-        ]
-    )
+def axis_sigma(problem: RestProblem, fit: Fit) -> Floats:
+    """Typical standard deviation (N,) [Nm] of the half-sums of each axis; NaN where not measured."""
+    rows = int(problem.use_sum.sum())
+    std, axis = fit.noise.std[problem.group[:rows]], problem.axis[:rows]
+    return np.array([np.median(std[axis == k]) if (axis == k).any() else np.nan for k in range(problem.axes)])
 
 
-def bare_of(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions) -> Bare | None:
+def bare_of(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> Bare | None:
     """Base gravity parameters of the bare arm, if rows and priors determine all of them."""
-    links, solution = problem.links, fit.solution
     base = rest_base(robot, options.gravity_m_s2)
-    rank, gains = base.rank, base.rank + problem.offset_axis
-    directions = np.zeros((rank + robot.axes, len(solution.value)))
-    directions[:rank, : len(links.columns)] = base.combination[:, links.columns]
-    if not determined(solution, directions[:rank]).all():
+    rank, axes = base.rank, robot.axes
+    directions = np.zeros((rank + 2 * axes, len(fit.scale)))
+    directions[:rank, problem.link_part] = base.combination
+    if not sure(problem, fit, directions[:rank]).all():
         return None
-    directions[gains, problem.gains] = 1.0
-    widening = fit.widening(directions)
-    covariance = directions @ fit.covariance @ directions.T * np.outer(widening, widening)
-    value = directions @ solution.value
-    value[:rank] += base.combination @ links.fixed
-    untold = ~np.isin(np.arange(robot.axes), problem.offset_axis)
-    value[rank:][untold] = np.nan
-    offsets = np.full(robot.axes, np.nan)
-    offsets[problem.offset_axis] = solution.value[problem.offsets]
+    measured = np.flatnonzero(problem.use_sum.any(axis=0))
+    for place, kind in enumerate(("gain", "bias")):
+        at = problem.nuisance_part.start + KINDS.index(kind) * axes
+        directions[rank + place * axes + measured, at + measured] = 1.0
+    wide = widening(problem, fit, directions)
+    covariance = directions @ fit.covariance @ directions.T * np.outer(wide, wide)
+    value = directions @ fit.common
+    value[rank:][~directions[rank:].any(axis=1)] = np.nan
     return Bare(
         robot=robot.name,
         gravity_m_s2=tuple(float(g) for g in options.gravity_m_s2),
@@ -206,7 +162,7 @@ def bare_of(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOpti
         value=tuple(value[:rank].tolist()),
         covariance=tuple(tuple(row) for row in covariance[:rank, :rank].tolist()),
         combination=tuple(tuple(row) for row in base.combination.tolist()),
-        offset_nm=tuple(offsets.tolist()),
-        gain=tuple(value[rank:].tolist()),
+        offset_nm=tuple(value[rank + axes :].tolist()),
+        gain=tuple(value[rank : rank + axes].tolist()),
         gain_covariance=tuple(tuple(row) for row in covariance.tolist()),
     )

@@ -1,32 +1,30 @@
-"""Joint solution: all rest rows of all loads at once, weighted by what their noise really is.
-
-Unknown are the links as far as the priors leave them open, four numbers per load, and a torque offset per axis whose
-size is a fraction of the friction band that the data choose. The noise of each axis is the sampled one and what the
-friction leaves after both approaches, estimated from the residuals and from the scatter of the half differences.
-"""
+"""Joint solution: all rest rows of all loads at once, the model at rest without effects."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
-from gateway.estimate.describe import axis_sigma, describe, per_pose_mass
+from gateway.estimate.describe import axis_sigma, describe
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.fitting import Fitted, fit_problem
-from gateway.estimate.noise import NoiseFit
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.problem import Problem, build_problem
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import require_postures
+from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.loads import per_pose_mass
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-MOST_LINK_ROWS = 30
+#: Rows from which the other loads of a table show their own noise.
+_LEAST_ROWS = 30
 
 
 def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
@@ -47,50 +45,70 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     DataUnusable
         Nothing measured, or a load in one posture only (rank 3).
     """
-    problem = build_problem(visits, robot, options)
-    for label in problem.loads:
+    problem = problem_of(visits, robot, options)
+    for label in problem.labels:
         require_postures(visits.q_rad[visits.load == label], label)
-    fitted = fit_problem(problem, options)
-    refused = refused_loads(fitted, robot, options)
+    fit = fit_without_effects(problem)
+    refused = refused_loads(problem, fit, robot, options)
     if not refused:
-        return describe(fitted, robot, options)
+        return describe(problem, fit, robot, options)
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused.values())
     if not len(kept):
         unknown = np.full(visits.axes, np.nan)
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
-    known = {label: value for label, value in options.known.items() if label in kept.load}
-    rest = estimate_joint(kept, robot, replace(options, known=known))
+    rest = estimate_joint(kept, robot, replace(options, known=present(options.known, kept)))
     return replace(rest, loads=(*rest.loads, *others))
 
 
-def refused_loads(fitted: Fitted, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
+def problem_of(visits: Visits, robot: Robot, options: EstimateOptions) -> RestProblem:
+    """Rest visits as a problem of the model at rest.
+
+    Raises
+    ------
+    InputError
+        A known load that is not in the data.
+    DataUnusable
+        Nothing was measured at rest.
+    """
+    return build_problem(robot, visits, knowledge_of(options))
+
+
+def knowledge_of(options: EstimateOptions) -> Knowledge:
+    """What the options say is known besides the measured rows."""
+    return Knowledge(options.gravity_m_s2, options.inertials, options.known, options.bare, options.gain_std)
+
+
+def present(known: Mapping[str, tuple[float, float, float, float]], visits: Visits) -> dict[str, tuple[float, ...]]:
+    """Known loads that some visits carry."""
+    return {label: value for label, value in known.items() if label in visits.load}
+
+
+def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
     """Loads by label whose data contradict each other, each with why."""
-    problem, fit = fitted.problem, fitted.fit
-    reasons = {label: contradiction(problem, fit, robot, options, label) for label in problem.loads}
-    return {
-        label: refused_load(label, reason, per_pose_mass(problem, fit, robot, options, label))
-        for label, reason in reasons.items()
-        if reason is not None
-    }
+    out = {}
+    for index, label in enumerate(problem.labels):
+        reason = contradiction(problem, fit, robot, options, label)
+        if reason is not None:
+            out[label] = refused_load(label, reason, per_pose_mass(problem, fit, index))
+    return out
 
 
-def contradiction(problem: Problem, fit: NoiseFit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
+def contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
     """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show."""
-    masses = per_pose_mass(problem, fit, robot, options, label)
+    masses = per_pose_mass(problem, fit, problem.labels.index(label))
     if not disagree(list(masses.values())):
         return None
-    kept = problem.visits.take(problem.visits.load != label)
-    if not len(kept):
+    visits = problem.rows
+    kept = visits.take(visits.load != label)
+    if np.isfinite(kept.sum_nm).sum() < _LEAST_ROWS:
         return None
-    known = {name: value for name, value in options.known.items() if name in kept.load}
-    without = replace(options, known=known)
-    others = build_problem(kept, robot, without)
-    if len(others.target) < MOST_LINK_ROWS:
-        return None
-    sigma = axis_sigma(others, fit_problem(others, without).fit)
-    here = (problem.visits.load[problem.visit] == label) & np.isfinite(sigma[problem.axis])
-    excess = float(np.sqrt(np.mean((fit.solution.residual[here] / sigma[problem.axis[here]]) ** 2)))
+    others = problem_of(kept, robot, replace(options, known=present(options.known, kept)))
+    sigma = axis_sigma(others, fit_without_effects(others))
+    rows = int(problem.use_sum.sum())
+    axis = problem.axis[:rows]
+    here = (visits.load[problem.visit[:rows]] == label) & np.isfinite(sigma[axis])
+    excess = float(np.sqrt(np.mean((fit.residual[:rows][here] / sigma[axis[here]]) ** 2)))
     if excess < CONTRADICTS:
         return None
     return (

@@ -16,18 +16,18 @@ from numpy.typing import NDArray
 
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
+from gateway.estimate.describe import fitted_rows as rest_rows
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.fitting import Fitted
-from gateway.estimate.moving_columns import MovingSetup, fast_rows, moving_columns
+from gateway.estimate.moving_columns import Columns, MovingSetup, fast_rows, moving_columns
 from gateway.estimate.moving_describe import MotionFit, axis_motions, described_load, fitted_rows, nuisances
 from gateway.estimate.moving_noise import correlation_times, spread_of
 from gateway.estimate.moving_ordinary import settle
 from gateway.estimate.moving_periods import Periods, averaged
 from gateway.estimate.moving_prior import alike, gains_prior, held_to_friction, losses_seen
-from gateway.estimate.moving_problem import MotionProblem, about, solved
+from gateway.estimate.moving_problem import MotionProblem, Still, about, solved
 from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.together import Beside, columns_beside, rest_rows
+from gateway.estimate.together import FittedRest, columns_beside
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.nuisance import gain_stds
@@ -59,7 +59,7 @@ def estimate_moving(
     robot: Robot,
     options: EstimateOptions,
     motion: MovingSetup | None = None,
-    rest: Fitted | None = None,
+    rest: FittedRest | None = None,
 ) -> Estimate:
     """Fit the moving rows of a table.
 
@@ -99,10 +99,11 @@ def estimate_moving(
     )
 
 
-def _fit(periods: Periods, robot: Robot, options: EstimateOptions, how: tuple[MovingSetup, Fitted | None]) -> Estimate:
+def _fit(
+    periods: Periods, robot: Robot, options: EstimateOptions, how: tuple[MovingSetup, FittedRest | None]
+) -> Estimate:
     moving, (motion, rest) = periods.mean, how
-    beside = columns_beside(moving, robot, options, motion, rest)
-    columns = beside.columns
+    columns, still = columns_beside(moving, robot, options, motion, rest)
     used = np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, motion)
     if used.sum() < columns.design.shape[2]:
         raise DataUnusable(
@@ -112,12 +113,10 @@ def _fit(periods: Periods, robot: Robot, options: EstimateOptions, how: tuple[Mo
     scale_nm, level_nm = _weights(periods, robot, sound_options(options, moving), motion, used)
     if "uneven_friction" in motion.ordinary:
         prior = held_to_friction(columns.prior, columns.names, level_nm, offsets=bool(columns.loads))
-        beside = replace(beside, columns=replace(columns, prior=prior))
-    fit = _solved(beside, periods, used, scale_nm, options)
+        columns = replace(columns, prior=prior)
+    fit = _solved((columns, still), periods, used, scale_nm, options)
     found = _estimate(fit, moving, robot)
-    if rest is None or beside.still is None:
-        return found
-    return replace(found, rows=rest_rows(rest, beside.still, fit.value))
+    return found if rest is None or still is None else replace(found, rows=rest_rows(rest.problem, rest.fit))
 
 
 def _check_speeds(moving: Table) -> None:
@@ -150,10 +149,12 @@ def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
     ]  # fmt: skip
 
 
-def _solved(beside: Beside, periods: Periods, used: Mask, scale_nm: Floats, options: EstimateOptions) -> MotionFit:
+def _solved(
+    rows: tuple[Columns, Still | None], periods: Periods, used: Mask, scale_nm: Floats, options: EstimateOptions
+) -> MotionFit:
     """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
-    run, columns = np.asarray(periods.mean.run), beside.columns
-    problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, beside.still)
+    run, (columns, still) = np.asarray(periods.mean.run), rows
+    problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, still)
     problem = _with_gains(problem, options, None)
     finest_nm = _FINEST * float(np.sqrt(np.mean(problem.tau_nm[used] ** 2)))
     scale_nm = np.maximum(scale_nm, finest_nm)
@@ -174,8 +175,7 @@ def _with_gains(problem: MotionProblem, options: EstimateOptions, before: Motion
     if "gain" not in columns.ordinary:
         return problem
     prior = columns.prior
-    # rest poses see the losses at a standstill, from both sides
-    if before is not None and problem.still is None and "load_friction" in columns.ordinary:
+    if before is not None and "load_friction" in columns.ordinary:
         lost = losses_seen(prior, columns.ordinary, before.value, before.std)
         prior = gains_prior(prior, columns.ordinary, gain_stds(options.gain_std, len(lost)), lost)
     if options.gain_std is None:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
+from gateway.estimate.describe import LOAD_NAMES, LOAD_UNITS
 from gateway.estimate.moving_friction import (
     FALL,
     FRICTION,
@@ -19,8 +20,7 @@ from gateway.estimate.moving_friction import (
 )
 from gateway.estimate.moving_prior import moving_prior
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.problem import LOAD_NAMES, LOAD_UNITS
-from gateway.identify.links import PER_LINK_MOVING, body_parameters, link_prior
+from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING, body_parameters, link_prior
 from gateway.identify.loads import unknown_labels
 from gateway.identify.nuisance import gain_stds
 from gateway.identify.solve import Prior
@@ -86,6 +86,10 @@ class Columns:
         Torque of what is known exactly.
     prior : Prior
     names, units : tuples of p str
+    link_columns : int array of shape (k,)
+        Which of the 10 N link parameters the first k columns belong to.
+    fixed_links : array of shape (4 N,)
+        [m, hx, hy, hz] of links that are known exactly, 0 elsewhere.
     loads : first column of each load
     bodies : how many of the first columns are torque of bodies, which a gain multiplies
     ordinary : columns (N,) of what every arm has, by its name
@@ -102,6 +106,8 @@ class Columns:
     prior: Prior
     names: tuple[str, ...]
     units: tuple[str, ...]
+    link_columns: Ints
+    fixed_links: Floats
     loads: dict[str, int]
     bodies: int
     ordinary: dict[str, Ints]
@@ -159,8 +165,10 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
     unknown = unknown_labels(moving.load, options.known)
     rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, options.gravity_m_s2)
     mean, std = link_prior(robot, options.trust, PER_LINK_MOVING)
-    held = np.flatnonzero((std > 0.0) & np.isfinite(std))
-    links = _link_block(robot, options, rows, (held, np.flatnonzero(np.isinf(std))))
+    held, free = np.flatnonzero((std > 0.0) & np.isfinite(std)), np.flatnonzero(np.isinf(std))
+    base, fixed = _free_base(robot, options, free), np.where(std == 0.0, mean, 0.0)
+    chosen = np.concatenate([held, free[base.indices]])
+    links = _link_block(robot, rows, (held, chosen), base)
     loads = [_load_block(moving, rows, label, motion) for label in unknown]
     bodies = [links, *loads]
     firsts = np.cumsum([len(block.names) for block in bodies])
@@ -178,17 +186,17 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
             prior.std[place + 4 : place + 10] = _heaviest_kg(moving) * _GYRATION_M**2
     return Columns(
         np.concatenate([block.design for block in blocks], axis=2),
-        _known_nm(moving, rows, np.where(std == 0.0, mean, 0.0), options),
-        prior, names, tuple(unit for block in blocks for unit in block.units), places, int(firsts[-1]), ordinary,
+        _known_nm(moving, rows, fixed, options),
+        prior, names, tuple(unit for block in blocks for unit in block.units), chosen,
+        fixed.reshape(-1, PER_LINK_MOVING)[:, :PER_LINK_AT_REST].ravel(), places, int(firsts[-1]), ordinary,
         np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, falls_rad_s,
     )  # fmt: skip
 
 
-def _link_block(robot: Robot, options: EstimateOptions, rows: Floats, which: tuple[Ints, Ints]) -> _Block:
+def _link_block(robot: Robot, rows: Floats, which: tuple[Ints, Ints], base: BaseSet) -> _Block:
     """Links of which something is known, and base columns of those of which nothing is."""
-    held, free = which
-    base, full = _free_base(robot, options, free), full_names(robot.axes)
-    chosen = np.concatenate([held, free[base.indices]])
+    held, chosen = which
+    full = full_names(robot.axes)
     units = [("kg", *["kg m"] * 3, *["kg m2"] * 6)[k % PER_LINK_MOVING] for k in chosen]
     return _Block(rows[:, :, chosen], [*(full[k] for k in held), *base.names], units)
 

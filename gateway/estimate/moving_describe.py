@@ -17,7 +17,7 @@ from gateway.estimate.moving_prior import UNTOLD
 from gateway.estimate.moving_problem import MotionProblem
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
-from gateway.identify.load_estimate import LoadEstimate, load_from_moment, without_guesses
+from gateway.identify.load_estimate import LoadEstimate, load_from_moment
 from gateway.identify.solve import determined
 from gateway.result.interval import holds_zero
 from gateway.result.result import AxisMotion, NuisanceResult
@@ -82,15 +82,15 @@ def described_load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate
     if columns.inertia and found[0]:
         ten = slice(first, first + 10)
         moment, inertia = _body(solution.value[ten], covariance[ten, ten])
-    load = load_from_moment(label, moment, covariance[part, part], np.ones(4), found)
+    load = load_from_moment(label, moment, covariance[part, part], np.ones(4), found, longest_m)
     sources = {
         CONSTANTS: columns.ordinary.get("gain", np.zeros(0, dtype=int)),
         LINKS: columns.links,
         FRICTION: columns.friction,
     }
     lead, variance = fit.settled.free.covariance[first], float(covariance[first, first])
-    budget = budget_by_priors(lead, columns.prior.precision, sources, variance) if found[0] else {}
-    return replace(without_guesses(load, longest_m), budget=budget, inertia=inertia)
+    budget = budget_by_priors(lead, columns.prior.precision, sources, variance) if np.isfinite(load.mass_kg) else {}
+    return replace(load, budget=budget, inertia=inertia if load.refused is None else None)
 
 
 def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:

@@ -83,7 +83,7 @@ def spread_of(
         working = working + square
         real = real + square * (size[k] / sigma_nm[k]) ** 2 * times[k]
     if problem.still is not None:  # rest rows have their own noise, and it is in their weight
-        through = problem.still.about(settled.here.value)[0] @ covariance
+        through = problem.still.rows @ covariance
         working, real = working + through.T @ through, real + through.T @ through
     by_prior = covariance - working
     if not alone.all():

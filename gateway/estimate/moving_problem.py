@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from gateway.data.rows import Table
-from gateway.estimate.gains import GainRows
 from gateway.estimate.moving_columns import Columns
 from gateway.estimate.moving_time import Stretches
 from gateway.identify.solve import NOTHING, Prior, Solution, solve
@@ -82,15 +81,10 @@ class AxisRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Still:
-    """Rest rows beside the moving ones: their columns, and what makes their noise white (r, r)."""
+    """What rest visits say of the parameters of the moving rows: `rows @ x = right` (k, p), (k,) with unit noise."""
 
-    rows: GainRows
-    whiten: Floats
-
-    def about(self, value: Floats) -> tuple[Floats, Floats]:
-        """White columns (r, p) and target (r,) about a solution (p,)."""
-        design, target = self.rows.about(value)
-        return self.whiten @ design, self.whiten @ target
+    rows: Floats
+    right: Floats
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,12 +186,10 @@ def _bent(lost_nm: Floats) -> Floats:
 
 def solved(problem: MotionProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
     """Solve the problem linearised about a solution (None: without what every arm has), each part by its `sigma_nm`."""
-    count = len(problem.columns.names)
     parts = [in_basis(problem, part, here) for part in problem.parts]
     weight = [np.full(len(target), 1.0 / sigma) for sigma, (_, target) in zip(sigma_nm, parts, strict=True)]
     if problem.still is not None:
-        value = np.zeros(count) if here is None else here.value
-        parts.append(problem.still.about(value))
+        parts.append((problem.still.rows, problem.still.right))
         weight.append(np.ones(len(parts[-1][1])))
     design, target = (np.concatenate(items) for items in zip(*parts, strict=True))
     return solve(design, target, np.concatenate(weight), prior)

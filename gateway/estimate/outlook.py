@@ -13,15 +13,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.describe import describe
-from gateway.estimate.fitting import Fitted, fit_problem
-from gateway.estimate.joint import contradiction
+from gateway.estimate.describe import axis_sigma
+from gateway.estimate.joint import contradiction, problem_of
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.problem import Problem, build_problem, link_knowledge
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.load_estimate import LoadEstimate, load_directions
-from gateway.identify.loads import bare_and_gain_rows
+from gateway.identify.loads import bare_rows
 from gateway.identify.nuisance import BIAS_SHARE, gain_stds
+from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.loads import load_estimates
+from gateway.identify.rest.ordinary import KINDS
+from gateway.identify.rest.problem import open_link_prior
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot, reach_m
 from gateway.model.visits import Visits
@@ -62,10 +65,8 @@ class Outlook:
     Attributes
     ----------
     covariance : array of shape (p, p)
-    columns : int array of shape (k,)
-        Which of the 4 N link columns the first k unknowns are.
     links : array of shape (4 N,)
-        Links as far as they are known or fitted.
+        As known or fitted; their columns come first.
     load : int
         First of the load's four unknowns.
     moment : array of shape (4,)
@@ -79,7 +80,6 @@ class Outlook:
     """
 
     covariance: Floats
-    columns: Ints
     links: Floats
     load: int
     moment: Floats
@@ -113,7 +113,7 @@ class Outlook:
         here = regressor[:, self.axis]
         scale = (1.0 + self.gain_value)[None, :, None]
         out = np.zeros((*here.shape[:2], len(self.covariance)))
-        out[:, :, : len(self.columns)] = scale * here[:, :, self.columns]
+        out[:, :, : here.shape[2]] = scale * here
         out[:, :, self._own] = scale * here[:, :, LOAD_COLUMNS]
         place = np.arange(len(self.axis))
         out[:, place, self.offset] = 1.0
@@ -190,36 +190,32 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     InputError, DataUnusable
         As the joint estimator; one posture of the load is no error here.
     """
-    problem = build_problem(visits, robot, options)
-    fitted = fit_problem(problem, options)
-    solution = fitted.fit.solution
-    wide = solution.null * _OPEN
-    covariance, value = fitted.fit.covariance + wide @ wide.T, solution.value
+    problem = problem_of(visits, robot, options)
+    fit = fit_without_effects(problem)
+    wide = fit.null * _OPEN
+    covariance = fit.covariance + wide @ wide.T
     estimated: LoadEstimate | None = None
     refused: str | None = None
-    if sought.label in problem.loads:
-        first = problem.loads[sought.label]
-        moment = value[first : first + 4]
-        found = describe(fitted, robot, options).loads
-        estimated = next(load for load in found if load.label == sought.label)
-        refused = contradiction(problem, fitted.fit, robot, options, sought.label)
+    if sought.label in problem.labels:
+        index = problem.labels.index(sought.label)
+        first, moment = problem.load_part(index).start, fit.loads[index]
+        estimated = load_estimates(problem, fit, robot)[index]
+        refused = contradiction(problem, fit, robot, options, sought.label)
     else:
         covariance, first = _with_unknown_load(covariance, sought.guess, robot)
         moment = sought.guess
-    count = len(problem.links.columns)
-    links = problem.links.fixed.copy()
-    links[problem.links.columns] = value[:count]
+    axis = np.flatnonzero(problem.use_sum.any(axis=0))
+    gain, offset = (problem.nuisance_part.start + KINDS.index(kind) * problem.axes for kind in ("gain", "bias"))
     known = Outlook(
         covariance=covariance,
-        columns=problem.links.columns,
-        links=links,
+        links=fit.links,
         load=first,
         moment=moment,
-        axis=problem.offset_axis,
-        offset=problem.offsets,
-        gain=problem.gains,
-        gain_value=value[problem.gains],
-        noise=PoseNoise(_friction(problem, fitted), np.nan_to_num(sought.sample_std_nm) ** 2),
+        axis=axis,
+        offset=offset + axis,
+        gain=gain + axis,
+        gain_value=fit.common[gain + axis],
+        noise=PoseNoise(_friction(problem, fit), np.nan_to_num(sought.sample_std_nm) ** 2),
     )
     return Stock(estimated, refused, known)
 
@@ -239,21 +235,15 @@ def outlook_of_priors(
         Friction bands.
     noise : PoseNoise
     """
-    known = link_knowledge(robot, options)
-    count, axes = len(known.columns), robot.axes
+    count, axes = PER_LINK_AT_REST * robot.axes, robot.axes
     gain, offset = count + np.arange(axes), count + axes + np.arange(axes)
-    std = np.concatenate([known.std[known.columns], gain_stds(options.gain_std, axes), BIAS_SHARE * band_nm])
-    held = np.isfinite(std)
-    information = np.diag(np.where(held, 1.0 / np.where(held, std, 1.0), 0.0) ** 2)
-    links = known.fixed.copy()
-    links[known.held] = known.mean[known.held]
+    links, link_std = open_link_prior(robot, options.inertials)
+    std = np.concatenate([link_std, gain_stds(options.gain_std, axes), BIAS_SHARE * band_nm])
+    information = np.diag(1.0 / std**2)
     gain_value = np.zeros(axes)
     if options.bare is not None:
-        rows, _ = bare_and_gain_rows(options.bare)
-        further = np.zeros((len(rows), count + 2 * axes))
-        further[:, :count] = rows[:, known.columns]
-        further[:, gain] = rows[:, PER_LINK_AT_REST * axes :]
-        information += further.T @ further
+        rows, _ = bare_rows(options.bare)
+        information += rows.T @ rows
         if options.bare.gain:
             gain_value = np.nan_to_num(np.asarray(options.bare.gain, dtype=float))
     scale = np.sqrt(np.maximum(np.diag(information), 1e-300))
@@ -262,7 +252,7 @@ def outlook_of_priors(
     covariance = (turned / np.maximum(size, _OPEN**-2)) @ turned.T
     covariance, first = _with_unknown_load(covariance, guess, robot)
     axis = np.arange(axes)
-    return Outlook(covariance, known.columns, links, first, guess, axis, offset, gain, gain_value, noise)
+    return Outlook(covariance, links, first, guess, axis, offset, gain, gain_value, noise)
 
 
 def _with_unknown_load(covariance: Floats, guess: Floats, robot: Robot) -> tuple[Floats, int]:
@@ -275,8 +265,7 @@ def _with_unknown_load(covariance: Floats, guess: Floats, robot: Robot) -> tuple
     return out, first
 
 
-def _friction(problem: Problem, fitted: Fitted) -> Floats:
-    """Variance (N,) that friction leaves in the half-sum of both sides, as the fit found it."""
-    left = np.full(problem.visits.axes, np.nan)
-    left[problem.offset_axis] = fitted.fit.extra[problem.offset_axis]
-    return left
+def _friction(problem: RestProblem, fit: Fit) -> Floats:
+    """Variance (N,) that friction leaves in the half-sum of both sides, as the fit found it; NaN: not measured."""
+    sampled = np.nan_to_num(np.nanmedian(np.where(problem.use_sum, problem.rows.sample_std_nm, np.nan), axis=0))
+    return np.where(problem.use_sum.any(axis=0), np.maximum(axis_sigma(problem, fit) ** 2 - sampled**2, 0.0), np.nan)

@@ -16,13 +16,14 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate.describe import describe
+from gateway.estimate.describe import LOAD_NAMES, describe
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.fitting import fit_problem
+from gateway.estimate.joint import problem_of
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.problem import LOAD_NAMES, Problem, build_problem, link_knowledge
+from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.loads import BARE_LABEL, require_postures, unknown_labels
-from gateway.identify.solve import determined
+from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.loads import sure
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot
@@ -65,7 +66,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
         own = visits.take(visits.load == label)
         known = {name: value for name, value in options.known.items() if name in own.load}
         told = replace(alone, bare=bare, known=known)
-        part = describe(fit_problem(build_problem(own, robot, told), told), robot, options)
+        part = _described(own, robot, told)
         parts.append(replace(part, findings=(*part.findings, *_check(own, robot, alone, bare, base, label))))
     first = parts[0]
     return replace(
@@ -78,6 +79,12 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     )
 
 
+def _described(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
+    """The joint solution of these visits."""
+    problem = problem_of(visits, robot, options)
+    return describe(problem, fit_without_effects(problem), robot, options)
+
+
 def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet, labels: tuple[str, ...]) -> Bare:
     """What is known of the bare arm: stored, from bare rows of the data, or from trusted inertials."""
     if options.bare is not None:
@@ -85,16 +92,15 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
         return options.bare
     if (visits.load == BARE_LABEL).any():
         told = replace(options, known={})
-        problem = build_problem(visits.take(visits.load == BARE_LABEL), robot, told)
-        found = describe(fit_problem(problem, told), robot, options).bare
+        found = _described(visits.take(visits.load == BARE_LABEL), robot, told).bare
         if found is not None:
             return found
         raise DataUnusable(
             "the bare rows do not determine all base parameters of the arm; measure more bare postures that move axes 2"
             f" to {robot.axes}, or use --method joint, which takes what they give"
         )
-    links = link_knowledge(robot, options)
-    if len(links.free):
+    mean, std = link_prior(robot, options.trust, PER_LINK_AT_REST)
+    if np.isinf(std).any():
         lumped = [name for name in base.names if f"_{robot.axes}" in name]
         raise DataUnusable(
             f"loads {', '.join(labels)} were on throughout and nothing is known of the bare arm: only link"
@@ -102,10 +108,8 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
             " identification (--bare RESULT.json), record the bare arm too, or say how far the URDF's inertials are"
             " trusted (--inertials)"
         )
-    std = np.where(np.isfinite(links.std), np.maximum(links.std, _BLURRED), 0.0)
-    return _bare_from(
-        robot, options, base, base.combination @ links.mean, (base.combination * std**2) @ base.combination.T
-    )
+    std = np.maximum(std, _BLURRED)
+    return _bare_from(robot, options, base, base.combination @ mean, (base.combination * std**2) @ base.combination.T)
 
 
 def _bare_from(robot: Robot, options: EstimateOptions, base: BaseSet, value: Floats, covariance: Floats) -> Bare:
@@ -148,13 +152,13 @@ def _check(
     own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, base: BaseSet, label: str
 ) -> tuple[Finding, ...]:
     """Whether what changed against the bare arm is a body on the flange and nothing else."""
-    told = replace(alone, known={})
-    loaded = build_problem(replace(own, load=np.full(len(own), BARE_LABEL)), robot, told)
-    fit = fit_problem(loaded, told).fit
-    directions = _base_directions(loaded, base)
-    if not determined(fit.solution, directions).all():
+    loaded = problem_of(replace(own, load=np.full(len(own), BARE_LABEL)), robot, replace(alone, known={}))
+    fit = fit_without_effects(loaded)
+    directions = np.zeros((base.rank, len(fit.scale)))
+    directions[:, loaded.link_part] = base.combination
+    if not sure(loaded, fit, directions).all():
         return ()
-    change = directions @ fit.solution.value - np.asarray(bare.value)
+    change = directions @ fit.common - np.asarray(bare.value)
     covariance = directions @ fit.covariance @ directions.T + np.asarray(bare.covariance)
     span = base.combination[:, LOAD_COLUMNS]
     size, vectors = np.linalg.eigh(covariance)
@@ -174,12 +178,6 @@ def _check(
             "a dress pack, a cable or another tool on the arm? Record the bare arm again on the same day",
         ),
     )  # fmt: skip
-
-
-def _base_directions(problem: Problem, base: BaseSet) -> Floats:
-    directions = np.zeros((base.rank, len(problem.names)))
-    directions[:, : len(problem.links.columns)] = base.combination[:, problem.links.columns]
-    return directions
 
 
 def _limits(base: BaseSet, last: int) -> Finding:

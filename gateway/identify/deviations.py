@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.robust import median, robust_fit
-from gateway.model.visits import SAME_POSE_RAD
+from gateway.model.visits import SAME_POSE_RAD, Visits, column_medians
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -54,39 +54,8 @@ _GAIN_STD: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RestHalves:
-    """Rest visits, n of them, N axes, as the search for gross ones sees them.
-
-    Attributes
-    ----------
-    regressor : (n, N, 4 N) gravity rows of the links; the last four columns are those of a load
-    load : (n,) label of what hangs on the flange
-    time_s : (n,) start of the visit; order alone matters
-    q_rad : (n, N)
-    sum_nm : (n, N) half the sum of both sides, or the one side there is; NaN = not measured
-    difference_nm : (n, N) half the difference, NaN = none
-    side : (n, N) direction of a one-sided visit, else 0
-    floor_nm : (n, N) standard deviation by the averaged samples; NaN = unknown
-    """
-
-    regressor: Floats
-    load: NDArray[np.str_]
-    time_s: Floats
-    q_rad: Floats
-    sum_nm: Floats
-    difference_nm: Floats
-    side: Floats
-    floor_nm: Floats
-
-    @property
-    def band_nm(self) -> Floats:
-        """Friction band (N,): median of the half differences; NaN where there is none."""
-        return np.array([median(np.abs(column[np.isfinite(column)])) for column in self.difference_nm.T])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Deviations:
-    """Deviations (n, N) of half sums and half differences, which are gross, and the scatter (N,) of both halves.
+    """Deviations (n, N) of half sums and half differences, which are gross, and the scatter (N,) of both visits.
 
     Into the scatter goes what no effect of the arm can be, the contrasts within poses and the half differences.
     """
@@ -97,11 +66,11 @@ class Deviations:
     scatter_nm: Floats
 
 
-def least_scale(halves: RestHalves, limits: GrossLimits) -> Floats:
+def least_scale(visits: Visits, limits: GrossLimits) -> Floats:
     """Scale (N,) below which no scatter is believed."""
-    count = np.maximum(np.isfinite(halves.sum_nm).sum(axis=0), 1)
-    size = np.sqrt(np.nansum(halves.sum_nm**2, axis=0) / count)
-    sampled = np.array([median(column[np.isfinite(column)]) for column in halves.floor_nm.T])
+    count = np.maximum(np.isfinite(visits.sum_nm).sum(axis=0), 1)
+    size = np.sqrt(np.nansum(visits.sum_nm**2, axis=0) / count)
+    sampled = np.array([median(column[np.isfinite(column)]) for column in visits.sample_std_nm.T])
     return np.maximum(np.nan_to_num(sampled), limits.torque_share * size / limits.scales) + 1e-9
 
 
@@ -115,14 +84,20 @@ def poses_of(q_rad: Floats) -> list[Ints]:
     return out
 
 
-def deviations(halves: RestHalves, groups: list[Ints], without: Mask, least: Floats, limits: GrossLimits) -> Deviations:
-    model, residual, scale = _whole_fit(halves, without, least)
-    differences = _difference_off(halves.difference_nm, np.abs(model), without, least)
+def bands(visits: Visits) -> Floats:
+    """Friction band (N,) by the size of the half-differences; NaN where there is none."""
+    return column_medians(np.abs(visits.difference_nm))
+
+
+def deviations(visits: Visits, regressor: Floats, without: Mask, least: Floats, limits: GrossLimits) -> Deviations:
+    """Deviations of every visit; `regressor` (n, N, 4 N) has the gravity rows, last the four columns of a load."""
+    model, residual, scale = _whole_fit(visits, regressor, without, least)
+    differences = _difference_off(visits.difference_nm, np.abs(model), without, least)
     known = np.where(np.isfinite(differences.scale), differences.scale, 0.0)
     # both halves of a visit carry the same noise: a scatter of half sums that is smaller is luck
     least = np.maximum(least, known)
-    band = np.nan_to_num(halves.band_nm)
-    repeated = _contrast_off(halves, groups, without, residual, least, limits)
+    band = np.nan_to_num(bands(visits))
+    repeated = _contrast_off(visits, regressor, without, residual, least, limits)
     alone = repeated.alone & np.isfinite(residual)
     gross = repeated.gross | (
         alone & (np.abs(residual) > np.maximum(limits.scales_alone * scale, limits.alone_bands * band))
@@ -130,23 +105,23 @@ def deviations(halves: RestHalves, groups: list[Ints], without: Mask, least: Flo
     sums = np.where(alone, residual, repeated.off_nm)
     far = np.maximum(limits.scales * differences.scale, limits.difference_bands * band)
     gross |= np.abs(np.nan_to_num(differences.off_nm)) > far
-    enough = np.isfinite(halves.sum_nm).sum(axis=0) >= limits.least_rows
+    enough = np.isfinite(visits.sum_nm).sum(axis=0) >= limits.least_rows
     return Deviations(sums, differences.off_nm, gross & enough, np.hypot(np.nan_to_num(repeated.scatter_nm), known))
 
 
-def _whole_fit(halves: RestHalves, without: Mask, least: Floats) -> tuple[Floats, Floats, Floats]:
+def _whole_fit(visits: Visits, regressor: Floats, without: Mask, least: Floats) -> tuple[Floats, Floats, Floats]:
     """Model (n, N), residual (n, N) and scale (N,) of a robust fit of links, loads, constants and sides."""
-    use = np.isfinite(halves.sum_nm)
+    use = np.isfinite(visits.sum_nm)
     visit, axis = np.nonzero(use)
-    rows = halves.regressor[visit, axis]
+    rows = regressor[visit, axis]
     axes = use.shape[1]
-    gravity = [rows, *_load_columns(rows, halves.load[visit])]
+    gravity = [rows, *_load_columns(rows, visits.load[visit])]
     own = axis[:, None] == np.arange(axes)
-    constants = np.hstack([own.astype(float), own * halves.side[visit, axis][:, None]])
-    fit = robust_fit(np.hstack([*gravity, constants]), halves.sum_nm[use], axis, least, ~without[use])
+    constants = np.hstack([own.astype(float), own * visits.side[visit, axis][:, None]])
+    fit = robust_fit(np.hstack([*gravity, constants]), visits.sum_nm[use], axis, least, ~without[use])
     residual, model = np.full(use.shape, np.nan), np.zeros(use.shape)
     residual[use] = fit.residual
-    model[use] = halves.sum_nm[use] - fit.residual
+    model[use] = visits.sum_nm[use] - fit.residual
     return model, residual, fit.scale
 
 
@@ -164,30 +139,35 @@ class _Repeated:
 
 
 def _contrast_off(
-    halves: RestHalves, groups: list[Ints], without: Mask, residual: Floats, least: Floats, limits: GrossLimits
+    visits: Visits,
+    regressor: Floats,
+    without: Mask,
+    residual: Floats,
+    least: Floats,
+    limits: GrossLimits,
 ) -> _Repeated:
     """Half sums that lie off the other visits of their pose, whatever the pose itself shows."""
-    shape = halves.sum_nm.shape
-    one, other = _contrasts(groups, halves.time_s)
-    use = np.isfinite(halves.sum_nm[one] - halves.sum_nm[other]) & (halves.side[one] == halves.side[other])
+    shape = visits.sum_nm.shape
+    one, other = _contrasts(poses_of(visits.q_rad), visits.time_s)
+    use = np.isfinite(visits.sum_nm[one] - visits.sum_nm[other]) & (visits.side[one] == visits.side[other])
     few = use.sum(axis=0) < limits.least_rows
     use &= ~few
     off, gross, alone = np.zeros(shape), np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
     scatter = np.full(shape[1], np.nan)
     if not use.any():
         return _Repeated(off, gross, alone, scatter)
-    left, scale = _contrast_fit(halves, one, other, use, without, least)
+    left, scale = _contrast_fit(visits, regressor, (one, other), use, without, least)
     scatter = np.where(few, np.nan, scale / np.sqrt(2.0))
-    far = np.maximum(limits.scales * scale, limits.sum_bands * np.nan_to_num(halves.band_nm))
+    far = np.maximum(limits.scales * scale, limits.sum_bands * np.nan_to_num(bands(visits)))
     for axis in np.flatnonzero(~few):
         at = np.flatnonzero(use[:, axis])
         pairs = np.stack([one[at], other[at]], axis=1)
         value = left[at, axis]
         here = np.unique(pairs)
         alone[here, axis] = False
-        signed, visits = np.concatenate([value, -value]), pairs.T.ravel()
-        nearest = np.lexsort((np.abs(signed), visits))
-        off[here, axis] = signed[nearest[np.searchsorted(visits[nearest], here)]]
+        signed, members = np.concatenate([value, -value]), pairs.T.ravel()
+        nearest = np.lexsort((np.abs(signed), members))
+        off[here, axis] = signed[nearest[np.searchsorted(members[nearest], here)]]
         for visit in here[np.abs(off[here, axis]) > far[axis]]:
             partner = pairs[(pairs == visit).any(axis=1)]
             rest = partner[partner != visit]
@@ -211,17 +191,17 @@ def _contrasts(groups: list[Ints], time_s: Floats) -> tuple[Ints, Ints]:
 
 
 def _contrast_fit(
-    halves: RestHalves, one: Ints, other: Ints, use: Mask, without: Mask, least: Floats
+    visits: Visits, regressor: Floats, pairs: tuple[Ints, Ints], use: Mask, without: Mask, least: Floats
 ) -> tuple[Floats, Floats]:
     """What loads, gains and drifts between loads do not explain of the contrasts (k, N), and its scale (N,)."""
-    axes = use.shape[1]
+    axes, (one, other) = use.shape[1], pairs
     contrast, axis = np.nonzero(use)
     first, second = one[contrast], other[contrast]
-    rows = halves.regressor[first, axis]
-    labels = list(dict.fromkeys(halves.load.tolist()))[1:]
-    member = [((halves.load[first] == name).astype(float) - (halves.load[second] == name))[:, None] for name in labels]
+    rows = regressor[first, axis]
+    labels = list(dict.fromkeys(visits.load.tolist()))[1:]
+    member = [((visits.load[first] == name).astype(float) - (visits.load[second] == name))[:, None] for name in labels]
     own = (axis[:, None] == np.arange(axes)).astype(float)
-    target = (halves.sum_nm[one] - halves.sum_nm[other])[use]
+    target = (visits.sum_nm[one] - visits.sum_nm[other])[use]
     sound = ~(without[one] | without[other])[use]
     loads = [rows[:, -4:] * each for each in member]
     shifts = [own * each for each in member]

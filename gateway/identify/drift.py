@@ -70,8 +70,8 @@ def drift_of(visits: Visits) -> tuple[AxisDrift, ...]:
         return ()
     before, after = np.array(pairs).T
     found = []
-    for axis in range(visits.tau_nm.shape[1]):
-        torque, band = visits.tau_nm[:, axis], visits.band_nm[:, axis]
+    for axis in range(visits.sum_nm.shape[1]):
+        torque, band = visits.sum_nm[:, axis], visits.difference_nm[:, axis]
         gain = _slope(torque[before], torque[after] - torque[before])
         level = _slope(np.abs(band[before]), np.sign(band[before]) * (band[after] - band[before]))
         found.append(AxisDrift(axis + 1, *gain, *level))

@@ -13,9 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.deviations import LIMITS, Deviations, GrossLimits, RestHalves, deviations, least_scale, poses_of
+from gateway.identify.deviations import LIMITS, Deviations, GrossLimits, bands, deviations, least_scale
+from gateway.model.visits import Visits
 from gateway.result.result import Finding, SetAside
 
+Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
@@ -55,31 +57,32 @@ class Gross:
         return out
 
 
-def find_gross(halves: RestHalves, limits: GrossLimits = LIMITS) -> Gross:
+def find_gross(visits: Visits, regressor: Floats, limits: GrossLimits = LIMITS) -> Gross:
     """Isolated gross entries of rest visits.
 
     Parameters
     ----------
-    halves : RestHalves
+    visits : Visits
+    regressor : array of shape (n, N, 4 N)
+        Gravity rows; the last four columns are those of a load.
     limits : GrossLimits, optional
     """
-    none = np.zeros(halves.sum_nm.shape, dtype=bool)
-    least = least_scale(halves, limits)
-    groups = poses_of(halves.q_rad)
-    first = deviations(halves, groups, none, least, limits)
+    none = np.zeros(visits.sum_nm.shape, dtype=bool)
+    least = least_scale(visits, limits)
+    first = deviations(visits, regressor, none, least, limits)
     # once more without what was found: the fit is then free of it
-    found = deviations(halves, groups, first.gross, least, limits)
-    return _told(halves, found, limits)
+    found = deviations(visits, regressor, first.gross, least, limits)
+    return _told(visits, found, limits)
 
 
-def _told(halves: RestHalves, found: Deviations, limits: GrossLimits) -> Gross:
+def _told(visits: Visits, found: Deviations, limits: GrossLimits) -> Gross:
     """The entries, less those of axes where they are no accident."""
-    band = halves.band_nm
-    seen = np.isfinite(halves.sum_nm).sum(axis=0)
+    band = bands(visits)
+    seen = np.isfinite(visits.sum_nm).sum(axis=0)
     count = found.gross.sum(axis=0)
     many = count > np.ceil(limits.most * seen)
     flagged = np.flatnonzero(found.gross.any(axis=1))
-    spread = _in_a_row(halves, flagged, limits.in_a_row) | found.gross[:, many].any(axis=1)
+    spread = _in_a_row(visits, flagged, limits.in_a_row) | found.gross[:, many].any(axis=1)
     many |= found.gross[spread].any(axis=0)
     too_many = tuple((int(axis), int(count[axis])) for axis in np.flatnonzero(many))
     where = np.argwhere(found.gross & ~many)
@@ -93,12 +96,12 @@ def _told(halves: RestHalves, found: Deviations, limits: GrossLimits) -> Gross:
     return Gross(entries, too_many, disturbed)
 
 
-def _in_a_row(halves: RestHalves, flagged: Ints, least: int) -> Mask:
+def _in_a_row(visits: Visits, flagged: Ints, least: int) -> Mask:
     """Which (n,) of the flagged visits (k,) follow each other in time, at least so many of one load."""
-    out, wanted = np.zeros(len(halves.load), dtype=bool), set(flagged.tolist())
-    for label in np.unique(halves.load):
-        here = np.flatnonzero(halves.load == label)
-        order = here[np.argsort(np.nan_to_num(halves.time_s[here]), kind="stable")]
+    out, wanted = np.zeros(len(visits.load), dtype=bool), set(flagged.tolist())
+    for label in np.unique(visits.load):
+        here = np.flatnonzero(visits.load == label)
+        order = here[np.argsort(np.nan_to_num(visits.time_s[here]), kind="stable")]
         row: list[int] = []
         for visit in order.tolist():
             row = [*row, visit] if visit in wanted else []

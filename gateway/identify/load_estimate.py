@@ -9,10 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.inertia import LoadInertia
-from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.model.robot import Robot, reach_m
+from gateway.model.robot import Robot
 from gateway.result.inertia import moments_of, tensor_of
-from gateway.result.interval import holds_zero
 from gateway.result.names import INERTIA_WHOLE
 from gateway.result.result import LoadResult
 
@@ -96,9 +94,12 @@ def load_from_moment(
     covariance: Floats,
     widening: Floats,
     found: NDArray[np.bool_],
-    per_pose_mass_kg: Mapping[str, float] | None = None,
+    longest_m: float,
 ) -> LoadEstimate:
     """A load from [m, h] (4,) with covariance (4, 4).
+
+    A mass below zero by more than its uncertainty is refused. A coordinate of the centre whose standard deviation
+    exceeds the arm's own length is not known.
 
     Parameters
     ----------
@@ -108,17 +109,22 @@ def load_from_moment(
         Factor on the standard deviations of [m, x, y, z].
     found : bool array of shape (4,)
         Which of [m, x, y, z] the data determine.
-    per_pose_mass_kg : mapping, optional
+    longest_m : float
+        Length of the arm.
     """
     turn = load_directions(moment)
     spread = turn @ covariance @ turn.T
-    std = np.where(found, np.sqrt(np.maximum(np.diag(spread), 0.0)), np.nan)
-    value = np.where(found, np.concatenate([moment[:1], turn[1, 1] * moment[1:]]), np.nan)
-    size = np.where(std > 0, std, np.nan)
-    correlation = spread / np.outer(size, size)
-    np.fill_diagonal(correlation, np.where(np.isfinite(std), 1.0, np.nan))
+    std = np.sqrt(np.maximum(np.diag(spread), 0.0))
     wide = std * widening
-    missing = tuple(name for name, good in zip(LOAD_PARTS, found, strict=True) if not good)
+    if found[0] and (reason := negative_mass(float(moment[0]), float(wide[0]))) is not None:
+        return refused_load(label, reason)
+    known = found & np.concatenate([[True], wide[1:] <= longest_m])
+    value = np.where(known, np.concatenate([moment[:1], turn[1, 1] * moment[1:]]), np.nan)
+    size = np.where(known & (std > 0), std, np.nan)
+    correlation = spread / np.outer(size, size)
+    np.fill_diagonal(correlation, np.where(known, 1.0, np.nan))
+    wide = np.where(known, wide, np.nan)
+    missing = tuple(name for name, good in zip(LOAD_PARTS, known, strict=True) if not good)
     return LoadEstimate(
         label,
         float(value[0]),
@@ -128,45 +134,7 @@ def load_from_moment(
         correlation,
         covariance,
         missing,
-        per_pose_mass_kg or {},
     )
-
-
-def without_guesses(load: LoadEstimate, longest_m: float) -> LoadEstimate:
-    """The load without coordinates whose standard deviation exceeds the arm's own length: those are not known."""
-    lost = load.com_std_m > longest_m
-    if not lost.any():
-        return load
-    gone = np.concatenate([[False], lost])
-    correlation = np.where(gone[:, None] | gone, np.nan, load.correlation)
-    return replace(
-        load,
-        com_m=np.where(lost, np.nan, load.com_m),
-        com_std_m=np.where(lost, np.nan, load.com_std_m),
-        correlation=correlation,
-        unidentifiable=tuple(
-            name for name, out in zip(LOAD_PARTS, gone, strict=True) if out or name in load.unidentifiable
-        ),
-    )
-
-
-def next_to_nothing(mass_kg: float, std_kg: float, robot: Robot, torque_nm: Floats, share: float) -> bool:
-    """Whether the data tell that hardly anything hangs there, rather than tell nothing of a mass.
-
-    Parameters
-    ----------
-    mass_kg, std_kg : float
-        Mass as fitted, negative ones too, and its standard deviation.
-    robot : Robot
-        Of which the length is known.
-    torque_nm : array of shape (n, N)
-        Measured, NaN where not.
-    share : float
-        Of the largest torque: up to what the standard deviation may weigh at full reach.
-    """
-    known = np.abs(torque_nm[np.isfinite(torque_nm)])
-    weight_nm = std_kg * float(np.linalg.norm(STANDARD_GRAVITY_M_S2)) * reach_m(robot)
-    return holds_zero(mass_kg, std_kg) and bool(weight_nm <= share * known.max(initial=0.0))
 
 
 def unknown_load(label: str) -> LoadEstimate:

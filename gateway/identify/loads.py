@@ -60,28 +60,22 @@ def load_vector(known: Sequence[float]) -> Floats:
 
 
 def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
-    """A stored bare identification as rows (k, 4 N) and right side (k,) with unit standard deviation."""
-    combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
-    return _whitened(combination, value, np.asarray(bare.covariance, dtype=float))
+    """A stored bare identification as rows (k, 6 N) and right side (k,) with unit standard deviation.
 
-
-def bare_and_gain_rows(bare: Bare) -> tuple[Floats, Floats]:
-    """The same together with the gains it was made with, rows (k, 5 N): the same arm errs the same way under a load.
-
-    They stand for the prior of those gains too. The gains' columns are 0 where the identification says none.
+    Columns are the 4 N link parameters, the gains and the friction biases it was made with: the same arm errs the same
+    way under a load. The rows stand for the prior of those gains and biases too; a column is 0 where none is stored.
     """
-    axes = len(bare.combination[0]) // PER_LINK_AT_REST
-    told = np.flatnonzero(np.isfinite(bare.gain)) if bare.gain else np.zeros(0, dtype=int)
-    if not len(told):
-        rows, right = bare_rows(bare)
-        return np.hstack([rows, np.zeros((len(rows), axes))]), right
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
-    both = np.concatenate([np.arange(len(value)), len(value) + told])
-    rows = np.zeros((len(both), PER_LINK_AT_REST * axes + axes))
-    rows[: len(value), : PER_LINK_AT_REST * axes] = combination
-    rows[np.arange(len(value), len(both)), PER_LINK_AT_REST * axes + told] = 1.0
-    covariance = np.asarray(bare.gain_covariance, dtype=float)[np.ix_(both, both)]
-    return _whitened(rows, np.concatenate([value, np.asarray(bare.gain, dtype=float)[told]]), covariance)
+    rank, links = combination.shape
+    axes = links // PER_LINK_AT_REST
+    further = np.concatenate([np.resize(bare.gain or np.nan, axes), np.asarray(bare.offset_nm, dtype=float)])
+    covariance = np.asarray(bare.gain_covariance if bare.gain else bare.covariance, dtype=float)
+    stored = np.flatnonzero(np.isfinite(further[: len(covariance) - rank]))
+    rows = np.zeros((rank + len(stored), links + 2 * axes))
+    rows[:rank, :links] = combination
+    rows[rank + np.arange(len(stored)), links + stored] = 1.0
+    both = np.concatenate([np.arange(rank), rank + stored])
+    return _whitened(rows, np.concatenate([value, further[stored]]), covariance[np.ix_(both, both)])
 
 
 def _whitened(rows: Floats, right: Floats, covariance: Floats) -> tuple[Floats, Floats]:

@@ -141,14 +141,7 @@ def efficiency_of(lost: float) -> float:
     return float(np.hypot(1.0, lost) - lost)
 
 
-def held_by_friction(torque_nm: Floats, band_nm: ArrayLike) -> Floats:
-    """Share (N,) of the torques (n, N) that the friction band (N,) alone could hold; 0 where no band was seen."""
-    known = np.isfinite(torque_nm)
-    inside = known & (np.abs(np.nan_to_num(torque_nm)) < np.nan_to_num(np.asarray(band_nm, dtype=float)))
-    return inside.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-
-
-def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike, held: ArrayLike = 0.0) -> NuisancePrior:
+def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> NuisancePrior:
     """Prior of what every arm has.
 
     Parameters
@@ -160,20 +153,17 @@ def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike, held: 
     lost : array of shape (N,)
         Loss over transmitted torque that the half differences of the axis show (`losses`); NaN = not seen, as the prior
         has it.
-    held : array of shape (N,)
-        Share of the torques that friction alone could hold (`held_by_friction`).
 
     Notes
     -----
     A gear of one efficiency loses more where it is driven, and leaves `nu^2 / 2` of the torque in the middle of both
     sides; losses that are even leave nothing. Which of both a gear is nobody states: the gain is moved by half of it
-    where the loss is seen, and only widened where it is not. Where friction holds the torque, such a gear is driven
-    from both sides and all of `nu` is in the middle; beyond, `nu` times the band is, on the side of the torque.
+    where the loss is seen, and only widened where it is not.
     """
     band = np.abs(np.nan_to_num(np.asarray(band_nm, dtype=float)))
     given = np.asarray(lost, dtype=float)
     nu = np.clip(np.where(np.isfinite(given), given, LOAD_FRICTION), 0.0, 1.0)
-    middle = nu**2 / 4.0 + nu / 2.0 * np.asarray(held, dtype=float)
+    middle = nu**2 / 4.0
     return NuisancePrior(
         gain=np.where(np.isfinite(given), middle, 0.0),
         gain_std=np.sqrt(gain_std**2 + middle**2 + (UNEVEN_LOSS * nu) ** 2),

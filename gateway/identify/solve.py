@@ -192,8 +192,8 @@ class ByGroup:
         return out
 
     def times(self, value: Floats) -> Floats:
-        """Product (n,) with parameters (p,)."""
-        out = np.zeros(self.count)
+        """Product (n, ...) with parameters (p, ...)."""
+        out = np.zeros((self.count, *value.shape[1:]))
         for rows, columns, values in self.parts:
             out[rows] = values @ value[columns]
         return out

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.motion import MovingRows
-from gateway.model.rest import RestRows
 from gateway.model.term import Term
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -91,7 +91,7 @@ class Effect:
     meaning: str
     parameters: tuple[str, ...] = ()
     over: Over = Over.ITSELF
-    at_rest: Callable[[RestRows, RestSetup], Iterable[Term]] = nowhere
+    at_rest: Callable[[Visits, RestSetup], Iterable[Term]] = nowhere
     in_motion: Callable[[MovingRows, MotionSetup], Iterable[Term]] = nowhere
     by_residual: bool = False
     drawn: bool = False
@@ -100,7 +100,7 @@ class Effect:
     told: Mapping[str, str] = field(default_factory=dict)
 
 
-def measured_axes(rows: RestRows) -> list[int]:
+def measured_axes(rows: Visits) -> list[int]:
     """Axes, from 0, whose torque was measured at rest."""
     return [int(axis) for axis in np.flatnonzero(np.isfinite(rows.sum_nm).any(axis=0))]
 

@@ -8,8 +8,7 @@ derivative of this prediction, so it is built from modelled torque alone: a meas
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
-from typing import Any, Final
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,79 +16,12 @@ from numpy.typing import NDArray
 from gateway.model.kinematics import joint_axes_origins
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
-from gateway.model.visits import Gears
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _WIND_UP_STEPS = 6
 _NEAR_RAD = 1e-3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RestRows:
-    """Rest pose visits, one row each.
-
-    Attributes
-    ----------
-    load : str array of shape (n,)
-    pose : int array of shape (n,)
-    run : str array of shape (n,)
-    time_s : array of shape (n,)
-        Start of the visit; the order of the rows where no time was given.
-    q_rad : array of shape (n, N)
-    sum_nm : array of shape (n, N)
-        Half the sum of both sides, each through the gear by its own direction; of a one-sided visit its own torque. NaN
-        where the axis was not measured.
-    difference_nm : array of shape (n, N)
-        Half the difference of the sides (up minus down), NaN where the axis came from one side alone.
-    side : array of shape (n, N)
-        Direction of approach of an axis that came from one side, 0 where unknown or from both.
-    two_sided : bool array of shape (n,)
-        At least one axis came from both sides.
-    sample_std_nm : array of shape (n, N)
-        Standard deviation of `sum_nm` by the averaged samples alone, NaN = unknown.
-    temperature_c : array of shape (n, N)
-        NaN where absent.
-    wind_up_rad : array of shape (n, N)
-        Angle of the secondary encoder over that of the motor encoder, NaN where there is none. Where there is one,
-        `q_rad` is the angle of the link.
-    efficiency : array of shape (N,)
-        Gear efficiency the conversion used.
-    coupling : array of shape (N, N) or None
-        How gear outputs act on the joints, as of `Gears`.
-    """
-
-    load: NDArray[np.str_]
-    pose: NDArray[np.int_]
-    run: NDArray[np.str_]
-    time_s: Floats
-    q_rad: Floats
-    sum_nm: Floats
-    difference_nm: Floats
-    side: Floats
-    two_sided: Mask
-    sample_std_nm: Floats
-    temperature_c: Floats
-    wind_up_rad: Floats
-    efficiency: Floats
-    coupling: Floats | None = None
-
-    def __len__(self) -> int:
-        return len(self.pose)
-
-    @property
-    def axes(self) -> int:
-        """Number of axes of the arm."""
-        return self.q_rad.shape[1]
-
-    def take(self, index: NDArray[Any]) -> RestRows:
-        """The rows that `index` (mask or numbers) selects."""
-        picked = {name: getattr(self, name)[index] for name in OF_VISITS}
-        return RestRows(efficiency=self.efficiency, coupling=self.coupling, **picked)
-
-
-#: Fields of `RestRows` that have an entry for each visit.
-OF_VISITS: Final = tuple(field.name for field in fields(RestRows) if field.name not in ("efficiency", "coupling"))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -171,14 +103,14 @@ class Model:
     Parameters
     ----------
     robot : Robot
-    rows : RestRows
+    rows : Visits
     gravity_m_s2 : array of shape (3,)
     """
 
-    def __init__(self, robot: Robot, rows: RestRows, gravity_m_s2: Floats) -> None:
+    def __init__(self, robot: Robot, rows: Visits, gravity_m_s2: Floats) -> None:
         self.robot, self.rows, self.gravity = robot, rows, np.asarray(gravity_m_s2, dtype=float)
         self.nominal = gravity_regressor(robot, rows.q_rad, self.gravity)
-        self.lossless = bool((rows.efficiency == 1.0).all())
+        self.lossless = bool((rows.gears.efficiency == 1.0).all())
         self._geometry: tuple[bytes, Floats] | None = None
         self._levers: Floats | None = None
         self._bent: tuple[Floats, Floats, Floats] | None = None
@@ -314,7 +246,7 @@ class Model:
         return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(self.rows.axes)))
 
     def _side(self, setting: AlteredModel, torque: Floats, friction: Floats, direction: float) -> Floats:
-        gears = Gears.of(self.rows.efficiency, self.rows.axes, self.rows.coupling)
+        gears = self.rows.gears
         motor = gears.before(torque + direction * friction, direction)
         gain = setting.gain
         if setting.gain_per_nm.any():

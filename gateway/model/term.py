@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.motion import Modelled, MovingRows
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 Named = dict[str, float]
@@ -115,7 +116,7 @@ class Term:
         """Number of linear parameters, which have a column each in motion."""
         return sum(self.linear)
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         """The setting with the effect in it."""
         raise NotImplementedError
 
@@ -135,7 +136,7 @@ class Term:
         """What linear parameters (k,) add to the parameters (count,) of the links, or one 0."""
         return np.zeros(1)
 
-    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+    def plausible(self, theta: Floats, rows: Visits) -> bool:
         """Whether the mechanism can do that at rest: a spring that pushes where it should pull cannot."""
         return self.within_bounds(theta)
 
@@ -190,7 +191,7 @@ class ReadingTorque(OnAxis):
         """Torque (n, k) at joint angles (n, N) per unit of the linear parameters, the others `fixed`."""
         raise NotImplementedError
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         torque = self.shape(rows.q_rad, theta[self.count :]) @ theta[: self.count]
         return replace(setting, offset_nm=plus(setting.offset_nm, (slice(None), self.axis), torque))
 
@@ -206,7 +207,7 @@ class PassiveTorque(OnAxis):
         """Torque (n, k) at joint angles (n, N) per unit of the linear parameters, the others `fixed`."""
         raise NotImplementedError
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         torque = self.shape(rows.q_rad, theta[self.count :]) @ theta[: self.count]
         return replace(setting, passive_nm=plus(setting.passive_nm, (slice(None), self.axis), torque))
 

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.effect import RestSetup, largest_torque_nm, measured_axes
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import NAN, OnAxis, PassiveTorque, Term, plus
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +58,7 @@ class Pull(OnAxis):
     linear: ClassVar[tuple[bool, ...]] = (True,) * 3
     SPREAD: ClassVar[tuple[float, ...]] = (NAN,) * 3
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, pull_n=plus(setting.pull_n, self.axis, theta))
 
 
@@ -69,7 +70,7 @@ class UnevenGain(OnAxis):
     linear: ClassVar[tuple[bool, ...]] = (True,) * 2
     SPREAD: ClassVar[tuple[float, ...]] = (0.3, 0.3)
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         gain = setting.gain.copy()
         gain[:, self.axis] *= 1.0 + harmonics(rows.q_rad[:, self.axis], 1) @ theta
         return replace(setting, gain=gain)
@@ -83,7 +84,7 @@ class BentGain(OnAxis):
     name: ClassVar[str] = UNNAMED
     SPREAD: ClassVar[tuple[float, ...]] = (0.3,)
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, gain_per_nm=plus(setting.gain_per_nm, self.axis, theta[0] / self.largest_nm))
 
 
@@ -96,7 +97,7 @@ class UnevenBand(OnAxis):
     linear: ClassVar[tuple[bool, ...]] = (True,) * 4
     SPREAD: ClassVar[tuple[float, ...]] = (0.5,) * 4
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         band = setting.band_gain.copy()
         band[:, self.axis] *= 1.0 + harmonics(rows.q_rad[:, self.joint], 2) @ theta
         return replace(setting, band_gain=band)
@@ -107,7 +108,7 @@ def harmonics(angle_rad: Floats, count: int) -> Floats:
     return np.column_stack([wave(k * angle_rad) for k in range(1, count + 1) for wave in (np.cos, np.sin)])
 
 
-def unnamed_terms(rows: RestRows, setup: RestSetup) -> list[Term]:
+def unnamed_terms(rows: Visits, setup: RestSetup) -> list[Term]:
     """Smooth shapes without a cause, the rivals of the named effects; gravity does not turn a vertical first axis."""
     measured, count = measured_axes(rows), rows.axes
     largest = largest_torque_nm(setup)

@@ -6,8 +6,8 @@ Each side goes through the gear by its own direction first: the motor driving, `
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,70 +21,10 @@ Mask = NDArray[Any]
 #: Joint angles closer than this are one pose [rad], in all commands. Within 0.01 rad gravity changes by at most 1 % of
 #: its torque, less than friction scatters; an arm that friction holds on either side of a pose rests closer.
 SAME_POSE_RAD: Final = 0.01
+#: From one visit to the next [s] where no time is given: an order in which nothing warms up.
+_ORDER_S = 1e-3
 #: Entry of an inverted coupling up to which it is rounding.
 _NO_SHARE = 1e-12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Visits:
-    """Rest visits of one or more recordings, n of them, in the order of their first row.
-
-    Attributes
-    ----------
-    load, run : str arrays of shape (n,)
-    pose : int array of shape (n,)
-    time_s : array of shape (n,)
-        Middle of the visit; NaN where not given.
-    q_rad : array of shape (n, N)
-    tau_nm : array of shape (n, N)
-        Behind the gear: half the sum of both sides, or the one side there is; NaN = axis not measured.
-    band_nm : array of shape (n, N)
-        Half the difference of the sides in the direction of motion; NaN where there is but one, on axes that stood
-        still in between too.
-    tau_std_nm : array of shape (n, N)
-        Standard deviation of `tau_nm` by the averaged samples alone; NaN where unknown.
-    gear_nm : array of shape (n, N)
-        Half the range that an unknown direction leaves through the gear's efficiency; 0 where the side is known.
-    two_sided : bool array of shape (n,)
-        At least one axis came from both sides: those with a band.
-    direction : int array of shape (n, N)
-        Side of an axis that came from one alone; 0 = both, or unknown.
-    temperature_c : array of shape (n, N)
-    q_link_rad : array of shape (n, N)
-        By the secondary encoders; NaN where there is none.
-    where : tuple of str
-        `file:line` of the first row, for messages.
-    """
-
-    load: NDArray[np.str_]
-    run: NDArray[np.str_]
-    pose: NDArray[np.int_]
-    time_s: Floats
-    q_rad: Floats
-    tau_nm: Floats
-    band_nm: Floats
-    tau_std_nm: Floats
-    gear_nm: Floats
-    two_sided: NDArray[np.bool_]
-    direction: NDArray[np.int_]
-    temperature_c: Floats
-    q_link_rad: Floats
-    where: tuple[str, ...]
-
-    def __len__(self) -> int:
-        """Number of visits."""
-        return len(self.pose)
-
-    @property
-    def axes(self) -> int:
-        """How many axes the arm has."""
-        return self.q_rad.shape[1]
-
-    def take(self, rows: NDArray[Any]) -> Visits:
-        """The chosen visits (mask or indices)."""
-        index = np.flatnonzero(rows) if np.asarray(rows).dtype == bool else np.asarray(rows, dtype=int)
-        values = {name: getattr(self, name)[index] for name in self.__dataclass_fields__ if name != "where"}
-        return Visits(**values, where=tuple(self.where[i] for i in index))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,6 +85,98 @@ class Gears:
         return output_nm if self.coupling is None else _mixed(output_nm, self.coupling)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Visits:
+    """Rest visits of one or more recordings, n of them, in the order of their first row.
+
+    Attributes
+    ----------
+    load, run : str arrays of shape (n,)
+    pose : int array of shape (n,)
+    time_s : array of shape (n,)
+        Middle of the visit; where a time is missing all are in their order, a millisecond apart.
+    q_rad : array of shape (n, N)
+        By the secondary encoder of a joint where all visits have it, else by the motor's.
+    sum_nm : array of shape (n, N)
+        Half the sum of both sides behind the gear, or the one side there is; NaN = axis not measured.
+    difference_nm : array of shape (n, N)
+        Half the difference of the sides in the direction of motion; NaN where there is but one, on axes that stood
+        still in between too.
+    side : array of shape (n, N)
+        Direction of approach of an axis that came from one side alone; 0 = both, or unknown.
+    two_sided : bool array of shape (n,)
+        At least one axis came from both sides: those with a half-difference.
+    sample_std_nm : array of shape (n, N)
+        Standard deviation of `sum_nm` by the averaged samples alone; NaN where unknown.
+    gear_nm : array of shape (n, N)
+        Half the range that an unknown direction leaves through the gear's efficiency; 0 where the side is known.
+    temperature_c : array of shape (n, N)
+        NaN where absent.
+    wind_up_rad : array of shape (n, N)
+        Angle of the secondary encoder less that of the motor encoder; NaN where there is none.
+    where : str array of shape (n,)
+        `file:line` of the first row, for messages.
+    gears : Gears
+        By which the reported torque was brought behind the gears.
+    """
+
+    load: NDArray[np.str_]
+    run: NDArray[np.str_]
+    pose: NDArray[np.int_]
+    time_s: Floats
+    q_rad: Floats
+    sum_nm: Floats
+    difference_nm: Floats
+    side: Floats
+    two_sided: NDArray[np.bool_]
+    sample_std_nm: Floats
+    gear_nm: Floats
+    temperature_c: Floats
+    wind_up_rad: Floats
+    where: NDArray[np.str_]
+    gears: Gears
+
+    def __len__(self) -> int:
+        """Number of visits."""
+        return len(self.pose)
+
+    @property
+    def axes(self) -> int:
+        """How many axes the arm has."""
+        return self.q_rad.shape[1]
+
+    @property
+    def band_nm(self) -> Floats:
+        """Friction band (N,): median of the half-differences; NaN where no axis was approached from both sides."""
+        return column_medians(self.difference_nm)
+
+    def take(self, rows: NDArray[Any]) -> Visits:
+        """The chosen visits (mask or indices)."""
+        return Visits(gears=self.gears, **{name: getattr(self, name)[rows] for name in _OF_VISITS})
+
+    def unmeasured(self, entries: NDArray[np.bool_]) -> Visits:
+        """The visits with these entries (n, N) as if they had not been measured."""
+        sums, halves = (np.where(entries, np.nan, values) for values in (self.sum_nm, self.difference_nm))
+        return replace(self, sum_nm=sums, difference_nm=halves)
+
+
+_OF_VISITS: Final = tuple(field.name for field in fields(Visits) if field.name != "gears")
+
+
+def joined(parts: Sequence[Visits]) -> Visits:
+    """Visits of several tables as one, in the order given."""
+    merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_VISITS}
+    return Visits(gears=parts[0].gears, **merged)
+
+
+def column_medians(values: Floats) -> Floats:
+    """Median (N,) of what is known in each column of (n, N); NaN of nothing."""
+    known = np.isfinite(values)
+    return np.array(
+        [np.median(column[here]) if here.any() else np.nan for column, here in zip(values.T, known.T, strict=True)]
+    )
+
+
 def _mixed(values: Floats, matrix: Floats) -> Floats:
     """`values @ matrix`, NaN only where a NaN takes part."""
     known = np.isfinite(values)
@@ -179,21 +211,25 @@ def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: Arr
     two = one != other
     half = np.where(two[:, None], np.hypot(std[one], std[other]) / 2.0, std[one])
     moved = two[:, None] & (facing[one] != 0) & (facing[one] == -facing[other])
+    time_s: Floats = (rest.time_s[one] + rest.time_s[other]) / 2.0
+    motor_rad, joint_rad = ((values[one] + values[other]) / 2.0 for values in (rest.q_rad, rest.q2nd_rad))
+    seen = np.isfinite(joint_rad).all(axis=0)
     return Visits(
         load=np.asarray(rest.load, dtype=str)[one],
         run=np.asarray(rest.run, dtype=str)[one],
         pose=np.asarray(rest.pose)[one],
-        time_s=(rest.time_s[one] + rest.time_s[other]) / 2.0,
-        q_rad=(rest.q_rad[one] + rest.q_rad[other]) / 2.0,
-        tau_nm=(torque[one] + torque[other]) / 2.0,
-        band_nm=np.where(moved, facing[one] * (torque[one] - torque[other]) / 2.0, np.nan),
-        tau_std_nm=half,
-        gear_nm=np.maximum(open_nm[one], open_nm[other]),
+        time_s=_ORDER_S * np.arange(len(one), dtype=float) if np.isnan(time_s).any() else time_s,
+        q_rad=np.where(seen, joint_rad, motor_rad),
+        sum_nm=(torque[one] + torque[other]) / 2.0,
+        difference_nm=np.where(moved, facing[one] * (torque[one] - torque[other]) / 2.0, np.nan),
+        side=np.where(moved, 0.0, facing[one]),
         two_sided=two,
-        direction=np.where(moved, 0, rest.direction[one]).astype(int),
+        sample_std_nm=half,
+        gear_nm=np.maximum(open_nm[one], open_nm[other]),
         temperature_c=(rest.temperature_c[one] + rest.temperature_c[other]) / 2.0,
-        q_link_rad=(rest.q2nd_rad[one] + rest.q2nd_rad[other]) / 2.0,
-        where=tuple(rest.where(int(row)) for row in one),
+        wind_up_rad=np.where(seen, joint_rad - motor_rad, np.nan),
+        where=np.array([rest.where(int(row)) for row in one], dtype=str),
+        gears=gears,
     )
 
 

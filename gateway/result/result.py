@@ -222,7 +222,8 @@ class Bare:
     `columns` are indices into the columns [m, hx, hy, hz] of links 1 to N; `value` [kg or kg m] belongs to them,
     `covariance` has the squared units; `combination` (rank, 4 N) says which link parameters each of them lumps.
     `offset_nm` is the torque of each axis that does not turn with gravity, NaN where it was not estimated. `gain` is
-    that of the torque of each axis, NaN where not measured; `gain_covariance` belongs to `value` and `gain` together.
+    that of the torque of each axis, NaN where not measured; `gain_covariance` belongs to `value`, `gain` and, in newer
+    files, `offset_nm` together.
     """
 
     robot: str
@@ -377,7 +378,8 @@ def _check_bare(bare: Bare, where: str) -> None:
     shapes = {"gravity_m_s2": (1, 3), "value": (1, rank), "covariance": (rank, rank), "combination": (rank, columns)}
     if bare.gain:
         axes = len(bare.offset_nm)
-        shapes |= {"gain": (1, axes), "gain_covariance": (rank + axes, rank + axes)}
+        both = rank + (2 if len(bare.gain_covariance) > rank + axes else 1) * axes
+        shapes |= {"gain": (1, axes), "gain_covariance": (both, both)}
     for key, (height, width) in shapes.items():
         given = getattr(bare, key)
         rows = given if key.endswith("covariance") or key == "combination" else (given,)

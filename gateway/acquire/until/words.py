@@ -59,7 +59,7 @@ def what_helps(known: Outlook, verdict: Narrowness) -> str:
     short = ~verdict.reached
     now = half_width(1.0) * known.std[short]
     constants = half_width(1.0) * known.std_given(known.gain)[short]
-    links = half_width(1.0) * known.std_given(np.arange(len(known.columns)))[short]
+    links = half_width(1.0) * known.std_given(np.arange(len(known.links)))[short]
     goal = verdict.goal[short]
     if (constants <= goal).all() or (constants / now).max() < (links / now).max():
         return f"what would: better torque constants (std_percent in the cell file), or {_KNOWN_LOAD}"

@@ -20,15 +20,14 @@ from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.load_estimate import (
     known_load,
-    load_directions,
     load_from_moment,
     load_result,
-    next_to_nothing,
     unknown_load,
 )
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.velocity_friction import Stribeck
+from gateway.model.robot import reach_m
 from gateway.result.result import LoadResult, NuisanceResult
 
 Floats = NDArray[np.float64]
@@ -57,14 +56,9 @@ def _load(
     where = np.arange(problem.base.loads[label].start, problem.base.loads[label].start + 4)
     moment = state.full.value[where]
     covariance = spread_of(problem, state, where)
-    turn = load_directions(moment)
-    std = np.sqrt(np.diag(turn @ covariance @ turn.T))
-    torque_nm = problem.motion.tau_nm
-    nothing = next_to_nothing(float(moment[0]), float(std[0]), robot, torque_nm, MOVING.next_to_nothing)
-    if not nothing and (not moment[0] > 0 or std[0] > MOVING.loose_mass * moment[0]):
-        return load_result(unknown_load(label), robot)
-    found = np.concatenate([[True], np.full(3, not nothing) & (std[1:] <= MOVING.loose_com_m)])
-    load = load_result(load_from_moment(label, moment, covariance, np.ones(4), found), robot)
+    found = np.full(4, bool(np.isfinite(covariance).all()))
+    estimate = load_from_moment(label, moment, covariance, np.ones(4), found, reach_m(robot))
+    load = load_result(estimate, robot)
     return replace(load, budget=_budget(state.full, int(where[0]), float(covariance[0, 0])))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.diagnose.thresholds import RUNS, threshold
+from gateway.identify.thresholds import RUNS, threshold
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,7 +124,6 @@ class MovingThresholds:
     usual_factor: float = threshold(2.0, "", "factor by which a drawing may be worse, one standard deviation", RUNS)
     worthless: float = threshold(0.5, "", "error at which a drawing tells nothing", "links that may be half or double")
     contradicted: float = threshold(3.0, "log odds", "against a tighter trust than the data like best", "log of 20")
-    # loads
     loose_mass: float = threshold(
         0.5, "", "relative standard deviation at which a mass is unknown", "a load that may be half or double is none"
     )

@@ -9,14 +9,13 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.decide import Decision
-from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
-from gateway.diagnose.rest.problem import Knowledge, build_problem
-from gateway.diagnose.rest.rows import joined
 from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.loads import BARE_LABEL
-from gateway.model.rest import RestRows
+from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.robot import Robot
 from gateway.model.unnamed import UNNAMED
+from gateway.model.visits import Visits, joined
 from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
@@ -62,7 +61,7 @@ def _measure(choice: Floats, index: NDArray[np.int_], names: tuple[str, ...]) ->
     return NextMeasurement(what="measure", poses_rad=poses, tells_apart=names)
 
 
-def _far_apart(rows: RestRows, choice: Floats) -> NDArray[np.int_]:
+def _far_apart(rows: Visits, choice: Floats) -> NDArray[np.int_]:
     """Poses far from those visited and from each other."""
     span = np.maximum(np.ptp(choice, axis=0), 1e-6)
     near = np.min([np.linalg.norm((choice - q) / span, axis=1) for q in rows.q_rad], axis=0)
@@ -83,7 +82,7 @@ def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def pose_choice(rows: RestRows, options: DiagnoseOptions) -> Floats:
+def pose_choice(rows: Visits, options: DiagnoseOptions) -> Floats:
     """Poses (k, N) that may be asked for: given ones, or between the joint angles that were visited."""
     given = options.pose_choice() if callable(options.pose_choice) else options.pose_choice
     if given is not None:
@@ -92,14 +91,14 @@ def pose_choice(rows: RestRows, options: DiagnoseOptions) -> Floats:
     return rng.uniform(rows.q_rad.min(axis=0), rows.q_rad.max(axis=0), (CHOICE, rows.axes))
 
 
-def imagined(rows: RestRows, poses_rad: Floats) -> RestRows:
+def imagined(rows: Visits, poses_rad: Floats) -> Visits:
     """Visits of new poses under the last load, one after the other, with nothing measured."""
     n = len(poses_rad)
     loaded = [label for label in rows.load.tolist() if label != BARE_LABEL]
     label = loaded[-1] if loaded else BARE_LABEL
     unknown = np.full((n, rows.axes), np.nan)
     last = int(np.argmax(rows.time_s))
-    return RestRows(
+    return Visits(
         load=np.full(n, label),
         pose=np.arange(n) + int(rows.pose.max()) + 1,
         run=np.full(n, "next"),
@@ -111,9 +110,10 @@ def imagined(rows: RestRows, poses_rad: Floats) -> RestRows:
         two_sided=np.ones(n, dtype=bool),
         sample_std_nm=unknown,
         temperature_c=np.repeat(rows.temperature_c[last : last + 1], n, axis=0),
+        gear_nm=np.zeros((n, rows.axes)),
         wind_up_rad=unknown,
-        efficiency=rows.efficiency,
-        coupling=rows.coupling,
+        where=np.full(n, "next"),
+        gears=rows.gears,
     )
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose
-from gateway.diagnose.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.diagnose.rest.screen import projection
 from gateway.diagnose.rest.search import Search, pruned
 from gateway.diagnose.rest.structure import misfit
 from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.nuisance import ORDINARY_STD
+from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
 from gateway.result.interval import TWO_SIDED_95

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.diagnose.rest.linear import Fit, RestProblem, modelled
 from gateway.diagnose.rest.thresholds import REST
 from gateway.diagnose.wind_up import wind_up
+from gateway.identify.rest.linear import Fit, RestProblem, modelled
 from gateway.result.result import EffectResult, Evidence
 
 

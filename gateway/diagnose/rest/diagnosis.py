@@ -10,17 +10,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.table import Table, concatenate
+from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.ask import questions
 from gateway.diagnose.rest.bias import friction_by_direction
 from gateway.diagnose.rest.decide import Decision, decide
 from gateway.diagnose.rest.deflection import elastic_joints
-from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen_nm, spare_rows
 from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
-from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads
-from gateway.diagnose.rest.loads import loads_of, ordinary_of, spread_by_shape
 from gateway.diagnose.rest.mistakes import (
     Mistake,
     band_signs,
@@ -42,24 +39,28 @@ from gateway.diagnose.rest.outcome import (
     summary,
 )
 from gateway.diagnose.rest.pictures import DrawnVisits, pictures
-from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise, settled_noise
 from gateway.diagnose.rest.remarks import at_the_edge, corrected_links, limits, refused_loads
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
-from gateway.diagnose.rest.rows import joined, rest_rows, set_gross_aside, sound
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
-from gateway.estimate import EstimateOptions, estimate
-from gateway.identify.aside import Aside
+from gateway.estimate import EstimateOptions
+from gateway.estimate.joint import estimate_joint
+from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.links import default_inertials, parse_inertials
 from gateway.identify.load_estimate import load_result
 from gateway.identify.loads import BARE_LABEL, require_postures
+from gateway.identify.rest.fit import fit, fit_without_effects
+from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
+from gateway.identify.rest.loads import loads_of, ordinary_of, spread_by_shape
+from gateway.identify.rest.noise import settled_noise
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
-from gateway.model.rest import RestRows
 from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
+from gateway.model.visits import Visits, joined, pair_visits
 from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
 
 Floats = NDArray[np.float64]
@@ -124,16 +125,16 @@ class RestDiagnosis:
             gain_std=options.gain_std,
         )
 
-    def _rows(self, table: Table) -> RestRows:
-        return rest_rows(table, self.options.efficiency, self.options.coupling)
+    def _rows(self, table: Table) -> Visits:
+        return pair_visits(table, self.options.efficiency, self.options.coupling)
 
-    def aside(self, rows: RestRows) -> Aside:
+    def aside(self, rows: Visits) -> Aside:
         """Gross torques of visits as they were read."""
-        return set_gross_aside(rows, self.robot, np.asarray(self.knowledge.gravity_m_s2, dtype=float))
+        return gross_aside(rows, self.robot, self.knowledge.gravity_m_s2)
 
     def problem(self, table: Table, aside: Aside) -> RestProblem:
         """Rows of a table as a problem, without what was set aside."""
-        return build_problem(self.robot, sound(self._rows(table), aside), self.knowledge)
+        return build_problem(self.robot, self._rows(table).unmeasured(aside.mask), self.knowledge)
 
     def search(self, table: Table) -> Found:
         """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
@@ -142,7 +143,7 @@ class RestDiagnosis:
         problem = build(table)
         for label in problem.labels:
             require_postures(problem.rows.q_rad[problem.rows.load == label], label)
-        plain = fit(problem, (), first_noise(problem))
+        plain = fit_without_effects(problem)
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
         looked = beyond_any_effect(problem, plain)
@@ -163,11 +164,11 @@ class RestDiagnosis:
 
     def _settled(self, problem: RestProblem) -> bool:
         """Whether the model without effects meets the data, or nearly."""
-        return not suspicious(problem, fit(problem, (), first_noise(problem)))
+        return not suspicious(problem, fit_without_effects(problem))
 
     def _searched(self, table: Table, aside: Aside, mistakes: tuple[Mistake, ...], gained: float) -> Found:
         problem = self.problem(_undone(table, mistakes), aside)
-        plain = fit(problem, (), first_noise(problem))
+        plain = fit_without_effects(problem)
         noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
@@ -192,7 +193,7 @@ class RestDiagnosis:
             raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
         rows = joined([seen, unseen])
         aside = self.aside(rows)
-        both = build_problem(self.robot, sound(rows, aside), self.knowledge)
+        both = build_problem(self.robot, rows.unmeasured(aside.mask), self.knowledge)
         return Unseen(both, both.visit >= len(seen), aside.among(len(seen)))
 
     def _upheld(self, found: Found, holdout: Table | None) -> Found:
@@ -215,27 +216,19 @@ class RestDiagnosis:
         if sided:
             table = replace(table, direction=np.zeros_like(table.direction))
         problem = self.problem(table, found.aside)
-        return summary(problem, fit(problem, (), first_noise(problem)), Judge(problem, None), self.robot)
+        return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
 
-    def _as_estimated(self, table: Table) -> tuple[LoadResult, ...]:
-        """Return the loads as `estimate` gives them: one answer where no effect is named.
-
-        Raises
-        ------
-        DataUnusable
-            A load in one posture only (rank 3).
-        """
-        efficiency = self.options.efficiency
+    def _as_estimated(self, visits: Visits) -> tuple[LoadResult, ...]:
+        """Return the loads as `estimate` gives them: one answer and one refusal where no effect is named."""
+        known = self.knowledge
         options = EstimateOptions(
-            inertials=self.knowledge.inertials,
-            known=self.knowledge.known,
-            bare=self.knowledge.bare,
-            gravity_m_s2=self.knowledge.gravity_m_s2,
-            gain_std=self.knowledge.gain_std,
-            efficiency=(1.0,) if efficiency is None else tuple(efficiency.tolist()),
-            coupling=self.options.coupling,
+            inertials=known.inertials,
+            known=known.known,
+            bare=known.bare,
+            gravity_m_s2=known.gravity_m_s2,
+            gain_std=known.gain_std,
         )
-        return tuple(load_result(load, self.robot) for load in estimate(table, self.robot, options).loads)
+        return tuple(load_result(load, self.robot) for load in estimate_joint(visits, self.robot, options).loads)
 
     def _from_all(self, held: Unseen, seen: Fit, by_shape: Floats) -> tuple[LoadResult, ...]:
         """Loads of the same hypothesis on fitted and fresh visits together."""
@@ -273,8 +266,8 @@ class RestDiagnosis:
             if decision.after is decision.before and not found.mistakes:
                 before = replace(before, loads=after.loads)
         if not effects and not found.mistakes and decision.after is decision.before:
-            fresh = found.table if holdout is None or kind != "fresh" else concatenate([found.table, holdout])
-            loads = self._as_estimated(fresh)
+            judged = problem if held is None or kind != "fresh" else held.problem
+            loads = self._as_estimated(judged.rows)
             before, after = replace(before, loads=loads), replace(after, loads=loads)
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtrc, fdtri
 
 from gateway.diagnose.rest.holdout import Unseen
-from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.structure import pooled, told
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.linear import Fit, RestProblem
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.linear import Fit, RestProblem, common_columns, modelled, term_columns, with_terms
 from gateway.diagnose.rest.screen import Screen
+from gateway.identify.rest.linear import Fit, RestProblem, common_columns, modelled, term_columns, with_terms
 from gateway.result.result import SetAside
 
 Floats = NDArray[np.float64]

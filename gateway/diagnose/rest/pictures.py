@@ -17,11 +17,12 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.decide import Decision
 from gateway.diagnose.rest.holdout import Unseen
-from gateway.diagnose.rest.linear import Fit, RestProblem, visit_loads, with_terms
+from gateway.identify.rest.linear import Fit, RestProblem, visit_loads, with_terms
 from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY
-from gateway.model.rest import Model, Prediction, RestRows
+from gateway.model.rest import Model, Prediction
 from gateway.model.term import Term
+from gateway.model.visits import Visits
 from gateway.result.drawn import Curve, Drawn
 from gateway.result.interval import TWO_SIDED_95
 from gateway.result.result import Rows
@@ -164,7 +165,7 @@ def _largest(effects: dict[str, tuple[Floats, Floats]], term: Term) -> tuple[str
     return reading, max(term.enters(len(size[reading])), key=lambda axis: float(size[reading][axis]))
 
 
-def _abscissa(term: Term, axis: int, rows: RestRows, torque_nm: Floats) -> tuple[Floats, str, str]:
+def _abscissa(term: Term, axis: int, rows: Visits, torque_nm: Floats) -> tuple[Floats, str, str]:
     over = LIBRARY[term.name].over
     if over is Over.TIME:
         return rows.time_s, "time", "s"

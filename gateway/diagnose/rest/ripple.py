@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.search import Search, pruned
 from gateway.diagnose.rest.structure import misfit
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.model.effects.torque_ripple import EFFECT, TorqueRipple, orders_at_rest
 from gateway.model.unnamed import UNNAMED
 from gateway.result.result import Finding

@@ -14,8 +14,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.linear import Fit, RestProblem, plausible_spread, term_columns
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.linear import Fit, RestProblem, plausible_spread, term_columns
 from gateway.identify.solve import reduce
 from gateway.model.term import Term
 
@@ -250,8 +250,8 @@ def projection(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Floats, 
     known = np.zeros((int(held.sum()) + len(problem.prior_target), width + 1))
     known[np.arange(held.sum()), np.flatnonzero(held)] = 1.0 / fit.prior_std[held]
     known[: held.sum(), width] = pull[held] / fit.prior_std[held]
-    known[held.sum() :, problem.link_part] = problem.prior_rows
-    known[held.sum() :, width] = problem.prior_target - problem.prior_rows @ fit.links
+    known[held.sum() :, : problem.n_common] = problem.prior_rows
+    known[held.sum() :, width] = problem.prior_target - problem.prior_rows @ fit.common
     reduced = reduce(fit.columns, fit.residual, weight, known, _TOLERANCE)
     basis = reduced.basis.dense
     return basis, fit.residual * weight - basis @ (reduced.left.T @ reduced.right[:-1])

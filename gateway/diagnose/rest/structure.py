@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc, fdtrc, gammaincinv, ndtr, ndtri
 
-from gateway.diagnose.rest.linear import Fit, RestProblem
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.linear import Fit, RestProblem
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.diagnose.thresholds import BLIND, threshold
+from gateway.identify.thresholds import BLIND, threshold
 
 KASS: Final = "Kass and Raftery (1995): 3 positive, 20 strong"
 
@@ -86,25 +86,6 @@ class RestThresholds:
     needed: float = threshold(3.0, "log odds", "what an effect has to gain to stay", "log of 20, as sure odds")
     implausible: float = threshold(8.0, "log odds", "against an effect that its mechanism cannot do", BLIND)
     rare: float = threshold(2.0, "log odds", "against a shape without a name beside the effects with one", BLIND)
-    # prior and noise
-    strength_spread: float = threshold(
-        10.0,
-        "floors",
-        "how strong an effect of unknown size may be (standard deviation of its prior)",
-        "the strengths that blind cells draw, 1.5 to 20",
-    )
-    noise_weight: float = threshold(4.0, "rows", "weight of the noise that the sides of visits show beforehand", BLIND)
-    relative_floor: float = threshold(
-        2e-4,
-        "",
-        "share of an axis's torque below which no noise is believed",
-        "resolution of a torque word of 1000 steps, rounded off over some visits",
-    )
-    cold: float = threshold(
-        0.25, "", "share by which friction is larger cold, of each time constant", "`methods.md` 9: 0 to 0.5"
-    )
-    warm_fast_s: float = threshold(600.0, "s", "the shorter time in which it warms up", "`methods.md` 9: 5 to 60 min")
-    warm_slow_s: float = threshold(2400.0, "s", "the longer", "`methods.md` 9: 5 to 60 min")
     cogging: float = threshold(1.0, "floors", "RMS of a ripple that every gear has", "`methods.md` 9: below one floor")
     # where the search looks
     singles: int = threshold(8, "", "places fitted alone", BLIND)
@@ -192,19 +173,6 @@ class RestThresholds:
     )
     bias_strength: float = threshold(0.5, "floors", "size of it that matters", "as least strength")
     each_side: int = threshold(2, "", "one-sided visits from each side", "one to fit, one to contradict")
-    # loads
-    blind_mass: float = threshold(
-        0.5, "", "relative standard deviation at which a mass is unknown", "a load that may be half or double is none"
-    )
-    next_to_nothing: float = threshold(
-        0.05,
-        "",
-        "weight at full reach of a mass's standard deviation, over the largest torque: up to here a mass about 0 is told",
-        "a load that the arm hardly carries beside itself",
-    )
-    blind_m: float = threshold(
-        0.5, "m", "standard deviation at which a coordinate of the centre is unknown", "the size of a large load"
-    )
     # what to measure next
     asked: int = threshold(8, "", "poses asked for at once", "some five minutes of measuring")
     told_in_all: float = threshold(

@@ -9,8 +9,8 @@ from typing import Final
 
 from gateway.model.effect import Effect, MotionSetup, RestSetup
 from gateway.model.motion import MovingRows
-from gateway.model.rest import RestRows
 from gateway.model.term import Term
+from gateway.model.visits import Visits
 
 
 def _read() -> dict[str, Effect]:
@@ -29,7 +29,7 @@ FRICTION: Final = frozenset(effect.name for effect in LIBRARY.values() if effect
 MISTAKES: Final = {effect.name: effect.mistake for effect in LIBRARY.values() if effect.mistake is not None}
 
 
-def terms_at_rest(rows: RestRows, setup: RestSetup, allowed: Iterable[str] = LIBRARY) -> list[Term]:
+def terms_at_rest(rows: Visits, setup: RestSetup, allowed: Iterable[str] = LIBRARY) -> list[Term]:
     """Every effect in every place and shape that rest visits can show."""
     return [term for name in sorted(allowed) for term in LIBRARY[name].at_rest(rows, setup)]
 

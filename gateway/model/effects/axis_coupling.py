@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, moving_axes
 from gateway.model.motion import Modelled, MovingRows, smooth_sign
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import NAN, Named, Seen, Term, on_axis, plus, wrist
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +53,7 @@ class TorqueMixing(_Coupling):
     def enters(self, axes: int) -> tuple[int, ...]:
         return (self.inner,)
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, coupling=plus(setting.coupling, (self.inner, self.outer), theta[0]))
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
@@ -89,7 +90,7 @@ class MotorCoupling(_Coupling):
         return values | {"coefficient": self.coefficient}, std
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     yield from (TorqueMixing(*pair) for pair in sorted(_within(wrist(rows.axes)) | _along_the_arm(rows.axes)))
 
 

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, largest_torque_nm
 from gateway.model.motion import MovingRows
-from gateway.model.rest import RestRows
 from gateway.model.term import NAN, Named, PassiveTorque, Seen, Term, propagated
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -130,7 +130,7 @@ class CoilBalancer(_Balancer):
         """As every balancer, and a spring pulls harder the longer it is."""
         return bool(value[0] > 0) and _Balancer.possible(self, value, std, seen)
 
-    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+    def plausible(self, theta: Floats, rows: Visits) -> bool:
         """The spring is under tension wherever the arm was, and pulls harder the longer it is."""
         _, length, _ = self.lengths(rows.q_rad, theta[2:])
         force = theta[0] * (length - USUAL_FREE) + theta[1]
@@ -180,7 +180,7 @@ class GasBalancer(_Balancer):
         """As every balancer, and gas pushes."""
         return bool(value[0] > 0) and _Balancer.possible(self, value, std, seen)
 
-    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+    def plausible(self, theta: Floats, rows: Visits) -> bool:
         return bool(theta[0] > 0)
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
@@ -214,7 +214,7 @@ def _logit(share: float) -> float:
     return float(np.log(share / (1.0 - share)))
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     if rows.axes < 2 or not np.isfinite(rows.sum_nm[:, 1]).any():
         return
     missed = np.nan_to_num(np.abs(rows.sum_nm - setup.torque_nm)).max(axis=0)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, RestSetup
 from gateway.model.motion import Modelled, MovingRows, changed_torque
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import Term
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ class BaseTilt(Term):
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"tilt_x_rad": (-0.2, 0.2), "tilt_y_rad": (-0.2, 0.2)}
     modelled: ClassVar[bool] = True
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, tilt_rad=setting.tilt_rad + theta)
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
@@ -37,7 +38,7 @@ class BaseTilt(Term):
         return np.stack(parts, axis=2)
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     yield BaseTilt()
 
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import MovingRows
-from gateway.model.rest import RestRows
 from gateway.model.term import NAN, Named, PassiveTorque, Seen, Term, propagated, wrist
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -79,7 +79,7 @@ class HarmonicCable(_Cable):
         return values | {"harmonic": 1.0}, std
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     for axis in set(wrist(rows.axes)) & set(measured_axes(rows)):
         yield LinearCable(axis)
         yield HarmonicCable(axis)

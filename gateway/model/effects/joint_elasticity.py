@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, largest_torque_nm, measured_axes
 from gateway.model.motion import Modelled, MovingRows, changed_torque
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import OnAxis, Seen, Term, plus
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -38,14 +39,14 @@ class JointElasticity(OnAxis):
     def enters(self, axes: int) -> tuple[int, ...]:
         return tuple(range(axes))
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, compliance_rad_nm=plus(setting.compliance_rad_nm, self.axis, theta[0]))
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
         wound = modelled.rigid_nm[:, [self.axis]]
         return -(changed_torque(motion.by_angle(self.axis), modelled) * wound)[:, :, None]
 
-    def plausible(self, theta: Floats, rows: RestRows) -> bool:
+    def plausible(self, theta: Floats, rows: Visits) -> bool:
         return bool(theta[0] > 0)
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
@@ -53,7 +54,7 @@ class JointElasticity(OnAxis):
         return bool(0.0 < value[0] * largest < LARGEST_WIND_UP_RAD)
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     largest = largest_torque_nm(setup)
     for axis in measured_axes(rows):
         if not np.isfinite(rows.wind_up_rad[:, axis]).all():

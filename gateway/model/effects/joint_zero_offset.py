@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, RestSetup, measured_axes
 from gateway.model.motion import Modelled, MovingRows, changed_torque
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import OnAxis, Term, plus
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -31,14 +32,14 @@ class JointZeroOffset(OnAxis):
     def enters(self, axes: int) -> tuple[int, ...]:
         return tuple(range(axes))
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, zero_offset_rad=plus(setting.zero_offset_rad, self.axis, theta[0]))
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
         return changed_torque(motion.by_angle(self.axis), modelled)[:, :, None]
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     yield from (JointZeroOffset(axis) for axis in measured_axes(rows))
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, RestSetup
 from gateway.model.motion import PER_BODY, Modelled, MovingRows
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import NAN, Named, OnAxis, Seen, Term, plus, propagated
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +46,7 @@ class LinkMass(OnAxis):
     def enters(self, axes: int) -> tuple[int, ...]:
         return tuple(range(axes))
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         part = slice(4 * self.axis, 4 * self.axis + 4)
         return replace(setting, link_extra=plus(setting.link_extra, part, theta))
 
@@ -84,7 +85,7 @@ def _links(axes: int) -> range:
     return range(1, axes - 2)
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     if setup.links is None:
         yield from (LinkMass(link) for link in _links(rows.axes))
         return

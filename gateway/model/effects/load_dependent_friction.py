@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import Modelled, MovingRows
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import OnAxis, Term, on_axis, plus
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -29,14 +30,14 @@ class LoadDependentFriction(OnAxis):
     modelled: ClassVar[bool] = True
     ordinary: ClassVar[bool] = True
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, load_friction=plus(setting.load_friction, self.axis, theta[0]))
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
         return on_axis(np.abs(modelled.rigid_nm[:, self.axis]) * motion.sign[:, self.axis])
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     yield from (LoadDependentFriction(axis) for axis in measured_axes(rows))
 
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup
 from gateway.model.motion import PER_BODY, Modelled, MovingRows
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import Named, Term, propagated
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ class PayloadShift(Term):
     SPREAD: ClassVar[tuple[float, ...]] = (SPREAD_M,) * 3
     modelled: ClassVar[bool] = True
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, moment_factor=setting.moment_factor + self._moved(rows.time_s)[:, None] * theta)
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
@@ -58,7 +59,7 @@ class PayloadShift(Term):
         return length | values | {"time_s": self.time_s}, spread | std
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     """Jumps between the visits of the loads, and a drift over them."""
     loaded = rows.load != "none"
     times = np.unique(rows.time_s[loaded])

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import Modelled, MovingRows
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import Named, OnAxis, Term, on_axis
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +40,7 @@ class ThermalDrift(OnAxis):
     def spread(self) -> tuple[float, ...]:
         return (SPREAD_PER_K,) if self.by == "temperature" else (SPREAD_PER_S,)
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         since = self._since(rows)
         field = "gain" if self.on == "torque" else "band_gain"
         values = getattr(setting, field).copy()
@@ -50,7 +51,7 @@ class ThermalDrift(OnAxis):
         friction = modelled.total_nm[:, self.axis] - modelled.rigid_nm[:, self.axis]
         return on_axis(friction * self._since(motion))
 
-    def _since(self, rows: RestRows | MovingRows) -> Floats:
+    def _since(self, rows: Visits | MovingRows) -> Floats:
         """Temperature rise [K] or time [s] (n,) since the first row."""
         values = rows.temperature_c[:, self.axis] if self.by == "temperature" else rows.time_s
         return values - values[int(np.argmin(rows.time_s))]
@@ -60,7 +61,7 @@ class ThermalDrift(OnAxis):
         return {key: float(theta[0])}, {key: float(np.sqrt(covariance[0, 0]))}
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     for axis in measured_axes(rows):
         causes = ["temperature"] if _warmed(rows.temperature_c[:, axis], WARMED_AT_REST_K) else []
         causes += ["time"] if np.ptp(rows.time_s) > 0 else []

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import Modelled, MovingRows
-from gateway.model.rest import AlteredModel, RestRows
+from gateway.model.rest import AlteredModel
 from gateway.model.term import Named, Term, on_axis, propagated
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +36,7 @@ class TorqueConstantScale(Term):
     def joints(self) -> tuple[int, ...]:
         return () if self.axis is None else (self.axis + 1,)
 
-    def apply(self, setting: AlteredModel, theta: Floats, rows: RestRows) -> AlteredModel:
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         gain = setting.gain.copy()
         gain[:, slice(None) if self.axis is None else self.axis] *= 1.0 + theta[0]
         return replace(setting, gain=gain)
@@ -47,7 +48,7 @@ class TorqueConstantScale(Term):
         return propagated(lambda value: {"scale": 1.0 / (1.0 + float(value[0]))}, theta, covariance)
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     yield from (TorqueConstantScale(axis) for axis in measured_axes(rows))
     if setup.common_scale:
         yield TorqueConstantScale(None)

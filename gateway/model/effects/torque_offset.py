@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, Over, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import MovingRows
-from gateway.model.rest import RestRows
 from gateway.model.term import ReadingTorque, Term
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +29,7 @@ class TorqueOffset(ReadingTorque):
         return np.ones((len(q_rad), 1))
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     yield from (TorqueOffset(axis) for axis in measured_axes(rows))
 
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from gateway.model.effect import Effect, MotionSetup, RestSetup, measured_axes, moving_axes
 from gateway.model.motion import MovingRows
-from gateway.model.rest import RestRows
 from gateway.model.term import NAN, Named, ReadingTorque, Term, propagated
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def orders_at_rest(q_rad: Floats) -> Floats:
     return np.arange(LEAST_PER_REVOLUTION, MOST_PER_REVOLUTION, 2.0 * ORDER_STEP_RAD / reach)
 
 
-def _at_rest(rows: RestRows, setup: RestSetup) -> Iterator[Term]:
+def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
     for axis in measured_axes(rows):
         ratio = abs(setup.gear_ratio[axis])
         if np.isfinite(ratio) and ratio > 0:

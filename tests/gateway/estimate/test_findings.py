@@ -40,9 +40,13 @@ def test_a_centre_of_mass_outside_the_sphere_is_doubted(com_x_m, std_m, says):
 
 
 def test_the_noise_of_an_axis_is_that_of_its_own_rows():
-    axis = np.array([0, 0, 0, 2, 2, 5])
-    fit = SimpleNamespace(weight=1.0 / np.array([1.0, 2.0, 9.0, 4.0, 4.0, 0.5]))
-    found = axis_sigma(SimpleNamespace(axis=axis, visits=SimpleNamespace(axes=6)), fit)  # type: ignore[arg-type]
+    use = np.zeros((3, 6), dtype=bool)
+    use[:, [0, 2, 5]] = [[True, True, True], [True, True, False], [True, False, False]]
+    std = np.array([2.0, 9.0, 4.0, 9.0, 9.0, 0.5, *[7.0] * 6, *[1.0] * 6])
+    group = np.concatenate([np.broadcast_to(np.arange(6), (3, 6))[use], [6, 6]])
+    group[0] = 12  # one of the three visits of J1 came from one side
+    problem = SimpleNamespace(use_sum=use, group=group, axis=group % 6, axes=6)
+    found = axis_sigma(problem, SimpleNamespace(noise=SimpleNamespace(std=std)))  # type: ignore[arg-type]
     assert found == pytest.approx([2.0, np.nan, 4.0, np.nan, np.nan, 0.5], nan_ok=True)
 
 
@@ -73,12 +77,17 @@ def test_rows_contradict_each_other_where_they_leave_more_than_friction_does(mon
     """Residuals in units of what the half differences scatter by, of the axes whose scatter is known."""
     sigma = np.array([1.0, 2.0, 4.0, 0.5, 1.0, 1.0])
     freedom = np.array([9, 9, 9, 9, 2, 9])
-    monkeypatch.setattr(difference, "band_scatter", lambda _visits: (sigma**2, freedom))
+    monkeypatch.setattr(difference, "half_difference_scatter", lambda *_: (sigma**2 / 2.0, freedom))
     monkeypatch.setattr(difference, "disagree", lambda _masses: True)
     axis = np.tile(np.arange(6), 20)
     residual = times * difference.CONTRADICTS * sigma[axis] * np.where(axis == 4, 1e6, 1.0)
-    fit = SimpleNamespace(solution=SimpleNamespace(residual=residual))
-    told = difference._contradiction(None, fit, SimpleNamespace(per_pose_mass_kg={"a": 3.0, "b": 9.0}), axis)  # type: ignore[arg-type]
+    visits = SimpleNamespace(difference_nm=None, sum_nm=None)
+    told = difference._contradiction(
+        visits,
+        SimpleNamespace(axis=axis),
+        SimpleNamespace(residual=residual),
+        {"a": 3.0, "b": 9.0},  # type: ignore[arg-type]
+    )
     assert (told is not None) == said
     for words in (f"{times * difference.CONTRADICTS:.0f} times what the friction leaves", "3 to 9 kg (median 6)"):
         assert (words in (told or "")) == said

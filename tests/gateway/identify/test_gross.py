@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from gateway.estimate import EstimateOptions, estimate
-from gateway.identify.deviations import RestHalves
 from gateway.identify.gross import Gross, find_gross, gross_findings, set_aside
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
@@ -75,18 +74,7 @@ class Measured:
 
     def found(self) -> Gross:
         visits = pair_visits(self.table, self.arm.efficiency)
-        return find_gross(
-            RestHalves(
-                gravity_regressor(self.robot, visits.q_rad, (0.0, 0.0, -9.80665)),
-                visits.load,
-                visits.time_s,
-                visits.q_rad,
-                visits.tau_nm,
-                visits.band_nm,
-                visits.direction.astype(float),
-                visits.tau_std_nm,
-            )
-        )
+        return find_gross(visits, gravity_regressor(self.robot, visits.q_rad, (0.0, 0.0, -9.80665)))
 
 
 def entries(gross: Gross) -> set[tuple[int, int]]:

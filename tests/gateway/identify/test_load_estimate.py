@@ -18,7 +18,6 @@ from gateway.identify.load_estimate import (
     load_result,
     refused_load,
     unknown_load,
-    without_guesses,
 )
 
 MOMENT = np.array([10.0, 1.0, -0.5, 2.0])
@@ -27,7 +26,7 @@ COVARIANCE = 1e-4 * (MIX @ MIX.T)
 
 
 def test_covariance_of_mass_and_centre_is_that_of_draws():
-    load = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), np.ones(4, dtype=bool))
+    load = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), np.ones(4, dtype=bool), 2.0)
     draws = np.random.default_rng(0).multivariate_normal(MOMENT, COVARIANCE, size=400_000)
     bodies = np.column_stack([draws[:, 0], draws[:, 1:] / draws[:, :1]])
     assert [load.mass_kg, *load.com_m] == pytest.approx([10.0, 0.1, -0.05, 0.2])
@@ -56,8 +55,8 @@ def test_the_inertia_is_turned_into_the_axes_of_the_flange():
 
 
 def test_widening_widens_the_deviations_and_not_the_correlation():
-    plain = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), np.ones(4, dtype=bool))
-    wide = load_from_moment("a", MOMENT, COVARIANCE, np.array([2.0, 3.0, 4.0, 5.0]), np.ones(4, dtype=bool))
+    plain = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), np.ones(4, dtype=bool), 2.0)
+    wide = load_from_moment("a", MOMENT, COVARIANCE, np.array([2.0, 3.0, 4.0, 5.0]), np.ones(4, dtype=bool), 2.0)
     assert wide.mass_std_kg == pytest.approx(2.0 * plain.mass_std_kg)
     assert wide.com_std_m == pytest.approx(np.array([3.0, 4.0, 5.0]) * plain.com_std_m)
     assert np.asarray(wide.correlation) == pytest.approx(np.asarray(plain.correlation))
@@ -65,7 +64,7 @@ def test_widening_widens_the_deviations_and_not_the_correlation():
 
 def test_what_the_data_do_not_determine_is_unknown_and_named():
     found = np.array([True, True, False, True])
-    load = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), found)
+    load = load_from_moment("a", MOMENT, COVARIANCE, np.ones(4), found, 2.0)
     assert load.unidentifiable == ("com_y_m",)
     assert np.isnan(load.com_m[1])
     correlation = np.asarray(load.correlation)
@@ -75,15 +74,22 @@ def test_what_the_data_do_not_determine_is_unknown_and_named():
 
 
 def test_a_coordinate_less_sure_than_the_arm_is_long_is_a_guess():
-    spread = np.diag([1e-4, 1e-4, 1e-4, 900.0])
-    load = load_from_moment("a", MOMENT, spread, np.ones(4), np.array([True, False, True, True]))
-    told = without_guesses(load, 1.5)
+    spread, found = np.diag([1e-4, 1e-4, 1e-4, 900.0]), np.array([True, False, True, True])
+    load, told = (load_from_moment("a", MOMENT, spread, np.ones(4), found, length_m) for length_m in (4.0, 1.5))
+    assert load.unidentifiable == ("com_x_m",)
     assert told.unidentifiable == ("com_x_m", "com_z_m")
     assert np.isnan(told.com_m).tolist() == [True, False, True]
     assert np.isnan(told.com_std_m[2])
     assert np.isnan(told.correlation[3]).all()
     assert told.correlation[0, 2] == pytest.approx(load.correlation[0, 2])
-    assert without_guesses(load, 4.0) is load
+
+
+@pytest.mark.parametrize(("std_kg", "refused"), [(0.32, True), (0.34, False)])
+def test_a_mass_below_zero_by_more_than_its_uncertainty_is_refused(std_kg, refused):
+    spread = np.diag([std_kg**2, 1e-4, 1e-4, 1e-4])
+    load = load_from_moment("a", -MOMENT / 10.0, spread, np.ones(4), np.ones(4, dtype=bool), 2.0)
+    assert (load.refused is not None) == refused
+    assert np.isnan(load.mass_kg) == refused
 
 
 def test_loads_that_are_not_estimated():

@@ -37,6 +37,8 @@ def test_bare_rows_weigh_as_the_covariance_says():
     mix = random.normal(size=(3, 3))
     covariance, combination, value = mix @ mix.T, random.normal(size=(3, 24)), random.normal(size=3)
     rows, right = bare_rows(bare(covariance, combination, value))
+    assert not rows[:, 24:].any()  # neither gains nor biases are stored
+    rows = rows[:, :24]
     assert rows.T @ rows == pytest.approx(combination.T @ np.linalg.inv(covariance) @ combination)
     assert rows.T @ right == pytest.approx(combination.T @ np.linalg.inv(covariance) @ value)
 

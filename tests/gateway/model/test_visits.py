@@ -17,10 +17,10 @@ def test_both_sides_become_gravity_and_band(rest_table):
     visits = pair_visits(table, np.full(6, eta))
     assert len(visits) == 1
     assert visits.two_sided.all()
-    np.testing.assert_allclose(visits.tau_nm, 100.0)
-    np.testing.assert_allclose(visits.band_nm, 20.0)
-    np.testing.assert_allclose(visits.tau_std_nm, 0.4 / 2 / np.sqrt(2))
-    assert (visits.direction == 0).all()
+    np.testing.assert_allclose(visits.sum_nm, 100.0)
+    np.testing.assert_allclose(visits.difference_nm, 20.0)
+    np.testing.assert_allclose(visits.sample_std_nm, 0.4 / 2 / np.sqrt(2))
+    assert (visits.side == 0).all()
     assert (visits.gear_nm == 0).all()
 
 
@@ -34,15 +34,15 @@ def test_negative_torque_is_driven_the_other_way_round(rest_table):
     eta = 0.8
     table = rest_table(load=["a"] * 2, pose=[1, 1], direction=[1, -1], tau=[-80.0 * eta, -120.0 / eta])
     visits = pair_visits(table, eta)
-    np.testing.assert_allclose(visits.tau_nm, -100.0)
-    np.testing.assert_allclose(visits.band_nm, 20.0)
+    np.testing.assert_allclose(visits.sum_nm, -100.0)
+    np.testing.assert_allclose(visits.difference_nm, 20.0)
 
 
 def test_order_of_the_sides_does_not_matter(rest_table):
     one = pair_visits(rest_table(load=["a"] * 2, pose=[1, 1], direction=[1, -1], tau=[12.0, 8.0]))
     two = pair_visits(rest_table(load=["a"] * 2, pose=[1, 1], direction=[-1, 1], tau=[8.0, 12.0]))
-    np.testing.assert_allclose(one.band_nm, two.band_nm)
-    np.testing.assert_allclose(one.tau_nm, two.tau_nm)
+    np.testing.assert_allclose(one.difference_nm, two.difference_nm)
+    np.testing.assert_allclose(one.sum_nm, two.sum_nm)
 
 
 def test_one_side_stays_one_sided(rest_table):
@@ -50,13 +50,13 @@ def test_one_side_stays_one_sided(rest_table):
     visits = pair_visits(table)
     assert len(visits) == 3
     assert not visits.two_sided.any()
-    assert np.isnan(visits.band_nm).all()
-    assert visits.direction[:, 0].tolist() == [1, -1, -1]
+    assert np.isnan(visits.difference_nm).all()
+    assert visits.side[:, 0].tolist() == [1, -1, -1]
 
 
 def test_unknown_side_keeps_what_the_gear_leaves_open(rest_table):
     visits = pair_visits(rest_table(load=["a"], pose=[1], direction=[0], tau=[100.0]), 0.8)
-    np.testing.assert_allclose(visits.tau_nm, 100.0)
+    np.testing.assert_allclose(visits.sum_nm, 100.0)
     np.testing.assert_allclose(visits.gear_nm, 100.0 * (1.25 - 0.8) / 2)
 
 
@@ -65,7 +65,7 @@ def test_repeated_visits_pair_in_the_order_of_time(rest_table):
         load=["a"] * 4, pose=[1] * 4, direction=[1, -1, 1, -1], tau=[12.0, 8.0, 13.0, 9.0], time=[0.0, 5.0, 50.0, 55.0]
     )
     visits = pair_visits(table)
-    np.testing.assert_allclose(visits.tau_nm[:, 0], [10.0, 11.0])
+    np.testing.assert_allclose(visits.sum_nm[:, 0], [10.0, 11.0])
     np.testing.assert_allclose(visits.time_s, [2.5, 52.5])
 
 
@@ -99,14 +99,14 @@ def test_rows_of_a_fine_sweep_pair_at_the_same_angle(rest_table):
     )
     assert visits.two_sided.tolist() == [True] * 4
     assert visits.q_rad[:, 2] == pytest.approx(0.2 + 0.004 * np.arange(4))
-    assert visits.tau_nm[:, 2] == pytest.approx(100.0 * visits.q_rad[:, 2])
-    assert visits.band_nm[:, 2] == pytest.approx(3.0)
+    assert visits.sum_nm[:, 2] == pytest.approx(100.0 * visits.q_rad[:, 2])
+    assert visits.difference_nm[:, 2] == pytest.approx(3.0)
 
 
 def test_take_and_an_empty_table(rest_table):
     table = rest_table(load=["a", "b"], pose=[1, 1], direction=[1, 1], tau=[1.0, 2.0])
     visits = pair_visits(table)
-    assert visits.take(visits.load == "b").tau_nm[0, 0] == 2.0
+    assert visits.take(visits.load == "b").sum_nm[0, 0] == 2.0
     assert len(pair_visits(table.take(np.zeros(2, dtype=bool)))) == 0
 
 
@@ -127,14 +127,14 @@ def test_a_sweep_of_one_joint_that_passes_an_angle_both_ways_has_both_sides_of_t
     visits = pair_visits(table, np.full(6, eta))
     assert visits.two_sided.tolist() == [True]
     assert visits.pose.tolist() == [3]
-    assert visits.tau_nm[0, 2] == pytest.approx(100.0)
-    assert visits.band_nm[0, 2] == pytest.approx(20.0)
+    assert visits.sum_nm[0, 2] == pytest.approx(100.0)
+    assert visits.difference_nm[0, 2] == pytest.approx(20.0)
     assert visits.time_s[0] == pytest.approx(4.0)
     # the axes that stood still have the one side that they had, or an unknown one
     still = np.delete(np.arange(6), 2)
-    assert np.isnan(visits.band_nm[0, still]).all()
-    assert visits.direction[0].tolist() == [0 if k == 2 else others for k in range(6)]
-    assert visits.tau_nm[0, still] == pytest.approx(30.0 * (eta if others else 1.0))
+    assert np.isnan(visits.difference_nm[0, still]).all()
+    assert visits.side[0].tolist() == [0 if k == 2 else others for k in range(6)]
+    assert visits.sum_nm[0, still] == pytest.approx(30.0 * (eta if others else 1.0))
     assert (visits.gear_nm[0, still] > 0).all() == (others == 0)
     assert visits.gear_nm[0, 2] == 0.0
 
@@ -150,8 +150,8 @@ def test_a_whole_sweep_pairs_angle_by_angle(rest_table):
     assert visits.two_sided.all()
     assert visits.pose.tolist() == [0, 1, 2, 3, 4, 5]
     np.testing.assert_allclose(visits.q_rad[:, 1], angles[:6])
-    np.testing.assert_allclose(visits.tau_nm[:, 1], 50.0 * np.cos(angles[:6]))
-    np.testing.assert_allclose(visits.band_nm[:, 1], 4.0)
+    np.testing.assert_allclose(visits.sum_nm[:, 1], 50.0 * np.cos(angles[:6]))
+    np.testing.assert_allclose(visits.difference_nm[:, 1], 4.0)
 
 
 def test_two_joints_that_turn_back_pair_within_a_pose_alone(rest_table):
@@ -185,7 +185,7 @@ def test_a_sweep_under_another_load_or_beside_it_is_another(rest_table):
 def test_a_full_partner_goes_before_a_part(rest_table):
     facing = [[1] * 6, one_moves(5, -1, 1), [-1] * 6]
     visits = pair_visits(rest_table(load=["a"] * 3, pose=[1] * 3, direction=facing, tau=[12.0, 9.0, 8.0]))
-    np.testing.assert_allclose(visits.tau_nm[:, 0], [10.0, 9.0])
+    np.testing.assert_allclose(visits.sum_nm[:, 0], [10.0, 9.0])
     assert visits.two_sided.tolist() == [True, False]
 
 
@@ -214,10 +214,10 @@ def test_gears_of_coupled_axes_lose_by_the_direction_of_the_motors(rest_table):
         torque = np.array([reported(gravity, side * facing, eta) for side in (1, -1)])
         given = {"load": ["a"] * 2, "pose": [1, 1], "direction": np.array([facing, -facing]), "tau": torque}
         visits = pair_visits(rest_table(**given), np.full(6, eta), COUPLING)
-        np.testing.assert_allclose(visits.tau_nm[0], gravity, atol=1e-9)
-        np.testing.assert_allclose(visits.band_nm[0], 0.0, atol=1e-9)
+        np.testing.assert_allclose(visits.sum_nm[0], gravity, atol=1e-9)
+        np.testing.assert_allclose(visits.difference_nm[0], 0.0, atol=1e-9)
         joint_by_joint = pair_visits(rest_table(**given), np.full(6, eta))
-        assert np.abs(joint_by_joint.tau_nm[0] - gravity)[4] >= off * gravity[4]
+        assert np.abs(joint_by_joint.sum_nm[0] - gravity)[4] >= off * gravity[4]
 
 
 def test_moving_rows_of_coupled_axes_go_through_the_gears_that_turn():
@@ -234,4 +234,4 @@ def test_an_unmeasured_axis_hides_those_alone_that_its_motor_acts_on(rest_table)
     visits = pair_visits(
         rest_table(load=["a"], pose=[1], direction=np.ones((1, 6)), tau=torque), np.full(6, 0.8), COUPLING
     )
-    assert np.isnan(visits.tau_nm[0]).tolist() == [False, False, True, False, False, False]
+    assert np.isnan(visits.sum_nm[0]).tolist() == [False, False, True, False, False, False]

@@ -15,15 +15,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.fit import fit
-from gateway.diagnose.rest.linear import RestProblem, common_columns
-from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
-from gateway.diagnose.rest.rows import rest_rows
 from gateway.diagnose.rest.screen import columns_of
+from gateway.identify.rest.fit import fit
+from gateway.identify.rest.linear import RestProblem, common_columns
+from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.robot import robot_from_urdf
 from gateway.model.term import Label, Term
+from gateway.model.visits import pair_visits
 from sim.draw import VISIT_S, DrawnArm, draw_arm
 from sim.offline import PlannedVisit, measure
 from tests.support.rigs.tables import simulated_table
@@ -99,7 +100,7 @@ def _problem(arm: DrawnArm, seed: int, poses: int) -> RestProblem:
     still = replace(arm.plant, reading_noise_nm=np.full(6, 1e-9))
     table = simulated_table(measure(arm.chain, still, visits, arm.loads, quiet, rng), "pairs")
     robot = robot_from_urdf(arm.urdf, f"seed {seed}")
-    problem = build_problem(robot, rest_rows(table, arm.efficiency), Knowledge(inertials="ignore"))
+    problem = build_problem(robot, pair_visits(table, arm.efficiency), Knowledge(inertials="ignore"))
     none = np.zeros_like(problem.nuisance.mean)
     return replace(problem, nuisance=replace(problem.nuisance, mean=none, std=none + NOT_THERE))
 

@@ -9,11 +9,11 @@ import pytest
 from scipy import stats
 
 from gateway.data.table import Table
-from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.holdout import left_out
-from gateway.diagnose.rest.linear import common_columns, modelled, with_terms
-from gateway.diagnose.rest.problem import first_noise
-from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.fit import fit
+from gateway.identify.rest.linear import common_columns, modelled, with_terms
+from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.model.effects.payload_shift import PayloadShift
 from gateway.model.effects.torque_offset import TorqueOffset
 from tests.resting_arm import Bench, effect, problem_of
@@ -42,7 +42,7 @@ def density(problem, found) -> float:
     # the prior's own constants belong to the evidence
     prior = -0.5 * np.sum((parameters[held] / found.prior_std[held]) ** 2)
     used = np.unique(problem.group)
-    shape, start = REST.noise_weight / 2.0, found.noise.start[used] ** 2
+    shape, start = REST_MODEL.noise_weight / 2.0, found.noise.start[used] ** 2
     noise = stats.invgamma.logpdf(found.noise.std[used] ** 2, shape, scale=shape * start) + np.log(start)
     return float(rows + prior + noise.sum())
 

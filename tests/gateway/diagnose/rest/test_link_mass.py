@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
-from gateway.diagnose.rest.rows import rest_rows
 from gateway.diagnose.rest.search import Search
+from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.effects.link_mass import LinkMass
+from gateway.model.visits import pair_visits
 from tests.resting_arm import Bench, effect
 
 #: Link 3, from 0.
@@ -23,7 +24,7 @@ def lighter() -> tuple[Bench, Search, LinkMass]:
     plain = Bench(3, [], poses=8)
     mass = float(plain.robot.mass_kg[LINK])
     bench = Bench(3, [effect("link_mass", [LINK + 1], mass_kg=-0.5 * mass)], poses=8)
-    rows = rest_rows(bench.both(), bench.options.efficiency)
+    rows = pair_visits(bench.both(), bench.options.efficiency)
     problem = build_problem(bench.robot, rows, Knowledge(inertials="prior:0.01"))
     setup = RestSetup((np.nan,) * 6, False, np.zeros((len(rows), 6)), problem.links)
     named = terms_at_rest(problem.rows, setup, frozenset({"link_mass"}))

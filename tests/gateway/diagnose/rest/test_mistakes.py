@@ -11,7 +11,6 @@ import pytest
 
 from gateway.data.table import Table
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.mistakes import (
     Mistake,
     band_signs,
@@ -21,7 +20,8 @@ from gateway.diagnose.rest.mistakes import (
     find_mistakes,
     held_ratio,
 )
-from gateway.diagnose.rest.problem import first_noise
+from gateway.identify.rest.fit import fit
+from gateway.identify.rest.noise import first_noise
 from gateway.model.effects import LIBRARY, MISTAKES
 from tests.resting_arm import Bench, effect, found, problem_of, problems
 from tests.support.rigs.tables import make_table

@@ -7,16 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gateway.diagnose.rest.linear import common_columns, modelled, with_terms
-from gateway.diagnose.rest.ordinary import KINDS, Ordinary, fades, ordinary_setting
-from gateway.diagnose.rest.problem import Knowledge, build_problem
-from gateway.diagnose.rest.rows import rest_rows
-from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.nuisance import UNEVEN_LOSS, nuisance_prior
+from gateway.identify.rest.linear import common_columns, modelled, with_terms
+from gateway.identify.rest.ordinary import KINDS, Ordinary, fades, ordinary_setting
+from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.model.effects.axis_coupling import TorqueMixing
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.torque_offset import TorqueOffset
+from gateway.model.visits import pair_visits
 from tests.resting_arm import Bench, problem_of
 
 N = 6
@@ -96,7 +96,11 @@ def test_each_kind_does_what_it_is_called():
     )
     torque = np.einsum("nak,nk->na", problem.model.nominal, bodies)
     since = problem.rows.time_s - problem.rows.time_s.min()
-    cold = 1.0 + np.outer(np.exp(-since / REST.warm_fast_s), fast) + np.outer(np.exp(-since / REST.warm_slow_s), slow)
+    cold = (
+        1.0
+        + np.outer(np.exp(-since / REST_MODEL.warm_fast_s), fast)
+        + np.outer(np.exp(-since / REST_MODEL.warm_slow_s), slow)
+    )
     bands = band * cold
     left = one * nu * (nu * torque / 2.0 + np.clip(torque, -bands, bands))
     half_sum = (1.0 + gain) * (torque + bias + left)
@@ -133,8 +137,8 @@ def test_friction_fades_from_the_first_visit_on():
     first = int(np.argmin(rows.time_s))
     assert fast[first] == slow[first] == 1.0
     later = rows.time_s - rows.time_s.min()
-    assert np.log(fast) == pytest.approx(-later / REST.warm_fast_s)
-    assert np.log(slow) == pytest.approx(-later / REST.warm_slow_s)
+    assert np.log(fast) == pytest.approx(-later / REST_MODEL.warm_fast_s)
+    assert np.log(slow) == pytest.approx(-later / REST_MODEL.warm_slow_s)
     none = ordinary_setting(rows, np.zeros(len(KINDS) * N))
     assert (none.band_gain == 1.0).all()
     assert (none.gain == 1.0).all()
@@ -161,6 +165,6 @@ def test_an_axis_that_was_not_measured_has_the_prior_of_every_arm():
     bench = Bench(3, [], poses=6)
     table = bench.both()
     blind = replace(table, tau_nm=np.where(np.arange(N) == 3, np.nan, table.tau_nm))
-    problem = build_problem(bench.robot, rest_rows(blind, bench.options.efficiency), Knowledge())
+    problem = build_problem(bench.robot, pair_visits(blind, bench.options.efficiency), Knowledge())
     assert np.isfinite(problem.nuisance.std).all()
     assert (problem.nuisance.std > 0).all()

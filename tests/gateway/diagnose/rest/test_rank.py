@@ -8,12 +8,13 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
-from gateway.diagnose.rest.fit import fit
-from gateway.diagnose.rest.loads import loads_of
-from gateway.diagnose.rest.problem import Knowledge, build_problem, first_noise
-from gateway.diagnose.rest.rows import rest_rows
 from gateway.estimate import EstimateOptions, run
+from gateway.identify.rest.fit import fit
+from gateway.identify.rest.loads import loads_of
+from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.robot import robot_from_urdf
+from gateway.model.visits import pair_visits
 from tests.arms import peer_of
 from tests.support.rigs.tables import make_table
 
@@ -59,7 +60,7 @@ def measured(request: pytest.FixtureRequest):
 @pytest.mark.parametrize("inertials", ["ignore", "prior:0.05"])
 def test_what_no_posture_shows_is_not_stated(measured, inertials: str) -> None:
     table, robot = measured
-    problem = build_problem(robot, rest_rows(table, None), Knowledge(inertials=inertials))
+    problem = build_problem(robot, pair_visits(table, None), Knowledge(inertials=inertials))
     load = loads_of(problem, fit(problem, (), first_noise(problem)), robot)[0]
     expected = run(table, robot, EstimateOptions(inertials=inertials)).loads[0]
     names = ("com_x_m", "com_y_m", "com_z_m")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.fit import fit
-from gateway.diagnose.rest.problem import first_noise
 from gateway.diagnose.rest.ripple import order_analysis
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.fit import fit
+from gateway.identify.rest.noise import first_noise
 from gateway.model.effects.torque_ripple import (
     LEAST_PER_REVOLUTION,
     MOST_PER_REVOLUTION,

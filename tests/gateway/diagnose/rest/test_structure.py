@@ -9,9 +9,7 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.fit import fit
 from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen
-from gateway.diagnose.rest.problem import first_noise
 from gateway.diagnose.rest.structure import (
     Power,
     StructureTest,
@@ -20,6 +18,8 @@ from gateway.diagnose.rest.structure import (
     structure_seen_nm,
 )
 from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.fit import fit
+from gateway.identify.rest.noise import first_noise
 from sim.effects import apply_effects
 from sim.offline import half_floor
 from tests.resting_arm import Bench, effect, problem_of

@@ -24,9 +24,10 @@ from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.torque_offset import TorqueOffset
 from gateway.model.effects.torque_ripple import TorqueRipple
 from gateway.model.regressor import gravity_regressor
-from gateway.model.rest import Model, RestRows, neutral
+from gateway.model.rest import Model, neutral
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.unnamed import unnamed_terms
+from gateway.model.visits import Gears, Visits
 from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.effects import effect_from_dict
 from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
@@ -67,10 +68,10 @@ def halves(arm: DrawnArm, plant, visits: list[PlannedVisit]) -> tuple[np.ndarray
 
 
 @pytest.fixture(scope="module")
-def rows(arm: DrawnArm, visits: list[PlannedVisit]) -> RestRows:
+def rows(arm: DrawnArm, visits: list[PlannedVisit]) -> Visits:
     half_sum, difference = halves(arm, arm.plant, visits)
     n = len(visits)
-    return RestRows(
+    return Visits(
         load=np.array([visit.load for visit in visits]),
         pose=np.array([visit.pose for visit in visits]),
         run=np.full(n, "r"),
@@ -83,17 +84,19 @@ def rows(arm: DrawnArm, visits: list[PlannedVisit]) -> RestRows:
         sample_std_nm=np.full((n, 6), np.nan),
         temperature_c=np.full((n, 6), np.nan),
         wind_up_rad=np.full((n, 6), np.nan),
-        efficiency=arm.plant.gear_efficiency,
+        gear_nm=np.zeros((n, 6)),
+        where=np.full(n, "r"),
+        gears=Gears(arm.plant.gear_efficiency),
     )
 
 
 @pytest.fixture(scope="module")
-def model(robot: Robot, rows: RestRows) -> Model:
+def model(robot: Robot, rows: Visits) -> Model:
     return Model(robot, rows, np.array([0.0, 0.0, -9.80665]))
 
 
 @pytest.fixture(scope="module")
-def bodies(arm: DrawnArm, rows: RestRows) -> tuple[np.ndarray, np.ndarray]:
+def bodies(arm: DrawnArm, rows: Visits) -> tuple[np.ndarray, np.ndarray]:
     """True link parameters (24,) and loads (n, 4)."""
     links = np.concatenate(
         [np.append(m, m * c) for m, c in zip(arm.plant.link_mass_kg, arm.plant.link_com_m, strict=True)]
@@ -257,7 +260,7 @@ def test_couplings_of_a_linkage_add_up_in_any_order(arm, model, rows, visits, bo
     ],
 )
 def test_axes_that_one_train_may_join(axes, pairs):
-    rows = RestRows(**{name: np.zeros((3, axes)) for name in RestRows.__slots__ if name != "__weakref__"})
+    rows = Visits(**{name: np.zeros((3, axes)) for name in Visits.__slots__ if name != "__weakref__"})
     found = LIBRARY["axis_coupling"].at_rest(rows, RestSetup((np.nan,) * axes, False, np.ones((3, axes))))
     assert [term.joints for term in found] == pairs
 
@@ -273,7 +276,7 @@ def test_an_elastic_arm_is_in_equilibrium(robot, model, rows, bodies):
 
 def test_a_one_sided_visit_reads_its_own_side(robot, rows, bodies):
     single = replace(
-        rows, two_sided=np.zeros(len(rows), dtype=bool), side=np.ones((len(rows), 6)), efficiency=np.ones(6)
+        rows, two_sided=np.zeros(len(rows), dtype=bool), side=np.ones((len(rows), 6)), gears=Gears(np.ones(6))
     )
     model = Model(robot, single, np.array([0.0, 0.0, -9.80665]))
     plain = model.predict(neutral(len(rows), 6), *bodies, np.zeros(6)).sum_nm

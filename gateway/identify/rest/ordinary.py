@@ -9,10 +9,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.nuisance import UNEVEN_LOSS, NuisancePrior
-from gateway.model.rest import AlteredModel, RestRows, neutral
+from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.model.rest import AlteredModel, neutral
 from gateway.model.term import Term
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
@@ -21,6 +22,10 @@ Floats = NDArray[np.float64]
 #: as it fades fast and slowly.
 KINDS: Final = ("gain", "bias", "load_friction", "one_efficiency", "cold_fast", "cold_slow")
 COLD: Final = KINDS[-2:]
+#: Factor on a standard deviation that is not to count a second time: its weight becomes a hundredth.
+_HELD_ELSEWHERE: Final = 10.0
+#: Standard deviation [Nm] of a bias that is not there.
+_NO_BIAS_NM: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,12 +58,32 @@ class Ordinary:
         """
         none, one = np.zeros_like(gain_std), np.ones_like(gain_std)
         gain = np.hypot(gain_std, UNEVEN_LOSS * lost)
-        cold = REST.cold * one
+        cold = REST_MODEL.cold * one
         return Ordinary(
             np.concatenate([none, none, prior.load_friction, 0.5 * one, none, none]),
             np.concatenate([gain, prior.bias_std_nm, prior.load_friction_std, 0.5 * one, cold, cold]),
             (gain_std / gain) ** 2,
         )
+
+    def held_elsewhere(self, known: NDArray[np.bool_]) -> Ordinary:
+        """The prior without that of gains and biases (2 N,) that are `known`: a stored identification contains it."""
+        std = self.std.copy()
+        std[: len(known)] *= np.where(known, _HELD_ELSEWHERE, 1.0)
+        return replace(self, std=std)
+
+    def without_bias(self) -> Ordinary:
+        """The prior where no bias by direction is in the rows: it drops out of differences between loads."""
+        std = self.std.copy()
+        std[KINDS.index("bias") * self.axes :][: self.axes] = _NO_BIAS_NM
+        return replace(self, std=std)
+
+    def with_losses(self, value: Floats, std: Floats) -> Ordinary:
+        """The prior with load friction as seen elsewhere (N,); NaN = not seen."""
+        own = KINDS.index("load_friction") * self.axes + np.flatnonzero(np.isfinite(value))
+        changed = self.mean.copy(), self.std.copy()
+        for part, seen in zip(changed, (value, std), strict=True):
+            part[own] = seen[np.isfinite(value)]
+        return replace(self, mean=changed[0], std=changed[1])
 
     @property
     def axes(self) -> int:
@@ -75,7 +100,7 @@ class Ordinary:
         return np.array(places, dtype=int)
 
 
-def ordinary_setting(rows: RestRows, value: Floats) -> AlteredModel:
+def ordinary_setting(rows: Visits, value: Floats) -> AlteredModel:
     """The setting in which nothing but the ordinary parameters (K N,) is changed."""
     gain, bias, load_friction, one_efficiency, fast, slow = value.reshape(len(KINDS), rows.axes)
     setting = neutral(len(rows), rows.axes)
@@ -104,7 +129,7 @@ def raised(setting: AlteredModel, kind: str, step: Floats, fading: Sequence[Floa
     return replace(setting, band_gain=setting.band_gain + left[:, None] * step)
 
 
-def fades(rows: RestRows) -> tuple[Floats, Floats]:
+def fades(rows: Visits) -> tuple[Floats, Floats]:
     """What is left (n,) of being cold at each visit, fast and slow; 1 at the first."""
     since = rows.time_s - rows.time_s.min()
-    return np.exp(-since / REST.warm_fast_s), np.exp(-since / REST.warm_slow_s)
+    return np.exp(-since / REST_MODEL.warm_fast_s), np.exp(-since / REST_MODEL.warm_slow_s)

@@ -4,39 +4,47 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from gateway.diagnose.rest.linear import Fit, RestProblem
-from gateway.diagnose.rest.ordinary import KINDS
-from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, Sources, budget_of
 from gateway.identify.load_estimate import (
+    LoadEstimate,
     load_directions,
     load_from_moment,
     load_result,
-    negative_mass,
-    next_to_nothing,
-    refused_load,
-    unknown_load,
 )
+from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.ordinary import KINDS
+from gateway.identify.rest.problem import OPEN_MASS_KG, OPEN_SHARE
+from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.identify.solve import Prior, determined
-from gateway.model.robot import Robot
+from gateway.model.robot import Robot, reach_m
 from gateway.result.result import LoadResult, NuisanceResult
 from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
+#: Information about the mass, over that of the most telling pose, from which a pose's own mass is given.
+_INFORMATIVE: Final = 0.05
 
 
-def loads_of(problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | None = None) -> tuple[LoadResult, ...]:
+def load_estimates(
+    problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | None = None
+) -> tuple[LoadEstimate, ...]:
     """Every load that was estimated, in the order of its label.
 
     `by_shape` (labels, 4, 4) is what the choice of the effects' shapes leaves open about [m, h], none if not given.
     """
     further = np.zeros((len(problem.labels), 4, 4)) if by_shape is None else by_shape
     return tuple(_load(problem, fit, robot, k, further[k]) for k in range(len(problem.labels)))
+
+
+def loads_of(problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | None = None) -> tuple[LoadResult, ...]:
+    """The same as the result file has them."""
+    return tuple(load_result(load, robot) for load in load_estimates(problem, fit, robot, by_shape))
 
 
 def spread_by_shape(fit: Fit, alike: Sequence[tuple[float, Fit]]) -> Floats:
@@ -48,34 +56,45 @@ def spread_by_shape(fit: Fit, alike: Sequence[tuple[float, Fit]]) -> Floats:
     return out
 
 
-def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Floats) -> LoadResult:
-    label, moment, part = problem.labels[index], fit.loads[index], problem.load_part(index)
-    covariance = fit.covariance[part, part] + by_shape
-    widening = _widening(problem, fit, part)
-    turn = load_directions(moment)
-    std = widening * np.sqrt(np.maximum(np.diag(turn @ covariance @ turn.T), 0.0))
-    mass = float(moment[0])
-    if (reason := negative_mass(mass, float(std[0]))) is not None:
-        return load_result(refused_load(label, reason), robot)
-    nothing = next_to_nothing(mass, float(std[0]), robot, problem.rows.sum_nm, REST.next_to_nothing)
-    sure = _determined(fit, part)
-    if not sure[0]:
-        return load_result(unknown_load(label), robot)
-    if not nothing and (std[0] > REST.blind_mass * max(abs(mass), 1e-3) or mass <= 0):
-        return load_result(unknown_load(label), robot)
-    found = np.concatenate([[True], sure[1:] & (not nothing) & (std[1:] <= REST.blind_m)])
-    per_pose = {} if nothing or not sure.all() else _per_pose(problem, fit, index)
-    load = load_from_moment(label, moment, covariance, np.full(4, widening), found, per_pose)
-    return replace(load_result(load, robot), budget=_budget(problem, fit, part.start))
+def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Floats) -> LoadEstimate:
+    part = problem.load_part(index)
+    found = _determined(problem, fit, part)
+    directions = np.zeros((4, len(fit.scale)))
+    directions[:, part] = load_directions(fit.loads[index])
+    load = load_from_moment(
+        problem.labels[index],
+        fit.loads[index],
+        fit.covariance[part, part] + by_shape,
+        widening(problem, fit, directions),
+        found,
+        reach_m(robot),
+    )
+    return replace(
+        load,
+        per_pose_mass_kg=per_pose_mass(problem, fit, index) if found.all() else {},
+        budget=_budget(problem, fit, part.start) if np.isfinite(load.mass_kg) else {},
+    )
 
 
-def _determined(fit: Fit, part: slice) -> NDArray[np.bool_]:
-    """Which of a load's [m, hx, hy, hz] (4,) rows and priors determine; beside an open mass there is no centre."""
+def sure(problem: RestProblem, fit: Fit, directions: Floats) -> NDArray[np.bool_]:
+    """Which linear functions (k, p) of the parameters rows and priors determine.
+
+    What is known no better than a link of which nothing is known hangs on that stand-in, and is not determined.
+    """
+    found = determined(fit, directions)
+    if problem.link_std.max(initial=0.0) < OPEN_MASS_KG:
+        return found
+    variance = np.einsum("ki,ij,kj->k", directions, fit.covariance, directions)
+    return found & (variance < (OPEN_SHARE * OPEN_MASS_KG) ** 2)
+
+
+def _determined(problem: RestProblem, fit: Fit, part: slice) -> NDArray[np.bool_]:
+    """Which of a load's [m, hx, hy, hz] (4,) are determined; beside an open mass there is no centre."""
     pure = np.zeros((4, len(fit.scale)))
     pure[:, part] = np.eye(4)
-    sure = determined(fit, pure)
-    sure[1:] &= sure[0]
-    return sure
+    found = sure(problem, fit, pure)
+    found[1:] &= found[0]
+    return found
 
 
 def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
@@ -88,8 +107,7 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
     constants[gains] = problem.nuisance.constants
     noise = np.zeros(count)
     noise[problem.n_common :] = 1.0
-    further = np.zeros((len(problem.prior_rows), count))
-    further[:, problem.link_part] = problem.prior_rows
+    further = np.pad(problem.prior_rows, ((0, 0), (0, count - problem.n_common)))
     direction = np.zeros(count)
     direction[mass] = 1.0
     return budget_of(
@@ -122,22 +140,24 @@ def ordinary_of(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult]:
     return out
 
 
-def _widening(problem: RestProblem, fit: Fit, part: slice) -> float:
-    """Factor on the standard deviations, so that 1.96 of them hold 95 % although the noise itself is estimated.
+def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
+    """Factor (k,) on the standard deviations of linear functions `directions` (k, p) of the parameters.
 
-    Student's t over the normal quantile, its degrees of freedom those of the noise of each axis, weighted by what the
-    axis says about the load.
+    1.96 of the widened standard deviations hold 95 % although the noise of the rows is estimated: Student's t over the
+    normal quantile, with the degrees of freedom of the noise of each axis, weighted by its share of the variance.
     """
-    taken = problem.by_group(fit.basis.leverage)
-    freedom = np.maximum(problem.by_group() - taken, 0.0) + REST.noise_weight
-    told = ((fit.design[:, part] / fit.noise.std[problem.group][:, None]) ** 2).sum(axis=1)
-    if not told.any():
-        return 1.0
-    return float(stdtrit(np.average(freedom[problem.group], weights=told), 0.975) / ndtri(0.975))
+    freedom = problem.by_group() - problem.by_group(fit.basis.leverage)
+    freedom = np.maximum(freedom, 0.0) + REST_MODEL.noise_weight
+    reach = fit.covariance @ directions.T
+    by_row = (fit.columns.times(reach) / fit.noise.std[problem.group][:, None]) ** 2
+    share = np.array([problem.by_group(column) for column in by_row.T])
+    total = share.sum(axis=1)
+    mean = (share @ freedom) / np.where(total > 0, total, 1.0)
+    return np.where(total > 0, stdtrit(np.where(total > 0, mean, np.inf), 0.975) / ndtri(0.975), 1.0)
 
 
-def _per_pose(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
-    """Mass from each pose alone, the centre of gravity and everything else as in the whole fit."""
+def per_pose_mass(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
+    """Mass [kg] that each pose alone would give, everything else as in the whole fit; informative poses only."""
     part = problem.load_part(index)
     std = fit.noise.std[problem.group]
     phi = fit.loads[index]
@@ -146,6 +166,6 @@ def _per_pose(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
     share = (fit.design[:, part] @ phi / std)[mine]
     weight = np.bincount(place, weights=share**2, minlength=len(poses))
     away = np.bincount(place, weights=share * (fit.residual / std)[mine], minlength=len(poses))
-    told = weight > 1.0
+    told = weight > _INFORMATIVE * weight.max(initial=0.0)
     mass = phi[0] * (1.0 + away[told] / weight[told])
     return dict(zip([str(int(pose)) for pose in poses[told]], mass.tolist(), strict=True))

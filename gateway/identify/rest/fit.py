@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.linear import (
+from gateway.identify.rest.linear import (
     Fit,
     Noise,
     RestProblem,
@@ -24,7 +24,8 @@ from gateway.diagnose.rest.linear import (
     term_columns,
     with_terms,
 )
-from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.identify.solve import Basis, ByGroup, Prior, solve
 from gateway.model.rest import AlteredModel
 from gateway.model.term import Term
@@ -48,6 +49,11 @@ class _State:
     nuisance: Floats
     theta: list[Floats]
     spread: dict[Term, Floats]
+
+    @property
+    def common(self) -> Floats:
+        """What every hypothesis has, in one vector (n_common,)."""
+        return np.concatenate([self.links, self.loads.ravel(), self.band, self.nuisance])
 
 
 def fit(
@@ -77,6 +83,11 @@ def fit(
         if step >= 2 and abs(current.mode - before) < 0.02:
             break
     return current
+
+
+def fit_without_effects(problem: RestProblem) -> Fit:
+    """Fit what every arm has; the noise begins where sides and repeats of the visits show it."""
+    return fit(problem, (), first_noise(problem))
 
 
 def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _State:
@@ -139,6 +150,7 @@ def _linearised(
         basis=solution.basis,
         null=solution.null,
         scale=solution.scale,
+        condition=solution.condition,
         mode=mode,
     )
 
@@ -160,12 +172,11 @@ def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: 
     common_std, common_mean = problem.common_std, problem.common_mean
     said_once = problem.taken_over(terms)
     common_std[said_once], common_mean[said_once] = NOTHING, 0.0
-    here = np.concatenate([state.links, state.loads.ravel(), state.band, state.nuisance])
+    here = state.common
     std = np.concatenate([common_std, *spreads])
-    rows = np.zeros((len(problem.prior_target), len(std)))
-    rows[:, problem.link_part] = problem.prior_rows
+    rows = np.pad(problem.prior_rows, ((0, 0), (0, len(std) - problem.n_common)))
     mean = np.concatenate([np.where(np.isfinite(common_std), common_mean - here, 0.0), *centre])
-    return Prior(mean, std, rows, problem.prior_target - problem.prior_rows @ state.links)
+    return Prior(mean, std, rows, problem.prior_target - problem.prior_rows @ here)
 
 
 def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Floats) -> None:
@@ -184,8 +195,8 @@ def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Flo
 
 def _update_noise(problem: RestProblem, residual: Floats, leverage: Floats, noise: Noise) -> Noise:
     count, taken, squares = problem.by_group(), problem.by_group(leverage), problem.by_group(residual**2)
-    freedom = np.maximum(count - taken, 0.0) + REST.noise_weight
-    variance = (squares + REST.noise_weight * noise.start**2) / freedom
+    freedom = np.maximum(count - taken, 0.0) + REST_MODEL.noise_weight
+    variance = (squares + REST_MODEL.noise_weight * noise.start**2) / freedom
     std = np.where(count > 0, np.maximum(np.sqrt(variance), noise.least), noise.start)
     return Noise(noise.start, std, noise.least)
 
@@ -196,7 +207,7 @@ def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, prior: 
     mean[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
     total += float(np.sum(((state.nuisance - mean) / prior.std[problem.nuisance_part]) ** 2))
     if len(problem.prior_target):
-        total += float(np.sum((problem.prior_target - problem.prior_rows @ state.links) ** 2))
+        total += float(np.sum((problem.prior_target - problem.prior_rows @ state.common) ** 2))
     for term, values, spread in zip(terms, state.theta, spreads, strict=True):
         total += float(np.sum(((values - np.array(term.start)) / spread) ** 2))
     return total
@@ -207,4 +218,5 @@ def _log_density(problem: RestProblem, residual: Floats, noise: Noise, penalty: 
     density = -float(np.sum(np.log(std))) - 0.5 * float(np.sum((residual / std) ** 2)) - 0.5 * penalty
     used = np.unique(problem.group)
     ratio = (noise.start[used] / noise.std[used]) ** 2
-    return density + float(np.sum((REST.noise_weight / 2.0 + 1.0) * np.log(ratio) - REST.noise_weight / 2.0 * ratio))
+    half = REST_MODEL.noise_weight / 2.0
+    return density + float(np.sum((half + 1.0) * np.log(ratio) - half * ratio))

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.ordinary import COLD, KINDS, Ordinary, fades, ordinary_setting, raised
-from gateway.diagnose.rest.thresholds import REST
+from gateway.identify.rest.ordinary import COLD, KINDS, Ordinary, fades, ordinary_setting, raised
+from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.identify.solve import Basis, ByGroup
-from gateway.model.rest import AlteredModel, Model, RestRows
+from gateway.model.rest import AlteredModel, Model
 from gateway.model.term import Term
+from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -35,7 +36,7 @@ class RestProblem:
     use_sum, use_difference : (n, N) rows that are fitted
     target : (rows,) half sums, then half differences
     group : (rows,) noise group: axis + N * (0 half sum, 1 half difference, 2 one-sided)
-    prior_rows, prior_target : further knowledge of the links: `prior_rows @ links = prior_target` with unit std
+    prior_rows, prior_target : (k, n_common), (k,) further knowledge: `prior_rows @ common = prior_target`, unit std
     nuisance : what every arm has, its prior
     """
 
@@ -54,7 +55,7 @@ class RestProblem:
     nuisance: Ordinary
 
     @property
-    def rows(self) -> RestRows:
+    def rows(self) -> Visits:
         """The visits."""
         return self.model.rows
 
@@ -152,6 +153,7 @@ class Fit:
     basis : weighted columns in an orthonormal basis
     null : (p, k) directions that neither rows nor priors determine
     scale : (p,) length of each weighted column
+    condition : largest over smallest singular value of the scaled, weighted columns with their priors
     """
 
     terms: tuple[Term, ...]
@@ -170,7 +172,13 @@ class Fit:
     basis: Basis
     null: Floats
     scale: Floats
+    condition: float = np.nan
     mode: float = 0.0
+
+    @property
+    def rank(self) -> int:
+        """Parameters that rows and priors determine."""
+        return len(self.scale) - self.null.shape[1]
 
     @property
     def design(self) -> Floats:
@@ -198,7 +206,7 @@ def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
     return problem.fixed_load + problem.member @ loads if len(problem.labels) else problem.fixed_load.copy()
 
 
-def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: RestRows, nuisance: Floats) -> AlteredModel:
+def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: Visits, nuisance: Floats) -> AlteredModel:
     """The setting with what every arm has (K N,), and all effects of a hypothesis, in it."""
     setting = ordinary_setting(rows, nuisance)
     for term, values in zip(terms, theta, strict=True):
@@ -316,6 +324,6 @@ def spread_of(problem: RestProblem, noise: Noise, term: Term, columns: Floats) -
 
 def plausible_spread(term: Term, size: Floats) -> Floats:
     """The same from the length (k,) of the weighted columns over the root of the number of visits."""
-    by_strength = REST.strength_spread / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
+    by_strength = REST_MODEL.strength_spread / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
     plausible = np.array(term.spread)
     return np.where(np.isnan(plausible), by_strength, plausible)

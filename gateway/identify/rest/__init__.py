@@ -1,0 +1,1 @@
+"""The arm at rest: rows, priors and the fit that estimates and diagnoses share."""

@@ -1,0 +1,69 @@
+"""Where the noise of the rows begins: what repeated visits, sides and samples show before any fit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.repeats import half_difference_scatter, repeated_std
+from gateway.identify.rest.linear import Fit, Noise, RestProblem
+from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.model.visits import column_medians
+
+Floats = NDArray[np.float64]
+
+
+def first_noise(problem: RestProblem) -> Noise:
+    """Noise floor per group from the data alone: sides of a visit, repeated visits, averaged samples.
+
+    Both halves of a two-sided visit carry the same asymmetry of friction, so the scatter of the half differences about
+    `band + nu |tau|` stands for that of the half sums. Repeated visits of a pose under one load tell it directly.
+    """
+    rows, axes = problem.rows, problem.axes
+    start = np.full(3 * axes, np.nan)
+    least = np.full(3 * axes, 1e-9)
+    _, group = np.unique(np.char.add(np.char.add(rows.load, "/"), rows.pose.astype(str)), return_inverse=True)
+    repeats = repeated_std(rows.sum_nm, group.ravel(), rows.side)
+    halves = np.where(problem.use_difference, rows.difference_nm, np.nan)
+    scatter = np.sqrt(half_difference_scatter(halves, rows.sum_nm)[0])
+    band = np.nan_to_num(np.abs(column_medians(halves)))
+    for axis in range(axes):
+        measured = problem.use_sum[:, axis]
+        if not measured.any():
+            continue
+        size = float(np.sqrt(np.mean(rows.sum_nm[measured, axis] ** 2)))
+        samples = rows.sample_std_nm[measured, axis]
+        quiet = float(np.nanmedian(samples)) if np.isfinite(samples).any() else 0.0
+        floor = max(0.5 * quiet, REST_MODEL.relative_floor * size, 1e-9)
+        least[[axis, axis + axes, axis + 2 * axes]] = floor
+        seen = scatter[axis] if np.isfinite(scatter[axis]) else 0.2 * band[axis]
+        start[[axis, axis + axes]] = max(seen, floor)
+        start[axis + 2 * axes] = max(quiet, 0.02 * size, floor, _side_unknown(problem, axis, band[axis]))
+        repeated = float(repeats[axis])
+        if np.isfinite(repeated):
+            start[axis] = max(repeated, floor)
+            start[axis + 2 * axes] = max(repeated, floor)
+    start = np.where(np.isnan(start), 1.0, start)
+    return Noise(start, start.copy(), least)
+
+
+def _side_unknown(problem: RestProblem, axis: int, band_nm: float) -> float:
+    """Standard deviation [Nm] that friction and gear leave in rows whose side of approach is unknown; 0 without any."""
+    rows = problem.rows
+    blind = problem.use_sum[:, axis] & ~problem.use_difference[:, axis] & (rows.side[:, axis] == 0)
+    if not blind.any():
+        return 0.0
+    return float(np.sqrt((band_nm**2 + np.mean(rows.gear_nm[blind, axis] ** 2)) / 3.0))
+
+
+def settled_noise(problem: RestProblem, plain: Fit) -> Noise:
+    """Where the noise of every hypothesis begins: what the sides show, or what is left without any effect if less.
+
+    Half differences hold structure of their own, of friction, that half sums do not; half sums hold the effects.
+    """
+    count = problem.by_group()
+    freedom = count - problem.by_group(plain.basis.leverage)
+    left = np.sqrt(problem.by_group(plain.residual**2) / np.maximum(freedom, 1.0))
+    start = np.where(freedom >= REST_MODEL.noise_weight, np.minimum(plain.noise.start, left), plain.noise.start)
+    start = np.maximum(start, plain.noise.least)
+    return Noise(start, start.copy(), plain.noise.least)

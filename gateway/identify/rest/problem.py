@@ -1,0 +1,120 @@
+"""From a table and a robot to the rows, priors and noise that every hypothesis shares."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.errors import DataUnusable
+from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
+from gateway.identify.loads import bare_rows, load_vector, unknown_labels
+from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, losses, nuisance_prior
+from gateway.identify.rest.linear import RestProblem
+from gateway.identify.rest.ordinary import Ordinary
+from gateway.model.rest import Model
+from gateway.model.robot import Robot
+from gateway.model.visits import Visits, column_medians
+from gateway.result.result import Bare
+
+Floats = NDArray[np.float64]
+#: Standard deviation [kg] and [kg m] of a link of which nothing is known: a hundred times that of any arm.
+OPEN_MASS_KG = 1e3
+OPEN_MOMENT_KG_M = 1e3
+#: Standard deviation of a mass, over that of an open link, from which nothing but the open link is behind it.
+OPEN_SHARE = 0.1
+#: Relative standard deviation [-] of inertials that are called exact: below what any torque shows.
+EXACT = 1e-4
+#: Friction band of an axis that was approached from one side only, as a share of its torque.
+BAND_UNSEEN = 0.05
+#: Of a link that weighs nothing [kg, kg m]: nothing is known exactly.
+LEAST_STD = 1e-10
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knowledge:
+    """What is known besides the measured rows.
+
+    Attributes
+    ----------
+    gravity_m_s2 : array of shape (3,)
+    inertials : "exact", "ignore" or "prior:RELATIVE_STD"
+    known : label -> (mass, x, y, z) of loads that were weighed
+    bare : stored bare identification, or None
+    gain_std : relative standard deviation of each torque constant, or None
+    """
+
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
+    inertials: str = "prior:0.05"
+    known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    bare: Bare | None = None
+    gain_std: tuple[float, ...] | None = None
+
+
+def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProblem:
+    """Rows, priors and noise groups of the visits.
+
+    Raises
+    ------
+    InputError : a known load that is not in the data
+    DataUnusable : no torque was measured
+    """
+    labels = tuple(sorted(unknown_labels(rows.load, knowledge.known)))
+    fixed = np.zeros((len(rows), 4))
+    for name, known in knowledge.known.items():
+        fixed[rows.load == name] = load_vector(known)
+    use_sum = np.isfinite(rows.sum_nm)
+    if not use_sum.any():
+        raise DataUnusable(
+            "no axis torque was measured at rest; a pose number and a torque or current column are needed"
+        )
+    use_difference = use_sum & np.isfinite(rows.difference_nm)
+    axis = np.broadcast_to(np.arange(rows.axes), use_sum.shape)
+    kind = np.where(use_difference, 0, 2 * rows.axes)
+    links, std = open_link_prior(robot, knowledge.inertials)
+    nuisance = _nuisance(rows, use_difference, knowledge)
+    count = 4 * (rows.axes + len(labels)) + rows.axes + len(nuisance.mean)
+    prior_rows, prior_target = np.zeros((0, count)), np.zeros(0)
+    if knowledge.bare is not None:
+        both, prior_target = bare_rows(knowledge.bare)
+        prior_rows = np.zeros((len(both), count))
+        gains = count - len(nuisance.mean)
+        prior_rows[:, : 4 * rows.axes] = both[:, : 4 * rows.axes]
+        prior_rows[:, gains : gains + 2 * rows.axes] = both[:, 4 * rows.axes :]
+        nuisance = nuisance.held_elsewhere(np.asarray(both[:, 4 * rows.axes :].any(axis=0)))
+    return RestProblem(
+        model=Model(robot, rows, np.asarray(knowledge.gravity_m_s2, dtype=float)),
+        links=links,
+        link_std=std,
+        labels=labels,
+        member=np.array([[float(load == name) for name in labels] for load in rows.load]).reshape(len(rows), -1),
+        fixed_load=fixed,
+        use_sum=use_sum,
+        use_difference=use_difference,
+        target=np.concatenate([rows.sum_nm[use_sum], rows.difference_nm[use_difference]]),
+        group=np.concatenate([(axis + kind)[use_sum], axis[use_difference] + rows.axes]),
+        prior_rows=prior_rows,
+        prior_target=prior_target,
+        nuisance=nuisance,
+    )
+
+
+def open_link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
+    """CAD value and standard deviation (4 N,) of [m, hx, hy, hz] per link; unknown links are nearly open."""
+    mean, std = link_prior(robot, max(parse_inertials(inertials), EXACT), PER_LINK_AT_REST)
+    nearly_open = np.tile([OPEN_MASS_KG, *[OPEN_MOMENT_KG_M] * 3], len(mean) // PER_LINK_AT_REST)
+    return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
+
+
+def _nuisance(rows: Visits, seen: NDArray[np.bool_], knowledge: Knowledge) -> Ordinary:
+    """Prior of what every arm has; the sides of the visits tell how large bands and losses are."""
+    halves = np.where(seen, rows.difference_nm, np.nan)
+    count = np.maximum(np.isfinite(rows.sum_nm).sum(axis=0), 1)
+    size = np.sqrt(np.nansum(rows.sum_nm**2, axis=0) / count)
+    band = np.where(seen.any(axis=0), column_medians(halves), BAND_UNSEEN * size)
+    lost, _ = losses(halves, rows.sum_nm)
+    gain_std = gain_stds(knowledge.gain_std, rows.axes)
+    lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
+    return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost)

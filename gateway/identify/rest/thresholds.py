@@ -1,0 +1,35 @@
+"""Every tuned number of the model at rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from gateway.identify.thresholds import BLIND, threshold
+
+
+@dataclass(frozen=True, slots=True)
+class RestModelThresholds:
+    """Priors and noise of the model at rest."""
+
+    strength_spread: float = threshold(
+        10.0,
+        "floors",
+        "how strong an effect of unknown size may be (standard deviation of its prior)",
+        "the strengths that blind cells draw, 1.5 to 20",
+    )
+    noise_weight: float = threshold(4.0, "rows", "weight of the noise that the sides of visits show beforehand", BLIND)
+    relative_floor: float = threshold(
+        2e-4,
+        "",
+        "share of an axis's torque below which no noise is believed",
+        "resolution of a torque word of 1000 steps, rounded off over some visits",
+    )
+    cold: float = threshold(
+        0.25, "", "share by which friction is larger cold, of each time constant", "`methods.md` 9: 0 to 0.5"
+    )
+    warm_fast_s: float = threshold(600.0, "s", "the shorter time in which it warms up", "`methods.md` 9: 5 to 60 min")
+    warm_slow_s: float = threshold(2400.0, "s", "the longer", "`methods.md` 9: 5 to 60 min")
+
+
+REST_MODEL: Final = RestModelThresholds()
