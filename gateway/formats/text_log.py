@@ -116,17 +116,24 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _header(lines: list[tuple[int, str]], form: LogFormat, wanted: set[str]) -> tuple[str, int, list[str]]:
-    """Separator, place among the lines, and names; the first line with content where none holds what is wanted."""
+    """Separator, place among the lines, and names: the first line with all that is wanted, else with most of it.
+
+    Where no line holds any of it, it is the first one that is no comment.
+    """
     separators = (form.separator,) if form.separator else SEPARATORS
+    first = next((at for at, (_, line) in enumerate(lines) if not _COMMENT.match(line)), 0)
+    found = (separators[0], first, _cells(lines[first][1], separators[0]))
+    most = 0
     for at, (_, line) in enumerate(lines[:_HEADER_WITHIN]):
         for text in (line, _COMMENT.sub("", line, count=1)):
             for separator in separators:
                 names = _cells(text, separator)
-                if wanted <= set(names):
-                    return separator, at, _without_end(names)
-    at = next((at for at, (_, line) in enumerate(lines) if not _COMMENT.match(line)), 0)
-    separator = max(separators, key=lambda each: len(wanted & set(_cells(lines[at][1], each))))
-    return separator, at, _without_end(_cells(lines[at][1], separator))
+                held = len(wanted & set(names))
+                if held > most:
+                    found, most = (separator, at, names), held
+        if most == len(wanted):
+            break
+    return found[0], found[1], _without_end(found[2])
 
 
 def _without_end(names: list[str]) -> list[str]:

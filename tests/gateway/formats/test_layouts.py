@@ -136,6 +136,7 @@ def wider(name: str, value: str) -> str:
         (wider("m1", "1.234,5"), "log.csv:5: "),
         (wider("m1", "nan"), "log.csv:5: m1: 'nan' is not a finite number"),
         (text().replace("q2", "joint2"), "log.csv:1: column 'q2', which the map names, is missing; the log holds"),
+        ("A trace\n\n" + text(separator=";").replace("q2", "joint2"), "log.csv:3: column 'q2', which the map names,"),
         (text().encode("utf-16")[:-1], "log.csv: not UTF-16 text at byte"),
         (iso("2026-05-12T08:00", "")(text()).replace("00:58.05", "00:58;05"), "log.csv:7: t: "),
         (HEAD + "\ns,rad,rad,Nm,Nm\n", "log.csv:1: the log has a header but no row"),
