@@ -170,10 +170,11 @@ def _marks(path: Path, body: _Rows, asked: list[int], separator: str, form: LogF
     if form.decimal is not None or separator == "," or form.thousands is not None:
         return form.decimal or ("," if form.thousands == "." else "."), form.thousands
     looked_at = [(number, cells[index]) for number, cells in body[:_ROWS_LOOKED_AT] for index in asked]
+    with_comma = [(number, cells[index]) for number, cells in body for index in asked if "," in cells[index]]
     for decimal, grouped in _GROUPED.items():
-        if any(grouped.fullmatch(cell) for _, cell in looked_at):
+        if any(grouped.fullmatch(cell) for _, cell in with_comma):
             return decimal, "." if decimal == "," else ","
-    commas = [(number, cell) for number, cell in looked_at if _COMMA_NUMBER.fullmatch(cell)]
+    commas = [(number, cell) for number, cell in with_comma if _COMMA_NUMBER.fullmatch(cell)]
     if not commas or any("." in cell and seconds_of(cell) is None for _, cell in looked_at):
         return ".", None
     if all(_EITHER.fullmatch(cell) for _, cell in commas):
