@@ -17,12 +17,13 @@ Vector = Sequence[float]
 WIDTH, MARGIN = 900.0, 14.0
 CURVE_WIDTH, CURVE_HEIGHT = 420.0, 200.0
 MOTIONS = (
-    "Lines are the ways of the flange's middle, each from rest to rest; grey are the boxes of keep_out; the cross at "
-    "the base points along x, y and z. Speeds are shares of what is planned with, a little below the limit."
+    "Thin lines are the paths of the flange's middle, each from rest to rest; thick is the arm at its start; grey are"
+    " the boxes of keep_out; the cross at the base points along x, y and z. Speeds are shares of what is planned with,"
+    " a little below the limit."
 )
 WAY = (
-    "The line is the way of the flange's middle over all poses, in the order of visiting; grey are the boxes of "
-    "keep_out; the cross at the base points along x, y and z."
+    "The thin line is the path of the flange's middle over all poses, in the order of visiting; thick is the arm at the"
+    " first pose; grey are the boxes of keep_out; the cross at the base points along x, y and z."
 )
 ARM = (
     "Lines are the arm from its base to the flange; grey are the boxes of keep_out; the cross points along x, y and z."
@@ -54,7 +55,7 @@ def plan_page(
         head,
         heading="Way of the flange",
         lead=WAY,
-        scene=_scene([("", way_m)], boxes_m),
+        scene=_scene([("", way_m)], boxes_m, (f"arm at pose {poses[0].pose}", poses[0].points_m)),
         arms=space.pose_figures(poses, {}),
         said=list(said),
     )
@@ -76,6 +77,7 @@ def moving_page(
     curves: Sequence[JointCurves],
     boxes_m: Sequence[Sequence[Vector]],
     said: Sequence[str],
+    arm_m: Sequence[Vector],
 ) -> str:
     """HTML text of a plan of motions.
 
@@ -88,6 +90,8 @@ def moving_page(
         Of all joints of each motion.
     boxes_m, said
         As of a plan.
+    arm_m : sequence of points
+        Places of joints and flange where the first motion begins, base frame.
     """
     motions = (("arm", title), ("motions", str(len(ways_m))))
     return page(
@@ -95,7 +99,7 @@ def moving_page(
         Head(f"Plan: {title}", "Plan of the motions", motions),
         heading="Way of the flange",
         lead=MOTIONS,
-        scene=_scene(ways_m, boxes_m),
+        scene=_scene(ways_m, boxes_m, ("arm at its start", arm_m)),
         over="Over one period",
         arms=[figure for each in curves for figure in _curve_figures(each)],
         said=list(said),
@@ -151,16 +155,23 @@ def _round_length_m(far_m: float) -> float:
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= far_m / 3.0)
 
 
-def _scene(lines_m: Sequence[tuple[str, Sequence[Vector]]], boxes_m: Sequence[Sequence[Vector]]) -> Markup:
-    """Named lines, boxes and a cross of known length; boxes are cut off a little beyond what the arm reaches."""
-    far = 1.15 * max(max(abs(value) for value in point) for _, points in lines_m for point in points)
+def _scene(
+    lines_m: Sequence[tuple[str, Sequence[Vector]]],
+    boxes_m: Sequence[Sequence[Vector]],
+    arm: tuple[str, Sequence[Vector]] | None = None,
+) -> Markup:
+    """Named lines, an arm, boxes and a cross of known length; boxes are cut off a little beyond what it reaches."""
+    arms_m = [] if arm is None else [(arm[0], [(0.0, 0.0, 0.0), *arm[1]])]
+    far = 1.15 * max(max(abs(value) for value in point) for _, points in (*lines_m, *arms_m) for point in points)
     near = [[[min(max(value, -far), far) for value in corner] for corner in box] for box in boxes_m]
     rings = [tuple(space.project(end) for end in edge) for low, high in near for edge in edges(low, high)]
     flat = [(name, [space.project(point) for point in points]) for name, points in lines_m]
+    stood = [(name, [space.project(point) for point in points]) for name, points in arms_m]
     length = _round_length_m(far)
     origin = space.project((0.0, 0.0, 0.0))
     tips = [space.project([length * (axis == other) for other in range(3)]) for axis in range(3)]
-    every = [origin, *tips, *(end for ring in rings for end in ring), *(at for _, points in flat for at in points)]
+    drawn = [at for _, points in (*flat, *stood) for at in points]
+    every = [origin, *tips, *(end for ring in rings for end in ring), *drawn]
     xs, ys = [x for x, _ in every], [y for _, y in every]
     scale = (WIDTH - 2 * MARGIN) / (max(xs) - min(xs) or 1.0)
     height = scale * (max(ys) - min(ys)) + 2 * MARGIN
@@ -176,6 +187,9 @@ def _scene(lines_m: Sequence[tuple[str, Sequence[Vector]]], boxes_m: Sequence[Se
         return Markup('<text class="tick" x="{:.1f}" y="{:.1f}">{}</text>').format(x + 4, y - 4, text)
 
     parts = [Markup('<polyline class="ring" points="{} {}"/>').format(at(first), at(last)) for first, last in rings]
+    for name, points in stood:
+        line = '<polyline class="link arm" fill="none" stroke-width="7" points="{}"><title>{}</title></polyline>'
+        parts.append(Markup(line).format(" ".join(map(at, points)), name))
     for name, points in flat:
         line = '<polyline fill="none" stroke="#0a63c2" stroke-width="1.2" points="{}"/>'
         parts += [Markup(line).format(" ".join(map(at, points))), label(name, points[-1])]

@@ -1,5 +1,6 @@
 """plan --view: a page that opens offline; what is assumed around the arm is said in the terminal and on the page."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -18,6 +19,9 @@ def test_a_plan_is_drawn_and_says_what_it_assumes(tmp_path):
     assert told.exit_code == 0, told.output
     page = file.read_text(encoding="utf-8")
     assert page.count("<svg") == 1 + 3 + 4
+    (arm,) = re.findall(r'<polyline class="link arm"[^>]* points="([^"]+)"><title>arm at pose 1</title>', page)
+    assert len(arm.split()) == 1 + 6 + 1, "base, six joints, flange: the arm stands in the large view"
+    assert len(set(arm.split())) > 3
     assert "src=" not in page
     assert "href=" not in page
     said = " ".join(told.output.split())
