@@ -68,7 +68,7 @@ def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
         time_s = np.linspace(0.0, excitation.period_s, len(share) + 1)[1:]
         curves.append(JointCurves(excitation.name, time_s.tolist(), states.q_rad.T.tolist(), share.T.tolist()))
     boxes = workspace.space.boxes_m.tolist()
-    arm = _points(workspace, [plan.excitations[0].start_rad])[0].tolist()
+    arm = _points(workspace, [plan.excitations[0].start_rad.tolist()])[0].tolist()
     return moving_page(plan.arm, ways, curves, boxes, space_in_words(workspace), arm)
 
 
