@@ -68,7 +68,8 @@ def test_intervals_hold_the_truth(arm, poses, measured, method):
         table = measured(arm, poses[:8], {"none": None, "tool": TOOL}, rng, left=0.15)
         value, std = value_of(estimate(table, arm.robot, EstimateOptions(), method))
         inside.append(np.abs(value - TOOL) < 1.96 * std)
-    assert 0.88 < np.mean(inside) < 0.99
+    # of the errors of gains and biases that the intervals allow for these tables have none
+    assert 0.88 < np.mean(inside) < 1.0
 
 
 @pytest.mark.parametrize("method", METHODS)
