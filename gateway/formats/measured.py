@@ -21,7 +21,7 @@ from gateway.formats.log import Log
 from gateway.formats.log_map import LogColumn, LogMap
 from gateway.formats.preview import PreviewColumn, preview
 from gateway.formats.ros_bag import SUFFIXES, read_bag
-from gateway.formats.smooth import Motion, clock_of, motion_of
+from gateway.formats.smooth import SmoothedMotion, clock_of, motion_of
 from gateway.formats.standing import Stretch, standing
 from gateway.formats.text_log import read_text_log
 from gateway.formats.units import NEEDS, TIME_UNITS, UNITS, kind_of, pattern_of, unit_named
@@ -226,7 +226,7 @@ def _joined(values: dict[str, Floats], axes: int, pattern: str = "q{}_rad") -> F
     return np.column_stack([values[pattern.format(axis + 1)] for axis in range(axes)])
 
 
-def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats]) -> Motion | None:
+def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats]) -> SmoothedMotion | None:
     """Speeds and accelerations by [motion], on the log's clock; None where the log holds them all."""
     wanted = [kind.format(axis + 1) for kind in _RATES for axis in range(given.axes)]
     if given.motion is None or all(name in values for name in wanted):
@@ -255,7 +255,7 @@ def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats])
     return motion_of(time_s, _joined(values, given.axes), given.motion.cutoff_hz)
 
 
-def _clock_remark(motion: Motion) -> str:
+def _clock_remark(motion: SmoothedMotion) -> str:
     """What the time stamps are like, for the person who imports."""
     clock = motion.clock
     jitter_ms = 1e3 * clock.jitter_s

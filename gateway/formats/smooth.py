@@ -67,7 +67,7 @@ def clock_of(stamp_s: Floats) -> Clock:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class SmoothedMotion:
     """Time (n,), speeds and accelerations (n, N) of logged positions, and the clock that was found."""
 
     time_s: Floats
@@ -76,7 +76,7 @@ class Motion:
     clock: Clock
 
 
-def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> Motion:
+def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> SmoothedMotion:
     """Speeds and accelerations of positions (n, N) that were logged at nearly even steps.
 
     Parameters
@@ -92,9 +92,9 @@ def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> Motion:
     at_clock, at_stamps = (_at(time_s, q_rad, grid_s) for time_s in (clock.time_s, stamp_s))
     if _roughness(at_stamps) < _SMOOTHER * _roughness(at_clock):
         qd, qdd = (_at(grid_s, each, stamp_s) for each in rates(grid_s, at_stamps, cutoff_hz))
-        return Motion(stamp_s, qd, qdd, clock)
+        return SmoothedMotion(stamp_s, qd, qdd, clock)
     qd, qdd = rates(grid_s, at_clock, cutoff_hz)
-    return Motion(clock.time_s, qd[clock.index], qdd[clock.index], clock)
+    return SmoothedMotion(clock.time_s, qd[clock.index], qdd[clock.index], clock)
 
 
 def _at(time_s: Floats, values: Floats, wanted_s: Floats) -> Floats:

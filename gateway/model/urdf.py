@@ -79,7 +79,7 @@ class MovedLink:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class FixedFrame:
     """A link fixed to the last link of the arm, and the poses that lead to it from there."""
 
     name: str
@@ -100,7 +100,7 @@ class Chain:
         Joints that could move and are taken as fixed, each with its kind.
     unused_shapes : tuple of str
         Shapes of `<collision>` that cannot be used, and why.
-    frames : tuple of Frame
+    frames : tuple of FixedFrame
         Links that fixed joints alone join to the last link, in the order of the file.
     """
 
@@ -110,7 +110,7 @@ class Chain:
     base_shapes: tuple[PlacedShape, ...]
     fixed_at_zero: tuple[str, ...]
     unused_shapes: tuple[str, ...]
-    frames: tuple[Frame, ...]
+    frames: tuple[FixedFrame, ...]
 
 
 def read_chain(text: str, where: str, tip: str | None = None) -> Chain:
@@ -258,7 +258,7 @@ class _Tree:
         links: list[MovedLink] = []
         unused: list[str] = []
         base_shapes: list[PlacedShape] = []
-        frames: list[Frame] = []
+        frames: list[FixedFrame] = []
         for current in (self.root, *(_child(joint) for joint in axes)):
             fixed: list[tuple[tuple[Pose, ...], Inertial]] = []
             own_shapes: list[PlacedShape] = []
@@ -272,7 +272,7 @@ class _Tree:
                     if inertial is not None:
                         fixed.append((poses, inertial))
                     if rigid:
-                        frames.append(Frame(link, poses))
+                        frames.append(FixedFrame(link, poses))
                 shapes = list(shapes_of(self.links[link], link, self.where))
                 unused += [f"link '{link}': {shape.what}" for _, shape in shapes if isinstance(shape, Unknown)]
                 placed = [PlacedShape((*poses, pose), shape) for pose, shape in shapes]

@@ -55,7 +55,7 @@ class GivenAnswer:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class OpenQuestion:
     """A question as a person sees it.
 
     Attributes
@@ -77,7 +77,7 @@ class Asked:
 
 
 #: Asks a person: what was typed, None = the offer is taken.
-Ask = Callable[[Asked], Answer | None]
+Ask = Callable[[OpenQuestion], Answer | None]
 
 
 class CellAnswers:
@@ -180,7 +180,7 @@ class CellAnswers:
         def read(value: Any) -> Answer:
             return self._verified(question, GivenAnswer(value, "", here), axes)
 
-        answer = ask(Asked(question, offer, self._asked, self._asked + len(left), read))
+        answer = ask(OpenQuestion(question, offer, self._asked, self._asked + len(left), read))
         self.typed += answer is not None
         return answer
 

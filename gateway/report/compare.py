@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from gateway.report.page import Head, page
 from gateway.report.svg import Panel, limits
-from gateway.result.compare import CANNOT_TELL, CHANGED, UNCHANGED, Compared, Comparison, sentence
+from gateway.result.compare import CANNOT_TELL, CHANGED, UNCHANGED, ComparedQuantity, ResultComparison, sentence
 from gateway.result.numerals import interval_text, significant
 
 TAGS = {CHANGED: "fail", CANNOT_TELL: "warn", UNCHANGED: "pass"}
@@ -18,13 +18,13 @@ COLUMNS = ("where", "quantity", "before", "after", "difference", "verdict")
 WIDTH, ROW_PX = 720.0, 24.0
 
 
-def render_compare(found: Comparison) -> str:
+def render_compare(found: ResultComparison) -> str:
     """HTML text of the page."""
     about = (("robot", found.robot), ("before", _file(found, 0)), ("after", _file(found, 1)))
     drawn = [row for row in found.quantities if math.isfinite(row.half_width) and row.before != 0.0]
     return page(
         "compare.html.j2",
-        Head(f"Comparison: {found.robot}", "Before and after", about),
+        Head(f"ResultComparison: {found.robot}", "Before and after", about),
         status=STATUS[found.verdict],
         headline=sentence(found),
         columns=COLUMNS,
@@ -34,12 +34,12 @@ def render_compare(found: Comparison) -> str:
     )
 
 
-def _file(found: Comparison, which: int) -> str:
+def _file(found: ResultComparison, which: int) -> str:
     created = found.created[which]
     return (found.before, found.after)[which] + (f" of {created}" if created else "")
 
 
-def cells(row: Compared) -> tuple[str, ...]:
+def cells(row: ComparedQuantity) -> tuple[str, ...]:
     """A quantity in words: place, name, both values, difference with its interval, verdict."""
     scale, unit = (1000.0, "mm") if row.unit == "m" else (1.0, row.unit)
     known = math.isfinite(row.half_width)
@@ -49,7 +49,7 @@ def cells(row: Compared) -> tuple[str, ...]:
     return (row.where, f"{row.what} [{unit}]", before, after, difference + beside, row.outcome)
 
 
-def _figure(rows: Sequence[Compared]) -> Markup:
+def _figure(rows: Sequence[ComparedQuantity]) -> Markup:
     """Difference of every quantity in percent of its value before, with its interval."""
     centre = [100.0 * row.difference / abs(row.before) for row in rows]
     half = [100.0 * row.half_width / abs(row.before) for row in rows]

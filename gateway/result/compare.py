@@ -60,7 +60,7 @@ class Tolerance:
 
 
 @dataclass(frozen=True, slots=True)
-class Compared:
+class ComparedQuantity:
     """One quantity of both results.
 
     Attributes
@@ -94,14 +94,14 @@ class Compared:
 
 
 @dataclass(frozen=True, slots=True)
-class Comparison:
+class ResultComparison:
     """All of them, the verdict over them, and what only one of the results holds."""
 
     robot: str
     before: str
     after: str
     created: tuple[str | None, str | None]
-    quantities: tuple[Compared, ...]
+    quantities: tuple[ComparedQuantity, ...]
     verdict: Outcome
     remarks: tuple[str, ...]
 
@@ -138,7 +138,9 @@ def parse_tolerance(text: str) -> dict[str, Tolerance]:
     return found
 
 
-def compare(before: Result, after: Result, names: tuple[str, str], tolerance: Mapping[str, Tolerance]) -> Comparison:
+def compare(
+    before: Result, after: Result, names: tuple[str, str], tolerance: Mapping[str, Tolerance]
+) -> ResultComparison:
     """Compare two results.
 
     Parameters
@@ -174,7 +176,7 @@ def compare(before: Result, after: Result, names: tuple[str, str], tolerance: Ma
         remarks.append("both files are the same result")
     if None not in created and str(created[0]) > str(created[1]):
         remarks.append(f"{names[0]} was made after {names[1]}: are the two exchanged?")
-    return Comparison(before.robot, *names, (created[0], created[1]), rows, _verdict(rows), tuple(remarks))
+    return ResultComparison(before.robot, *names, (created[0], created[1]), rows, _verdict(rows), tuple(remarks))
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +270,7 @@ def _band_std(result: Result, joint: int) -> float:
 
 def _compared(
     key: tuple[str, str], one: _Quantity, other: _Quantity, factor: float, tolerance: Mapping[str, Tolerance]
-) -> Compared:
+) -> ComparedQuantity:
     half = factor * math.hypot(one.std, other.std) if factor else 0.0
     stated = tolerance.get(one.kind)
     allowed = 0.0 if stated is None else stated.of(one.value)
@@ -280,10 +282,10 @@ def _compared(
             outcome = CHANGED
         elif off + half <= (resolution if stated is None else allowed):
             outcome = UNCHANGED
-    return Compared(*key, one.unit, one.value, one.std, other.value, other.std, half, allowed, outcome)
+    return ComparedQuantity(*key, one.unit, one.value, one.std, other.value, other.std, half, allowed, outcome)
 
 
-def _verdict(rows: Sequence[Compared]) -> Outcome:
+def _verdict(rows: Sequence[ComparedQuantity]) -> Outcome:
     """Changed where one is; unchanged where all that have an uncertainty are."""
     outcomes = {row.outcome for row in rows if math.isfinite(row.half_width)}
     if CHANGED in outcomes:
@@ -291,7 +293,7 @@ def _verdict(rows: Sequence[Compared]) -> Outcome:
     return UNCHANGED if outcomes == {UNCHANGED} else CANNOT_TELL
 
 
-def sentence(found: Comparison) -> str:
+def sentence(found: ResultComparison) -> str:
     """The verdict in one sentence."""
     changed = [row for row in found.quantities if row.outcome == CHANGED]
     if changed:

@@ -64,7 +64,7 @@ def test_a_load_is_estimated_by_every_method(table):
         done = run("estimate", path, "--robot", URDF, "--method", method, "--json", "-")
         assert done.exit_code == 0, done.output
         (load,) = json.loads(done.stdout)["loads"]
-        assert load["mass_kg"] == pytest.approx(TOOL[0], abs=0.05)
+        assert abs(load["mass_kg"] - TOOL[0]) < min(2.0 * load["mass_std_kg"], 0.15)
         assert load["com_m"] == pytest.approx(TOOL[1:], abs=0.005)
 
 

@@ -33,7 +33,11 @@ def test_it_asks_first_and_says_where_it_goes_and_how(place, gateway, serve):
     drives = serve()
     done = move(gateway, place, drives, "loading", input="n\n")
     assert done.exit_code == 130, done.output
-    assert "to where loads are hung, [0.000, 0.500, 0.600, 0.000, 0.400, 0.000] rad, at 10 % of its speed" in said(done)
+    assert (
+        "to where loads are hung, [0.000, 0.500, 0.600, 0.000, 0.400, 0.000] rad ([0, 28.6, 34.4, 0, 22.9, 0]"
+        in said(done)
+    )
+    assert "deg), at 10 % of its speed" in said(done)
     assert "Is nobody near it?" in done.output
     assert drives.handle.simulation.servers[0].sync_count == 0
     assert drives.stand_still()
@@ -48,7 +52,8 @@ def test_there_and_home_again_after_the_proof(place, gateway, serve):
     assert drives.stand_still()
     home = move(gateway, place, drives, "home", "--yes", "--override", 60)
     assert home.exit_code == 0, home.output
-    assert "from [0.050, -0.050, 0.100, 0.050, -0.050, 0.100] rad to home" in said(home)
+    assert "from [0.050, -0.050, 0.100, 0.050, -0.050, 0.100] rad (" in said(home)
+    assert "deg) to home" in said(home)
     assert "at 60 % of its speed" in said(home)
     assert "proven 20" in home.stderr
 
@@ -59,7 +64,8 @@ def test_there_and_home_again_after_the_proof(place, gateway, serve):
         ("0.1,0.2", 2, "2 joint angles, and arm 'main' has 6 axes"),
         ("up", 2, "give joint angles in rad"),
         ("nan,0,0,0,0,0", 2, "give joint angles in rad"),
-        ("90,0,0,0,0,0", 5, "joint 1 outside [-2.800, 2.800] rad"),
+        ("3,0,0,0,0,0", 5, "joint 1 outside [-2.800, 2.800] rad"),
+        ("90,0,0,0,0,0", 2, "these can only be degrees: add --unit deg"),
         ("-1.2,1.3,1.0,0,0.4,0", 5, "link 5 in keep_out box 1"),
     ],
 )
@@ -102,7 +108,7 @@ def test_where_another_command_cannot_begin_it_names_the_way_on_and_that_works(p
     cell = place.variant("posts", ("keep_out = [\n", f"keep_out = [\n{posts}"))
     refused = gateway("check", cell, "--bus", drives.bus, "--move", "--yes")
     assert refused.exit_code == 5, refused.output
-    assert "joint 1: no room for 0.15 rad to either side" in said(refused)
+    assert "joint 1: no room for 0.15 rad (8.59 deg) to either side" in said(refused)
     command = said(refused).split("The way on, it asks first: servo-gateway ")[1]
     assert command.startswith(f"move {cell} --bus {drives.bus} --to home")
     moved = gateway(*shlex.split(command), "--yes", "--override", 100)

@@ -223,7 +223,7 @@ def previewed(folder: Path, log: str, given: str = MAP) -> str:
     (folder / "log.csv").write_text(log)
     (folder / "map.toml").write_text(given)
     words = ["import", folder / "log.csv", "--map", folder / "map.toml", "--dry-run"]
-    done = CliRunner().invoke(main, list(map(str, words)))
+    done = CliRunner(env={"COLUMNS": "200"}).invoke(main, list(map(str, words)))
     assert done.exit_code == 0, done.output
     assert sorted(path.name for path in folder.iterdir()) == ["log.csv", "map.toml"]
     return " ".join(done.stdout.split())
