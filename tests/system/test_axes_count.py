@@ -48,8 +48,9 @@ def test_from_the_cell_to_the_report(place, serve, gateway, arm):
     drives = serve()
     bus = ("--bus", drives.bus)
     bare, loaded, plan = (place.folder / name for name in ("bare.h5", "loaded.h5", "plan.json"))
-    proven = ran("check", place.cell, *bus, "--prove-stop", "--move", "--yes")
-    assert f"J{arm.axes}" in proven.output
+    proven = place.folder / "proven.json"
+    ran("check", place.cell, *bus, "--prove-stop", "--move", "--yes", "--json", proven)
+    assert f"J{arm.axes}" in proven.read_text(encoding="utf-8")
     ran("plan", place.cell, "--json", plan)
     assert {len(pose["q_rad"]) for pose in json.loads(plan.read_text())["poses"]} == {arm.axes}
     ran("record", place.cell, *bus, "--yes", "--load", "none", "-o", bare)

@@ -14,11 +14,13 @@ TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 
 @pytest.mark.slow
-def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway, fast_arm):
+def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway):
     """The load is hung where the arm stands."""
     lines = place.cell.read_text().splitlines(keepends=True)
-    place.cell.write_text("".join(line for line in lines if not line.startswith("loading_rad")))
-    drives = fast_arm(serve())
+    text = "".join(line for line in lines if not line.startswith("loading_rad"))
+    # six poses show their own noise; of four the fresh ones may lie off by chance
+    place.cell.write_text(text.replace("count = 4", "count = 6", 1))
+    drives = serve()
     more = ("--expect", "load=6.0,0.6", "--operator", "A. Person", "--junit", place.folder / "accept.xml")
     code, result, hands, output = commission(drives, *more)
     assert code == 0, output.err
@@ -38,7 +40,7 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
     source = hashlib.sha256((out / "run.h5").read_bytes()).hexdigest()
     for text in (source, "A. Person", "serial number", result["sha256"]):
         assert text in page
-    for text in ("Is the model good?", "pose 5, fresh", "datasheet p. 7", "SYNC cycles", "assumed"):
+    for text in ("Is the model good?", "pose 7, fresh", "datasheet p. 7", "SYNC cycles", "assumed"):
         assert text in page
 
     again = gateway("estimate", out / "run.h5", "--json", "-")
