@@ -27,7 +27,7 @@ from gateway.commands.options import (
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
-    from gateway.newcell.answers import Answer, Asked, CellAnswers, GivenAnswer
+    from gateway.newcell.answers import Answer, CellAnswers, GivenAnswer, OpenQuestion
     from gateway.newcell.interview import Draft
     from gateway.newcell.questions import CellQuestion
     from gateway.newcell.text import Left
@@ -158,7 +158,7 @@ def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnsw
     return found
 
 
-def _ask(asked: Asked) -> Answer | None:
+def _ask(asked: OpenQuestion) -> Answer | None:
     """Ask at the terminal until the answer has the right form; Enter takes what is offered."""
     from gateway.newcell.forms import typed
     from gateway.newcell.text import short
