@@ -14,6 +14,7 @@ from gateway.cell.provenance import provenance
 from gateway.data.reading import is_recording
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
+from gateway.identify.load_estimate import load_result, refused_load
 from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result.acceptance import not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
@@ -80,8 +81,7 @@ def _without_incredible(result: Result, about: Given) -> Result:
             half_width(load.mass_std_kg),
             [half_width(std) for std in load.com_std_m or (0.0, 0.0, 0.0)],
         )
-        open_ = ("mass", "x", "y", "z")
-        return LoadResult(load.label, frame=load.frame, unidentifiable=open_, refused=wrong) if wrong else load
+        return replace(load_result(refused_load(load.label, wrong), about.robot), frame=load.frame) if wrong else load
 
     loads = tuple(map(held, result.loads))
     refused = [load for load, before in zip(loads, result.loads, strict=True) if load is not before]
