@@ -89,8 +89,7 @@ def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Rest and moving rows in one solution; a load that contradicts itself at rest is in neither."""
     sound, aside = without_gross(_visits(table, options), robot, options.gravity_m_s2)
     rest = fitted_rest(sound, robot, options)
-    present = set(np.asarray(sound.load).tolist())
-    at_rest = replace(options, known={label: value for label, value in options.known.items() if label in present})
+    at_rest = options.of_loads(sound.load)
     gone = refused_loads(rest.problem, rest.fit, robot, at_rest)
     kept = ~np.isin(np.asarray(table.load), list(gone))
     if gone and not (table.moving & kept).any():
@@ -98,8 +97,7 @@ def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     if gone:
         sound = sound.take(~np.isin(sound.load, list(gone)))
         rest = fitted_rest(sound, robot, options) if len(sound) else None
-    known = {label: value for label, value in options.known.items() if label not in gone}
-    found = estimate_moving(table.take(kept), robot, replace(options, known=known), rest=rest)
+    found = estimate_moving(table.take(kept), robot, options.of_loads(set(options.known) - set(gone)), rest=rest)
     return replace(
         found,
         method="joint",

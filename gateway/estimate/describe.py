@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,27 +46,19 @@ class LinkColumns:
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Named:
-    """Linear functions (k, p) of the parameters of a fit, with names and units."""
-
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    directions: Floats
-
-
 def describe(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> Estimate:
     """The estimate that a fit of rest visits stands for."""
-    named = _named(problem, LinkColumns.of(robot, options), len(fit.scale))
-    found = sure(problem, fit, named.directions)
-    wide = widening(problem, fit, named.directions)
-    covariance = named.directions @ fit.covariance @ named.directions.T * np.outer(wide, wide)
-    value = named.directions @ fit.common
+    names, units, rows = zip(*_named(problem, LinkColumns.of(robot, options), len(fit.scale)), strict=True)
+    directions = np.array(rows)
+    found = sure(problem, fit, directions)
+    wide = widening(problem, fit, directions)
+    covariance = directions @ fit.covariance @ directions.T * np.outer(wide, wide)
+    value = directions @ fit.common
     return Estimate(
         method="joint",
         loads=load_estimates(problem, fit, robot),
-        names=named.names,
-        units=named.units,
+        names=names,
+        units=units,
         value=np.where(found, value, np.nan),
         std=np.where(found, np.sqrt(np.maximum(np.diag(covariance), 0.0)), np.nan),
         covariance=covariance,
@@ -74,37 +67,32 @@ def describe(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOpti
         band_nm=np.abs(problem.rows.band_nm),
         rank=fit.rank,
         condition=fit.condition,
-        lumped=tuple(name for name, good in zip(named.names, found, strict=True) if not good),
+        lumped=tuple(name for name, good in zip(names, found, strict=True) if not good),
         bare=bare_of(problem, fit, robot, options),
         nuisance=ordinary_of(problem, fit),
-        quality={"rows": len(problem.target), "parameters": len(named.names)},
+        quality={"rows": len(problem.target), "parameters": len(names)},
     )
 
 
-def _named(problem: RestProblem, links: LinkColumns, count: int) -> _Named:
-    """Links with a prior one by one, open ones as base parameters, loads, friction bands and nuisances."""
-    names, units, rows = list[str](), list[str](), list[Floats]()
+def _named(problem: RestProblem, links: LinkColumns, count: int) -> Iterator[tuple[str, str, Floats]]:
+    """Name, unit and linear function (count,) of each parameter that is reported.
+
+    Links with a prior one by one, open ones as base parameters, loads, friction bands and nuisances.
+    """
     everything = np.eye(count)
-
-    def add(name: str, unit: str, direction: Floats) -> None:
-        names.append(name)
-        units.append(unit)
-        rows.append(direction)
-
     for column in links.held:
-        add(gravity_names(problem.axes)[column], LOAD_UNITS[column % PER_LINK_AT_REST], everything[column])
+        yield gravity_names(problem.axes)[column], LOAD_UNITS[column % PER_LINK_AT_REST], everything[column]
     for name, kept, combination in zip(links.base.names, links.base.indices, links.base.combination, strict=True):
-        add(name, LOAD_UNITS[links.open[kept] % PER_LINK_AT_REST], combination @ everything[links.open])
+        yield name, LOAD_UNITS[links.open[kept] % PER_LINK_AT_REST], combination @ everything[links.open]
     for index, label in enumerate(problem.labels):
         for name, unit, row in zip(LOAD_NAMES, LOAD_UNITS, everything[problem.load_part(index)], strict=True):
-            add(f"{name}[{label}]", unit, row)
+            yield f"{name}[{label}]", unit, row
     for axis in np.flatnonzero(problem.sided):
-        add(f"friction[J{axis + 1}]", "Nm", everything[problem.band_part.start + axis])
+        yield f"friction[J{axis + 1}]", "Nm", everything[problem.band_part.start + axis]
     for kind, (name, unit) in _NUISANCES.items():
         start = problem.nuisance_part.start + KINDS.index(kind) * problem.axes
         for axis in np.flatnonzero(problem.use_sum.any(axis=0)):
-            add(f"{name}[J{axis + 1}]", unit, everything[start + axis])
-    return _Named(tuple(names), tuple(units), np.array(rows))
+            yield f"{name}[J{axis + 1}]", unit, everything[start + axis]
 
 
 def fitted_rows(problem: RestProblem, fit: Fit) -> FittedRows:

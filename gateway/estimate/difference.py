@@ -27,7 +27,7 @@ from gateway.identify.repeats import half_difference_scatter
 from gateway.identify.rest.fit import fit
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.identify.rest.noise import first_noise
-from gateway.identify.rest.problem import build_problem
+from gateway.identify.rest.problem import build_problem, nuisance_of
 from gateway.model.kinematics import gravity_in_last_link, largest_angle_rad
 from gateway.model.robot import Robot
 from gateway.model.visits import SAME_POSE_RAD, Visits, joined
@@ -88,14 +88,17 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
     _require_postures(differences, robot, options, label)
     if not np.isfinite(differences.sum_nm).any():
         raise DataUnusable(f"load '{label}': no axis was measured both under it and under the known load")
-    problem = _problem(visits, differences, fixed, robot, options)
+    lost = losses(visits.difference_nm, visits.sum_nm)
+    problem = _problem(differences, fixed, robot, options)
+    nuisance = nuisance_of(visits, knowledge_of(options)).without_bias().with_losses(*lost)
+    problem = replace(problem, nuisance=nuisance, group=_groups(visits, problem))
     fitted = fit(problem, (), _noise(problem, visits))
     found = describe(problem, fitted, robot, options)
     (load,) = found.loads
     reason = _contradiction(visits, problem, fitted, load.per_pose_mass_kg)
     if reason is not None:
         load = refused_load(label, reason, load.per_pose_mass_kg)
-    loss = NuisanceResult(*(tuple(each.tolist()) for each in losses(visits.difference_nm, visits.sum_nm)))
+    loss = NuisanceResult(*(tuple(each.tolist()) for each in lost))
     return replace(
         found,
         method="difference",
@@ -108,16 +111,17 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
     )
 
 
-def _problem(visits: Visits, differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
-    """Differences as visits of an arm without links; what friction leaves in the gains is that of the whole visits."""
-    whole = build_problem(robot, visits, replace(knowledge_of(options), bare=None))
-    plain = build_problem(robot, differences, replace(knowledge_of(options), bare=None, known={}))
-    none = np.zeros_like(plain.links)
-    lost = losses(visits.difference_nm, visits.sum_nm)
-    nuisance = whole.nuisance.without_bias().with_losses(*lost)
-    seen = np.asarray(np.isfinite(visits.difference_nm).any(axis=0))[plain.axis]
-    group = np.where(seen, plain.axis, plain.group)
-    return replace(plain, links=none, link_std=none + _GONE, fixed_load=fixed, nuisance=nuisance, group=group)
+def _problem(differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
+    """Differences as visits of an arm whose links weigh nothing, with what is known to hang on it (n, 4)."""
+    problem = build_problem(robot, differences, replace(knowledge_of(options), bare=None, known={}))
+    none = np.zeros_like(problem.links)
+    return replace(problem, links=none, link_std=none + _GONE, fixed_load=fixed)
+
+
+def _groups(visits: Visits, problem: RestProblem) -> NDArray[np.int_]:
+    """Noise groups (rows,) of the differences: half-sums on axes of which the visits have both sides."""
+    seen = np.asarray(np.isfinite(visits.difference_nm).any(axis=0))[problem.axis]
+    return np.where(seen, problem.axis, problem.group)
 
 
 def _noise(problem: RestProblem, visits: Visits) -> Noise:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -57,7 +56,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     if not len(kept):
         unknown = np.full(visits.axes, np.nan)
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
-    rest = estimate_joint(kept, robot, replace(options, known=present(options.known, kept)))
+    rest = estimate_joint(kept, robot, options.of_loads(kept.load))
     return replace(rest, loads=(*rest.loads, *others))
 
 
@@ -79,11 +78,6 @@ def knowledge_of(options: EstimateOptions) -> Knowledge:
     return Knowledge(options.gravity_m_s2, options.inertials, options.known, options.bare, options.gain_std)
 
 
-def present(known: Mapping[str, tuple[float, float, float, float]], visits: Visits) -> dict[str, tuple[float, ...]]:
-    """Known loads that some visits carry."""
-    return {label: value for label, value in known.items() if label in visits.load}
-
-
 def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
     """Loads by label whose data contradict each other, each with why."""
     out = {}
@@ -103,7 +97,7 @@ def contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: Estimat
     kept = visits.take(visits.load != label)
     if np.isfinite(kept.sum_nm).sum() < _LEAST_ROWS:
         return None
-    others = problem_of(kept, robot, replace(options, known=present(options.known, kept)))
+    others = problem_of(kept, robot, options.of_loads(kept.load))
     sigma = axis_sigma(others, fit_without_effects(others))
     rows = int(problem.use_sum.sum())
     axis = problem.axis[:rows]

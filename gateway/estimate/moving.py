@@ -90,7 +90,7 @@ def estimate_moving(
     if not len(sound.mean):
         blank = np.full(moving.axes, np.nan)
         return Estimate("moving", refused, blank, blank, set_aside=sound.set_aside, findings=sound.findings)
-    found = _fit(sound, robot, sound_options(options, sound.mean) if refused else options, (motion, rest))
+    found = _fit(sound, robot, options.of_loads(sound.mean.load) if refused else options, (motion, rest))
     return replace(
         found,
         loads=(*found.loads, *refused),
@@ -110,7 +110,7 @@ def _fit(
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
             " record a longer run that moves all axes"
         )
-    scale_nm, level_nm = _weights(periods, robot, sound_options(options, moving), motion, used)
+    scale_nm, level_nm = _weights(periods, robot, options.of_loads(moving.load), motion, used)
     if "uneven_friction" in motion.ordinary:
         prior = held_to_friction(columns.prior, columns.names, level_nm, offsets=bool(columns.loads))
         columns = replace(columns, prior=prior)
@@ -191,12 +191,6 @@ def _without_slipped(periods: Periods, options: EstimateOptions) -> tuple[Period
     kept = ~np.isin(np.asarray(periods.mean.load), list(gone))
     sound = replace(periods, mean=periods.mean.take(kept), excitation=periods.excitation[kept])
     return sound, tuple(refused_load(label, why) for label, why in gone.items())
-
-
-def sound_options(options: EstimateOptions, table: Table) -> EstimateOptions:
-    """The options without known loads that the rows no longer carry."""
-    present = set(np.asarray(table.load).tolist())
-    return replace(options, known={label: value for label, value in options.known.items() if label in present})
 
 
 def _weights(

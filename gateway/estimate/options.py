@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,11 @@ class EstimateOptions:
     coefficient: Coefficient | None = None
     hull_radius_m: float | None = None
     pose_choice: NDArray[np.float64] | None = field(default=None, compare=False)
+
+    def of_loads(self, labels: Iterable[str]) -> EstimateOptions:
+        """The options without known loads that are not among these labels."""
+        there = set(map(str, labels))
+        return replace(self, known={label: load for label, load in self.known.items() if label in there})
 
     @property
     def trust(self) -> float:

@@ -64,8 +64,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     parts = []
     for label in labels:
         own = visits.take(visits.load == label)
-        known = {name: value for name, value in options.known.items() if name in own.load}
-        told = replace(alone, bare=bare, known=known)
+        told = replace(alone.of_loads(own.load), bare=bare)
         part = _described(own, robot, told)
         parts.append(replace(part, findings=(*part.findings, *_check(own, robot, alone, bare, base, label))))
     first = parts[0]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table, concatenate
-from gateway.estimate.joint import present, problem_of
+from gateway.estimate.joint import problem_of
 from gateway.estimate.moving_columns import Columns, MovingSetup, moving_columns
 from gateway.estimate.moving_problem import Still
 from gateway.estimate.options import EstimateOptions
@@ -25,6 +25,8 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
+#: Nuisances that rest and moving rows have in common.
+SHARED = ("gain", "load_friction")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,7 +45,7 @@ def fitted_rest(visits: Visits, robot: Robot, options: EstimateOptions) -> Fitte
     DataUnusable
         Nothing was measured at rest.
     """
-    problem = problem_of(visits, robot, replace(options, known=present(options.known, visits)))
+    problem = problem_of(visits, robot, options.of_loads(visits.load))
     return FittedRest(problem, fit_without_effects(problem))
 
 
@@ -78,9 +80,7 @@ def _as_rows(moving: Table, visits: Visits) -> Table:
 def _still(columns: Columns, rest: FittedRest) -> Still:
     """What the rest rows say of the parameters that they share with the moving ones."""
     problem, fit = rest.problem, rest.fit
-    shared = _shared(problem)
-    reduced, right = _eliminated(problem, fit, shared)
-    place = {int(column): k for k, column in enumerate(shared)}
+    reduced, right = _eliminated(problem, fit, _shared(problem))
     rows = np.zeros((len(reduced), len(columns.names)))
     right = right - reduced[:, : len(columns.fixed_links)] @ columns.fixed_links
     for k, column in enumerate(columns.link_columns):
@@ -90,21 +90,17 @@ def _still(columns: Columns, rest: FittedRest) -> Still:
     for index, label in enumerate(problem.labels):
         own = problem.load_part(index)
         rows[:, columns.loads[label] : columns.loads[label] + PER_LINK_AT_REST] = reduced[:, own]
-    for kind in ("gain", "load_friction"):
+    nuisances = np.split(reduced[:, problem.band_part.start :], len(SHARED), axis=1)
+    for kind, own in zip(SHARED, nuisances, strict=True):
         if kind in columns.ordinary:
-            own = _nuisance_columns(problem, kind)
-            rows[:, columns.ordinary[kind]] = reduced[:, [place[int(column)] for column in own]]
+            rows[:, columns.ordinary[kind]] = own
     return Still(rows, right)
 
 
 def _shared(problem: RestProblem) -> Ints:
-    """Columns of links, loads, gains and load friction, in this order."""
-    bodies = np.arange(problem.band_part.start)
-    return np.concatenate([bodies, *(_nuisance_columns(problem, kind) for kind in ("gain", "load_friction"))])
-
-
-def _nuisance_columns(problem: RestProblem, kind: str) -> Ints:
-    return problem.nuisance_part.start + KINDS.index(kind) * problem.axes + np.arange(problem.axes)
+    """Columns of links and loads, then of the nuisances that rest and motion have in common."""
+    own = [problem.nuisance_part.start + KINDS.index(kind) * problem.axes + np.arange(problem.axes) for kind in SHARED]
+    return np.concatenate([np.arange(problem.band_part.start), *own])
 
 
 def _eliminated(problem: RestProblem, fit: Fit, shared: Ints) -> tuple[Floats, Floats]:

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.robust import median, robust_fit
+from gateway.identify.robust import robust_fit
 from gateway.model.visits import SAME_POSE_RAD, Visits, column_medians
 
 Floats = NDArray[np.float64]
@@ -55,7 +55,7 @@ _GAIN_STD: Final = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deviations:
-    """Deviations (n, N) of half sums and half differences, which are gross, and the scatter (N,) of both visits.
+    """Deviations (n, N) of half sums and half differences, which are gross, and the scatter (N,) of both halves.
 
     Into the scatter goes what no effect of the arm can be, the contrasts within poses and the half differences.
     """
@@ -70,7 +70,7 @@ def least_scale(visits: Visits, limits: GrossLimits) -> Floats:
     """Scale (N,) below which no scatter is believed."""
     count = np.maximum(np.isfinite(visits.sum_nm).sum(axis=0), 1)
     size = np.sqrt(np.nansum(visits.sum_nm**2, axis=0) / count)
-    sampled = np.array([median(column[np.isfinite(column)]) for column in visits.sample_std_nm.T])
+    sampled = column_medians(visits.sample_std_nm)
     return np.maximum(np.nan_to_num(sampled), limits.torque_share * size / limits.scales) + 1e-9
 
 
@@ -89,7 +89,34 @@ def bands(visits: Visits) -> Floats:
     return column_medians(np.abs(visits.difference_nm))
 
 
-def deviations(visits: Visits, regressor: Floats, without: Mask, least: Floats, limits: GrossLimits) -> Deviations:
+@dataclass(frozen=True, slots=True, eq=False)
+class Contrasts:
+    """Pairs of visits of one pose: visits `one` and `other` (k,), and the gravity rows (k, N, 4 N) of the first."""
+
+    one: Ints
+    other: Ints
+    rows: Floats
+
+
+def contrasts_of(visits: Visits, regressor: Floats) -> Contrasts:
+    """Pairs of visits of one pose: two visits make one, more of them a ring in the order of time."""
+    one: list[int] = []
+    other: list[int] = []
+    for group in poses_of(visits.q_rad):
+        if len(group) < 2:
+            continue
+        order = group[np.argsort(np.nan_to_num(visits.time_s[group]), kind="stable")]
+        following = np.roll(order, -1)
+        count = 1 if len(order) == 2 else len(order)
+        one += order[:count].tolist()
+        other += following[:count].tolist()
+    first = np.array(one, dtype=int)
+    return Contrasts(first, np.array(other, dtype=int), regressor[first])
+
+
+def deviations(
+    visits: Visits, regressor: Floats, pairs: Contrasts, without: Mask, least: Floats, limits: GrossLimits
+) -> Deviations:
     """Deviations of every visit; `regressor` (n, N, 4 N) has the gravity rows, last the four columns of a load."""
     model, residual, scale = _whole_fit(visits, regressor, without, least)
     differences = _difference_off(visits.difference_nm, np.abs(model), without, least)
@@ -97,7 +124,7 @@ def deviations(visits: Visits, regressor: Floats, without: Mask, least: Floats, 
     # both halves of a visit carry the same noise: a scatter of half sums that is smaller is luck
     least = np.maximum(least, known)
     band = np.nan_to_num(bands(visits))
-    repeated = _contrast_off(visits, regressor, without, residual, least, limits)
+    repeated = _contrast_off(visits, pairs, without, residual, least, limits)
     alone = repeated.alone & np.isfinite(residual)
     gross = repeated.gross | (
         alone & (np.abs(residual) > np.maximum(limits.scales_alone * scale, limits.alone_bands * band))
@@ -139,16 +166,11 @@ class _Repeated:
 
 
 def _contrast_off(
-    visits: Visits,
-    regressor: Floats,
-    without: Mask,
-    residual: Floats,
-    least: Floats,
-    limits: GrossLimits,
+    visits: Visits, contrasts: Contrasts, without: Mask, residual: Floats, least: Floats, limits: GrossLimits
 ) -> _Repeated:
     """Half sums that lie off the other visits of their pose, whatever the pose itself shows."""
     shape = visits.sum_nm.shape
-    one, other = _contrasts(poses_of(visits.q_rad), visits.time_s)
+    one, other = contrasts.one, contrasts.other
     use = np.isfinite(visits.sum_nm[one] - visits.sum_nm[other]) & (visits.side[one] == visits.side[other])
     few = use.sum(axis=0) < limits.least_rows
     use &= ~few
@@ -156,7 +178,7 @@ def _contrast_off(
     scatter = np.full(shape[1], np.nan)
     if not use.any():
         return _Repeated(off, gross, alone, scatter)
-    left, scale = _contrast_fit(visits, regressor, (one, other), use, without, least)
+    left, scale = _contrast_fit(visits, contrasts, use, without, least)
     scatter = np.where(few, np.nan, scale / np.sqrt(2.0))
     far = np.maximum(limits.scales * scale, limits.sum_bands * np.nan_to_num(bands(visits)))
     for axis in np.flatnonzero(~few):
@@ -175,29 +197,14 @@ def _contrast_off(
     return _Repeated(off, gross, alone, scatter)
 
 
-def _contrasts(groups: list[Ints], time_s: Floats) -> tuple[Ints, Ints]:
-    """Pairs of visits of one pose: two visits make one, more of them a ring in the order of time."""
-    one: list[int] = []
-    other: list[int] = []
-    for group in groups:
-        if len(group) < 2:
-            continue
-        order = group[np.argsort(np.nan_to_num(time_s[group]), kind="stable")]
-        following = np.roll(order, -1)
-        count = 1 if len(order) == 2 else len(order)
-        one += order[:count].tolist()
-        other += following[:count].tolist()
-    return np.array(one, dtype=int), np.array(other, dtype=int)
-
-
 def _contrast_fit(
-    visits: Visits, regressor: Floats, pairs: tuple[Ints, Ints], use: Mask, without: Mask, least: Floats
+    visits: Visits, contrasts: Contrasts, use: Mask, without: Mask, least: Floats
 ) -> tuple[Floats, Floats]:
     """What loads, gains and drifts between loads do not explain of the contrasts (k, N), and its scale (N,)."""
-    axes, (one, other) = use.shape[1], pairs
+    axes, one, other = use.shape[1], contrasts.one, contrasts.other
     contrast, axis = np.nonzero(use)
     first, second = one[contrast], other[contrast]
-    rows = regressor[first, axis]
+    rows = contrasts.rows[contrast, axis]
     labels = list(dict.fromkeys(visits.load.tolist()))[1:]
     member = [((visits.load[first] == name).astype(float) - (visits.load[second] == name))[:, None] for name in labels]
     own = (axis[:, None] == np.arange(axes)).astype(float)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.deviations import LIMITS, Deviations, GrossLimits, bands, deviations, least_scale
+from gateway.identify.deviations import LIMITS, Deviations, GrossLimits, bands, contrasts_of, deviations, least_scale
 from gateway.model.visits import Visits
 from gateway.result.result import Finding, SetAside
 
@@ -69,9 +69,10 @@ def find_gross(visits: Visits, regressor: Floats, limits: GrossLimits = LIMITS) 
     """
     none = np.zeros(visits.sum_nm.shape, dtype=bool)
     least = least_scale(visits, limits)
-    first = deviations(visits, regressor, none, least, limits)
+    pairs = contrasts_of(visits, regressor)
+    first = deviations(visits, regressor, pairs, none, least, limits)
     # once more without what was found: the fit is then free of it
-    found = deviations(visits, regressor, first.gross, least, limits)
+    found = deviations(visits, regressor, pairs, first.gross, least, limits)
     return _told(visits, found, limits)
 
 

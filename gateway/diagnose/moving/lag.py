@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
-from gateway.estimate.moving import estimate_moving, sound_options
+from gateway.estimate.moving import estimate_moving
 from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
 from gateway.model.motion import MovingRows, prepare
@@ -42,7 +42,7 @@ def lags(table: Table, robot: Robot, options: DiagnoseOptions) -> Floats:
     told = EstimateOptions(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
     found = np.zeros(table.axes)
     try:
-        motions = estimate_moving(moving, robot, sound_options(told, moving)).motion
+        motions = estimate_moving(moving, robot, told.of_loads(moving.load)).motion
     except DataUnusable:  # too little for an estimation: the diagnosis says so itself
         return found
     for one in motions:

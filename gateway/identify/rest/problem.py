@@ -74,7 +74,7 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProbl
     axis = np.broadcast_to(np.arange(rows.axes), use_sum.shape)
     kind = np.where(use_difference, 0, 2 * rows.axes)
     links, std = open_link_prior(robot, knowledge.inertials)
-    nuisance = _nuisance(rows, use_difference, knowledge)
+    nuisance = nuisance_of(rows, knowledge)
     count = 4 * (rows.axes + len(labels)) + rows.axes + len(nuisance.mean)
     prior_rows, prior_target = np.zeros((0, count)), np.zeros(0)
     if knowledge.bare is not None:
@@ -108,12 +108,13 @@ def open_link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
     return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
 
 
-def _nuisance(rows: Visits, seen: NDArray[np.bool_], knowledge: Knowledge) -> Ordinary:
+def nuisance_of(rows: Visits, knowledge: Knowledge) -> Ordinary:
     """Prior of what every arm has; the sides of the visits tell how large bands and losses are."""
-    halves = np.where(seen, rows.difference_nm, np.nan)
+    halves = np.where(np.isfinite(rows.sum_nm), rows.difference_nm, np.nan)
     count = np.maximum(np.isfinite(rows.sum_nm).sum(axis=0), 1)
     size = np.sqrt(np.nansum(rows.sum_nm**2, axis=0) / count)
-    band = np.where(seen.any(axis=0), column_medians(halves), BAND_UNSEEN * size)
+    seen = column_medians(halves)
+    band = np.where(np.isfinite(seen), seen, BAND_UNSEEN * size)
     lost, _ = losses(halves, rows.sum_nm)
     gain_std = gain_stds(knowledge.gain_std, rows.axes)
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
