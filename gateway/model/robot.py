@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
-from gateway.cell.plausible import LARGEST_LENGTH_M
 from gateway.errors import ConfigError
 from gateway.model import urdf
 from gateway.model.urdf_elements import Pose
@@ -23,8 +22,8 @@ from gateway.model.urdf_shapes import Shape
 
 Floats = NDArray[np.float64]
 SHORTEST_M = 0.1
-#: From here on only millimetres give such a length [m].
-MILLIMETRES_FROM_M = 600.0
+#: Longer than any arm of this kind [m]; from where on only millimetres give a number like that.
+LONGEST_M, MILLIMETRES_FROM_M = 20.0, 600.0
 #: More than the moving links of the heaviest arms weigh, 8 t at a payload of 2.3 t [kg].
 HEAVIEST_KG = 20_000.0
 #: Mass of the moving links over the cube of the reach: the densest arms have 200; one of 4 kg in grams has 20 000.
@@ -240,11 +239,11 @@ def _refuse_units(robot: Robot, where: str) -> None:
     """Refuse lengths and masses that no arm has: a URDF is in metres and kilograms, whatever its exporter drew in."""
     from_joints_m = np.linalg.norm(np.nan_to_num(robot.com_m), axis=1).max()
     for what, length_m in (("from joint to joint", reach_m(robot)), ("to a centre of mass", float(from_joints_m))):
-        if length_m > LARGEST_LENGTH_M:
+        if length_m > LONGEST_M:
             unit = "millimetres" if length_m > MILLIMETRES_FROM_M else "centimetres or millimetres"
             raise ConfigError(
-                f"{where}: robot '{robot.name}' measures {length_m:.4g} m {what}, beyond {LARGEST_LENGTH_M:g} m: its"
-                f" lengths are in {unit}; export it in metres (lengths, centres of mass, and inertia in kg m2)"
+                f"{where}: robot '{robot.name}' measures {length_m:.4g} m {what}, beyond {LONGEST_M:g} m: its lengths"
+                f" are in {unit}; export it in metres (lengths, centres of mass, and inertia in kg m2)"
             )
     mass_kg, room_m3 = float(np.nansum(robot.mass_kg)), max(reach_m(robot), SMALLEST_ROOM_M) ** 3
     if mass_kg > HEAVIEST_KG or (robot.axes > MOST_AXES_OF_TABLES and mass_kg > DENSEST_KG_M3 * room_m3):
