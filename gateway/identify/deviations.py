@@ -90,7 +90,7 @@ def bands(visits: Visits) -> Floats:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Contrasts:
+class PoseContrasts:
     """Pairs of visits of one pose: visits `one` and `other` (k,), and the gravity rows (k, N, 4 N) of the first."""
 
     one: Ints
@@ -98,7 +98,7 @@ class Contrasts:
     rows: Floats
 
 
-def contrasts_of(visits: Visits, regressor: Floats) -> Contrasts:
+def contrasts_of(visits: Visits, regressor: Floats) -> PoseContrasts:
     """Pairs of visits of one pose: two visits make one, more of them a ring in the order of time."""
     one: list[int] = []
     other: list[int] = []
@@ -111,11 +111,11 @@ def contrasts_of(visits: Visits, regressor: Floats) -> Contrasts:
         one += order[:count].tolist()
         other += following[:count].tolist()
     first = np.array(one, dtype=int)
-    return Contrasts(first, np.array(other, dtype=int), regressor[first])
+    return PoseContrasts(first, np.array(other, dtype=int), regressor[first])
 
 
 def deviations(
-    visits: Visits, regressor: Floats, pairs: Contrasts, without: Mask, least: Floats, limits: GrossLimits
+    visits: Visits, regressor: Floats, pairs: PoseContrasts, without: Mask, least: Floats, limits: GrossLimits
 ) -> Deviations:
     """Deviations of every visit; `regressor` (n, N, 4 N) has the gravity rows, last the four columns of a load."""
     model, residual, scale = _whole_fit(visits, regressor, without, least)
@@ -166,7 +166,7 @@ class _Repeated:
 
 
 def _contrast_off(
-    visits: Visits, contrasts: Contrasts, without: Mask, residual: Floats, least: Floats, limits: GrossLimits
+    visits: Visits, contrasts: PoseContrasts, without: Mask, residual: Floats, least: Floats, limits: GrossLimits
 ) -> _Repeated:
     """Half sums that lie off the other visits of their pose, whatever the pose itself shows."""
     shape = visits.sum_nm.shape
@@ -198,7 +198,7 @@ def _contrast_off(
 
 
 def _contrast_fit(
-    visits: Visits, contrasts: Contrasts, use: Mask, without: Mask, least: Floats
+    visits: Visits, contrasts: PoseContrasts, use: Mask, without: Mask, least: Floats
 ) -> tuple[Floats, Floats]:
     """What loads, gains and drifts between loads do not explain of the contrasts (k, N), and its scale (N,)."""
     axes, one, other = use.shape[1], contrasts.one, contrasts.other

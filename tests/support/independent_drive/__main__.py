@@ -54,15 +54,17 @@ class Process:
 
     def _refresh(self) -> None:
         live = any(axis.powered or not axis.brake_closed for axis in self.arm.axes)
+        self.arm.advance(self._period_s)
         if not self._synced and (live or self._was_live):
             self._measure()
-        else:
-            self.arm.advance()
         self._synced, self._was_live = False, live
         self._timers.add(REFRESH_S if live else IDLE_S, self._refresh)
 
+    @property
+    def _period_s(self) -> float:
+        return self._drives[0].period_s
+
     def _measure(self) -> None:
-        self.arm.advance()
         for drive in self._drives:
             drive.measure()
 
@@ -76,6 +78,7 @@ class Process:
         cob_id, data = frame.arbitration_id, bytes(frame.data)
         if cob_id == SYNC:
             self._synced = True
+            self.arm.sync(self._period_s)
             self._measure()
         for drive in self._drives:
             callback = drive.network.callbacks.get(cob_id)

@@ -98,7 +98,7 @@ class Axis:
                 self.rate = 0.0 if abs(self.rate) <= change else self.rate - math.copysign(change, self.rate)
             part = min(1.0, max(0.0, (self._until_s - now_s) / STEP_S + 1.0))
             self.reference += self.rate * STEP_S * part
-            if part < 1.0:
+            if part < 1.0 - 1e-6:  # the last step of a period ends with it, whatever the clock's rounding
                 self.rate, self._until_s = 0.0, math.inf
             error, slip = self.reference - self.angle, RATE_SHARE * self.rate - self.speed
             wanted = SERVO_RAD_S * (SERVO_RAD_S * error + 2.0 * slip)
@@ -119,6 +119,9 @@ class Axis:
 class Arm:
     """Six axes whose weights depend on each other, in real time.
 
+    Their clock follows the SYNC, as that of a drive does: a frame that comes a few milliseconds early or late moves no
+    reference. Without SYNC it runs with the computer's.
+
     Parameters
     ----------
     angles : sequence of float
@@ -129,13 +132,32 @@ class Arm:
         self.axes = [Axis(motor, angle) for motor, angle in zip(MOTORS, angles, strict=True)]
         self.load: tuple[float, tuple[float, float, float]] | None = None
         self.time_s = time.monotonic()
+        #: What this clock is behind the computer's [s].
+        self._lag_s = 0.0
+        #: Of the last SYNC, its time on the computer's clock and on this one [s].
+        self._sync_s = self._sync_at_s = -math.inf
         self._noise = random.Random(1)
 
-    def advance(self) -> None:
-        """Let the time pass that has passed."""
+    def sync(self, period_s: float) -> None:
+        """A SYNC came: one period has passed since the last one, unless SYNC had stopped."""
         now_s = time.monotonic()
-        steps = int((now_s - self.time_s) / STEP_S)
-        if not steps:
+        if now_s - self._sync_s < 2.5 * period_s:
+            self._lag_s = now_s - (self._sync_at_s + period_s)
+        self._sync_s, self._sync_at_s = now_s, now_s - self._lag_s
+        self._until(self._sync_at_s)
+
+    def advance(self, period_s: float) -> None:
+        """Let the time pass that has passed; between two SYNCs no more than the period."""
+        now_s = time.monotonic()
+        until_s = now_s - self._lag_s
+        if now_s - self._sync_s < 2.5 * period_s:
+            until_s = min(until_s, self._sync_at_s + period_s)
+        self._until(until_s)
+
+    def _until(self, end_s: float) -> None:
+        # rounding: without it a period of four steps is three, then five
+        steps = math.floor((end_s - self.time_s) / STEP_S + 1e-6)
+        if steps < 1:
             return
         moving = [axis for axis in self.axes if not axis.brake_closed or axis.powered]
         if moving:
