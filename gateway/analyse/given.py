@@ -13,7 +13,7 @@ import numpy as np
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
 from drives.profile_file import find_profile, parse_profile
-from gateway.analyse.known import KnownLoad, Load, in_last_link, unnamed_frame
+from gateway.analyse.known import KnownLoad, Load, unnamed_frame, with_and_without_centre
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.reading import is_recording, read_data
@@ -75,6 +75,7 @@ class Given:
         Efficiency 1 where no cell says otherwise (the table's torque is then taken as it stands), ratio NaN.
     inertials : str or None
     known : mapping of label to (mass [kg], x, y, z [m] in the last link)
+    masses : mapping of label to mass [kg], of loads whose centre is not known
     bare : Bare or None
     arm : ArmConfig or None
         Of the cell, where there is one.
@@ -95,6 +96,7 @@ class Given:
     gear_ratio: np.ndarray
     inertials: str | None
     known: Mapping[str, Load]
+    masses: Mapping[str, float]
     bare: Bare | None
     arm: ArmConfig | None
     loaded: LoadedCell | None
@@ -155,14 +157,16 @@ def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
         refuse_other_bare(bare, robot, gravity_m_s2)
     inertials = request.inertials or (None if arm is None else arm.inertials)
     bounds = load_bounds(robot, arm, trusts_masses=inertials != "ignore")
-    assumed = (unnamed_frame(label, known, robot) for label, known in request.known.items())
+    known, masses = with_and_without_centre(request.known, robot, bounds)
+    assumed = (unnamed_frame(label, stated, robot) for label, stated in request.known.items())
     return Given(
         robot=robot,
         gravity_m_s2=gravity_m_s2,
         efficiency=np.ones(axes) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
         gear_ratio=np.full(axes, np.nan) if arm is None else np.array([axis.gear_ratio.value for axis in arm.axis]),
         inertials=inertials,
-        known={label: in_last_link(label, known, robot, bounds) for label, known in request.known.items()},
+        known=known,
+        masses=masses,
         bare=bare,
         arm=arm,
         loaded=loaded,
@@ -317,6 +321,7 @@ def estimate_options(about: Given) -> EstimateOptions:
     return EstimateOptions(
         inertials=inertials,
         known=about.known,
+        masses=about.masses,
         bare=about.bare,
         gravity_m_s2=about.gravity_m_s2,
         gain_std=about.gain_std,
@@ -330,6 +335,7 @@ def diagnose_arguments(about: Given) -> dict[str, Any]:
     return {
         "inertials": about.inertials,
         "known": about.known,
+        "masses": about.masses,
         "bare": about.bare,
         "gravity_m_s2": about.gravity_m_s2,
         "gain_std": about.gain_std,

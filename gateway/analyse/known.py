@@ -1,8 +1,9 @@
-"""Loads that a person states as known: mass and centre of gravity, in the last link or in the flange."""
+"""Loads that a person states as known: mass, and centre of gravity in the last link or in the flange, or no centre."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,44 +16,46 @@ from gateway.result.result import Finding
 
 OPTION = "--known"
 FLANGE = "flange"
-FORM = "LABEL=MASS,X,Y,Z (last link) or LABEL=MASS,flange=X,Y,Z"
+FORM = "LABEL=MASS,X,Y,Z (last link), LABEL=MASS,flange=X,Y,Z, or LABEL=MASS (centre not known)"
 
 Load = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class KnownLoad:
-    """A load as stated: mass [kg], centre of gravity [m], and its frame; None = not named, the last link is meant."""
+    """A load as stated: mass [kg], centre of gravity [m] (None = not known), and its frame.
+
+    Frame None = not named, the last link is meant.
+    """
 
     mass_kg: float
-    com_m: tuple[float, float, float]
+    com_m: tuple[float, float, float] | None = None
     frame: str | None = None
-
-    @property
-    def numbers(self) -> Load:
-        """(mass [kg], x, y, z [m]) in the frame that was stated."""
-        return (self.mass_kg, *self.com_m)
 
 
 def parse_known(text: str) -> tuple[str, KnownLoad]:
-    """Read `LABEL=MASS,X,Y,Z` or `LABEL=MASS,FRAME=X,Y,Z`.
+    """Read `LABEL=MASS`, `LABEL=MASS,X,Y,Z` or `LABEL=MASS,FRAME=X,Y,Z`.
 
     Raises
     ------
     InputError
-        Not of that form, a negative mass, or a centre that can only be in millimetres.
+        Not of that form, a mass that is negative, or 0 without a centre, or a centre that can only be in millimetres.
     """
     label, equals, rest = text.partition("=")
-    first, _, after = rest.partition(",")
+    first, comma, after = rest.partition(",")
     frame, named, numbers = after.rpartition("=")
     try:
-        values = [float(word) for word in (first, *numbers.split(","))]
+        values = [float(word) for word in (first, *(numbers.split(",") if comma else ()))]
     except ValueError:
         values = []
     label, frame = label.strip(), frame.strip()
-    complete = equals and label and len(values) == 4 and all(map(math.isfinite, values)) and bool(named) == bool(frame)
-    if not complete or values[0] < 0:
+    complete = equals and label and len(values) == (4 if comma else 1) and bool(named) == bool(frame)
+    if not complete or not all(map(math.isfinite, values)) or values[0] < 0:
         raise InputError(f"{OPTION} {text}: expected {FORM} in kg and m, such as tool=12.5,flange=0,0,0.06")
+    if not comma:
+        if values[0] == 0:
+            raise InputError(f"{OPTION} {text}: a load of 0 kg says nothing; the unloaded arm is load 'none'")
+        return label, KnownLoad(values[0])
     mass, *(x, y, z) = values
     far = max(map(abs, (x, y, z)))
     if far > LARGEST_LEVER_M:
@@ -64,8 +67,8 @@ def parse_known(text: str) -> tuple[str, KnownLoad]:
     return label, KnownLoad(mass, (x, y, z), frame or None)
 
 
-def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: LoadBounds) -> Load:
-    """Return (mass [kg], x, y, z [m] in the last link) of a load that is known.
+def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: LoadBounds) -> Load | float:
+    """Return (mass [kg], x, y, z [m] in the last link) of a load that is known; its mass alone without a centre.
 
     Raises
     ------
@@ -74,12 +77,14 @@ def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: Load
     InputError
         Its frame is neither the last link nor the flange, or it is beyond what the arm can hold.
     """
-    wrong = bounds.violation(known.mass_kg, known.com_m)
+    wrong = bounds.violation(known.mass_kg, known.com_m or ())
     if wrong:
         raise InputError(f"{OPTION} {label}: {wrong}")
+    if known.com_m is None:
+        return known.mass_kg
     last = "link_6" if robot is None else robot.last_link
     if known.frame in (None, last):
-        return known.numbers
+        return (known.mass_kg, *known.com_m)
     if known.frame != FLANGE:
         raise InputError(f"{OPTION} {label}: frame '{known.frame}' is not known: write {last}= or {FLANGE}= before X")
     if robot is None or robot.flange is None:
@@ -91,9 +96,24 @@ def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: Load
     return (known.mass_kg, x, y, z)
 
 
+def with_and_without_centre(
+    stated: Mapping[str, KnownLoad], robot: Robot | None, bounds: LoadBounds
+) -> tuple[dict[str, Load], dict[str, float]]:
+    """Return the loads that are known, and the masses of those whose centre is not; errors as `in_last_link`."""
+    loads = {label: in_last_link(label, known, robot, bounds) for label, known in stated.items()}
+    known = {label: load for label, load in loads.items() if isinstance(load, tuple)}
+    return known, {label: load for label, load in loads.items() if not isinstance(load, tuple)}
+
+
 def unnamed_frame(label: str, known: KnownLoad, robot: Robot | None) -> Finding | None:
     """Report the frame that was taken where none was named and it matters: the flange is not the last link's frame."""
-    if known.frame is not None or robot is None or robot.flange is None or np.allclose(robot.flange, np.eye(4)):
+    if (
+        known.com_m is None
+        or known.frame is not None
+        or robot is None
+        or robot.flange is None
+        or np.allclose(robot.flange, np.eye(4))
+    ):
         return None
     return Finding(
         "info",

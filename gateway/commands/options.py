@@ -25,8 +25,11 @@ if TYPE_CHECKING:
 #: Lines of a data sheet that are named unasked.
 REMARKS_SHOWN = 10
 
-KNOWN_FORM = "LABEL=MASS,[FRAME=]X,Y,Z"
-KNOWN_HELP = "kg and m; FRAME: flange, or link_6 (the last link), which is taken where none is named."
+KNOWN_FORM = "LABEL=MASS[,[FRAME=]X,Y,Z]"
+KNOWN_HELP = (
+    "kg and m; FRAME: flange, or link_6 (the last link), which is taken where none is named. Without X,Y,Z the centre"
+    " is estimated."
+)
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

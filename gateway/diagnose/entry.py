@@ -9,6 +9,7 @@ from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.errors import DataUnusable, InputError
+from gateway.identify.loads import refuse_in_motion
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
 from gateway.result.result import Finding, Result
@@ -39,6 +40,7 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     held, left_out = _held_alike(options.holdout, robot, moves=moves)
     options = replace(options, holdout=held)
     if moves:
+        refuse_in_motion(options.masses)
         gears = options.efficiency, options.coupling
         held = None if options.holdout is None else behind_gears(options.holdout, *gears)
         result = diagnose_motion(behind_gears(table, *gears), robot, replace(options, holdout=held))

@@ -24,6 +24,7 @@ class DiagnoseOptions:
     inertials : "exact", "prior:S", "ignore"; None = at rest prior:0.05 where the robot has inertials, in moving runs
         the trust that the data themselves support
     known : label -> (mass [kg], x, y, z [m] in link 6) of loads that were weighed
+    masses : label -> mass [kg] of loads that were weighed and whose centre is to be estimated, from rows at rest
     bare : stored bare identification
     holdout : rows that no fit may see
     holdout_kind : "given" (by the user) or "fresh" (measured afterwards)
@@ -39,6 +40,7 @@ class DiagnoseOptions:
 
     inertials: str | None = None
     known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    masses: Mapping[str, float] = field(default_factory=dict)
     bare: Bare | None = None
     holdout: Table | None = None
     holdout_kind: HoldoutKind = "given"

@@ -26,6 +26,7 @@ from gateway.estimate.posture import estimate_posture
 from gateway.estimate.together import fitted_rest
 from gateway.identify.aside import without_gross
 from gateway.identify.links import default_inertials
+from gateway.identify.loads import refuse_absent, refuse_in_motion
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
 from gateway.result.result import Finding, Result
@@ -62,6 +63,8 @@ def _visits(table: Table, options: EstimateOptions) -> Visits:
 
 def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Rest rows where there are any; a run that only moves is fitted as one."""
+    if table.moving.any():
+        refuse_in_motion(options.masses)
     if table.moving.all():
         return estimate_moving(table, robot, options)
     if not table.moving.any():
@@ -142,6 +145,7 @@ def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method
         return estimate_coefficient(table, robot, options)
     if robot is None:
         raise ConfigError(f"--method {method} needs the robot model: give --robot R.urdf or --cell CELL")
+    refuse_absent(table.load, options.masses)
     found = ESTIMATORS[method](table, robot, options)
     advice = [next_pose(load, robot, found.sigma_nm, options) for load in found.loads]
     advice += [shrinks_most(load) for load in found.loads]

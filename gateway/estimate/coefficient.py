@@ -20,7 +20,7 @@ from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE
 from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load
-from gateway.identify.loads import BARE_LABEL
+from gateway.identify.loads import BARE_LABEL, refuse_absent
 from gateway.identify.nuisance import gain_stds
 from gateway.model.robot import Robot
 from gateway.result.result import Finding
@@ -80,11 +80,8 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
     if how.lever not in rest.extra:
         have = ", ".join(rest.extra) or "none"
         raise InputError(f"--lever {how.lever}: no such column in the data; extra columns there: {have}")
-    labels = list(dict.fromkeys(str(label) for label in rest.load))
-    for label in options.known:
-        if label not in labels:
-            raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(labels)}")
-    masses = {BARE_LABEL: 0.0} | {label: value[0] for label, value in options.known.items()}
+    labels = refuse_absent(rest.load, [*options.known, *options.masses])
+    masses = {BARE_LABEL: 0.0, **options.masses} | {label: value[0] for label, value in options.known.items()}
     reference_label = next((label for label in masses if label in labels), None)
     if reference_label is None:
         raise DataUnusable("the coefficient method needs rows without load (load 'none') or with a known one")

@@ -113,7 +113,8 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
 
 def _problem(differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
     """Differences as visits of an arm whose links weigh nothing, with what is known to hang on it (n, 4)."""
-    problem = build_problem(robot, differences, replace(knowledge_of(options), bare=None, known={}))
+    own = knowledge_of(options.of_loads(differences.load))
+    problem = build_problem(robot, differences, replace(own, bare=None, known={}))
     none = np.zeros_like(problem.links)
     return replace(problem, links=none, link_std=none + _GONE, fixed_load=fixed)
 

@@ -75,7 +75,9 @@ def problem_of(visits: Visits, robot: Robot, options: EstimateOptions) -> RestPr
 
 def knowledge_of(options: EstimateOptions) -> Knowledge:
     """What the options say is known besides the measured rows."""
-    return Knowledge(options.gravity_m_s2, options.inertials, options.known, options.bare, options.gain_std)
+    return Knowledge(
+        options.gravity_m_s2, options.inertials, options.known, options.masses, options.bare, options.gain_std
+    )
 
 
 def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:

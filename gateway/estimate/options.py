@@ -37,6 +37,8 @@ class EstimateOptions:
         that of its first moment as a fraction of mass x link length.
     known : label -> (mass [kg], x, y, z [m] in the last link)
         Loads that are known.
+    masses : label -> mass [kg]
+        Loads whose mass is known and whose centre is to be estimated, from rows at rest.
     bare : Bare or None
         Stored bare identification.
     gravity_m_s2 : base frame
@@ -53,6 +55,7 @@ class EstimateOptions:
 
     inertials: str = "ignore"
     known: Mapping[str, Four] = field(default_factory=dict)
+    masses: Mapping[str, float] = field(default_factory=dict)
     bare: Bare | None = None
     gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
     gain_std: tuple[float, ...] | None = None
@@ -65,7 +68,11 @@ class EstimateOptions:
     def of_loads(self, labels: Iterable[str]) -> EstimateOptions:
         """The options without known loads that are not among these labels."""
         there = set(map(str, labels))
-        return replace(self, known={label: load for label, load in self.known.items() if label in there})
+        return replace(
+            self,
+            known={label: load for label, load in self.known.items() if label in there},
+            masses={label: mass_kg for label, mass_kg in self.masses.items() if label in there},
+        )
 
     @property
     def trust(self) -> float:

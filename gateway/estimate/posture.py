@@ -90,7 +90,7 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
         refuse_other_bare(options.bare, robot, options.gravity_m_s2)
         return options.bare
     if (visits.load == BARE_LABEL).any():
-        told = replace(options, known={})
+        told = replace(options, known={}, masses={})
         found = _described(visits.take(visits.load == BARE_LABEL), robot, told).bare
         if found is not None:
             return found
@@ -151,7 +151,7 @@ def _check(
     own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, base: BaseSet, label: str
 ) -> tuple[Finding, ...]:
     """Whether what changed against the bare arm is a body on the flange and nothing else."""
-    loaded = problem_of(replace(own, load=np.full(len(own), BARE_LABEL)), robot, replace(alone, known={}))
+    loaded = problem_of(replace(own, load=np.full(len(own), BARE_LABEL)), robot, replace(alone, known={}, masses={}))
     fit = fit_without_effects(loaded)
     directions = np.zeros((base.rank, len(fit.scale)))
     directions[:, loaded.link_part] = base.combination

@@ -31,11 +31,37 @@ def unknown_labels(present: Iterable[str], known: Mapping[str, object]) -> tuple
     InputError
         A known load that no row carries.
     """
+    labels = refuse_absent(present, known)
+    return tuple(label for label in labels if label != BARE_LABEL and label not in known)
+
+
+def refuse_absent(present: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
+    """Return the labels of the rows, each once, in the order they appear.
+
+    Raises
+    ------
+    InputError
+        A known load that no row carries.
+    """
     labels = tuple(dict.fromkeys(str(label) for label in present))
     for label in known:
         if label not in labels:
             raise InputError(f"--known {label}: no row carries this load; the data hold {', '.join(labels)}")
-    return tuple(label for label in labels if label != BARE_LABEL and label not in known)
+    return labels
+
+
+def refuse_in_motion(masses: Mapping[str, float]) -> None:
+    """Refuse loads whose mass alone is known where rows in motion are fitted: they take a load with its centre.
+
+    Raises
+    ------
+    InputError
+    """
+    for label, mass_kg in masses.items():
+        raise InputError(
+            f"--known {label}={mass_kg:g}: a load without its centre of gravity is known to rows at rest alone, and the"
+            f" data hold rows in motion; state {label}={mass_kg:g},X,Y,Z, or leave the rows in motion out"
+        )
 
 
 def require_postures(q_rad: Floats, label: str) -> None:

@@ -50,7 +50,9 @@ def questions(
     expected = 0.5 * float(told[poses].sum())
     if expected < REST.telling:
         what = (
-            "hang a load of known mass and measure it, or add a bare run" if not knowledge.known else "weigh the links"
+            "weigh the links"
+            if knowledge.known or knowledge.masses
+            else "hang a load of known mass and measure it, or add a bare run"
         )
         return (NextMeasurement(what=what, tells_apart=names),)
     return (_measure(choice, poses, names),)

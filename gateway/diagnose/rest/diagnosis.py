@@ -121,6 +121,7 @@ class RestDiagnosis:
             gravity_m_s2=options.gravity_m_s2,
             inertials=_inertials(robot, options.inertials),
             known=options.known,
+            masses=options.masses,
             bare=options.bare,
             gain_std=options.gain_std,
         )
@@ -172,7 +173,7 @@ class RestDiagnosis:
         noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
-        weighed = bool(self.options.known) or self.knowledge.inertials == "exact"
+        weighed = bool(self.options.known or self.options.masses) or self.knowledge.inertials == "exact"
         drawn = np.where(np.isfinite(problem.link_std), problem.links, np.nan)
         setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)
@@ -224,6 +225,7 @@ class RestDiagnosis:
         options = EstimateOptions(
             inertials=known.inertials,
             known=known.known,
+            masses=known.masses,
             bare=known.bare,
             gravity_m_s2=known.gravity_m_s2,
             gain_std=known.gain_std,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
-from gateway.identify.loads import bare_rows, load_vector, unknown_labels
+from gateway.identify.loads import bare_rows, load_vector, refuse_absent, unknown_labels
 from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, losses, nuisance_prior
 from gateway.identify.rest.linear import RestProblem
 from gateway.identify.rest.ordinary import Ordinary
@@ -42,6 +42,7 @@ class Knowledge:
     gravity_m_s2 : array of shape (3,)
     inertials : "exact", "ignore" or "prior:RELATIVE_STD"
     known : label -> (mass, x, y, z) of loads that were weighed
+    masses : label -> mass [kg] of loads that were weighed, and whose centre is to be estimated
     bare : stored bare identification, or None
     gain_std : relative standard deviation of each torque constant, or None
     """
@@ -49,6 +50,7 @@ class Knowledge:
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
     inertials: str = "prior:0.05"
     known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
+    masses: Mapping[str, float] = field(default_factory=dict)
     bare: Bare | None = None
     gain_std: tuple[float, ...] | None = None
 
@@ -62,6 +64,7 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProbl
     DataUnusable : no torque was measured
     """
     labels = tuple(sorted(unknown_labels(rows.load, knowledge.known)))
+    refuse_absent(rows.load, knowledge.masses)
     fixed = np.zeros((len(rows), 4))
     for name, known in knowledge.known.items():
         fixed[rows.load == name] = load_vector(known)
@@ -84,6 +87,9 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProbl
         prior_rows[:, : 4 * rows.axes] = both[:, : 4 * rows.axes]
         prior_rows[:, gains : gains + 2 * rows.axes] = both[:, 4 * rows.axes :]
         nuisance = nuisance.held_elsewhere(np.asarray(both[:, 4 * rows.axes :].any(axis=0)))
+    weighed = np.zeros((len(knowledge.masses), count))
+    for row, (label, mass_kg) in zip(weighed, knowledge.masses.items(), strict=True):
+        row[4 * (rows.axes + labels.index(label))] = 1.0 / (EXACT * mass_kg)
     return RestProblem(
         model=Model(robot, rows, np.asarray(knowledge.gravity_m_s2, dtype=float)),
         links=links,
@@ -95,8 +101,8 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProbl
         use_difference=use_difference,
         target=np.concatenate([rows.sum_nm[use_sum], rows.difference_nm[use_difference]]),
         group=np.concatenate([(axis + kind)[use_sum], axis[use_difference] + rows.axes]),
-        prior_rows=prior_rows,
-        prior_target=prior_target,
+        prior_rows=np.vstack([prior_rows, weighed]),
+        prior_target=np.append(prior_target, np.full(len(weighed), 1.0 / EXACT)),
         nuisance=nuisance,
     )
 

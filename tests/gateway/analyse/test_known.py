@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.analyse.known import KnownLoad, in_last_link, parse_known, unnamed_frame
+from gateway.analyse.known import KnownLoad, in_last_link, parse_known, unnamed_frame, with_and_without_centre
 from gateway.cell.config import load_cell
 from gateway.errors import ConfigError, InputError
 from gateway.model.arm_model import arm_robot
@@ -32,6 +32,19 @@ def test_numbers_and_frame():
     assert parse_known("tool=12.5,flange=0,-0.1,0.11") == ("tool", KnownLoad(12.5, (0.0, -0.1, 0.11), "flange"))
     assert parse_known("tool = 12.5, link_6 = 0, -0.1, 0.11")[1].frame == "link_6"
     assert parse_known(" tool =1,0,0,0")[0] == "tool"
+    assert parse_known("tool=12.5") == ("tool", KnownLoad(12.5))
+
+
+def test_a_mass_without_a_centre(robot):
+    assert with_and_without_centre({"a": known("a=2"), "b": known("b=3,0,0,0.1")}, robot, NO_ARM) == (
+        {"b": (3.0, 0.0, 0.0, 0.1)},
+        {"a": 2.0},
+    )
+    assert unnamed_frame("a", known("a=2"), robot) is None
+    with pytest.raises(InputError, match="a load of 0 kg says nothing"):
+        parse_known("a=0")
+    with pytest.raises(InputError, match=r"grams\? that is 9 kg"):
+        with_and_without_centre({"a": known("a=9000")}, robot, NO_ARM)
 
 
 @pytest.mark.parametrize(
