@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages clean
 
 venv: $(STAMP)
 
@@ -64,6 +64,10 @@ blind-nature: venv
 compare: venv
 	mkdir -p out
 	$(BIN)/python -m benchmarks.compare --store out/compare.json
+
+# Statements about an arm that are wrong, and right ones: what passes silently, what raises an alarm; ten minutes.
+conflict: venv
+	$(BIN)/python -m benchmarks.conflict --out out/conflict
 
 vcan: venv
 	$(BIN)/python tests/vcan/vm.py

@@ -1,0 +1,106 @@
+"""One cell from seed to answer: files, `estimate` as an engineer types it, and what came back against the truth."""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+from click.testing import CliRunner
+
+from benchmarks.conflict.conditions import CONDITIONS
+from benchmarks.conflict.plant import ConflictCell, draw_cell, measure
+from gateway.cli import main
+
+#: Half width of a 95 % interval, and how far off an answer may be, in stated standard deviations.
+HALF_WIDTH, FAR = 1.96, 3.0
+DEFECT = 1
+
+
+def answer_of(task: tuple[int, str, str]) -> dict:
+    """Draw, measure and estimate one cell: seed, condition, variant."""
+    seed, condition, variant = task
+    cell = draw_cell(seed, variant)
+    CONDITIONS[condition].before(cell)
+    cell.columns = measure(cell)
+    CONDITIONS[condition].after(cell)
+    begin = time.process_time()
+    with tempfile.TemporaryDirectory() as folder:
+        code, output, result = _estimated(cell, Path(folder))
+    told = {"seed": seed, "condition": condition, "variant": variant, "exit": code, "rated_kg": cell.arm.rated_kg}
+    told["time_s"] = time.process_time() - begin
+    told["findings"] = [
+        [finding["severity"], check_of(finding), finding["where"], finding["what"]] for finding in result["findings"]
+    ]
+    told["message"] = output.strip()[-400:] if code not in (0, 7) else ""
+    told["gross"] = cell.gross
+    told["loads"] = [_judged(load, _truths(cell, load["label"])) for load in result["loads"]]
+    return json.loads(json.dumps(told))
+
+
+def write_cell(cell: ConflictCell, folder: Path) -> tuple[Path, Path]:
+    """Write the table and the URDF of a cell."""
+    robot, table = folder / "arm.urdf", folder / "table.csv"
+    robot.write_text(cell.arm.geometry.urdf(cell.stated, cell.length_unit), encoding="utf-8")
+    _write(table, cell.columns, np.full(len(cell.columns["pose"]), True))
+    return table, robot
+
+
+def _write(path: Path, columns: dict[str, np.ndarray], rows: np.ndarray) -> None:
+    values = [[str(value) for value in column[rows].tolist()] for column in columns.values()]
+    lines = [",".join(columns), *(",".join(row) for row in zip(*values, strict=True))]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _estimated(cell: ConflictCell, folder: Path) -> tuple[int, str, dict]:
+    table, robot = write_cell(cell, folder)
+    options, before = [*cell.options], []
+    if cell.stored_bare:
+        bare = cell.columns["load"] == "none"
+        table = folder / "loaded.csv"
+        _write(folder / "bare.csv", cell.columns, bare)
+        _write(table, cell.columns, ~bare)
+        _, _, first = _estimate(folder / "bare.csv", robot, [], folder / "bare.json")
+        options += ["--bare", str(folder / "bare.json")]
+        before = first["findings"]
+    code, output, found = _estimate(table, robot, options, folder / "answer.json")
+    return code, output, {"findings": [*before, *found["findings"]], "loads": found["loads"]}
+
+
+def _estimate(table: Path, robot: Path, options: list[str], answer: Path) -> tuple[int, str, dict]:
+    """Exit code, output and result file of one command."""
+    words = ["estimate", str(table), "--robot", str(robot), *options, "--json", str(answer)]
+    result = CliRunner(env={"COLUMNS": "200"}).invoke(main, words)
+    found = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
+    return result.exit_code, result.output, {key: found.get(key, []) for key in ("findings", "loads")}
+
+
+def check_of(finding: dict) -> str:
+    """Name of the check that reports a finding: its own, else its text without numbers and names."""
+    if finding.get("check"):
+        return str(finding["check"])
+    text = re.sub(r"[-+]?\d[\d.,e+-]*", "#", str(finding["what"]))
+    return f"{re.sub('[0-9]+', '#', str(finding['where']))}: {text}"[:70]
+
+
+def _truths(cell: ConflictCell, label: str) -> list[list[float]]:
+    """Every load that was measured under this label."""
+    return [list(map(float, cell.loads[block.load])) for block in cell.blocks if block.label == label]
+
+
+def _judged(load: dict, truths: list[list[float]]) -> dict:
+    """Mass error and stated standard deviation over the true mass; which 95 % intervals hold, the worst truth's."""
+    mass, std, centre, spread = (load.get(key) for key in ("mass_kg", "mass_std_kg", "com_m", "com_std_m"))
+    told: dict = {"label": load["label"], "refused": load.get("refused"), "mass_kg": truths[0][0]}
+    if mass is None or std is None:
+        return told | {"off": None}
+    worst = max(truths, key=lambda truth: abs(mass - truth[0]))
+    told |= {"error": mass / worst[0] - 1.0, "std": std / worst[0], "off": abs(mass - worst[0]) / max(std, 1e-12)}
+    told["holds"] = told["off"] < HALF_WIDTH
+    if centre is not None and spread is not None and None not in (*centre, *spread):
+        pairs = zip(centre, spread, worst[1:], strict=True)
+        told["centre_holds"] = [abs(value - true) < HALF_WIDTH * std for value, std, true in pairs]
+    return told

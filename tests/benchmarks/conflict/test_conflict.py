@@ -1,0 +1,109 @@
+"""The cells of the conflict benchmark are what they claim, and their answers are scored as stated."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.conflict.answers import answer_of, write_cell
+from benchmarks.conflict.arm import GRAVITY_M_S2, LinkMasses
+from benchmarks.conflict.conditions import CONDITIONS
+from benchmarks.conflict.figures import condition_table, false_alarm, figures, silent, warned
+from benchmarks.conflict.plant import ConflictCell, draw_cell, measure
+
+
+def measured(seed: int, condition: str, variant: str = "floor") -> ConflictCell:
+    """Return a cell after its measurement and the changes of its condition."""
+    cell = draw_cell(seed, variant)
+    CONDITIONS[condition].before(cell)
+    cell.columns = measure(cell)
+    CONDITIONS[condition].after(cell)
+    return cell
+
+
+def test_torque_is_that_of_a_point_mass_when_links_and_friction_vanish():
+    cell = draw_cell(1)
+    cell.true = LinkMasses(np.zeros(6), np.zeros((6, 3)))
+    cell.loads["tool"] = np.array([2.0, 0.0, 0.0, 0.0])
+    cell.poses_rad = np.zeros((1, 6))
+    cell.gain[:] = cell.repeat_rad = cell.scatter = 0.0
+    for field in ("coulomb_nm", "driving", "driven", "bias_nm"):
+        getattr(cell.friction, field)[:] = 0.0
+    columns = measure(cell)
+    flange_x_m = cell.arm.geometry.origin_m[:, 0].sum() - cell.arm.geometry.origin_m[:2, 0].sum()
+    # axis 2 turns about +y: a positive turn lowers what is in front of it
+    noise_nm = 5 * 0.01 * cell.size_nm[1] / np.sqrt(200)
+    assert columns["tau2_nm"][-1] == pytest.approx(-2.0 * GRAVITY_M_S2 * flange_x_m, abs=noise_nm)
+    assert columns["tau2_nm"][0] == pytest.approx(0.0, abs=noise_nm)
+
+
+def test_friction_acts_against_the_gravity_torque_on_one_side_and_with_it_on_the_other():
+    columns = draw_and_measure_clean(2)
+    for axis in range(1, 7):
+        half = (columns[f"tau{axis}_nm"][::2] - columns[f"tau{axis}_nm"][1::2]) / 2.0
+        assert (columns[f"dir{axis}"][::2] == 1).all()
+        assert (half > 0).all()
+
+
+def draw_and_measure_clean(seed: int) -> dict[str, np.ndarray]:
+    """Return the columns of a clean cell."""
+    return measured(seed, "clean").columns
+
+
+@pytest.mark.parametrize("condition", [name for name in CONDITIONS if name != "clean"])
+def test_every_condition_changes_what_is_handed_over(condition, tmp_path):
+    handed = []
+    for name in ("clean", condition):
+        cell = measured(3, name)
+        table, robot = write_cell(cell, tmp_path)
+        handed.append((table.read_text(), robot.read_text(), cell.options, cell.stored_bare))
+    assert handed[0] != handed[1]
+
+
+@pytest.mark.parametrize(("variant", "rows"), [("two loads", 72), ("6 poses", 24), ("wall", 48), ("ceiling", 48)])
+def test_variants_have_their_rows(variant, rows):
+    assert len(measured(4, "clean", variant).columns["pose"]) == rows
+
+
+def test_wall_and_ceiling_turn_gravity():
+    floor, ceiling = draw_cell(5), draw_cell(5, "ceiling")
+    for cell in (floor, ceiling):
+        cell.gain[:] = 0.0
+    down, up = (measure(cell)["tau2_nm"] for cell in (floor, ceiling))
+    assert np.corrcoef(down, up)[0, 1] < -0.9
+
+
+def test_right_cell_is_answered_and_reversed_signs_are_refused():
+    right, wrong = (answer_of((0, name, "floor")) for name in ("clean", "torque sign, all"))
+    assert right["exit"] == 0
+    assert not false_alarm(right)
+    assert right["loads"][0]["off"] < 3.0
+    assert wrong["exit"] == 7
+    assert warned(wrong)
+    assert not silent(wrong)
+
+
+def answer(off: float | None, *findings: list[str], code: int = 0) -> dict:
+    """Return an answer as `answer_of` gives it."""
+    load = {"off": off, "holds": off is not None and off < 1.96, "error": 0.01, "std": 0.01, "mass_kg": 1.0}
+    told = {"condition": "clean", "variant": "floor", "seed": 0, "exit": code, "gross": 0, "time_s": 0.1}
+    return told | {"findings": list(findings), "loads": [load]}
+
+
+def test_silent_is_far_off_without_a_word():
+    warning = ["warn", "some check", "J2", "text"]
+    assert silent(answer(3.1))
+    assert silent(answer(0.0, code=1))
+    assert not silent(answer(2.9))
+    assert not silent(answer(3.1, warning))
+    assert silent(answer(3.1, ["info", "some check", "J2", "text"]))
+    assert not silent(answer(None, code=7))
+
+
+def test_figures_of_a_condition():
+    warning = ["warn", "some check", "J2", "text"]
+    found = figures([answer(0.5), answer(2.5), answer(3.5), answer(3.5, warning)])
+    assert found["clean (floor): silent"]["value"] == pytest.approx(0.25)
+    assert found["clean (floor): 95 % of mass hold"]["value"] == pytest.approx(0.25)
+    assert found["clean (floor): warned"]["met"] is False
+    assert condition_table([answer(0.5)]).row_count == 1
