@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
+from gateway.identify.loads import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import load_estimates, ordinary_of, sure, widening
 from gateway.identify.rest.ordinary import KINDS
@@ -22,8 +23,6 @@ from gateway.result.result import Bare
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-LOAD_NAMES = ("mass", "hx", "hy", "hz")
-LOAD_UNITS = ("kg", "kg m", "kg m", "kg m")
 #: Names and units of the nuisances in a list of parameters.
 _NUISANCES = {"gain": ("gain", "1"), "bias": ("offset", "Nm"), "load_friction": ("loss", "1")}
 

@@ -143,12 +143,6 @@ def unknown_load(label: str) -> LoadEstimate:
     return LoadEstimate(label, np.nan, np.nan, nothing, nothing, square, square, LOAD_PARTS)
 
 
-def known_load(label: str, mass_kg: float, com_m: Floats) -> LoadEstimate:
-    """A load that was weighed."""
-    exact = np.zeros((4, 4))
-    return LoadEstimate(label, mass_kg, 0.0, np.asarray(com_m, dtype=float), np.zeros(3), np.eye(4), exact)
-
-
 def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
     """One load as the file has it; the flange's frame where the robot model gives the flange."""
     known = np.isfinite(load.com_m)

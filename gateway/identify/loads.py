@@ -15,6 +15,9 @@ from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 
+#: Load parameters in a list of parameters, and their units.
+LOAD_NAMES: Final = ("mass", "hx", "hy", "hz")
+LOAD_UNITS: Final = ("kg", "kg m", "kg m", "kg m")
 #: What a stored identification knows better than this share of what it knows least, it knows that well.
 _SUREST: Final = 1e-12
 #: Standard deviation [kg, kg m] below which nothing is known: heavier rows drown the measured ones in rounding.

@@ -6,7 +6,7 @@ memory grow linearly with the rows, and it may be called thousands of times.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -47,6 +47,22 @@ class Prior:
         changed = self.std.copy()
         changed[index] = std
         return Prior(self.mean, changed, self.rows, self.right)
+
+    def freed(self, index: NDArray[np.int_]) -> Prior:
+        """The same, nothing being known of some parameters."""
+        if not len(index):
+            return self
+        rows = self.rows.copy()
+        rows[:, index] = 0.0
+        return replace(self.with_std(index, np.full(len(index), np.inf)), rows=rows)
+
+    def beside(self, other: Prior) -> Prior:
+        """What is known of these parameters and of others behind them."""
+        own = np.pad(self.rows, ((0, 0), (0, len(other.std))))
+        more = np.pad(other.rows, ((0, 0), (len(self.std), 0)))
+        parts = zip((self.mean, self.std, self.right), (other.mean, other.std, other.right), strict=True)
+        mean, std, right = (np.concatenate(pair) for pair in parts)
+        return Prior(mean, std, np.vstack([own, more]), right)
 
     @property
     def precision(self) -> Floats:

@@ -171,8 +171,16 @@ def behind_gears(table: Table, efficiency: ArrayLike | None, coupling: ArrayLike
     return replace(table, tau_nm=np.where(table.moving[:, None], behind, table.tau_nm))
 
 
-def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats) -> MovingRows:
-    """Rows of the moving runs in `table` (to fit) and `given` (never fitted), thinned to at most `LARGEST`.
+def at_links(table: Table) -> Table:
+    """The table with the angle of the link where an axis has a secondary encoder: its bodies are there."""
+    seen = np.isfinite(table.q2nd_rad).all(axis=0)
+    return replace(table, q_rad=np.where(seen, table.q2nd_rad, table.q_rad)) if seen.any() else table
+
+
+def prepare(
+    table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats, largest: float = LARGEST
+) -> MovingRows:
+    """Rows of the moving runs in `table` (to fit) and `given` (never fitted), thinned to at most `largest`.
 
     Raises
     ------
@@ -187,7 +195,7 @@ def prepare(table: Table, given: Table | None, robot: Robot, gravity_m_s2: Float
         runs.append(held_run + fitted_run.max() + 1)
     run = np.concatenate(runs)
     is_given = np.concatenate([np.full(len(part), number == 1) for number, part in enumerate(parts)])
-    step = max(1, int(np.ceil(len(run) / LARGEST)))
+    step = max(1, int(np.ceil(len(run) / largest)))
     keep = np.zeros(len(run), dtype=bool)
     keep[::step] = True
     fields = {
@@ -233,15 +241,21 @@ def _turns(qd_rad_s: Floats, top_rad_s: Floats) -> Mask:
 
 
 def _in_time_order(table: Table) -> tuple[Table, NDArray[np.int_]]:
-    """Moving rows by run and time, and the number of each row's run; all periods of an excitation are one."""
+    """Moving rows by run and time, and the number of each row's run."""
     moving = table.take(table.moving)
+    order, run = time_order(moving)
+    return moving.take(order), run
+
+
+def time_order(moving: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+    """Order (n,) of moving rows by run and time, and the number (n,) of each run; periods of an excitation are one."""
     repeated = excitation_runs(moving)
     own = np.where(repeated >= 0, np.char.add("\x00", repeated.astype(str)), moving.run.astype(str))
     names = np.char.add(np.char.add(np.asarray(moving.file, dtype=str), "\x00"), own)
     _, first, run = np.unique(names, return_index=True, return_inverse=True)
     run = np.argsort(np.argsort(first))[run]
     order = np.lexsort((moving.time_s, run))
-    return moving.take(order), run[order]
+    return order, run[order]
 
 
 def _rigid(robot: Robot, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats, gravity: Floats) -> Floats:

@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
+from gateway.diagnose.moving.answer import answer_of
 from gateway.diagnose.moving.choice import Choice, MovingKnowledge, choose, plain_choice, problem_of
 from gateway.diagnose.moving.deflection import elastic_joints
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.judge import Judges
 from gateway.diagnose.moving.lag import lags, prepare_in_step
+from gateway.diagnose.moving.mistakes import undo
 from gateway.diagnose.moving.outcome import result_of, too_little
 from gateway.diagnose.moving.parameters import certain
 from gateway.diagnose.moving.remarks import MovingOutcome
@@ -29,10 +31,11 @@ from gateway.diagnose.moving.structure import structured_axes
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
-from gateway.identify.links import has_inertials, parse_inertials
+from gateway.identify.links import default_inertials, has_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL, unknown_labels
 from gateway.identify.moving_baseline import EXACT, ordinary
 from gateway.identify.nuisance import gain_stds
+from gateway.identify.rest.problem import Knowledge
 from gateway.model.motion import MovingRows
 from gateway.model.robot import Robot
 from gateway.result.result import Result
@@ -69,14 +72,15 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     knowledge = MovingKnowledge(_allowed(options), trust, free, known, usual)
     if (~motion.given).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
         problem = problem_of(motion, trust, knowledge)
-        return too_little(problem, state_of(problem, ()))
+        answer = answer_of(table, robot, _told_to_fit(robot, options, MOVING.usual_trust), (), delay_s)
+        return too_little(problem, state_of(problem, ()), answer)
     found, judges = _judged(motion, knowledge)
     refuted = frozenset(item.label for item in found.mistakes if not judges.mistake(item).below_one)
     if refuted:
         found, judges = _judged(motion, replace(knowledge, refuted=refuted))
     outcome = replace(_outcome(found, judges, knowledge), refuted=refuted)
     if "joint_elasticity" not in knowledge.allowed:
-        return result_of(outcome)
+        return _written(outcome, table, robot, options)
     wound = elastic_joints(outcome.problem, outcome.after, judges.pairs)
     if wound and not found.mistakes:
         stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
@@ -86,7 +90,25 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
         parts = judging(by_motor, MOVING.judged_blocks)
         read = Judges(tuple(plain_choice(part, outcome.problem.base.trust, knowledge) for part in parts))
         outcome = replace(outcome, as_read=state_of(as_read, ()), held_before=read.before())
-    return result_of(replace(outcome, wound=wound))
+    return _written(replace(outcome, wound=wound), table, robot, options)
+
+
+def _written(outcome: MovingOutcome, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
+    """The result, its loads from the fit of an estimate: without effects, and with those that the answer has."""
+    problem, state = outcome.told
+    sound = undo(table, [mistake for mistake, _ in outcome.mistakes])
+    knowledge, delay_s = _told_to_fit(robot, options, problem.base.trust), problem.motion.delay_s
+    plain = answer_of(sound, robot, knowledge, (), delay_s)
+    return result_of(outcome, plain, answer_of(sound, robot, knowledge, state.terms, delay_s) if state.terms else plain)
+
+
+def _told_to_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) -> Knowledge:
+    """What a fit knows besides the rows, the CAD values trusted as the options say or else as the rows let it."""
+    inertials = options.inertials
+    if inertials is None:
+        usual = trust == MOVING.usual_trust or not has_inertials(robot)
+        inertials = default_inertials(robot) if usual else "ignore" if trust is None else f"prior:{trust:g}"
+    return Knowledge(options.gravity_m_s2, inertials, options.known, gain_std=options.gain_std)
 
 
 def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Judges]:
@@ -128,7 +150,6 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
         mistakes=tuple((item, judges.mistake(item)) for item in found.mistakes),
         as_read=as_read,
         structure=structured_axes(problem, state),
-        known=knowledge.known,
         held_before=judges.before(),
         held_after=judges.after(kept),
         judges=judges,

@@ -17,9 +17,9 @@ from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
 from gateway.estimate.moving import estimate_moving
-from gateway.estimate.moving_time import Stretches
 from gateway.estimate.options import EstimateOptions
-from gateway.model.motion import MovingRows, prepare
+from gateway.identify.motion.stretches import Stretches
+from gateway.model.motion import LARGEST, MovingRows, prepare
 from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
@@ -52,7 +52,12 @@ def lags(table: Table, robot: Robot, options: DiagnoseOptions) -> Floats:
 
 
 def prepare_in_step(
-    table: Table, holdout: Table | None, robot: Robot, gravity_m_s2: Floats, delay_s: Floats
+    table: Table,
+    holdout: Table | None,
+    robot: Robot,
+    gravity_m_s2: Floats,
+    delay_s: Floats,
+    largest: float = LARGEST,
 ) -> MovingRows:
     """Rows as `prepare` makes them, each axis's torque with the motion of its own `delay_s` (N,) earlier.
 
@@ -63,10 +68,10 @@ def prepare_in_step(
     DataUnusable
         No axis has torque rows in motion.
     """
-    motion = prepare(table, holdout, robot, gravity_m_s2)
+    motion = prepare(table, holdout, robot, gravity_m_s2, largest)
     for delay in np.unique(delay_s[delay_s > 0]):
         mine = delay_s == delay
-        then = prepare(_earlier(table, delay), holdout and _earlier(holdout, delay), robot, gravity_m_s2)
+        then = prepare(_earlier(table, delay), holdout and _earlier(holdout, delay), robot, gravity_m_s2, largest)
         rows = {name: _columns_of(then, motion, name, mine) for name in _OF_ROWS}
         whole = {name: np.where(mine, getattr(then, name), getattr(motion, name)) for name in _OF_AXES}
         motion = replace(motion, **rows, **whole)

@@ -10,10 +10,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.table import Table
 from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
 from gateway.diagnose.moving.noise import MovingNoise
@@ -23,6 +25,8 @@ from gateway.model.motion import MovingRows
 from gateway.model.term import Label
 
 Floats = NDArray[np.float64]
+#: Rows as a table has them, or prepared ones.
+Read = TypeVar("Read", MovingRows, Table)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +61,7 @@ def find_mistakes(
     return found
 
 
-def undo(motion: MovingRows, mistakes: Sequence[MovingMistake]) -> MovingRows:
+def undo(motion: Read, mistakes: Sequence[MovingMistake]) -> Read:
     """The run as it would read without the mistakes."""
     tau = motion.tau_nm.copy()
     for mistake in mistakes:

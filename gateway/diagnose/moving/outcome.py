@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held import Held, listed
+from gateway.diagnose.moving.answer import MovingAnswer
 from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.loads import friction_level, loads_of, nuisances
 from gateway.diagnose.moving.parameters import figures_of, parameters_of
 from gateway.diagnose.moving.pictures import pictures
 from gateway.diagnose.moving.ratio import held_ratio
@@ -29,12 +29,13 @@ from gateway.diagnose.moving.remarks import (
 )
 from gateway.diagnose.moving.select import Chosen
 from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.rest.remarks import refused_loads
+from gateway.model.effects.velocity_friction import Stribeck
 from gateway.result.result import (
     EffectResult,
     Evidence,
     Finding,
     FitSummary,
-    LoadResult,
     NextMeasurement,
     Rejected,
     Result,
@@ -54,8 +55,8 @@ HELD_OUT = {
 }
 
 
-def result_of(outcome: MovingOutcome) -> Result:
-    """Write up a finished diagnosis."""
+def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer) -> Result:
+    """Write up a finished diagnosis, with what the model without and with its effects gives."""
     problem, after = outcome.problem, outcome.after
     effects = (
         *_mistakes(outcome),
@@ -68,21 +69,25 @@ def result_of(outcome: MovingOutcome) -> Result:
         effects = tuple(part for item in doubtful for part in _rivals(outcome, item))
     drawn = [item.terms for item in outcome.effects]
     before = outcome.as_read if outcome.as_read is not None else outcome.before
-    loads = loads_of(*outcome.told, outcome.known)
     return Result(
         robot=problem.motion.robot.name,
-        loads=loads,
+        loads=answer.loads,
         verdict=_verdict(outcome, undecided, bool(effects)),
         effects=effects,
-        before=_summary(before, outcome.held_before, loads_of(problem, outcome.before, outcome.known)),
-        after=_summary(after, outcome.held_after, loads),
+        before=_summary(before, outcome.held_before, plain),
+        after=_summary(after, outcome.held_after, answer),
         holdout_kind="given" if problem.motion.given.any() else "blocks",
         noise_floor_nm=listed(problem.motion.floor_nm),
-        friction_band_nm=listed(friction_level(problem, after)),
+        friction_band_nm=listed(_friction_level(problem, after)),
         rejected=_rejected(outcome),
         next=(*(tell_apart(item) for item in doubtful), *richer(outcome, bool(effects))),
-        findings=(*faults(() if undecided else effects), *remarks(outcome), *edge_findings(effects)),
-        nuisance=nuisances(*outcome.told),
+        findings=(
+            *faults(() if undecided else effects),
+            *remarks(outcome),
+            *edge_findings(effects),
+            *refused_loads(answer.loads),
+        ),
+        nuisance=answer.nuisance,
         provenance=_provenance(problem, outcome),
         quality={"holdout_ratio": _axis_ratios(outcome)},
         rows=_rows(problem, after),
@@ -90,14 +95,15 @@ def result_of(outcome: MovingOutcome) -> Result:
     )
 
 
-def too_little(problem: MovingProblem, state: MovingState) -> Result:
+def too_little(problem: MovingProblem, state: MovingState, answer: MovingAnswer) -> Result:
     """Too little motion to hold any of it out."""
     unknown = _unknown(problem)
-    summary = FitSummary(rms_nm=listed(rms_of(state)), holdout_rms_nm=unknown)
+    summary = FitSummary(rms_nm=listed(rms_of(state)), holdout_rms_nm=unknown, loads=answer.loads)
     step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
     what = f"{int((~problem.motion.given).sum())} moving rows over {problem.motion.duration_s:.1f} s"
     return Result(
         robot=problem.motion.robot.name,
+        loads=answer.loads,
         verdict="undecided",
         before=summary,
         after=summary,
@@ -113,8 +119,8 @@ def _unknown(problem: MovingProblem) -> tuple[float, ...]:
     return (np.nan,) * problem.motion.axes
 
 
-def _summary(state: MovingState, held: Held, loads: tuple[LoadResult, ...]) -> FitSummary:
-    return FitSummary(listed(rms_of(state)), listed(held.rms_nm), loads)
+def _summary(state: MovingState, held: Held, answer: MovingAnswer) -> FitSummary:
+    return FitSummary(listed(rms_of(state)), listed(held.rms_nm), answer.loads)
 
 
 def _effect(problem: MovingProblem, state: MovingState, item: Chosen, tried: int) -> EffectResult:
@@ -230,3 +236,12 @@ def _rows(problem: MovingProblem, state: MovingState) -> Rows:
         band_nm=matrix(unknown),
         std_nm=matrix(unknown),
     )
+
+
+def _friction_level(problem: MovingProblem, state: MovingState) -> Floats:
+    """Dry friction (N,) [Nm] towards standstill, NaN for an axis that was not judged."""
+    level = state.full.value[problem.base.friction[:, 0]].copy()
+    for term in state.terms:
+        if isinstance(term, Stribeck):
+            level[term.axis] += state.full.value[state.full.part([term])[0]]
+    return np.where(problem.motion.measured, np.abs(level), np.nan)

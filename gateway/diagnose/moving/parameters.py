@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
-from gateway.diagnose.moving.loads import spread_of
 from gateway.diagnose.moving.refine import coupling_cost
-from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.state import MovingState, spread_of
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, extend
 from gateway.identify.spread import jackknife, wider

@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.loads import spread_of
-from gateway.diagnose.moving.state import MovingState
+from gateway.diagnose.moving.state import MovingState, spread_of
 from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY
 from gateway.model.term import Term

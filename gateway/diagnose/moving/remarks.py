@@ -43,7 +43,6 @@ class MovingOutcome:
     mistakes: tuple[tuple[MovingMistake, HeldRatio], ...]
     as_read: MovingState | None
     structure: Mapping[int, float]
-    known: Mapping[str, tuple[float, Floats]]
     held_before: Held
     held_after: Held
     judges: Judges

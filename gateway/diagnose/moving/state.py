@@ -1,4 +1,4 @@
-"""A model with its fits to every split, and what one of its effects is worth."""
+"""A model with its fits to every split, how far they agree, and what one of its effects is worth."""
 
 from __future__ import annotations
 
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, usual_of
 from gateway.diagnose.moving.noise import noise_of, scaled_to
+from gateway.diagnose.moving.splits import blocks
+from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, demand, held_out, judge
 from gateway.identify.nuisance import ORDINARY_STD
+from gateway.identify.spread import jackknife, wider
 from gateway.model.term import Label, Term
 from gateway.result.interval import TWO_SIDED_95
 
@@ -74,3 +77,17 @@ def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, t
 def refitted(problem: MovingProblem, smaller: MovingState, term: Term) -> Trial:
     """Trial of one more effect, fitted to the end."""
     return compare(problem, smaller, state_of(problem, (*smaller.terms, term)), term)
+
+
+def spread_of(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
+    """Covariance of parameters (k,): what the noise allows, or where it is wider, what leaving out blocks shows."""
+    without = jackknife(np.array([fit.value[where] for fit in _without_blocks(problem, state)]))
+    return wider(state.full.spread[np.ix_(where, where)], without)
+
+
+def _without_blocks(problem: MovingProblem, state: MovingState) -> Sequence[MovingFit]:
+    """Fits that leave out a block of time of every run: to leave out a whole run is to lose what only it shows."""
+    if len(np.unique(problem.motion.run[~problem.motion.given])) < MOVING.several_runs:
+        return state.fits
+    splits = blocks(problem.motion, MOVING.blocks)
+    return [fit(problem, state.terms, train, test, state.full) for train, test in splits]

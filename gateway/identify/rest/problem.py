@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,6 +53,15 @@ class Knowledge:
     masses: Mapping[str, float] = field(default_factory=dict)
     bare: Bare | None = None
     gain_std: tuple[float, ...] | None = None
+
+    def of_loads(self, labels: Iterable[str]) -> Knowledge:
+        """The same without known loads that are not among these labels."""
+        there = set(map(str, labels))
+        return replace(
+            self,
+            known={label: load for label, load in self.known.items() if label in there},
+            masses={label: mass_kg for label, mass_kg in self.masses.items() if label in there},
+        )
 
 
 def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProblem:

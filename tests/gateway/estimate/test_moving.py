@@ -11,7 +11,7 @@ from gateway.data.table import read_csv
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import EstimateOptions, estimate, run
 from gateway.estimate.moving import estimate_moving
-from gateway.estimate.moving_columns import MovingSetup
+from gateway.identify.motion.columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
 from tests.moving_arm import World, measured, several
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from gateway.estimate.moving_friction import fall_columns, fall_speeds, shown_fall
-from gateway.estimate.moving_prior import alike, gains_prior
+from gateway.identify.motion.friction import fall_columns, fall_speeds, shown_fall
+from gateway.identify.motion.prior import alike, gains_prior
 from gateway.identify.nuisance import UNEVEN_LOSS
 from gateway.identify.solve import Prior
 

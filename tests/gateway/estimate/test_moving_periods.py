@@ -8,7 +8,7 @@ import pytest
 
 from gateway.data.rows import MOVING, concatenate
 from gateway.estimate import EstimateOptions, estimate, run
-from gateway.estimate.moving_columns import MovingSetup, moving_columns
+from gateway.identify.motion.columns import MovingSetup, moving_columns
 from gateway.model.robot import link_lengths_m
 from tests.arms import peer_of
 from tests.gateway.estimate.conftest import urdf

@@ -13,7 +13,6 @@ from gateway.identify.inertia import LoadInertia
 from gateway.identify.load_estimate import (
     LOAD_PARTS,
     in_flange,
-    known_load,
     load_from_moment,
     load_result,
     refused_load,
@@ -40,7 +39,7 @@ def test_the_inertia_is_turned_into_the_axes_of_the_flange():
     flange[:3, :3], flange[:3, 3] = turn, (0.0, 0.01, 0.12)
     robot = SimpleNamespace(flange=flange, last_link="link_6")
     moments = np.array([2.0, 3.0, 1.5, 0.4, -0.3, 0.2])
-    load = known_load("a", 10.0, np.array([0.1, 0.0, 0.2]))
+    load = weighed("a", 10.0, np.array([0.1, 0.0, 0.2]))
     told = load_result(replace(load, inertia=LoadInertia(moments, np.full(6, 0.01))), robot)  # type: ignore[arg-type]
     xx, yy, zz, xy, xz, yz = told.inertia_flange_kg_m2
     seen = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
@@ -93,8 +92,6 @@ def test_a_mass_below_zero_by_more_than_its_uncertainty_is_refused(std_kg, refus
 
 
 def test_loads_that_are_not_estimated():
-    weighed = load_result(known_load("a", 2.0, np.array([0.1, 0.0, 0.2])), None)
-    assert (weighed.mass_kg, weighed.mass_std_kg, weighed.com_m) == (2.0, 0.0, (0.1, 0.0, 0.2))
     nothing = load_result(unknown_load("b"), None)
     assert np.isnan(nothing.mass_kg)
     assert (nothing.com_m, nothing.correlation, nothing.unidentifiable) == (None, None, LOAD_PARTS)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table
-from gateway.estimate.describe import LOAD_NAMES, LOAD_UNITS
-from gateway.estimate.moving_friction import (
+from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING, body_parameters, link_prior, parse_inertials
+from gateway.identify.loads import LOAD_NAMES, LOAD_UNITS, unknown_labels
+from gateway.identify.motion.effects import SeenEffects
+from gateway.identify.motion.friction import (
     FALL,
     FRICTION,
     FRICTION_UNITS,
@@ -18,17 +20,16 @@ from gateway.estimate.moving_friction import (
     fall_speeds,
     friction_columns,
 )
-from gateway.estimate.moving_prior import moving_prior
-from gateway.estimate.options import EstimateOptions
-from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING, body_parameters, link_prior
-from gateway.identify.loads import unknown_labels
+from gateway.identify.motion.prior import moving_prior
 from gateway.identify.nuisance import gain_stds
+from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import full_names, regressor
 from gateway.model.robot import Robot
+from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -88,8 +89,9 @@ class Columns:
     names, units : tuples of p str
     link_columns : int array of shape (k,)
         Which of the 10 N link parameters the first k columns belong to.
-    fixed_links : array of shape (4 N,)
-        [m, hx, hy, hz] of links that are known exactly, 0 elsewhere.
+    fixed_links : array of shape (10 N,)
+        Parameters of links that are known exactly, 0 elsewhere.
+    known : parameters (10,) of each load that is known
     loads : first column of each load
     bodies : how many of the first columns are torque of bodies, which a gain multiplies
     ordinary : columns (N,) of what every arm has, by its name
@@ -99,6 +101,10 @@ class Columns:
         By which it is rounded.
     falls_rad_s : array of shape (N, k)
         Speeds over which friction falls from breakaway, each a column; k = 0: none.
+    effects : SeenEffects or None
+        Effects with columns of their own, which come last; those that hang on the modelled torque are 0.
+    taken : int array
+        What every arm has and an effect takes the place of: nothing is known of it, and it has no limit.
     """
 
     design: Floats
@@ -108,18 +114,63 @@ class Columns:
     units: tuple[str, ...]
     link_columns: Ints
     fixed_links: Floats
+    known: dict[str, Floats]
     loads: dict[str, int]
     bodies: int
     ordinary: dict[str, Ints]
     sign: Floats
     smooth_rad_s: float
     falls_rad_s: Floats
+    effects: SeenEffects | None = None
+    taken: Ints = field(default_factory=lambda: np.zeros(0, dtype=int))
+
+    def with_effects(self, seen: SeenEffects | None) -> Columns:
+        """The same with effects; one that is too much of what every arm has takes its place."""
+        if seen is None:
+            return self
+        usual = {term: self.usual_of(term) for term in seen.terms}
+        own = seen.without(tuple(term for term, index in usual.items() if index is not None))
+        more = Prior(np.zeros(len(own.std)), own.std, np.zeros((0, len(own.std))), np.zeros(0))
+        return replace(
+            self,
+            design=np.concatenate([self.design, own.columns(None)], axis=2),
+            prior=self.prior.beside(more),
+            names=(*self.names, *own.names),
+            units=(*self.units, *[""] * len(own.names)),
+            effects=own,
+            taken=np.array([index for index in usual.values() if index is not None], dtype=int),
+        )
+
+    def usual_of(self, term: Term) -> int | None:
+        """Where the ordinary share of an effect, which every arm has of it, is among the parameters."""
+        kind = "gain" if term.scales_reading else "load_friction" if term.takes_over == "load_friction" else ""
+        return int(self.ordinary[kind][term.joints[0] - 1]) if kind in self.ordinary else None
+
+    def by_effects(self, value: Floats) -> Floats | None:
+        """Columns (n, N, k) of the effects that hang on the torque of the bodies with parameters (p,), if any does."""
+        if self.effects is None or not any(term.modelled for term in self.effects.terms):
+            return None
+        bodies, load_kg = np.tile(self.fixed_links, (len(self.design), 1)), np.zeros(len(self.design))
+        bodies[:, self.link_columns] += value[self.links]
+        count = PER_LINK_MOVING if self.inertia else PER_LINK_AT_REST
+        first = bodies.shape[1] - PER_LINK_MOVING
+        loads = {label: value[place : place + count] for label, place in self.loads.items()}
+        for label, own in {**loads, **self.known}.items():
+            here = self.effects.load == label
+            bodies[here, first : first + len(own)] += own
+            load_kg[here] = own[0]
+        return self.effects.columns(self.effects.modelled(bodies, load_kg, value[-len(self.effects.std) :]))
 
     def dry(self, value: Floats) -> Floats:
         """Coulomb friction (N,) [Nm] among the parameters (p,)."""
         place = {name: k for k, name in enumerate(self.names)}
         at = [place.get(f"coulomb[J{axis + 1}]") for axis in range(self.design.shape[1])]
         return np.array([0.0 if k is None else value[k] for k in at])
+
+    @property
+    def first_effect(self) -> int:
+        """Where the columns of effects begin."""
+        return len(self.names) - (0 if self.effects is None else len(self.effects.std))
 
     @property
     def inertia(self) -> bool:
@@ -154,7 +205,7 @@ class _Block:
     units: Sequence[str]
 
 
-def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion: MovingSetup) -> Columns:
+def moving_columns(moving: Table, robot: Robot, knowledge: Knowledge, motion: MovingSetup) -> Columns:
     """Columns of the moving rows of a table.
 
     Raises
@@ -162,11 +213,15 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
     InputError
         A known load that is not in the data.
     """
-    unknown = unknown_labels(moving.load, options.known)
-    rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, options.gravity_m_s2)
-    mean, std = link_prior(robot, options.trust, PER_LINK_MOVING)
+    unknown = unknown_labels(moving.load, knowledge.known)
+    known = {
+        label: body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
+        for label, values in knowledge.known.items()
+    }
+    rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, knowledge.gravity_m_s2)
+    mean, std = link_prior(robot, parse_inertials(knowledge.inertials), PER_LINK_MOVING)
     held, free = np.flatnonzero((std > 0.0) & np.isfinite(std)), np.flatnonzero(np.isinf(std))
-    base, fixed = _free_base(robot, options, free), np.where(std == 0.0, mean, 0.0)
+    base, fixed = _free_base(robot, knowledge, free), np.where(std == 0.0, mean, 0.0)
     chosen = np.concatenate([held, free[base.indices]])
     links = _link_block(robot, rows, (held, chosen), base)
     loads = [_load_block(moving, rows, label, motion) for label in unknown]
@@ -179,16 +234,16 @@ def moving_columns(moving: Table, robot: Robot, options: EstimateOptions, motion
     ordinary = {name: first + k * robot.axes + np.arange(robot.axes) for k, name in enumerate(local)}
     blocks = [*bodies, *own, *(_local_block(len(moving), robot.axes, name) for name in local)]
     names = tuple(name for block in blocks for name in block.names)
-    prior = moving_prior((mean[held], std[held]), len(names), ordinary, gain_stds(options.gain_std, robot.axes))
+    prior = moving_prior((mean[held], std[held]), len(names), ordinary, gain_stds(knowledge.gain_std, robot.axes))
     places = dict(zip(unknown, firsts[:-1].tolist(), strict=True))
     if "load_inertia" in motion.ordinary:
         for place in places.values():
             prior.std[place + 4 : place + 10] = _heaviest_kg(moving) * _GYRATION_M**2
     return Columns(
         np.concatenate([block.design for block in blocks], axis=2),
-        _known_nm(moving, rows, fixed, options),
+        _known_nm(moving, rows, fixed, known),
         prior, names, tuple(unit for block in blocks for unit in block.units), chosen,
-        fixed.reshape(-1, PER_LINK_MOVING)[:, :PER_LINK_AT_REST].ravel(), places, int(firsts[-1]), ordinary,
+        fixed, known, places, int(firsts[-1]), ordinary,
         np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, falls_rad_s,
     )  # fmt: skip
 
@@ -235,12 +290,12 @@ def _local_block(rows: int, axes: int, name: str) -> _Block:
     return _Block(np.zeros((rows, axes, axes)), names, ["s" if name == "delay" else ""] * axes)
 
 
-def _known_nm(moving: Table, rows: Floats, fixed: Floats, options: EstimateOptions) -> Floats:
+def _known_nm(moving: Table, rows: Floats, fixed: Floats, loads: Mapping[str, Floats]) -> Floats:
     """Torque (n, N) of links that are exact, `fixed` (10 N,), and of known loads."""
     known = rows @ fixed
-    for label, values in options.known.items():
+    for label, body in loads.items():
         here = np.asarray(moving.load) == label
-        known[here] += rows[here][:, :, _BODY] @ body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
+        known[here] += rows[here][:, :, _BODY] @ body
     return known
 
 
@@ -250,9 +305,9 @@ def _heaviest_kg(moving: Table) -> float:
     return torque / float(np.linalg.norm(STANDARD_GRAVITY_M_S2))
 
 
-def _free_base(robot: Robot, options: EstimateOptions, free: Ints) -> BaseSet:
+def _free_base(robot: Robot, knowledge: Knowledge, free: Ints) -> BaseSet:
     if len(free) == robot.axes * PER_LINK_MOVING:
-        return moving_base(robot, options.gravity_m_s2)
+        return moving_base(robot, knowledge.gravity_m_s2)
     q, qd, qdd = np.random.default_rng(0).uniform(-2.0, 2.0, size=(3, 60, robot.axes))
-    rows = regressor(robot, q, qd, qdd, options.gravity_m_s2)[:, :, free]
+    rows = regressor(robot, q, qd, qdd, knowledge.gravity_m_s2)[:, :, free]
     return base_parameters(rows, [full_names(robot.axes)[k] for k in free])

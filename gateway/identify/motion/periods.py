@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from gateway.data.periods import EXCITATION, PERIOD, PHASE_S, repeats
 from gateway.data.rows import Table, concatenate
-from gateway.estimate.moving_noise import Scatter, correlation_time
-from gateway.estimate.moving_problem import Contrasts
+from gateway.identify.motion.noise import Scatter, correlation_time
+from gateway.identify.motion.problem import Contrasts
 from gateway.identify.robust import median
 from gateway.result.result import Finding, SetAside
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from gateway.data.rows import Table
-from gateway.estimate.moving_columns import Columns
-from gateway.estimate.moving_time import Stretches
+from gateway.identify.motion.columns import Columns
+from gateway.identify.motion.stretches import Stretches
 from gateway.identify.solve import NOTHING, Prior, Solution, solve
 
 Floats = NDArray[np.float64]
@@ -129,12 +129,14 @@ class About:
     """What the rows say about a solution (p,): torque of the bodies, of all, and the columns made of them.
 
     `torque_nm` (n, N) of the bodies, known ones too; `local` name -> (n, N) column of each axis's own parameter;
-    `moved_nm` (n, N) what a delay changes beyond its column; `model_nm` (n, N) all that is modelled.
+    `effects` (n, N, k) columns of effects that hang on the torque, None where there are none; `moved_nm` (n, N) what a
+    delay changes beyond its column; `model_nm` (n, N) all that is modelled.
     """
 
     value: Floats
     torque_nm: Floats
     local: dict[str, Floats]
+    effects: Floats | None
     moved_nm: Floats
     model_nm: Floats
 
@@ -150,11 +152,11 @@ def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int, contrast
 
 def about(problem: MotionProblem, value: Floats) -> About:
     """Linearise about a solution (p,)."""
-    columns, axes = problem.columns, problem.tau_nm.shape[1]
+    columns, axes, last = problem.columns, problem.tau_nm.shape[1], problem.columns.first_effect
     none = np.zeros(axes)
     part = {name: value[index] for name, index in columns.ordinary.items()}
     bodies = columns.design[:, :, : columns.bodies] @ value[: columns.bodies]
-    own = columns.design[:, :, columns.bodies :] @ value[columns.bodies :]
+    own = columns.design[:, :, columns.bodies : last] @ value[columns.bodies : last]
     torque = bodies + columns.known_nm
     whole = (1.0 + part.get("gain", none)) * torque
     local = {"gain": torque}
@@ -175,7 +177,11 @@ def about(problem: MotionProblem, value: Floats) -> About:
     for name in ("load_friction", "loss_bend", "delay"):
         if name in local:
             model = model + part[name] * local[name]
-    return About(value, torque, local, moved, model)
+    effects = columns.by_effects(value)
+    if last < len(value):  # rows of effects are in step with the torque: no delay is theirs
+        beside = columns.design[:, :, last:] if effects is None else columns.design[:, :, last:] + effects
+        model = model + beside @ value[last:]
+    return About(value, torque, local, effects, moved, model)
 
 
 def _bent(lost_nm: Floats) -> Floats:
@@ -208,7 +214,9 @@ def in_basis(problem: MotionProblem, mine: AxisRows, here: About | None) -> tupl
     bodies = inside[:, body] @ here.value[mine.there[body]]
     inside[:, body] *= 1.0 + gain
     others = [name for name in columns.ordinary if name != "gain"]
-    outside = np.column_stack([*(here.local[name][:, axis] for name in others), here.moved_nm[:, axis]])
+    reached = np.zeros(0, dtype=int) if here.effects is None else np.flatnonzero(here.effects[:, axis].any(axis=0))
+    more = [] if here.effects is None else [here.effects[:, axis, reached]]
+    outside = np.column_stack([*(here.local[name][:, axis] for name in others), *more, here.moved_nm[:, axis]])
     outside = mine.turn @ outside
     within = mine.basis.T @ outside
     beyond = np.asarray(np.linalg.qr(outside - mine.basis @ within, mode="r"), dtype=float)
@@ -216,8 +224,9 @@ def in_basis(problem: MotionProblem, mine: AxisRows, here: About | None) -> tupl
     design[: len(inside), mine.there] = inside
     if "gain" in columns.ordinary:
         design[: len(inside), columns.ordinary["gain"][axis]] = bodies + known
-    for k, name in enumerate(others):
-        design[:, columns.ordinary[name][axis]] = np.concatenate([within[:, k], beyond[:, k]])
+    places = [*(columns.ordinary[name][axis] for name in others), *(columns.first_effect + reached)]
+    for k, place in enumerate(places):
+        design[:, place] = np.concatenate([within[:, k], beyond[:, k]])
     target = np.concatenate([measured - known + gain * bodies - within[:, -1], -beyond[:, -1]])
     return design, target
 
@@ -230,4 +239,6 @@ def part_columns(problem: MotionProblem, here: About, part: AxisRows) -> Floats:
         out[:, : columns.bodies] *= 1.0 + here.value[columns.ordinary["gain"][axis]]
     for name, index in columns.ordinary.items():
         out[:, index[axis]] = part.turn @ here.local[name][:, axis]
+    if here.effects is not None:
+        out[:, columns.first_effect :] += part.turn @ here.effects[:, axis]
     return out

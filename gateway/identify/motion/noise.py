@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.moving_ordinary import Settled
-from gateway.estimate.moving_problem import MotionProblem, in_basis, part_columns
+from gateway.identify.motion.ordinary import Settled
+from gateway.identify.motion.problem import MotionProblem, in_basis, part_columns
 from gateway.identify.spread import by_blocks, wider
 
 Floats = NDArray[np.float64]

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.moving_columns import NUISANCES, Columns
-from gateway.estimate.moving_problem import About, MotionProblem, about, solved
+from gateway.identify.motion.columns import NUISANCES, Columns
+from gateway.identify.motion.problem import About, MotionProblem, about, solved
 from gateway.identify.nuisance import ORDINARY_STD
 from gateway.identify.solve import Prior, Solution
 
@@ -60,7 +60,7 @@ def _limited(columns: Columns, value: Floats) -> Prior:
     held = [columns.ordinary[name] for name in NUISANCES if name in columns.ordinary]
     if not held:
         return columns.prior
-    usual = np.concatenate(held)
+    usual = np.setdiff1d(np.concatenate(held), columns.taken)
     mean, most = columns.prior.mean, ORDINARY_STD * columns.prior.stds(usual)
     off = (value - mean)[usual]
     beyond = np.abs(off) > most

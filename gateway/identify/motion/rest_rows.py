@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.rows import Table, concatenate
-from gateway.estimate.joint import problem_of
-from gateway.estimate.moving_columns import Columns, MovingSetup, moving_columns
-from gateway.estimate.moving_problem import Still
-from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING
+from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
+from gateway.identify.motion.problem import Still
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.ordinary import KINDS
+from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 
@@ -37,7 +36,7 @@ class FittedRest:
     fit: Fit
 
 
-def fitted_rest(visits: Visits, robot: Robot, options: EstimateOptions) -> FittedRest:
+def fitted_rest(visits: Visits, robot: Robot, knowledge: Knowledge) -> FittedRest:
     """Fit the rest visits alone.
 
     Raises
@@ -45,12 +44,12 @@ def fitted_rest(visits: Visits, robot: Robot, options: EstimateOptions) -> Fitte
     DataUnusable
         Nothing was measured at rest.
     """
-    problem = problem_of(visits, robot, options.of_loads(visits.load))
+    problem = build_problem(robot, visits, knowledge.of_loads(visits.load))
     return FittedRest(problem, fit_without_effects(problem))
 
 
 def columns_beside(
-    moving: Table, robot: Robot, options: EstimateOptions, motion: MovingSetup, rest: FittedRest | None
+    moving: Table, robot: Robot, knowledge: Knowledge, motion: MovingSetup, rest: FittedRest | None
 ) -> tuple[Columns, Still | None]:
     """Columns of moving rows, and what rest visits say of the same parameters where there are some.
 
@@ -60,9 +59,9 @@ def columns_beside(
         A known load that is not in the data.
     """
     if rest is None or "gain" not in motion.ordinary:
-        return moving_columns(moving, robot, options, motion), None
+        return moving_columns(moving, robot, knowledge, motion), None
     # loads that are in the rest rows alone have columns too
-    whole = moving_columns(concatenate([moving, _as_rows(moving, rest.problem.rows)]), robot, options, motion)
+    whole = moving_columns(concatenate([moving, _as_rows(moving, rest.problem.rows)]), robot, knowledge, motion)
     count = len(moving)
     columns = replace(whole, design=whole.design[:count], known_nm=whole.known_nm[:count], sign=whole.sign[:count])
     return columns, _still(columns, rest)
@@ -82,7 +81,8 @@ def _still(columns: Columns, rest: FittedRest) -> Still:
     problem, fit = rest.problem, rest.fit
     reduced, right = _eliminated(problem, fit, _shared(problem))
     rows = np.zeros((len(reduced), len(columns.names)))
-    right = right - reduced[:, : len(columns.fixed_links)] @ columns.fixed_links
+    fixed = columns.fixed_links.reshape(-1, PER_LINK_MOVING)[:, :PER_LINK_AT_REST].ravel()
+    right = right - reduced[:, : len(fixed)] @ fixed
     for k, column in enumerate(columns.link_columns):
         link, part = divmod(int(column), PER_LINK_MOVING)
         if part < PER_LINK_AT_REST:

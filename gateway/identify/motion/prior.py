@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.moving_friction import FALL, FALL_SHARE
 from gateway.identify.links import as_bodies
+from gateway.identify.motion.friction import FALL, FALL_SHARE
 from gateway.identify.nuisance import BIAS_SHARE, nuisance_prior
 from gateway.identify.solve import Prior
 

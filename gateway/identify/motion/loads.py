@@ -1,75 +1,35 @@
-"""What a moving fit says: loads with their inertia, axes with friction, rotor and delay, and every row's torque."""
+"""What a moving fit says: loads with their inertia, and axes with friction, rotor and delay."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.data.rows import Table
-from gateway.estimate.estimate import FittedRows
-from gateway.estimate.moving_columns import NUISANCES, Columns
-from gateway.estimate.moving_friction import FALL, Fall, shown_fall
-from gateway.estimate.moving_noise import MovingSpread
-from gateway.estimate.moving_ordinary import Settled
-from gateway.estimate.moving_prior import UNTOLD
-from gateway.estimate.moving_problem import MotionProblem
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
 from gateway.identify.load_estimate import LoadEstimate, load_from_moment
+from gateway.identify.motion.columns import NUISANCES
+from gateway.identify.motion.fit import FittedMotion, MotionFit
+from gateway.identify.motion.friction import FALL, Fall, shown_fall
+from gateway.identify.motion.prior import UNTOLD
 from gateway.identify.solve import determined
+from gateway.model.robot import Robot, reach_m
 from gateway.result.interval import holds_zero
 from gateway.result.result import AxisMotion, NuisanceResult
 
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MotionFit:
-    """A settled problem and how sure it is."""
-
-    problem: MotionProblem
-    settled: Settled
-    spread: MovingSpread
-
-    @property
-    def columns(self) -> Columns:
-        """Columns of the problem."""
-        return self.problem.columns
-
-    @property
-    def value(self) -> Floats:
-        """Parameters (p,)."""
-        return self.settled.solution.value
-
-    @property
-    def std(self) -> Floats:
-        """Standard deviation (p,) of each parameter; NaN where the rows leave it open."""
-        found = determined(self.settled.solution, np.eye(len(self.columns.names)))
-        return np.where(found, np.sqrt(np.maximum(np.diag(self.spread.covariance), 0.0)), np.nan)
+def loads_of(found: FittedMotion, robot: Robot) -> tuple[LoadEstimate, ...]:
+    """Every load that is not known, refused ones last."""
+    fit = found.fit
+    fitted = () if fit is None else tuple(_load(fit, label, reach_m(robot)) for label in fit.columns.loads)
+    return (*fitted, *found.refused)
 
 
-def fitted_rows(fit: MotionFit, moving: Table) -> FittedRows:
-    """Measured and modelled torque of the used rows."""
-    used = fit.problem.used
-    blank = np.full(moving.tau_nm.shape, np.nan)
-    return FittedRows(
-        run=np.asarray(moving.run).astype(str),
-        load=np.asarray(moving.load).astype(str),
-        pose=np.asarray(moving.pose),
-        time_s=moving.time_s,
-        q_rad=moving.q_rad,
-        direction=np.sign(moving.qd_rad_s).astype(int),
-        tau_nm=np.where(used, moving.tau_nm, np.nan),
-        model_nm=np.where(used, fit.settled.here.model_nm, np.nan),
-        band_nm=blank,
-        std_nm=np.where(used, fit.spread.std_nm, np.nan),
-        leverage=blank,
-    )
-
-
-def described_load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate:
+def _load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate:
     """Mass, centre of gravity and inertia of one load."""
     columns, solution, covariance = fit.columns, fit.settled.solution, fit.spread.covariance
     first = columns.loads[label]

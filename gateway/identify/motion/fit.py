@@ -1,0 +1,253 @@
+"""Fit moving runs: rigid bodies, loads, and per axis Coulomb and viscous friction, rotor inertia and torque offset.
+
+The baseline of the field: base parameters of the full regressor with friction, axes weighted by their residual. Rows in
+which an axis is slower than a share of its speed limit are not used on that axis: friction at rest is a set. Residuals
+of filtered data are autocorrelated; the covariance is widened by their correlation. Effects of the library are further
+columns of the same model: a fit without any is the one that an estimate reports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.data.rows import Table
+from gateway.errors import DataUnusable
+from gateway.identify.load_estimate import LoadEstimate, refused_load
+from gateway.identify.loads import BARE_LABEL
+from gateway.identify.motion.columns import Columns, MovingSetup, fast_rows, moving_columns
+from gateway.identify.motion.effects import Effects, SeenEffects
+from gateway.identify.motion.noise import MovingSpread, correlation_times, spread_of
+from gateway.identify.motion.ordinary import Settled, settle
+from gateway.identify.motion.periods import Periods, averaged
+from gateway.identify.motion.prior import alike, gains_prior, held_to_friction, losses_seen
+from gateway.identify.motion.problem import MotionProblem, Still, about, solved
+from gateway.identify.motion.rest_rows import FittedRest, columns_beside
+from gateway.identify.motion.stretches import Stretches
+from gateway.identify.nuisance import gain_stds
+from gateway.identify.rest.problem import Knowledge
+from gateway.identify.solve import Solution, determined
+from gateway.model.motion import at_links
+from gateway.model.robot import Robot
+
+Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_REWEIGHTS = 12
+_SETTLED = 1e-3
+_LEAST_SHARE = 1e-3
+#: Share of its way by which an axis may go otherwise than its speed says.
+_MISMATCH = 0.5
+#: Times that the parts are weighed anew by what the whole model leaves of them: free links take up too much.
+_WEIGHED_ANEW = 2
+#: Times by which that may change a weight: beyond, priors keep a fit from what the rows say, or count for nothing.
+_MOST_ANEW = 10.0
+#: Share of its size to which no torque is weighed better: beyond, a prior is lost in the rounding of the rows.
+_FINEST = 1e-5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionFit:
+    """A settled problem and how sure it is."""
+
+    problem: MotionProblem
+    settled: Settled
+    spread: MovingSpread
+
+    @property
+    def columns(self) -> Columns:
+        """Columns of the problem."""
+        return self.problem.columns
+
+    @property
+    def value(self) -> Floats:
+        """Parameters (p,)."""
+        return self.settled.solution.value
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviation (p,) of each parameter; NaN where the rows leave it open."""
+        found = determined(self.settled.solution, np.eye(len(self.columns.names)))
+        return np.where(found, np.sqrt(np.maximum(np.diag(self.spread.covariance), 0.0)), np.nan)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedMotion:
+    """The rows that were fitted, their fit, and the loads that were refused; no fit where all were."""
+
+    periods: Periods
+    fit: MotionFit | None
+    refused: tuple[LoadEstimate, ...]
+
+
+def fit_motion(
+    moving: Table,
+    robot: Robot,
+    knowledge: Knowledge,
+    setup: MovingSetup,
+    rest: FittedRest | None = None,
+    effects: Effects | None = None,
+) -> FittedMotion:
+    """Fit moving rows whose torque is behind the gears.
+
+    Parameters
+    ----------
+    moving : Table
+    robot : Robot
+    knowledge : Knowledge
+        Inertials, known loads, gravity, torque constants.
+    setup : MovingSetup
+    rest : FittedRest, optional
+        Rest visits of the same arm, which are solved with the moving rows.
+    effects : Effects, optional
+        What the model has beside what every arm has.
+
+    Raises
+    ------
+    InputError
+        A known load that is not in the data.
+    DataUnusable
+        No axis moves while its torque is measured, or fewer rows than unknowns.
+    """
+    if not len(moving):
+        raise DataUnusable("the data hold no moving rows")
+    moving = at_links(moving)
+    _check_speeds(moving)
+    periods = averaged(moving, np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, setup))
+    sound, refused = _without_slipped(periods, knowledge)
+    if not len(sound.mean):
+        return FittedMotion(sound, None, refused)
+    if refused:
+        knowledge = knowledge.of_loads(sound.mean.load)
+    return FittedMotion(sound, _fit(sound, robot, knowledge, setup, (rest, effects)), refused)
+
+
+def _fit(
+    periods: Periods,
+    robot: Robot,
+    knowledge: Knowledge,
+    setup: MovingSetup,
+    beside: tuple[FittedRest | None, Effects | None],
+) -> MotionFit:
+    moving, (rest, effects) = periods.mean, beside
+    columns, still = columns_beside(moving, robot, knowledge, setup, rest)
+    used = np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, setup)
+    if used.sum() < columns.design.shape[2]:
+        raise DataUnusable(
+            f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
+            " record a longer run that moves all axes"
+        )
+    seen = None if effects is None else effects.of_rows(moving)
+    scale_nm, level_nm = _weights(periods, robot, knowledge.of_loads(moving.load), setup, (used, seen))
+    columns = columns.with_effects(seen)
+    if "uneven_friction" in setup.ordinary:
+        prior = held_to_friction(columns.prior, columns.names, level_nm, offsets=bool(columns.loads))
+        columns = replace(columns, prior=prior)
+    return _solved((columns, still), periods, used, scale_nm, knowledge)
+
+
+def _check_speeds(moving: Table) -> None:
+    """Refuse speeds that are not those of the positions: rows too far apart, or another unit.
+
+    Raises
+    ------
+    DataUnusable
+    """
+    off = Stretches.of(np.asarray(moving.run), moving.time_s).mismatch(moving.q_rad, moving.qd_rad_s)
+    axis = int(np.argmax(off))
+    if off[axis] > _MISMATCH:
+        raise DataUnusable(
+            f"J{axis + 1}: from row to row its position goes otherwise than its speed says, by"
+            f" {100 * off[axis]:.0f} % of the way: the motion was sampled too slowly, or the speed is in another unit;"
+            " record at 100 Hz or more, speeds in rad/s"
+        )
+
+
+def _solved(
+    rows: tuple[Columns, Still | None], periods: Periods, used: Mask, scale_nm: Floats, knowledge: Knowledge
+) -> MotionFit:
+    """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
+    run, (columns, still) = np.asarray(periods.mean.run), rows
+    problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, still)
+    problem = _with_gains(problem, knowledge, None)
+    finest_nm = _FINEST * float(np.sqrt(np.mean(problem.tau_nm[used] ** 2)))
+    scale_nm = np.maximum(scale_nm, finest_nm)
+    settled = settle(problem, scale_nm)
+    spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
+    for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
+        problem = _with_gains(replace(problem, columns=columns), knowledge, MotionFit(problem, settled, spread))
+        least_nm = np.maximum(scale_nm / _MOST_ANEW, finest_nm)
+        anew_nm = np.clip(spread.scale_nm, least_nm, _MOST_ANEW * scale_nm)
+        settled = settle(problem, anew_nm, settled.here)
+        spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
+    return MotionFit(problem, settled, spread)
+
+
+def _with_gains(problem: MotionProblem, knowledge: Knowledge, before: MotionFit | None) -> MotionProblem:
+    """The problem with what is known of the gains: by the losses that a fit before it shows, and of all together."""
+    columns = problem.columns
+    if "gain" not in columns.ordinary:
+        return problem
+    prior = columns.prior
+    if before is not None and "load_friction" in columns.ordinary:
+        lost = losses_seen(prior, columns.ordinary, before.value, before.std)
+        prior = gains_prior(prior, columns.ordinary, gain_stds(knowledge.gain_std, len(lost)), lost)
+    if knowledge.gain_std is None:
+        prior = alike(prior, columns.ordinary["gain"])
+    return replace(problem, columns=replace(columns, prior=prior.freed(columns.taken)))
+
+
+def _without_slipped(periods: Periods, knowledge: Knowledge) -> tuple[Periods, tuple[LoadEstimate, ...]]:
+    """The periods without loads that did not stay as they were, and those loads."""
+    gone = {
+        label: why for label, why in periods.slipped.items() if label != BARE_LABEL and label not in knowledge.known
+    }
+    if not gone:
+        return periods, ()
+    kept = ~np.isin(np.asarray(periods.mean.load), list(gone))
+    sound = replace(periods, mean=periods.mean.take(kept), excitation=periods.excitation[kept])
+    return sound, tuple(refused_load(label, why) for label, why in gone.items())
+
+
+def _weights(
+    periods: Periods, robot: Robot, knowledge: Knowledge, setup: MovingSetup, rows: tuple[Mask, SeenEffects | None]
+) -> tuple[Floats, Floats]:
+    """Standard deviation by which each part is weighted, its residual in a fit with free link parameters; and the
+    Coulomb friction (N,) of that fit.
+    """
+    moving, (used, seen) = periods.mean, rows
+    plain = replace(setup, ordinary=tuple(name for name in setup.ordinary if name == "load_inertia"))
+    trust = knowledge.inertials if setup.passes is not None else "ignore"
+    columns = moving_columns(moving, robot, replace(knowledge, inertials=trust), plain).with_effects(seen)
+    problem = MotionProblem.of(columns, moving, used, periods.contrasts)
+    solution, sigma = _reweighted(problem, setup.passes or _REWEIGHTS)
+    level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())
+    if not setup.ordinary:
+        return sigma, level_nm
+    # a prior is weighed against rows that are as good as they are independent
+    left = moving.tau_nm - about(problem, solution.value).model_nm
+    return sigma * np.sqrt(correlation_times(problem, left, np.asarray(moving.run))), level_nm
+
+
+def _reweighted(problem: MotionProblem, passes: int) -> tuple[Solution, Floats]:
+    """Solution with every axis weighted by its residual (N,) in the pass before; the first weights are one."""
+    target = np.where(problem.used, problem.tau_nm - problem.columns.known_nm, 0.0)
+    least = 1e-6 * max(float(np.sqrt((target**2).sum() / max(int(problem.used.sum()), 1))), 1e-12)
+    sigma = np.ones(len(problem.parts))
+    solution = solved(problem, None, sigma, problem.columns.prior)
+    for _ in range(passes - 1):
+        new = np.maximum(_residual_rms(problem, solution), least)
+        if np.allclose(new, sigma, rtol=_SETTLED):
+            break
+        sigma = new
+        solution = solved(problem, None, sigma, problem.columns.prior)
+    return solution, sigma
+
+
+def _residual_rms(problem: MotionProblem, solution: Solution) -> Floats:
+    """Root mean square of the residual of each part. The basis keeps lengths."""
+    ends = np.cumsum([len(part.factor) for part in problem.parts])[:-1]
+    lengths = [float(np.linalg.norm(left)) for left in np.split(solution.residual, ends)]
+    return np.array(lengths) / np.sqrt([len(part.rows) for part in problem.parts])
