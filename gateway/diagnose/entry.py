@@ -4,11 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from gateway.data.table import Table
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.errors import DataUnusable, InputError
+from gateway.estimate import ESTIMATORS, EstimateOptions
+from gateway.identify.links import default_inertials
+from gateway.identify.load_estimate import load_result
 from gateway.identify.loads import refuse_in_motion
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
@@ -21,7 +26,8 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     Parameters
     ----------
     table : Table
-        Rest visits, or a moving run; where both are present the rest visits are judged.
+        Rest visits, or a moving run; where both are present effects are looked for in the rest visits, and where none
+        is named the loads are those of both.
     robot : Robot
     options : DiagnoseOptions, optional
 
@@ -47,8 +53,29 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     else:
         rest = RestDiagnosis(robot, options)
         result = rest.report(rest.search(table.take(~table.moving)), options.holdout, options.holdout_kind)
-        left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
+        if table.moving.any():
+            if not (result.effects or options.masses):
+                result = _of_both(result, table, robot, options)
+            left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
     return replace(result, findings=(*result.findings, *left_out)) if left_out else result
+
+
+def _of_both(result: Result, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
+    """The result with the loads that `estimate` gives of rest and moving rows together."""
+    efficiency = (1.0,) if options.efficiency is None else tuple(np.asarray(options.efficiency, dtype=float).tolist())
+    told = EstimateOptions(
+        inertials=options.inertials or default_inertials(robot),
+        known=options.known,
+        bare=options.bare,
+        gravity_m_s2=options.gravity_m_s2,
+        gain_std=options.gain_std,
+        efficiency=efficiency,
+        coupling=options.coupling,
+    )
+    found = ESTIMATORS["joint"](table, robot, told)
+    loads = tuple(load_result(load, robot) for load in found.loads)
+    nuisance = {**result.nuisance, **found.nuisance}
+    return replace(result, loads=loads, after=replace(result.after, loads=loads), nuisance=nuisance)
 
 
 def _held_alike(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Table | None, tuple[Finding, ...]]:

@@ -36,7 +36,7 @@ class SeenEffects:
     def names(self) -> tuple[str, ...]:
         """Names of the linear parameters."""
         return tuple(
-            f"{name}[{' '.join((term.name, *(f'J{joint}' for joint in term.joints)))}]"
+            f"{' '.join((term.name, *(f'J{joint}' for joint in term.joints)))}: {name}"
             for term in self.terms
             for name in term.parameters[: term.count]
         )

@@ -1,18 +1,25 @@
-"""`estimate` and `diagnose` of one table at rest: one answer where no effect is named, one refusal, one noise floor."""
+"""`estimate` and `diagnose` of one table: one answer where no effect is named, one refusal, one noise floor."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
+from gateway.data.rows import MOVING, concatenate
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.errors import DataUnusable
 from gateway.estimate import EstimateOptions, run
 from gateway.identify.repeats import negative_bands
+from gateway.model.robot import Robot, robot_from_urdf
+from gateway.result.result import Result
+from tests.arms import peer_of, urdf_of
 from tests.resting_arm import Bench
+from tests.support.rigs.tables import make_table
 
 #: No candidate of the search: a mistake alone, which is looked for only where the model does not fit.
 NOTHING = frozenset({"axes_swapped"})
@@ -86,3 +93,83 @@ def test_a_band_whose_sign_the_data_do_not_determine_is_not_negative() -> None:
     half[:, 1] = rng.normal(-1.0, 0.1, 12)
     half[4:, 2] = np.nan
     assert negative_bands(half).tolist() == [False, True, False]
+
+
+def _same(found: Result, expected: Result, count: int) -> None:
+    """Loads with standard deviations and inertia, and gains, are equal to 1e-9."""
+    assert not found.effects
+    assert len(found.loads) == len(expected.loads) == count
+    for ours, other in zip(found.loads, expected.loads, strict=True):
+        assert ours.label == other.label
+        for name in ("mass_kg", "mass_std_kg", "com_m", "com_std_m", "inertia_kg_m2", "inertia_std_kg_m2"):
+            one, two = (np.array(getattr(load, name) or np.nan, dtype=float) for load in (ours, other))
+            np.testing.assert_allclose(one, two, rtol=1e-9, err_msg=f"{ours.label}: {name}")
+        assert np.isfinite(ours.mass_kg)
+    for name, ours in found.nuisance.items():
+        if name in expected.nuisance:
+            np.testing.assert_allclose(ours.value, expected.nuisance[name].value, rtol=1e-9)
+            np.testing.assert_allclose(ours.std, expected.nuisance[name].std, rtol=1e-9)
+
+
+def _moving_loads(axes: int, count: int) -> dict[str, tuple[float, ...] | None]:
+    rng = np.random.default_rng([axes, count])
+    drawn = {f"load {k}": (rng.uniform(2.0, 6.0), *rng.uniform(-0.1, 0.1, 3)) for k in range(count)}
+    return {"none": None, **drawn}
+
+
+def _moving_arm(
+    seed: int, axes: int, loads: Mapping[str, tuple[float, ...] | None], poses: int = 0
+) -> tuple[Table, Robot]:
+    """Runs of 8 s of a random chain: torque by pinocchio, Coulomb and viscous friction, white noise; and rest poses."""
+    rng = np.random.default_rng([seed, axes])
+    text = urdf_of(rng, axes=axes)
+    model, data = peer_of(text)
+    time_s = np.arange(0.0, 8.0, 0.02)
+    tables, bare = [], model.inertias[axes].copy()
+    for number, (label, load) in enumerate(loads.items()):
+        extra = None if load is None else pinocchio.Inertia(load[0], np.array(load[1:]), 0.01 * load[0] * np.eye(3))
+        model.inertias[axes] = bare if extra is None else bare + extra
+        omega, phase = rng.uniform(0.8, 2.5, (3, axes)), rng.uniform(0.0, 6.0, (3, axes))
+        angle = time_s[:, None, None] * omega + phase
+        q, qd = 0.4 * np.sin(angle).sum(axis=1), 0.4 * (omega * np.cos(angle)).sum(axis=1)
+        qdd = -0.4 * (omega**2 * np.sin(angle)).sum(axis=1)
+        tau = np.array([pinocchio.rnea(model, data, *row) for row in zip(q, qd, qdd, strict=True)])
+        scale = np.maximum(np.abs(tau).max(axis=0), 1.0)
+        tau += 0.1 * scale * np.tanh(qd / 0.02) + 0.03 * scale * qd + 0.01 * scale * rng.normal(size=tau.shape)
+        rows = make_table([label] * len(time_s), [MOVING] * len(time_s), q, tau, time=time_s, qd=qd, qdd=qdd)
+        tables.append(replace(rows, run=np.array([str(number)] * len(time_s))))
+        if not poses:
+            continue
+        still, places = np.zeros(axes), np.tile(rng.uniform(-1.5, 1.5, (poses, axes)), (2, 1))
+        side = np.repeat([1.0, -1.0], poses)
+        held = np.array([pinocchio.rnea(model, data, place, still, still) for place in places])
+        held += 0.1 * scale * side[:, None] + 0.002 * scale * rng.normal(size=held.shape)
+        tables.append(make_table([label] * 2 * poses, np.tile(np.arange(poses), 2), places, held, direction=side))
+    return concatenate(tables), robot_from_urdf(text, f"{axes} axes")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("axes", "count"), [(2, 1), (6, 1), (6, 3), (7, 1)])
+@pytest.mark.parametrize("seed", [0, 1])
+def test_moving_loads_are_equal_where_no_effect_is_named(seed: int, axes: int, count: int) -> None:
+    table, robot = _moving_arm(seed, axes, _moving_loads(axes, count))
+    expected = run(table, robot, EstimateOptions(inertials="prior:0.05"))
+    _same(diagnose(table, robot, DiagnoseOptions(inertials="prior:0.05", only=NOTHING)), expected, count)
+
+
+def test_a_run_too_short_to_be_judged_gives_the_loads_of_the_estimate() -> None:
+    table, robot = _moving_arm(0, 2, _moving_loads(2, 1))
+    table = table.take(table.time_s < 1.5)
+    expected = run(table, robot, EstimateOptions(inertials="prior:0.05"))
+    found = diagnose(table, robot, DiagnoseOptions(only=NOTHING))
+    assert found.verdict == "undecided"
+    _same(found, expected, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_loads_of_rest_and_moving_rows_together_are_equal_where_no_effect_is_named(seed: int) -> None:
+    table, robot = _moving_arm(seed, 6, _moving_loads(6, 1), poses=12)
+    expected = run(table, robot, EstimateOptions(inertials="prior:0.05"))
+    assert expected.motion
+    _same(diagnose(table, robot, DiagnoseOptions(only=NOTHING)), expected, 1)

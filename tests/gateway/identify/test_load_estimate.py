@@ -39,7 +39,9 @@ def test_the_inertia_is_turned_into_the_axes_of_the_flange():
     flange[:3, :3], flange[:3, 3] = turn, (0.0, 0.01, 0.12)
     robot = SimpleNamespace(flange=flange, last_link="link_6")
     moments = np.array([2.0, 3.0, 1.5, 0.4, -0.3, 0.2])
-    load = weighed("a", 10.0, np.array([0.1, 0.0, 0.2]))
+    load = load_from_moment(
+        "a", 10.0 * np.array([1.0, 0.1, 0.0, 0.2]), np.zeros((4, 4)), np.ones(4), np.ones(4, dtype=bool), 2.0
+    )
     told = load_result(replace(load, inertia=LoadInertia(moments, np.full(6, 0.01))), robot)  # type: ignore[arg-type]
     xx, yy, zz, xy, xz, yz = told.inertia_flange_kg_m2
     seen = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
