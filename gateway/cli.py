@@ -48,6 +48,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (needs no bus)."),
     "record": ("measure", "Measure the rest poses under one load into RUN.h5."),
     "commission": ("guided", "All of it, guided: from the check to the report."),
+    "calibrate": ("calibrate", "Torque constants from a weighed load, guided; stored beside the cell file."),
     "estimate": ("analyse", "Mass and centre of gravity of the load(s) from DATA."),
     "diagnose": ("analyse", "What the model lacks, judged on data that no fit has seen."),
     "compare": ("compare", "Two results of one robot, before and after service: what changed."),

@@ -268,6 +268,7 @@ def _recording_header(opened: OpenArm) -> RecordingHeader:
         },
         robot=opened.robot_text,
         software=software(),
+        calibration=opened.loaded.calibration,
     )
 
 

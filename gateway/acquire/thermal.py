@@ -60,6 +60,13 @@ def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal
     return (*forth, *(Block(block.load, again) for block in reversed(forth)))
 
 
+def bracket_of(label: str, poses: Sequence[RestPose]) -> tuple[Block, ...]:
+    """Blocks of a load between two of the bare arm: what drifts evenly in time cancels in their difference."""
+    once = tuple(poses)
+    again = tuple(replace(pose, number=pose.number + AGAIN) for pose in once)
+    return (Block(BARE_LABEL, once), Block(label, once), Block(BARE_LABEL, again))
+
+
 def warm_up(
     poses: Sequence[RestPose],
     recording: Path,

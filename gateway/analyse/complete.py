@@ -176,4 +176,6 @@ def _provenance(about: Given) -> dict[str, Any]:
     except ProfileError:
         # a table needs no drive profile; its torque was worked out elsewhere
         return {}
-    return dict(provenance(about.arm, profiles, constants))
+    found = dict(provenance(about.arm, profiles, constants))
+    measured = {} if about.calibrated is None else about.calibrated.provenance
+    return {joint: entries | measured.get(joint, {}) for joint, entries in found.items()}

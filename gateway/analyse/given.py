@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,9 @@ import numpy as np
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
 from drives.profile_file import find_profile, parse_profile
+from gateway.analyse.calibrated import Calibrated, calibrated, serial_numbers
 from gateway.analyse.known import KnownLoad, Load, unnamed_frame, with_and_without_centre
+from gateway.cell.calibration import calibration_path
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.data.reading import is_recording, read_data
@@ -50,6 +53,8 @@ class ModelRequest:
         Relative standard deviation of every torque constant, instead of what the cell says of each.
     tip : str or None
         Last link of the arm in its URDF, instead of the cell's.
+    calibrated : bool
+        Use the torque constants of the calibration file, where there is one.
     """
 
     robot: Path | None = None
@@ -60,6 +65,7 @@ class ModelRequest:
     arm: str | None = None
     gain_std: float | None = None
     tip: str | None = None
+    calibrated: bool = True
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +94,8 @@ class Given:
         Relative standard deviations of the torque constants; None where nobody says any.
     assumed : tuple of Finding
         What was assumed of the statements, such as the frame of a known load.
+    calibrated : Calibrated or None
+        Torque constants of the calibration file, which `read_rows` applies.
     """
 
     robot: Robot | None
@@ -104,6 +112,7 @@ class Given:
     corrections: tuple[Correction, ...] = ()
     gain_std: tuple[float, ...] | None = None
     assumed: tuple[Finding, ...] = ()
+    calibrated: Calibrated | None = None
 
     @property
     def coupling(self) -> np.ndarray | None:
@@ -157,6 +166,9 @@ def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
         refuse_other_bare(bare, robot, gravity_m_s2)
     inertials = request.inertials or (None if arm is None else arm.inertials)
     bounds = load_bounds(robot, arm, trusts_masses=inertials != "ignore")
+    measured = _calibrated(request, loaded, arm, [each.recording for each in bound])
+    if request.bare is not None:
+        _refuse_other_scale(request.bare, axes, measured)
     known, masses = with_and_without_centre(request.known, robot, bounds)
     assumed = (unnamed_frame(label, stated, robot) for label, stated in request.known.items())
     return Given(
@@ -172,18 +184,37 @@ def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
         loaded=loaded,
         recordings=tuple(each.recording for each in bound),
         corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
-        gain_std=_gain_std(request, arm, axes, profile_of(read_ones, loaded)),
-        assumed=tuple(filter(None, assumed)),
+        gain_std=_gain_std(request, arm, axes, profile_of(read_ones, loaded), measured),
+        assumed=(*filter(None, assumed), *(() if measured is None else measured.findings)),
+        calibrated=measured,
     )
 
 
+def _calibrated(
+    request: ModelRequest, loaded: LoadedCell | None, arm: ArmConfig | None, recordings: Sequence[Recording]
+) -> Calibrated | None:
+    """The calibration beside the cell file; without a cell file the one that the first recording was made with."""
+    if arm is None or not request.calibrated:
+        return None
+    where = f"{recordings[0].path}: @calibration" if request.cell is None else str(calibration_path(request.cell))
+    text = recordings[0].calibration if loaded is None else loaded.calibration
+    return calibrated(text, where, arm, serial_numbers(recordings, arm.name), datetime.now(UTC))
+
+
 def _gain_std(
-    request: ModelRequest, arm: ArmConfig | None, axes: int, profile: Callable[[str], DriveProfile]
+    request: ModelRequest,
+    arm: ArmConfig | None,
+    axes: int,
+    profile: Callable[[str], DriveProfile],
+    measured: Calibrated | None,
 ) -> tuple[float, ...] | None:
-    """As asked for, else of the cell's constants, where the drive does not report torque by constants of its own."""
+    """As asked for, else as calibrated, else of the cell's constants or of the drive's where it reports torque."""
     if request.gain_std is not None:
         return (request.gain_std,) * axes
-    return None if arm is None else constants_std(arm, profile)
+    if arm is None:
+        return None
+    stated = constants_std(arm, profile)
+    return stated if measured is None else measured.gain_std(stated)
 
 
 def constants_std(arm: ArmConfig, profile: Callable[[str], DriveProfile]) -> tuple[float, ...]:
@@ -297,6 +328,26 @@ def read_bare(path: Path) -> Bare:
     return bare
 
 
+def _refuse_other_scale(path: Path, axes: int, measured: Calibrated | None) -> None:
+    """Refuse a stored bare identification that was made with other calibrated torque constants: its torque differs.
+
+    Raises
+    ------
+    InputError
+    """
+    stored = read_result(path).provenance
+    for joint in range(1, axes + 1):
+        entry = stored.get(f"J{joint}")
+        scale = entry.get("torque_scale") if isinstance(entry, Mapping) else None
+        was = float(scale["value"]) if isinstance(scale, Mapping) else 1.0
+        now = 1.0 if measured is None else float(measured.scale[joint - 1])
+        if not np.isclose(was, now, rtol=1e-6):
+            raise InputError(
+                f"{path}: the unloaded arm was identified with a torque of J{joint} scaled by {was:.4g}, the"
+                f" calibration in use says {now:.4g}; estimate the unloaded rows again with the same --cell"
+            )
+
+
 def read_rows(paths: Sequence[Path], about: Given) -> Table:
     """Rows of all data files, which `given` has been told of.
 
@@ -307,6 +358,8 @@ def read_rows(paths: Sequence[Path], about: Given) -> Table:
     """
     axes = None if about.loaded is None or about.arm is None else AxisConversion.from_arm(about.arm)
     table = read_data(paths, about.recordings, axes)
+    if about.calibrated is not None and table.axes == len(about.calibrated.scale):
+        table = table.with_torque_scaled(about.calibrated.scale)
     if about.robot is not None and table.axes != about.robot.axes:
         raise InputError(
             f"{table.file[0]}: the data are of {table.axes} axes, robot '{about.robot.name}' has {about.robot.axes};"

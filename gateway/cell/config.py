@@ -19,6 +19,7 @@ from drives.toml_lines import KeyPath, key_lines
 from drives.validation import Refused, Strict, Unfit, read_strict, refuse
 from gateway.cell import plausible
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
+from gateway.cell.calibration import read_calibration
 from gateway.cell.config_pair import DistanceConfig, PairConfig
 from gateway.cell.quantities import Finite, PlainName, Positive, Vector3
 from gateway.errors import ConfigError
@@ -549,11 +550,12 @@ def _check_distance(distance: DistanceConfig, cell: Cell, buses: tuple[str, str]
 
 
 class LoadedCell(Strict):
-    """A cell, the text it was read from and the folder its relative paths start at."""
+    """A cell, the text it was read from, the folder its relative paths start at, and the calibration file's text."""
 
     cell: Cell
     text: str
     folder: Path
+    calibration: str = ""
 
     def path(self, name: str) -> Path:
         """Path of a file that the cell names."""
@@ -590,12 +592,13 @@ def cell_schema() -> dict[str, Any]:
 
 
 def load_cell(path: Path) -> LoadedCell:
-    """Read a cell file from disk."""
+    """Read a cell file, and the calibration file beside it, from disk."""
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
-    return LoadedCell(cell=parse_cell(text, str(path)), text=text, folder=path.resolve().parent)
+    cell = parse_cell(text, str(path))
+    return LoadedCell(cell=cell, text=text, folder=path.resolve().parent, calibration=read_calibration(path))
 
 
 def with_sync_period(loaded: LoadedCell, bus: str, sync_period_s: float) -> LoadedCell:

@@ -122,7 +122,7 @@ def estimate(
     note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
-    options = replace(estimate_options(about), pose_choice=None if about.arm is None else _postures(about))
+    options = replace(estimate_options(about), pose_choice=None if about.arm is None else postures(about))
     if method == "coefficient":
         wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
         options = replace(options, coefficient=wanted.of(about))
@@ -222,7 +222,7 @@ def diagnose(
     check_against_data(expected, [table], about)
     seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
     arguments = diagnose_arguments(about)
-    choice = None if about.arm is None else partial(_postures, about)
+    choice = None if about.arm is None else partial(postures, about)
     options = DiagnoseOptions(holdout=unseen, only=only, without=without, pose_choice=choice, **arguments)
     with session_of().working("diagnosis"):
         result = run(seen, about.model, options)
@@ -230,7 +230,7 @@ def diagnose(
     _hand_over(result, json_out, junit_file)
 
 
-def _postures(about: Given) -> NDArray[np.float64] | None:
+def postures(about: Given) -> NDArray[np.float64] | None:
     """Postures (k, N) that a result may ask for; the planning code is loaded here alone."""
     from gateway.acquire.asking import postures_to_ask
 

@@ -7,7 +7,8 @@ visit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol
@@ -18,7 +19,7 @@ from gateway.acquire.asking import postures_to_ask
 from gateway.acquire.goto import LOADING, Destination, destination, plan_way
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
-from gateway.acquire.thermal import Block, Thermal, blocks_of, warm_up
+from gateway.acquire.thermal import Block, Thermal, blocks_of, bracket_of, warm_up
 from gateway.acquire.until.goal import Goal
 from gateway.acquire.until.prepare import UntilRequest, search_of
 from gateway.acquire.until.run import UntilSummary
@@ -110,6 +111,8 @@ class Job:
         How well each load is to be known; None: all poses of the cell are measured.
     thermal : Thermal or None
         Loads forth and back after a warm-up; None: the bare arm, then each load.
+    is_bracketed : bool
+        The bare arm, the one load, and the bare arm again.
     """
 
     context: CellContext
@@ -120,6 +123,18 @@ class Job:
     operator: str | None = None
     goal: Goal | None = None
     thermal: Thermal | None = None
+    is_bracketed: bool = False
+
+    def blocks(self, poses: Sequence[RestPose]) -> tuple[Block, ...]:
+        """What is measured, in this order."""
+        if self.is_bracketed:
+            return bracket_of(self.labels[0], poses)
+        return blocks_of(self.labels, poses, self.thermal)
+
+    @property
+    def begins_bare(self) -> bool:
+        """Whether nothing is mounted as it begins: a bare arm that is gone on with may have had a load in between."""
+        return not self.recording.exists() or (self.thermal is None and not self.is_bracketed)
 
 
 def commission(job: Job, dialogue: Dialogue) -> Result:
@@ -142,17 +157,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     PlanRefused, DriveError, DataUnusable, InputError, KeyboardInterrupt
         As the parts; the arm stands, what was measured is kept.
     """
-    _check(job, dialogue)
-    if job.arm.loading_rad is not None:  # a posture that is refused is told before an hour of measuring, not after it
-        destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
-    plan = make_plan(job.context.loaded, arm=job.arm.name)
-    dialogue.planned(plan)
-    with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
-        options = job.context.proven(opened, dialogue.say, job.options)
-        robot = _Robot(replace(job, options=options), dialogue, opened, plan)
-        robot.warm_up()
-        for block in blocks_of(job.labels, robot.fit_poses, job.thermal):
-            robot.measure_load(block)
+    with _measuring(job, dialogue) as robot:
         about, table = robot.data()
         seen, _ = split_validation(table)
         dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
@@ -172,6 +177,29 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     return complete(result, about, table, [job.recording], job.operator)
 
 
+def measure(job: Job, dialogue: Dialogue) -> None:
+    """Check the arm, ask, and record all loads of a job; parameters and errors as `commission`."""
+    with _measuring(job, dialogue):
+        pass
+
+
+@contextmanager
+def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
+    """The arm, open, once all loads of a job are recorded."""
+    _check(job, dialogue)
+    if job.arm.loading_rad is not None:  # a posture that is refused is told before an hour of measuring, not after it
+        destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
+    plan = make_plan(job.context.loaded, arm=job.arm.name)
+    dialogue.planned(plan)
+    with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
+        options = job.context.proven(opened, dialogue.say, job.options)
+        robot = _Robot(replace(job, options=options), dialogue, opened, plan)
+        robot.warm_up()
+        for block in job.blocks(robot.fit_poses):
+            robot.measure_load(block)
+        yield robot
+
+
 def _check(job: Job, dialogue: Dialogue) -> None:
     items = job.context.check(job.arm)
     dialogue.checked(items)
@@ -184,15 +212,14 @@ class _Robot:
     def __init__(self, job: Job, dialogue: Dialogue, opened: OpenArm, plan: Plan) -> None:
         self._job, self._dialogue, self._opened = job, dialogue, opened
         self._load = BARE_LABEL
-        # a job that is gone on with may have ended while anything hung there
-        self._hangs = BARE_LABEL if job.thermal is None or not job.recording.exists() else None
+        self._hangs = BARE_LABEL if job.begins_bare else None
         self.fit_poses = [pose for pose in plan.poses if pose.purpose == "fit"]
         self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
         self._settings = plan.settings
         numbers = [pose.number for pose in (*plan.poses, *self._known_poses())]
         self._next = max(numbers) + 1
         self.ends: list[Finding] = []
-        self._last = blocks_of(job.labels, self.fit_poses, job.thermal)[-1]
+        self._last = job.blocks(self.fit_poses)[-1]
 
     @property
     def validation_rad(self) -> np.ndarray:
@@ -277,7 +304,9 @@ class _Robot:
     def data(self) -> tuple[Given, Table]:
         """Everything measured so far."""
         job = self._job
-        about = replace(given(ModelRequest(arm=job.arm.name), [job.recording]), loaded=job.context.loaded)
+        about = replace(
+            given(ModelRequest(cell=job.context.path, arm=job.arm.name), [job.recording]), loaded=job.context.loaded
+        )
         return about, read_rows([job.recording], about)
 
     def _stored(self) -> ArmRecording | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -103,11 +103,11 @@ def commission(
         refuse_other_cell(read(recording), context.loaded.text)
     if not resume:
         for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
-            _set_aside(path, session_of())
+            keep_earlier(path, session_of())
     try:
         with context.way_on(), stoppable(moving) as options:
             job = Job(context, arm, labels, recording, options, operator, goal, drift)
-            result = run(job, _Terminal(session_of(), context.loaded.cell.name, moving))
+            result = run(job, Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
             error.add_note(f"What was measured is in {recording}; go on with commission --resume.")
@@ -131,7 +131,7 @@ def _refuse_labels(labels: Sequence[str]) -> None:
         raise click.UsageError(f"--load {twice} is given twice: name each load once")
 
 
-def _set_aside(path: Path, session: Session) -> None:
+def keep_earlier(path: Path, session: Session) -> None:
     """Keep a file of an earlier job under another name."""
     if not path.exists():
         return
@@ -142,12 +142,13 @@ def _set_aside(path: Path, session: Session) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class _Terminal:
-    """The person at the terminal."""
+class Terminal:
+    """The person at the terminal; `refuse` refuses a plan before the person is asked to let the arm move."""
 
     session: Session
     cell: str
     moving: MoveChoice
+    refuse: Callable[[Plan], None] = lambda _plan: None
 
     def checked(self, items: Sequence[CheckItem]) -> None:
         """Show what is wrong."""
@@ -159,6 +160,7 @@ class _Terminal:
 
     def planned(self, plan: Plan) -> None:
         """Show the plan and ask."""
+        self.refuse(plan)
         show_plan(plan)
         self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is nobody near it?")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -86,6 +86,11 @@ class Table:
     def axes(self) -> int:
         """How many axes the rows have."""
         return self.q_rad.shape[1]
+
+    def with_torque_scaled(self, scale: np.ndarray) -> Table:
+        """The same rows with the torque of each axis multiplied by `scale` (N,)."""
+        scaled = ("tau_nm", "tau_std_nm", "motor_torque_nm")
+        return replace(self, **{name: getattr(self, name) * scale for name in scaled})
 
     def take(self, rows: np.ndarray) -> Table:
         """The chosen rows as a new table.

@@ -182,19 +182,29 @@ class Hands:
 
 
 @pytest.fixture
-def commission(place, monkeypatch, capsys):
+def guided(place, monkeypatch, capsys):
+    """Run a guided command in this process; exit code, hands, and what was said."""
+
+    def run(command, drives, *more, hangs=True, forgets=False):
+        hands = Hands(drives, capsys, hangs, forgets)
+        monkeypatch.setattr(sys, "stdin", hands)
+        arguments = [command, place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out", *more]
+        with pytest.raises(SystemExit) as left:
+            main([str(argument) for argument in arguments])
+        return left.value.code, hands, capsys.readouterr()
+
+    return run
+
+
+@pytest.fixture
+def commission(place, guided):
     """Run `commission` in this process and return exit code, result and what was said."""
 
     def run(drives, *more, hangs=True, forgets=False):
-        hands = Hands(drives, capsys, hangs, forgets)
-        monkeypatch.setattr(sys, "stdin", hands)
-        arguments = ["commission", place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out", *more]
-        with pytest.raises(SystemExit) as left:
-            main([str(argument) for argument in arguments])
-        output = capsys.readouterr()
+        code, hands, output = guided("commission", drives, *more, hangs=hangs, forgets=forgets)
         path = place.folder / "out" / "result.json"
         result = json.loads(path.read_text()) if path.exists() else None
-        return left.value.code, result, hands, output
+        return code, result, hands, output
 
     return run
 

@@ -106,6 +106,7 @@ def search_of(
         apart_rad=apart_rad,
         number=_free_number(stored),
         seed=poses.seed,
+        torque_scale=np.ones(about.model.axes) if about.calibrated is None else about.calibrated.scale,
     )
     return search, earlier
 

@@ -6,7 +6,7 @@ Pure: visits and the posture of the arm in, a decision with a checked plan out. 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -74,6 +74,8 @@ class LoadSearch:
     number : int
         First pose number that is free.
     seed : int
+    torque_scale : array of shape (N,)
+        True torque over the torque as measured; of `earlier` it is applied.
     """
 
     arm: str
@@ -89,6 +91,7 @@ class LoadSearch:
     apart_rad: Floats
     number: int
     seed: int
+    torque_scale: Floats = field(default_factory=lambda: np.ones(1))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +150,7 @@ def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextSt
     InputError, DataUnusable
         As the joint estimator.
     """
-    table = _together(search.earlier, measured)
+    table = _together(search.earlier, None if measured is None else measured.with_torque_scaled(search.torque_scale))
     stock = _stock(search, table)
     taken = np.empty((0, search.robot.axes)) if table is None else _poses(table, search.label)
     sampling = Sampling(search.settings.period_s, search.settings.samples)

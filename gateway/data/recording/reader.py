@@ -75,6 +75,7 @@ def read_unsealed(path: Path) -> Recording:
             cell_text=cell_text,
             robot_text=root.text("robot"),
             profiles=profiles,
+            calibration=root.text("calibration", ""),
             arms=tuple(_arm(arms.inside(name), arm_config(cell, name, str(path)), profiles) for name in arms.names()),
         )
 

@@ -83,6 +83,8 @@ class Recording:
     profiles : dict of str to str
         Profile name -> TOML text.
     arms : tuple of ArmRecording
+    calibration : str
+        Text of the calibration file; empty where there was none.
     """
 
     path: Path
@@ -95,6 +97,7 @@ class Recording:
     robot_text: str
     profiles: dict[str, str]
     arms: tuple[ArmRecording, ...]
+    calibration: str = ""
 
     def arm(self, name: str) -> ArmRecording | None:
         """The arm of that name, None if it has recorded nothing."""

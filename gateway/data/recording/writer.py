@@ -78,6 +78,7 @@ class RecordingHeader:
     profiles: dict[str, str]
     robot: str
     software: str
+    calibration: str = ""
 
 
 class Numbering:
@@ -156,6 +157,7 @@ class RecordingWriter:
         root["schema"] = SCHEMA
         root["created"] = header.created if earlier is None else earlier.created
         root["cell"], root["robot"], root["software"] = header.cell, header.robot, header.software
+        root["calibration"] = header.calibration
         root["profiles"] = json.dumps(header.profiles)
         self._arms = self._file.require_group("arms")
         self.visits = 0

@@ -1,0 +1,129 @@
+"""The constants of a calibration file as an analysis uses them: where they hold, how well, and what is reported."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from typing import Any, Final
+
+import numpy as np
+
+from gateway.cell.calibration import ArmCalibration, CalibratedAxis, parse_calibration
+from gateway.cell.config import ArmConfig, AxisConfig
+from gateway.data.recording.recorded import Recording
+from gateway.result.origin import drives_of
+from gateway.result.result import Finding
+
+#: Age from which a calibration is reported as old. A torque constant that changes by 0.5 % to 1 % in a year (magnets,
+#: gear wear, exchanged parts) has then moved by about the standard deviation of a calibration.
+OLD: Final = timedelta(days=180)
+_AGAIN: Final = "calibrate again (servo-gateway calibrate CELL --known LABEL=MASS)"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibrated:
+    """What the calibrations of an arm say of N axes.
+
+    Attributes
+    ----------
+    scale : array of shape (N,)
+        True torque over the torque by the constants of the cell file; 1 where nothing holds.
+    std : array of shape (N,)
+        Relative standard deviation; NaN where nothing holds.
+    findings : tuple of Finding
+    provenance : mapping of "J1" to entries by name, of the axes where a calibration holds
+    """
+
+    scale: np.ndarray
+    std: np.ndarray
+    findings: tuple[Finding, ...] = ()
+    provenance: Mapping[str, dict[str, Any]] = field(default_factory=dict)
+
+    def gain_std(self, stated: Sequence[float]) -> tuple[float, ...]:
+        """Relative standard deviations (N,) of the torque constants; those stated where nothing was measured."""
+        return tuple(np.where(np.isfinite(self.std), self.std, stated).tolist())
+
+
+def serial_numbers(recordings: Sequence[Recording], arm: str) -> dict[int, int]:
+    """Serial number of the drive of each joint, where one is reported."""
+    parts = [part for recording in recordings if (part := recording.arm(arm)) is not None]
+    return {
+        drive.joint: drive.serial_number
+        for part in parts
+        for drive in drives_of(part.identities)
+        if drive.serial_number
+    }
+
+
+def calibrated(text: str, where: str, arm: ArmConfig, serials: Mapping[int, int], now: datetime) -> Calibrated | None:
+    """Apply the text of a calibration file to an arm; None where it holds nothing of it.
+
+    Parameters
+    ----------
+    text : str
+    where : str
+        The file, for messages.
+    arm : ArmConfig
+    serials : mapping of joint to serial number
+        Of the drives that measured; empty where none is known.
+    now : datetime
+
+    Raises
+    ------
+    ConfigError
+        The text is not a calibration file.
+    """
+    file = parse_calibration(text, where)
+    stored = {} if file is None else file.of(arm.name)
+    if not stored:
+        return None
+    scale, std = np.ones(len(arm.axis)), np.full(len(arm.axis), np.nan)
+    findings, provenance = list[Finding](), dict[str, dict[str, Any]]()
+    used: dict[int, tuple[ArmCalibration, CalibratedAxis]] = {}
+    for joint, (run, axis) in sorted(stored.items()):
+        if joint > len(arm.axis):
+            continue
+        wrong = _refused(axis, arm.axis[joint - 1], serials.get(joint))
+        if wrong:
+            what = f"the calibration of {run.measured:%Y-%m-%d} is not used: {wrong}"
+            findings.append(Finding("warn", f"J{joint}", what, _AGAIN))
+            continue
+        scale[joint - 1], std[joint - 1] = axis.torque_scale, axis.std_percent / 100.0
+        provenance[f"J{joint}"] = dict(_entries(run, axis))
+        used[joint] = run, axis
+    return Calibrated(scale, std, (*_named(used, now), *findings), provenance)
+
+
+def _refused(axis: CalibratedAxis, stated: AxisConfig, serial: int | None) -> str:
+    """Why a stored constant does not belong to an axis; empty where it does."""
+    if serial and axis.serial_number and serial != axis.serial_number:
+        return f"it belongs to the drive with serial number {axis.serial_number}, this one has {serial}"
+    for name, was, now in (
+        ("torque_constant_nm_per_a", axis.stated_nm_per_a, stated.torque_constant_nm_per_a.value),
+        ("gear_ratio", axis.stated_gear_ratio, stated.gear_ratio.value),
+        ("gear_efficiency", axis.stated_gear_efficiency, stated.gear_efficiency.value),
+    ):
+        if not np.isclose(was, now, rtol=1e-6):
+            return f"the cell file states {name} {now:g}, it was {was:g} then"
+    return ""
+
+
+def _entries(run: ArmCalibration, axis: CalibratedAxis) -> Iterator[tuple[str, dict[str, Any]]]:
+    source = f"{run.source}, standard deviation {axis.std_percent:.2g} %"
+    yield "torque_scale", {"value": axis.torque_scale, "unit": "-", "source": source}
+    if axis.torque_constant_nm_per_a is not None:
+        yield "torque_constant", {"value": axis.torque_constant_nm_per_a, "unit": "Nm/A", "source": source}
+
+
+def _named(used: Mapping[int, tuple[ArmCalibration, CalibratedAxis]], now: datetime) -> Iterator[Finding]:
+    """Report each calibration that is used, and which of them are old."""
+    for run in dict.fromkeys(run for run, _ in used.values()):
+        axes = [(joint, axis) for joint, (other, axis) in used.items() if other == run]
+        each = ", ".join(f"J{joint} {axis.torque_scale:.4f} ± {axis.std_percent / 100:.4f}" for joint, axis in axes)
+        what = f"torque constants {run.source}, used as true over stated (standard deviation): {each}"
+        yield Finding("info", "calibration", what)
+        if now - run.measured > OLD:
+            days = (now - run.measured).days
+            what = f"the torque constants were calibrated {days} days ago, more than {OLD.days}: they may have changed"
+            yield Finding("warn", "calibration", what, _AGAIN)

@@ -1,0 +1,234 @@
+"""What is compared before a calibration is stored: the load, the stated constants, the last calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.analyse.given import Given
+from gateway.cell.calibration import ArmCalibration, CalibratedAxis
+from gateway.errors import ConfigError, DataUnusable
+from gateway.estimate.joint import estimate_joint
+from gateway.estimate.options import EstimateOptions
+from gateway.identify.nuisance import gain_stds
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import Robot
+from gateway.model.visits import Visits
+from gateway.result.result import Finding
+
+Floats = NDArray[np.float64]
+
+#: Largest standard deviation of a measured constant that is stored, over the stated one.
+LARGEST_SHARE: Final = 0.5
+#: Stated standard deviation below which a constant is treated as known that well: `exact` is a statement as well.
+_STATED_STD: Final = 0.01
+#: Prior of every gain, at least: what the cell file states must not enter what is measured.
+PRIOR_STD: Final = 0.05
+#: Standard deviations from which two statements contradict each other.
+CONFLICT: Final = 3.5
+#: Visits of a pose that is proposed, and variances of a visit in the difference of one to the mean of two.
+_VISITS, _VARIANCES = 3, 1.5
+#: Torque of the load over its largest on any axis, below which gravity does not turn an axis.
+_NO_TORQUE: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Weight:
+    """The weighed load: label, mass [kg], centre of gravity [m] in the last link, None = not known."""
+
+    label: str
+    mass_kg: float
+    com_m: tuple[float, float, float] | None
+
+    @staticmethod
+    def of(label: str, about: Given) -> Weight:
+        """The load of that label among those that are known.
+
+        Raises
+        ------
+        ConfigError
+            Its mass is 0.
+        """
+        mass_kg, *com_m = about.known.get(label, (about.masses.get(label, 0.0),))
+        if not mass_kg > 0.0:
+            raise ConfigError(f"--known {label}={mass_kg:g}: a load of 0 kg calibrates nothing; state the weighed mass")
+        return Weight(label, mass_kg, (com_m[0], com_m[1], com_m[2]) if com_m else None)
+
+
+@dataclass(frozen=True, slots=True)
+class AxisCalibration:
+    """What the data say of the torque constant of one axis.
+
+    Attributes
+    ----------
+    joint : counts from 1
+    scale, std : true torque over stated, and its relative standard deviation
+    stated_std : relative standard deviation of the stated constant
+    is_known : the standard deviation is small enough to store the constant
+    deviation : difference from the stated constant in standard deviations
+    load_nm : largest torque of the load on the axis, over the poses
+    constant_nm_per_a : measured torque constant; None where the drive reports torque by a constant of its own
+    stated_nm_per_a : of the cell file
+    """
+
+    joint: int
+    scale: float
+    std: float
+    stated_std: float
+    is_known: bool
+    deviation: float
+    load_nm: float
+    constant_nm_per_a: float | None
+    stated_nm_per_a: float
+
+
+def stated_std(about: Given, axes: int) -> Floats:
+    """Relative standard deviations (N,) that a measured constant is compared with."""
+    return np.maximum(gain_stds(about.gain_std, axes), _STATED_STD)
+
+
+def expected_std(load_nm: Floats, noise_nm: Floats) -> Floats:
+    """Standard deviation (N,) of a gain that a load known in mass and centre promises.
+
+    Parameters
+    ----------
+    load_nm : array of shape (n, N)
+        Torque of the load at each pose; the unloaded arm is measured before and after it.
+    noise_nm : array of shape (N,)
+        Standard deviation of a visit.
+    """
+    information = np.sum(load_nm**2, axis=0) / (_VARIANCES * noise_nm**2)
+    return np.asarray(1.0 / np.sqrt(PRIOR_STD**-2 + information), dtype=float)
+
+
+def load_torque(robot: Robot, q_rad: Floats, gravity_m_s2: Sequence[float], moment: Floats) -> Floats:
+    """Torque (n, N) [Nm] of a load [m, h] (4,) at postures (n, N)."""
+    return np.asarray(gravity_regressor(robot, q_rad, gravity_m_s2)[:, :, -4:] @ moment, dtype=float)
+
+
+def carried_by_none(load_nm: Floats, noise_nm: Floats, stated: Floats) -> str:
+    """Why poses cannot calibrate any axis; empty where one of them is expected to be calibrated."""
+    if (expected_std(load_nm, noise_nm) <= LARGEST_SHARE * stated).any():
+        return ""
+    largest = np.abs(load_nm).max(axis=0)
+    at = int(np.argmax(largest / noise_nm))
+    return (
+        f"no axis carries the load: it turns J{at + 1} by {largest[at]:.3g} Nm at most, where a visit is uncertain by"
+        f" {noise_nm[at]:.3g} Nm; use a heavier load, or poses with the arm stretched out"
+    )
+
+
+def mass_finding(visits: Visits, robot: Robot, options: EstimateOptions, weight: Weight) -> Iterator[Finding]:
+    """Compare the stated mass with the one by the constants of the cell: a wrong load must not become a constant."""
+    free = replace(options, known={}, masses={})
+    load = next(each for each in estimate_joint(visits, robot, free).loads if each.label == weight.label)
+    if load.refused:
+        raise DataUnusable(f"load '{weight.label}' calibrates no axis: {load.refused}")
+    if abs(load.mass_kg - weight.mass_kg) > CONFLICT * load.mass_std_kg:
+        yield Finding(
+            "fail",
+            f"load {weight.label}",
+            f"stated as {weight.mass_kg:.4g} kg, and {load.mass_kg:.4g} kg with a standard deviation of"
+            f" {load.mass_std_kg:.2g} kg by the constants of the cell file",
+            "check that this load was mounted, its mass and unit (kg), and the constants (rms or peak, ratio); if all"
+            " are right, --force stores the calibration",
+        )
+
+
+def stated_findings(axes: Sequence[AxisCalibration]) -> Iterator[Finding]:
+    for axis in axes:
+        if axis.is_known and abs(axis.deviation) > CONFLICT:
+            value = axis.constant_nm_per_a
+            measured, stated = (
+                (f"true over reported torque is {axis.scale:.4f}", "by the drive it is 1")
+                if value is None
+                else (
+                    f"the torque constant is {value:.4g} Nm/A",
+                    f"the cell file states {axis.stated_nm_per_a:.4g} Nm/A",
+                )
+            )
+            yield Finding(
+                "warn",
+                f"J{axis.joint}",
+                f"{measured} (standard deviation {100 * axis.std:.2g} %), {stated} (to {100 * axis.stated_std:.2g} %):"
+                f" they differ by {abs(axis.deviation):.1f} standard deviations",
+                "check the constant, rms or peak, and the gear ratio in the cell file",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Places:
+    """Where a load could be measured."""
+
+    robot: Robot
+    gravity_m_s2: Sequence[float]
+    moment: Floats
+    postures: Callable[[], Floats | None]
+
+    def torque(self) -> tuple[Floats, Floats]:
+        """Postures (k, N), and the torque (k, N) of the load there; none where no posture is known."""
+        q_rad = self.postures()
+        q_rad = np.zeros((0, self.robot.axes)) if q_rad is None else q_rad
+        return q_rad, load_torque(self.robot, q_rad, self.gravity_m_s2, self.moment)
+
+
+def unknown_axes(
+    axes: Sequence[AxisCalibration], noise_nm: Floats, weight: Weight, places: Places
+) -> Iterator[Finding]:
+    """Report each axis that is not calibrated, with the pose or the load that would calibrate it."""
+    unknown = [axis for axis in axes if not axis.is_known]
+    if not unknown:
+        return
+    q_rad, torque = places.torque()
+    largest = np.abs(torque).max(initial=0.0)
+    for axis in unknown:
+        at = axis.joint - 1
+        what = (
+            f"cannot tell the torque constant: {100 * axis.std:.2g} %, stated to {100 * axis.stated_std:.2g} %;"
+            f" the load turns this axis by {axis.load_nm:.3g} Nm at most"
+        )
+        own = np.abs(torque[:, at])
+        best = float(own.max(initial=0.0))
+        if not len(own) or best <= _NO_TORQUE * largest:
+            advice = "gravity does not turn this axis in any pose, so its constant has no part in a mass at rest"
+            yield Finding("info", f"J{axis.joint}", what, advice if len(own) else "")
+            continue
+        reached = expected_std(np.full((_VISITS, 1), best), noise_nm[at : at + 1])[0]
+        wanted = LARGEST_SHARE * axis.stated_std
+        at_pose = ", ".join(f"{angle:.2f}" for angle in q_rad[int(own.argmax())])
+        advice = f"measure poses such as [{at_pose}] rad, where it turns it by {best:.3g} Nm"
+        if reached > wanted:
+            information = (wanted**-2 - PRIOR_STD**-2) * _VARIANCES / _VISITS
+            needed_kg = weight.mass_kg * float(noise_nm[at]) * np.sqrt(max(information, 0.0)) / best
+            advice += f", with a load of {needed_kg:.3g} kg or more, or a longer one"
+        yield Finding("info", f"J{axis.joint}", what, advice)
+
+
+def contradictions(
+    stored: Mapping[int, tuple[ArmCalibration, CalibratedAxis]], new: ArmCalibration
+) -> Iterator[Finding]:
+    """Compare a calibration with the stored one of the same drives and the same stated constants."""
+    for axis in new.axis:
+        if axis.joint not in stored:
+            continue
+        run, old = stored[axis.joint]
+        drives = (old.serial_number, axis.serial_number)
+        if None not in drives and drives[0] != drives[1]:
+            continue
+        if (old.stated_nm_per_a, old.stated_gear_ratio) != (axis.stated_nm_per_a, axis.stated_gear_ratio):
+            continue
+        std = np.hypot(old.std_percent, axis.std_percent) / 100.0
+        apart = abs(axis.torque_scale - old.torque_scale) / std
+        if apart > CONFLICT:
+            yield Finding(
+                "fail",
+                f"J{axis.joint}",
+                f"true over stated torque is {axis.torque_scale:.4f} (standard deviation {axis.std_percent:.2g} %), the"
+                f" calibration of {run.measured:%Y-%m-%d} says {old.torque_scale:.4f} ({old.std_percent:.2g} %): they"
+                f" differ by {apart:.1f} standard deviations",
+                "check the mass, what was mounted and the drive; --force replaces the stored calibration",
+            )

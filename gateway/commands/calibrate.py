@@ -1,0 +1,210 @@
+"""calibrate: torque constants from a weighed load, guided or from recordings, stored beside the cell file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from drives.files import replace_file
+from gateway.commands.analyse import postures
+from gateway.commands.console import findings_table, grid
+from gateway.commands.guided import Terminal, keep_earlier
+from gateway.commands.measure import arm_option
+from gateway.commands.moving import MoveChoice, move_options, stoppable
+from gateway.commands.options import (
+    KNOWN_FORM,
+    KNOWN_HELP,
+    bus_option,
+    cell_argument,
+    common,
+    json_option,
+    note_remarks,
+    refuse_unwritable,
+    session_of,
+    write_json,
+)
+from gateway.commands.outcome import fail_on_findings
+from gateway.data.labels import BARE_LABEL, label_refused
+from gateway.errors import GatewayError, PlanRefused
+
+if TYPE_CHECKING:
+    from gateway.acquire.plan import Plan
+    from gateway.analyse.calibrate import Calibration
+    from gateway.analyse.calibration_checks import Weight
+    from gateway.analyse.given import Given
+    from gateway.cell.config import ArmConfig
+    from gateway.commands.console import Session
+
+
+@click.command()
+@cell_argument
+@click.option("--known", required=True, metavar=KNOWN_FORM, help=f"The weighed load. {KNOWN_HELP}")
+@click.option(
+    "--from",
+    "data",
+    multiple=True,
+    metavar="DATA",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Recordings or tables that hold the unloaded arm and the load; nothing moves. Repeatable.",
+)
+@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
+@click.option("--resume", is_flag=True, help="Go on with OUT/calibrate.h5 instead of starting a new one.")
+@arm_option
+@bus_option
+@json_option
+@move_options
+@common
+def calibrate(
+    cell: Path,
+    known: str,
+    data: tuple[Path, ...],
+    out: Path,
+    resume: bool,
+    arm_name: str | None,
+    bus_spec: str | None,
+    json_out: str | None,
+    moving: MoveChoice,
+) -> None:
+    """Torque constants from a weighed load, guided: unloaded, mounted, unloaded. The arm moves, unless --from is given.
+
+    They are stored beside the cell file, as CELL.calibration.toml; estimate, diagnose and commission use them.
+    """
+    from gateway.analyse.calibrate import calibrate as run
+    from gateway.analyse.calibration_checks import Weight
+    from gateway.analyse.given import ModelRequest, given, read_rows
+    from gateway.analyse.known import parse_known
+    from gateway.cell.calibration import calibration_path
+    from gateway.cell.config import load_cell
+    from gateway.model.arm_model import arm_named
+
+    label, stated = parse_known(known)
+    wrong = "is the unloaded arm" if label == BARE_LABEL else label_refused(label)
+    if wrong:
+        raise click.UsageError(f"--known {label}: '{label}' {wrong}")
+    request = ModelRequest(cell=cell, known={label: stated}, arm=arm_name, calibrated=False)
+    about = given(request, data)
+    weight = Weight.of(label, about)
+    arm = arm_named(load_cell(cell), arm_name)
+    note_remarks(about.robot)
+    refuse_unwritable(calibration_path(cell), "calibration file")
+    if not data:
+        data = (_measured(arm, about, weight, _Measuring(cell, out, resume, bus_spec, moving)),)
+        about = given(request, data)
+    table = read_rows(data, about)
+    with session_of().working("calibration"):
+        found = run(table, about, weight, [path.name for path in data], datetime.now(UTC), partial(postures, about))
+    _hand_over(found, cell, json_out, session_of())
+
+
+@dataclass(frozen=True, slots=True)
+class _Measuring:
+    """Where and how it is measured: CELL, OUT, --resume, --bus and MOVE."""
+
+    cell: Path
+    out: Path
+    resume: bool
+    bus_spec: str | None
+    moving: MoveChoice
+
+
+def _measured(arm: ArmConfig, about: Given, weight: Weight, how: _Measuring) -> Path:
+    """Measure the unloaded arm, the load, and the unloaded arm again; return the recording."""
+    from drives.errors import DriveError
+    from gateway.commands.cell_context import open_cell
+    from gateway.commands.commission import Job, measure
+    from gateway.data.recording.reader import read
+    from gateway.data.recording.writer import refuse_other_cell
+
+    rated_kg = arm.max_load_kg if arm.rated_load_kg is None else arm.rated_load_kg.value
+    if rated_kg is not None and weight.mass_kg > rated_kg:
+        raise PlanRefused(
+            f"--known {weight.label}: {weight.mass_kg:.4g} kg is beyond the rated load of {rated_kg:.4g} kg"
+        )
+    context = open_cell(how.cell, how.bus_spec, how.moving.pacing)
+    how.out.mkdir(parents=True, exist_ok=True)
+    recording = how.out / "calibrate.h5"
+    refuse_unwritable(recording, "--out")
+    if not how.resume:
+        keep_earlier(recording, session_of())
+    elif recording.exists():
+        refuse_other_cell(read(recording), context.loaded.text)
+    terminal = Terminal(session_of(), context.loaded.cell.name, how.moving, partial(_refuse_plan, arm, about, weight))
+    try:
+        with context.way_on(), stoppable(how.moving) as options:
+            measure(Job(context, arm, (weight.label,), recording, options, is_bracketed=True), terminal)
+    except (GatewayError, DriveError, KeyboardInterrupt) as error:
+        if recording.exists():
+            error.add_note(f"What was measured is in {recording}; go on with calibrate --resume.")
+        raise
+    return recording
+
+
+def _refuse_plan(arm: ArmConfig, about: Given, weight: Weight, plan: Plan) -> None:
+    """Refuse to move where no axis would be calibrated."""
+    import numpy as np
+
+    from gateway.analyse.calibration_checks import carried_by_none, load_torque, stated_std
+    from gateway.identify.loads import load_vector
+    from gateway.motion.assumed import assumed_noise_nm, reference_load
+    from gateway.motion.workspace import workspace_of
+
+    robot = about.model
+    workspace = workspace_of(arm, robot)
+    q_rad = np.array([pose.q_rad for pose in plan.poses if pose.purpose == "fit"])
+    com_m = reference_load(workspace, q_rad)[1] if weight.com_m is None else weight.com_m
+    load_nm = load_torque(robot, q_rad, about.gravity_m_s2, load_vector((weight.mass_kg, *com_m)))
+    why = carried_by_none(load_nm, assumed_noise_nm(workspace), stated_std(about, robot.axes))
+    if why:
+        raise PlanRefused(f"arm '{plan.arm}': {why}; nothing has moved")
+
+
+def _hand_over(found: Calibration, cell: Path, json_out: str | None, session: Session) -> None:
+    """Show, compare with the stored calibration, and store; a failing finding stores nothing without --force."""
+    from gateway.analyse.calibration_checks import contradictions
+    from gateway.cell.calibration import (
+        CalibrationFile,
+        calibration_path,
+        calibration_toml,
+        parse_calibration,
+        read_calibration,
+    )
+    from gateway.result.values import plain_values
+
+    path, new = calibration_path(cell), found.stored
+    earlier = parse_calibration(read_calibration(cell), str(path))
+    stored = {} if earlier is None else earlier.of(new.name)
+    findings = [*found.findings, *contradictions(stored, new)]
+    if session.replaces:
+        findings = [replace(each, severity="warn") if each.severity == "fail" else each for each in findings]
+    is_stored = all(each.severity != "fail" for each in findings)
+    if is_stored:
+        whole = CalibrationFile(arm=(new,)) if earlier is None else earlier.with_new(new)
+        replace_file(path, calibration_toml(whole, cell.name))
+    if json_out:
+        axes = [plain_values(axis) for axis in found.axes]
+        told = {"axes": axes, "findings": [plain_values(each) for each in findings]}
+        write_json(json_out, {"schema": 1, "arm": new.name, "load": new.load, "mass_kg": new.mass_kg, **told})
+    rows = [
+        [
+            f"J{axis.joint}",
+            "-" if axis.constant_nm_per_a is None else f"{axis.constant_nm_per_a:.4g}",
+            f"{axis.scale:.4f}",
+            f"{100 * axis.std:.2f}",
+            f"{100 * axis.stated_std:.3g}",
+            f"{axis.deviation:+.1f}",
+            "yes" if axis.is_known and is_stored else "no",
+        ]
+        for axis in found.axes
+    ]
+    columns = ["axis", "Nm/A", "true/stated", "std [%]", "stated to [%]", "differs by [std]", "stored"]
+    session.show(grid(f"torque constants, from load {new.load} of {new.mass_kg:.6g} kg", columns, rows))
+    if findings:
+        session.show(findings_table(findings))
+    if is_stored:
+        session.show(f"{path}: stored; estimate, diagnose and commission use it with this cell")
+    fail_on_findings(findings)

@@ -1,0 +1,279 @@
+"""calibrate from tables of a simulated arm (torque by pinocchio), and what other commands do with what it stores."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pytest
+from click.testing import CliRunner
+
+from gateway.cell.calibration import calibration_path, calibration_toml, parse_calibration
+from gateway.cell.config import load_cell
+from gateway.cli import main
+from gateway.data.rows import Table, concatenate
+from gateway.data.table import write_csv
+from tests.arms import peer_of
+from tests.support.rigs.tables import make_table
+
+SMALL = Path(__file__).parents[3] / "examples" / "small"
+LIMIT = np.array([2.5, 1.4, 1.6, 2.5, 1.6, 2.5])
+POSES = np.random.default_rng(4).uniform(-LIMIT, LIMIT, (10, 6))
+#: Torque by the constants of the cell file over the true torque, less 1.
+GAIN = np.array([0.0, 0.02, 0.04, -0.03, 0.05, 0.01])
+BAND_NM = np.array([10.0, 8.0, 5.0, 1.0, 1.0, 0.5])
+WEIGHT, TOOL = (5.0, 0.02, -0.01, 0.10), (8.0, 0.05, 0.02, 0.12)
+WEIGHED = "weight=5,0.02,-0.01,0.1"
+
+
+def rows(load: str, carried, q=POSES, first=1, start_s=0.0, gain=GAIN, seed=1) -> Table:
+    """Two-sided rest rows of the small arm with a load (mass, x, y, z) or None."""
+    rng = np.random.default_rng([seed, first, len(load)])
+    model, _ = peer_of((SMALL / "robot.urdf").read_text(encoding="utf-8"))
+    if carried is not None:
+        body = pinocchio.Inertia(carried[0], np.array(carried[1:]), np.zeros((3, 3)))
+        model.appendBodyToJoint(model.nv, body, pinocchio.SE3.Identity())
+    data = model.createData()
+    torque = np.array([pinocchio.computeGeneralizedGravity(model, data, angles).copy() for angles in q])
+    sides = [torque + side * BAND_NM * (1 + 0.02 * rng.standard_normal(torque.shape)) for side in (1, -1)]
+    count = len(q)
+    return make_table(
+        [load] * (2 * count),
+        np.tile(np.arange(first, first + count), 2),
+        np.tile(q, (2, 1)),
+        np.vstack(sides) * (1 + gain),
+        time=start_s + 20.0 * np.tile(np.arange(count), 2) + np.repeat([0.0, 8.0], count),
+        direction=np.repeat([[1] * 6, [-1] * 6], count, axis=0),
+    )
+
+
+def bracket(**more) -> Table:
+    """The unloaded arm, the weight, and the unloaded arm again."""
+    blocks = (("none", None, 1, 0.0), ("weight", WEIGHT, 1, 300.0), ("none", None, 1001, 600.0))
+    return concatenate([rows(load, carried, first=first, start_s=t, **more) for load, carried, first, t in blocks])
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A folder with the small cell, and a function that runs a command in it."""
+    for name in ("cell.toml", "robot.urdf"):
+        shutil.copy(SMALL / name, tmp_path / name)
+
+    def run(*words):
+        typed = [
+            str(tmp_path / word) if str(word).endswith((".toml", ".csv", ".json")) else str(word) for word in words
+        ]
+        return CliRunner(env={"COLUMNS": "200"}).invoke(main, typed)
+
+    def table(name: str, content: Table) -> str:
+        write_csv(content, tmp_path / name)
+        return name
+
+    run.folder, run.table = tmp_path, table
+    return run
+
+
+def calibrated(place, *more, known=WEIGHED, content=None):
+    name = place.table("run.csv", bracket() if content is None else content)
+    return place("calibrate", "cell.toml", "--known", known, "--from", name, "--json", "-", *more)
+
+
+def stored(place):
+    path = calibration_path(place.folder / "cell.toml")
+    return parse_calibration(path.read_text(encoding="utf-8"), "test").of("main")
+
+
+@pytest.mark.parametrize("known", [WEIGHED, "weight=5"])
+def test_the_constants_are_found_and_stored_beside_the_cell(place, known):
+    before = (place.folder / "cell.toml").read_bytes()
+    done = calibrated(place, known=known)
+    assert done.exit_code == 0, done.output
+    axes = {axis["joint"]: axis for axis in json.loads(done.stdout)["axes"]}
+    for joint in (2, 3):
+        assert axes[joint]["is_known"]
+        assert abs(axes[joint]["scale"] * (1 + GAIN[joint - 1]) - 1) < 4 * axes[joint]["std"]
+        assert axes[joint]["std"] < 0.01
+    assert not axes[1]["is_known"], "gravity does not turn axis 1"
+    what = {each["where"]: each for each in json.loads(done.stdout)["findings"]}
+    assert "gravity does not turn this axis" in what["J1"]["advice"]
+    assert (place.folder / "cell.toml").read_bytes() == before
+    held = stored(place)
+    assert set(held) == {joint for joint, axis in axes.items() if axis["is_known"]}
+    run, axis = held[3]
+    assert (run.load, run.mass_kg, run.data) == ("weight", 5.0, ("run.csv",))
+    assert run.com_m == (WEIGHT[1:] if known == WEIGHED else None)
+    config = load_cell(place.folder / "cell.toml").cell.arm[0].axis[2]
+    assert axis.stated_nm_per_a == config.torque_constant_nm_per_a.value
+    assert axis.residual_nm > 0
+
+
+def test_the_next_load_is_measured_with_them_and_the_result_says_so(place):
+    tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
+    words = ("estimate", tool, "--cell", "cell.toml", "--json", "-")
+    before = json.loads(place(*words).stdout)
+    assert calibrated(place).exit_code == 0
+    result = json.loads(place(*words).stdout)
+    (load,), (was,) = result["loads"], before["loads"]
+    assert load["mass_std_kg"] < 0.5 * was["mass_std_kg"]
+    assert abs(load["mass_kg"] - TOOL[0]) < 4 * load["mass_std_kg"]
+    (said,) = [each for each in result["findings"] if each["where"] == "calibration"]
+    assert said["severity"] == "info"
+    assert f"measured {datetime.now(UTC):%Y-%m-%d} with load weight of 5 kg" in said["what"]
+    assert result["provenance"]["J3"]["torque_scale"]["source"].startswith("measured")
+    assert "torque_scale" not in before["provenance"]["J3"]
+
+
+@pytest.mark.slow
+def test_a_diagnosis_uses_them(place):
+    tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
+    assert calibrated(place).exit_code == 0
+    estimated = json.loads(place("estimate", tool, "--cell", "cell.toml", "--json", "-").stdout)["loads"][0]
+    result = json.loads(place("diagnose", tool, "--cell", "cell.toml", "--json", "-").stdout)
+    assert abs(result["loads"][0]["mass_kg"] - estimated["mass_kg"]) < estimated["mass_std_kg"]
+    assert any(each["where"] == "calibration" for each in result["findings"])
+
+
+def change(place, **values):
+    """Rewrite the stored calibration of axis 3, or of the run."""
+    path = calibration_path(place.folder / "cell.toml")
+    file = parse_calibration(path.read_text(encoding="utf-8"), "test")
+    run = file.arm[0]
+    of_run = {key: value for key, value in values.items() if key == "measured"}
+    of_axis = {key: value for key, value in values.items() if key != "measured"}
+    axes = tuple(axis.model_copy(update=of_axis) if axis.joint == 3 else axis for axis in run.axis)
+    changed = file.model_copy(update={"arm": (run.model_copy(update={"axis": axes, **of_run}),)})
+    path.write_text(calibration_toml(changed, "cell.toml"), encoding="utf-8")
+
+
+def test_an_old_calibration_is_reported(place):
+    assert calibrated(place).exit_code == 0
+    change(place, measured=datetime.now(UTC) - timedelta(days=200))
+    tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
+    result = json.loads(place("estimate", tool, "--cell", "cell.toml", "--json", "-").stdout)
+    assert [each["severity"] for each in result["findings"] if "200 days ago" in each["what"]] == ["warn"]
+
+
+def test_a_constant_that_the_cell_states_otherwise_since_is_not_used(place):
+    assert calibrated(place).exit_code == 0
+    change(place, stated_nm_per_a=0.5)
+    tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
+    result = json.loads(place("estimate", tool, "--cell", "cell.toml", "--json", "-").stdout)
+    (said,) = [each for each in result["findings"] if each["where"] == "J3" and "is not used" in each["what"]]
+    assert said["severity"] == "warn"
+    assert "torque_constant_nm_per_a" in said["what"]
+    assert "torque_scale" not in result["provenance"]["J3"]
+    assert "torque_scale" in result["provenance"]["J2"]
+
+
+def test_a_stored_unloaded_arm_of_other_constants_is_refused(place):
+    bare = place.table("bare.csv", rows("none", None))
+    assert place("estimate", bare, "--cell", "cell.toml", "--json", "bare.json").exit_code == 0
+    assert calibrated(place).exit_code == 0
+    tool = place.table("tool.csv", rows("tool", TOOL))
+    done = place("estimate", tool, "--cell", "cell.toml", "--bare", "bare.json", "--json", "-")
+    assert done.exit_code == 3
+    assert "estimate the unloaded rows again" in done.stderr
+    assert place("estimate", bare, "--cell", "cell.toml", "--json", "bare.json", "--force").exit_code == 0
+    assert place("estimate", tool, "--cell", "cell.toml", "--bare", "bare.json", "--json", "-").exit_code == 0
+
+
+@pytest.mark.parametrize(
+    ("known", "code", "message"),
+    [
+        ("weight=0", 3, "a load of 0 kg says nothing"),
+        ("weight=0,0,0,0.1", 3, "a load of 0 kg calibrates nothing"),
+        ("weight=5000", 3, "grams? that is 5 kg"),
+        ("wieght=5", 3, "no row carries this load; the data hold none, weight"),
+        ("none=5", 2, "is the unloaded arm"),
+        ("weight=5,20,0,100", 3, "these are millimetres"),
+    ],
+)
+def test_a_load_that_cannot_be_meant_is_refused(place, known, code, message):
+    done = calibrated(place, known=known)
+    assert (done.exit_code, message in " ".join(done.stderr.split())) == (code, True), done.output
+    assert not calibration_path(place.folder / "cell.toml").exists()
+
+
+def test_another_mass_than_the_one_that_was_mounted_is_not_stored_unasked(place):
+    done = calibrated(place, known="weight=8")
+    assert done.exit_code == 7
+    assert "stated as 8 kg, and 5" in done.stderr
+    assert not calibration_path(place.folder / "cell.toml").exists()
+    assert calibrated(place, "--force", known="weight=8").exit_code == 0
+    assert calibration_path(place.folder / "cell.toml").exists()
+
+
+def test_a_load_that_no_axis_carries_is_refused(place):
+    q = np.zeros((3, 6))  # stretched upwards, turned about the vertical alone
+    q[:, 0] = (-1.0, 0.0, 1.0)
+    light = (0.05, 0.0, 0.0, 0.0)
+    content = concatenate([rows("none", None, q=q), rows("weight", light, q=q, start_s=300.0)])
+    done = calibrated(place, known="weight=0.05,0,0,0", content=content)
+    assert done.exit_code == 6, done.output
+    assert "no axis carries the load" in done.stderr
+    assert "nothing is stored" in done.stderr
+
+
+def test_data_without_the_unloaded_arm_are_refused(place):
+    done = calibrated(place, content=rows("weight", WEIGHT))
+    assert done.exit_code == 6
+    assert "no rest pose of the unloaded arm" in " ".join(done.stderr.split())
+
+
+def test_a_constant_that_is_far_from_the_stated_one_is_reported_with_both_numbers(place):
+    gain = GAIN + np.array([0, 0, 0, 0, 0, 0.25])
+    done = calibrated(place, content=bracket(gain=gain))
+    assert done.exit_code == 0, done.output
+    (said,) = [each for each in json.loads(done.stdout)["findings"] if each["severity"] == "warn"]
+    assert said["where"] == "J6"
+    assert "differ by" in said["what"]
+    assert "(to 3 %)" in said["what"]
+
+
+def test_a_calibration_that_contradicts_the_stored_one_is_not_stored_unasked(place):
+    assert calibrated(place).exit_code == 0
+    first = stored(place)[2][1].torque_scale
+    other = bracket(gain=GAIN + np.array([0, 0.05, 0, 0, 0, 0]), seed=2)
+    done = calibrated(place, content=other)
+    assert done.exit_code == 7
+    assert "J2" in done.stderr
+    assert f"says {first:.4f}" in " ".join(done.stderr.split())
+    assert stored(place)[2][1].torque_scale == first
+    assert calibrated(place, "--force", content=other).exit_code == 0
+    assert stored(place)[2][1].torque_scale == pytest.approx(1 / 1.07, rel=0.02)
+
+
+def test_a_damaged_calibration_file_stops_every_command_that_reads_the_cell(place):
+    path = calibration_path(place.folder / "cell.toml")
+    path.write_text("[[arm]]\nname = 5\n", encoding="utf-8")
+    done = place("plan", "cell.toml", "--poses", "3")
+    assert done.exit_code == 3
+    assert "cell.calibration.toml line" in " ".join(done.stderr.split())
+
+
+def test_axes_of_an_earlier_calibration_are_kept_where_the_new_one_cannot_tell(place):
+    assert calibrated(place).exit_code == 0
+    before = stored(place)
+    assert {2, 3} <= set(before)
+    change(place, serial_number=17)
+    file = parse_calibration(calibration_path(place.folder / "cell.toml").read_text(encoding="utf-8"), "test")
+    new = file.arm[0].model_copy(
+        update={
+            "measured": datetime.now(UTC),
+            "load": "other",
+            "axis": tuple(a for a in file.arm[0].axis if a.joint == 2),
+        }
+    )
+    both = file.with_new(new).of("main")
+    assert set(both) == set(before)
+    assert {joint: run.load for joint, (run, _) in both.items()} == dict.fromkeys(before, "weight") | {2: "other"}
+    last = file.with_new(new).with_new(replace_run(file.arm[0], "last"))
+    assert len(last.arm) == 1, "a table of which nothing holds is dropped"
+
+
+def replace_run(run, load):
+    return run.model_copy(update={"load": load})
