@@ -1,6 +1,6 @@
 """How often wrong statements about an arm pass silently, and right ones raise an alarm.
 
-python -m benchmarks.conflict [--seeds 0:30] [--clean N] [--condition NAME]... [--variant NAME]... [--out out/conflict]
+python -m benchmarks.conflict [--seeds 0:40] [--clean N] [--condition NAME]... [--variant NAME]... [--command diagnose]
 
 Random arms of 3 to 200 kg rated load, measured bare and loaded, handed to `servo-gateway estimate` with its defaults.
 Development seeds are 0 to 9999; test seeds from 10000 are for the published table. Clean conditions run `--clean`
@@ -25,6 +25,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--clean", type=int, default=200, help="cells of a clean condition (at least those of seeds)")
     parser.add_argument("--condition", action="append", help="conditions (all)")
     parser.add_argument("--variant", action="append", choices=(*VARIANTS, "all"), help="floor if omitted")
+    parser.add_argument("--command", choices=("estimate", "diagnose"), default="estimate")
     parser.add_argument("--out", type=Path, default=Path("out/conflict"))
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--again", action="store_true", help="print the figures of the cells in OUT; run none")
@@ -40,7 +41,7 @@ def main(argv: list[str]) -> int:
     chosen = arguments.variant or ["floor"]
     variants = VARIANTS if "all" in chosen else chosen
     tasks = [
-        (seed, condition, variant)
+        (seed, condition, variant, arguments.command)
         for variant in variants
         for condition in arguments.condition or CONDITIONS
         for seed in range(first, max(end, first + arguments.clean) if CONDITIONS[condition].clean else end)

@@ -20,25 +20,32 @@ HALF_WIDTH, FAR = 1.96, 3.0
 DEFECT = 1
 
 
-def answer_of(task: tuple[int, str, str]) -> dict:
-    """Draw, measure and estimate one cell: seed, condition, variant."""
-    seed, condition, variant = task
-    cell = draw_cell(seed, variant)
-    CONDITIONS[condition].before(cell)
-    cell.columns = measure(cell)
-    CONDITIONS[condition].after(cell)
+def answer_of(task: tuple[int, str, str, str]) -> dict:
+    """Draw and measure one cell and type the command: seed, condition, variant, `estimate` or `diagnose`."""
+    seed, condition, variant, command = task
+    cell = measured_cell(seed, condition, variant)
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
-        code, output, result = _estimated(cell, Path(folder))
+        code, output, result = typed(cell, Path(folder), command)
     told = {"seed": seed, "condition": condition, "variant": variant, "exit": code, "rated_kg": cell.arm.rated_kg}
     told["time_s"] = time.process_time() - begin
     told["findings"] = [
         [finding["severity"], check_of(finding), finding["where"], finding["what"]] for finding in result["findings"]
     ]
     told["message"] = output.strip()[-400:] if code not in (0, 7) else ""
+    told["effects"] = [f"{effect['name']} {effect['joints']}" for effect in result["effects"]]
     told["gross"] = cell.gross
     told["loads"] = [_judged(load, _truths(cell, load["label"])) for load in result["loads"]]
     return json.loads(json.dumps(told))
+
+
+def measured_cell(seed: int, condition: str, variant: str = "floor") -> ConflictCell:
+    """Return a cell after its measurement and the changes of its condition."""
+    cell = draw_cell(seed, variant)
+    CONDITIONS[condition].before(cell)
+    cell.columns = measure(cell)
+    CONDITIONS[condition].after(cell)
+    return cell
 
 
 def write_cell(cell: ConflictCell, folder: Path) -> tuple[Path, Path]:
@@ -55,7 +62,8 @@ def _write(path: Path, columns: dict[str, np.ndarray], rows: np.ndarray) -> None
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
-def _estimated(cell: ConflictCell, folder: Path) -> tuple[int, str, dict]:
+def typed(cell: ConflictCell, folder: Path, command: str = "estimate") -> tuple[int, str, dict]:
+    """Exit code, output and result (findings, loads, effects) of a command with the cell's files and options."""
     table, robot = write_cell(cell, folder)
     options, before = [*cell.options], []
     if cell.stored_bare:
@@ -63,19 +71,18 @@ def _estimated(cell: ConflictCell, folder: Path) -> tuple[int, str, dict]:
         table = folder / "loaded.csv"
         _write(folder / "bare.csv", cell.columns, bare)
         _write(table, cell.columns, ~bare)
-        _, _, first = _estimate(folder / "bare.csv", robot, [], folder / "bare.json")
+        _, _, first = _run("estimate", folder / "bare.csv", robot, [], folder / "bare.json")
         options += ["--bare", str(folder / "bare.json")]
         before = first["findings"]
-    code, output, found = _estimate(table, robot, options, folder / "answer.json")
-    return code, output, {"findings": [*before, *found["findings"]], "loads": found["loads"]}
+    code, output, found = _run(command, table, robot, options, folder / "answer.json")
+    return code, output, found | {"findings": [*before, *found["findings"]]}
 
 
-def _estimate(table: Path, robot: Path, options: list[str], answer: Path) -> tuple[int, str, dict]:
-    """Exit code, output and result file of one command."""
-    words = ["estimate", str(table), "--robot", str(robot), *options, "--json", str(answer)]
+def _run(command: str, table: Path, robot: Path, options: list[str], answer: Path) -> tuple[int, str, dict]:
+    words = [command, str(table), "--robot", str(robot), *options, "--json", str(answer)]
     result = CliRunner(env={"COLUMNS": "200"}).invoke(main, words)
     found = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
-    return result.exit_code, result.output, {key: found.get(key, []) for key in ("findings", "loads")}
+    return result.exit_code, result.output, {key: found.get(key, []) for key in ("findings", "loads", "effects")}
 
 
 def check_of(finding: dict) -> str:
@@ -88,7 +95,8 @@ def check_of(finding: dict) -> str:
 
 def _truths(cell: ConflictCell, label: str) -> list[list[float]]:
     """Every load that was measured under this label."""
-    return [list(map(float, cell.loads[block.load])) for block in cell.blocks if block.label == label]
+    keys = [key for block in cell.blocks if block.label == label for key in (block.load, block.later) if key]
+    return [list(map(float, cell.loads[key])) for key in keys]
 
 
 def _judged(load: dict, truths: list[list[float]]) -> dict:

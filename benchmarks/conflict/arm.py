@@ -66,7 +66,7 @@ class DrawnGeometry:
 
 
 @dataclass(frozen=True, slots=True)
-class DrawnArm:
+class RatedArm:
     """A drawn arm: rated load [kg], geometry, the links as they are and as its URDF states them."""
 
     rated_kg: float
@@ -75,7 +75,7 @@ class DrawnArm:
     stated: LinkMasses
 
 
-def draw_arm(rng: np.random.Generator, mounting: str = "floor") -> DrawnArm:
+def draw_arm(rng: np.random.Generator, mounting: str = "floor") -> RatedArm:
     """Draw an arm of 3 to 200 kg rated load whose size, mass and links follow from it with scatter."""
     rated = float(np.exp(rng.uniform(np.log(3.0), np.log(200.0))))
     reach = 0.45 * rated**0.34 * rng.uniform(0.85, 1.2)
@@ -96,7 +96,7 @@ def draw_arm(rng: np.random.Generator, mounting: str = "floor") -> DrawnArm:
     limit = np.radians([170.0, 75.0, 110.0, 170.0, 115.0, 175.0])
     geometry = DrawnGeometry(origin_m, FAMILIES[0 if crossing else 1], length, MOUNTING[mounting], limit)
     stated = LinkMasses(mass, com)
-    return DrawnArm(rated, geometry, scattered(rng, geometry, stated, LINK_STD), stated)
+    return RatedArm(rated, geometry, scattered(rng, geometry, stated, LINK_STD), stated)
 
 
 def scattered(rng: np.random.Generator, geometry: DrawnGeometry, links: LinkMasses, std: float) -> LinkMasses:

@@ -19,11 +19,15 @@ def unchanged(cell: ConflictCell) -> None:
 
 @dataclass(frozen=True, slots=True)
 class WrongStatement:
-    """What is changed before the measurement and in the table afterwards, and whether a warning is a false alarm."""
+    """What is changed before the measurement and in the table afterwards.
+
+    `clean`: a warning is a false alarm; `several`: two loads have one label, so that no interval can hold both.
+    """
 
     before: Change = unchanged
     after: Change = unchanged
     clean: bool = False
+    several: bool = False
 
 
 def masses(of: Callable[[ConflictCell], object]) -> WrongStatement:
@@ -163,6 +167,24 @@ def heavier_later(cell: ConflictCell) -> None:
     cell.blocks.append(LoadBlock("tool", "run 2", last.start_s + step_s, load="tool, later"))
 
 
+def lighter_later(cell: ConflictCell) -> None:
+    """Half of what is on the flange is lost in the middle of the loaded poses."""
+    mass, *com = cell.loads["tool"]
+    cell.loads["tool, half"] = np.array([0.5 * mass, *com])
+    cell.blocks[1].later = "tool, half"
+
+
+def coupled(cell: ConflictCell) -> None:
+    """Column q3 holds q3 + q2, as controllers with a parallel linkage show it."""
+    cell.columns["q3_rad"] = cell.columns["q3_rad"] + cell.columns["q2_rad"]
+
+
+def other_size(cell: ConflictCell) -> None:
+    """The URDF is that of a robot of the same family with lengths larger by 15 %."""
+    cell.length_unit = 1.15
+    cell.stated.mass_kg *= 1.15**3
+
+
 def one_posture(cell: ConflictCell) -> None:
     """One pose under all loads."""
     cell.poses_rad = cell.poses_rad[:1]
@@ -202,6 +224,7 @@ CONDITIONS: Mapping[str, WrongStatement] = {
     "dir reversed, one axis": flipped("dir{}"),
     "dir reversed, all": flipped("dir{}", one=False),
     "joint counted the other way": flipped("q{}_rad", "dir{}", "tau{}_nm"),
+    "q3 holds q3 + q2": WrongStatement(after=coupled),
     "torque in mNm": WrongStatement(after=torque_in_mnm),
     "lengths in mm": set_to(length_unit=1000.0),
     "known mass in grams": known(1000.0),
@@ -212,7 +235,9 @@ CONDITIONS: Mapping[str, WrongStatement] = {
     "joint zeros 1 deg": zeros(1.0),
     "friction 10 % lopsided, loaded": set_to(lopsided=0.10),
     "hose with the load": set_to(hose=0.03),
-    "same label, 10 % heavier": WrongStatement(heavier_later),
+    "same label, 10 % heavier": WrongStatement(heavier_later, several=True),
+    "load changes half-way": WrongStatement(lighter_later, several=True),
+    "URDF of a larger size": WrongStatement(other_size),
     "gravity upside down": set_to(gravity_up=-1.0),
     "one posture": WrongStatement(one_posture),
 }

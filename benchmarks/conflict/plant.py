@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from benchmarks.conflict.arm import AXES, DrawnArm, Floats, LinkMasses, draw_arm, gravity_torque
+from benchmarks.conflict.arm import AXES, Floats, LinkMasses, RatedArm, draw_arm, gravity_torque
 
 #: Seconds of a visit from one side, and between two blocks.
 VISIT_S, CHANGE_S = 30.0, 300.0
@@ -46,13 +46,17 @@ class GearFriction:
 
 @dataclass(slots=True)
 class LoadBlock:
-    """Visits of all poses under one load: label, run, start [s], and factors (6,) on the torque that is read."""
+    """Visits of all poses under one load: label, run, start [s], factors (6,) on the torque that is read, true loads.
+
+    `load` is the key of the true load, `later` that of the second half of the poses where it is another one.
+    """
 
     label: str
     run: str
     start_s: float
     gain: Floats = field(default_factory=lambda: np.ones(AXES))
     load: str = ""
+    later: str = ""
 
 
 @dataclass(slots=True)
@@ -83,7 +87,7 @@ class ConflictCell:
 
     rng: np.random.Generator
     change: np.random.Generator
-    arm: DrawnArm
+    arm: RatedArm
     true: LinkMasses
     stated: LinkMasses
     loads: dict[str, Floats]
@@ -172,6 +176,9 @@ def _measured_block(cell: ConflictCell, block: LoadBlock) -> dict[str, np.ndarra
     load = cell.loads.get(block.load)
     at = q + cell.zero_rad + cell.repeat_rad * rng.standard_normal(q.shape)
     tau = gravity_torque(cell.arm.geometry, cell.true, at, load, cell.gravity_up)
+    if block.later:
+        other = gravity_torque(cell.arm.geometry, cell.true, at, cell.loads[block.later], cell.gravity_up)
+        tau = np.where(pose[:, None] < count / 2, tau, other)
     if load is not None and cell.hose:
         tau = tau + _hose(cell, at, load)
     if cell.extra_nm is not None:

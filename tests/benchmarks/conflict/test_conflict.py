@@ -5,20 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.conflict.answers import answer_of, write_cell
+from benchmarks.conflict.answers import answer_of, measured_cell, write_cell
 from benchmarks.conflict.arm import GRAVITY_M_S2, LinkMasses
 from benchmarks.conflict.conditions import CONDITIONS
 from benchmarks.conflict.figures import condition_table, false_alarm, figures, silent, warned
-from benchmarks.conflict.plant import ConflictCell, draw_cell, measure
-
-
-def measured(seed: int, condition: str, variant: str = "floor") -> ConflictCell:
-    """Return a cell after its measurement and the changes of its condition."""
-    cell = draw_cell(seed, variant)
-    CONDITIONS[condition].before(cell)
-    cell.columns = measure(cell)
-    CONDITIONS[condition].after(cell)
-    return cell
+from benchmarks.conflict.plant import draw_cell, measure
 
 
 def test_torque_is_that_of_a_point_mass_when_links_and_friction_vanish():
@@ -38,23 +29,18 @@ def test_torque_is_that_of_a_point_mass_when_links_and_friction_vanish():
 
 
 def test_friction_acts_against_the_gravity_torque_on_one_side_and_with_it_on_the_other():
-    columns = draw_and_measure_clean(2)
+    columns = measured_cell(2, "clean").columns
     for axis in range(1, 7):
         half = (columns[f"tau{axis}_nm"][::2] - columns[f"tau{axis}_nm"][1::2]) / 2.0
         assert (columns[f"dir{axis}"][::2] == 1).all()
         assert (half > 0).all()
 
 
-def draw_and_measure_clean(seed: int) -> dict[str, np.ndarray]:
-    """Return the columns of a clean cell."""
-    return measured(seed, "clean").columns
-
-
 @pytest.mark.parametrize("condition", [name for name in CONDITIONS if name != "clean"])
 def test_every_condition_changes_what_is_handed_over(condition, tmp_path):
     handed = []
     for name in ("clean", condition):
-        cell = measured(3, name)
+        cell = measured_cell(3, name)
         table, robot = write_cell(cell, tmp_path)
         handed.append((table.read_text(), robot.read_text(), cell.options, cell.stored_bare))
     assert handed[0] != handed[1]
@@ -62,7 +48,7 @@ def test_every_condition_changes_what_is_handed_over(condition, tmp_path):
 
 @pytest.mark.parametrize(("variant", "rows"), [("two loads", 72), ("6 poses", 24), ("wall", 48), ("ceiling", 48)])
 def test_variants_have_their_rows(variant, rows):
-    assert len(measured(4, "clean", variant).columns["pose"]) == rows
+    assert len(measured_cell(4, "clean", variant).columns["pose"]) == rows
 
 
 def test_wall_and_ceiling_turn_gravity():
@@ -74,7 +60,7 @@ def test_wall_and_ceiling_turn_gravity():
 
 
 def test_right_cell_is_answered_and_reversed_signs_are_refused():
-    right, wrong = (answer_of((0, name, "floor")) for name in ("clean", "torque sign, all"))
+    right, wrong = (answer_of((0, name, "floor", "estimate")) for name in ("clean", "torque sign, all"))
     assert right["exit"] == 0
     assert not false_alarm(right)
     assert right["loads"][0]["off"] < 3.0
