@@ -18,6 +18,8 @@ from gateway.cli import main
 #: Half width of a 95 % interval, and how far off an answer may be, in stated standard deviations.
 HALF_WIDTH, FAR = 1.96, 3.0
 DEFECT = 1
+#: What is read of a result file.
+KEPT = ("findings", "loads", "effects", "noise_floor_nm")
 
 
 def answer_of(task: tuple[int, str, str, str]) -> dict:
@@ -82,7 +84,11 @@ def _run(command: str, table: Path, robot: Path, options: list[str], answer: Pat
     words = [command, str(table), "--robot", str(robot), *options, "--json", str(answer)]
     result = CliRunner(env={"COLUMNS": "200"}).invoke(main, words)
     found = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
-    return result.exit_code, result.output, {key: found.get(key, []) for key in ("findings", "loads", "effects")}
+    return (
+        result.exit_code,
+        result.output,
+        {key: found.get(key, []) for key in ("findings", "loads", "effects", "noise_floor_nm")},
+    )
 
 
 def check_of(finding: dict) -> str:

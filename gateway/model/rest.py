@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _WIND_UP_STEPS = 6
 _NEAR_RAD = 1e-3
+#: Step of a joint [rad] by which slopes of the rows are taken.
+_SLOPE_STEP_RAD = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,13 +191,12 @@ class Model:
         """Remember rows (n, N, 4 N) and their slopes (n, N, N, 4 N) by the joint angles at the bent arm."""
         q = np.clip(q, self.rows.q_rad - 1.0, self.rows.q_rad + 1.0)
         count = self.rows.axes
-        slopes = np.empty((len(q), count, count, 4 * count))
-        for joint in range(count):
-            step = np.zeros(count)
-            step[joint] = 1e-5
-            above = gravity_regressor(self.robot, q + step, self.gravity)
-            slopes[:, :, joint] = (above - gravity_regressor(self.robot, q - step, self.gravity)) / 2e-5
-        self._bent = q, gravity_regressor(self.robot, q, self.gravity), slopes
+        steps = _SLOPE_STEP_RAD * np.eye(count)
+        around = np.concatenate([q[None], q + steps[:, None], q - steps[:, None]])
+        rows = gravity_regressor(self.robot, around.reshape(-1, count), self.gravity)
+        rows = rows.reshape(2 * count + 1, len(q), count, 4 * count)
+        slopes = (rows[1 : count + 1] - rows[count + 1 :]) / (2.0 * _SLOPE_STEP_RAD)
+        self._bent = q, rows[0], slopes.transpose(1, 2, 0, 3)
 
     def predict(self, setting: AlteredModel, links: Floats, load: Floats, band_nm: Floats) -> Prediction:
         """Modelled readings.

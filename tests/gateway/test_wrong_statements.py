@@ -1,0 +1,113 @@
+"""Statements about an arm that the data contradict, from the command line: named, refused, or the load is right anyway.
+
+The arms are those of `benchmarks.conflict`, whose torques come from pinocchio; here their torque constants are exact
+and their links as stated, so that what is wrong is the one thing that is named.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.conflict.answers import typed
+from benchmarks.conflict.conditions import CONDITIONS
+from benchmarks.conflict.plant import ConflictCell, draw_cell, measure
+
+COMMANDS = ("estimate", pytest.param("diagnose", marks=pytest.mark.slow))
+
+
+def quiet_cell(condition: str = "clean", seed: int = 0) -> ConflictCell:
+    """Measure a cell with exact constants and links, whose visits repeat to a hundredth of the friction band."""
+    cell = draw_cell(seed)
+    cell.true = cell.stated.copy()
+    cell.gain[:] = 0.0
+    cell.scatter = 0.01
+    CONDITIONS[condition].before(cell)
+    cell.columns = measure(cell)
+    CONDITIONS[condition].after(cell)
+    return cell
+
+
+def changed_axis(cell: ConflictCell, other: dict[str, np.ndarray]) -> int:
+    """Return the joint whose columns differ from those of the plain cell."""
+    return next(axis for axis in range(1, 7) if (cell.columns[f"tau{axis}_nm"] != other[f"tau{axis}_nm"]).any())
+
+
+def warnings(result: dict) -> list[dict]:
+    return [finding for finding in result["findings"] if finding["severity"] in ("warn", "fail")]
+
+
+def off(result: dict, cell: ConflictCell) -> float:
+    """Return how many stated standard deviations the mass is off."""
+    load = next(load for load in result["loads"] if load["label"] == "tool")
+    return abs(load["mass_kg"] - cell.loads["tool"][0]) / load["mass_std_kg"]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_right_statements_raise_no_warning(command, tmp_path):
+    cell = quiet_cell()
+    code, _, result = typed(cell, tmp_path, command)
+    assert code == 0
+    assert warnings(result) == []
+    assert result["effects"] == []
+    assert off(result, cell) < 2.0
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_one_posture_is_refused(command, tmp_path):
+    code, output, _ = typed(quiet_cell("one posture"), tmp_path, command)
+    assert code == 6
+    assert "one posture" in output
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_lengths_in_millimetres_are_refused(command, tmp_path):
+    code, output, _ = typed(quiet_cell("lengths in mm"), tmp_path, command)
+    assert code == 3
+    assert "millimetres" in output
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_torque_in_millinewtonmetres_is_refused(command, tmp_path):
+    code, _, result = typed(quiet_cell("torque in mNm"), tmp_path, command)
+    assert code == 7
+    assert result["loads"][0]["mass_kg"] is None
+
+
+def test_known_mass_in_grams_is_refused(tmp_path):
+    code, output, _ = typed(quiet_cell("known mass in grams"), tmp_path)
+    assert code == 3
+    assert "grams" in output
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_reversed_torque_of_one_axis_is_named(command, tmp_path):
+    cell = quiet_cell("torque sign, one axis")
+    joint = changed_axis(cell, quiet_cell().columns)
+    code, _, result = typed(cell, tmp_path, command)
+    assert code == 7
+    named = {f["where"] for f in result["findings"] if "sign is reversed" in f["what"]}
+    assert named == {f"J{joint}"}
+
+
+@pytest.mark.parametrize("condition", ["torque sign, all", "gravity upside down"])
+def test_no_load_of_negative_mass_is_given(condition, tmp_path):
+    code, _, result = typed(quiet_cell(condition), tmp_path)
+    assert code == 7
+    assert result["loads"][0]["mass_kg"] is None
+
+
+def test_noise_floor_comes_from_repeats_where_the_model_lacks_a_torque(tmp_path):
+    """A torque of sin(2 q2) on J2 that nothing declares must not pass as noise."""
+    cell = quiet_cell("undeclared sin(2 q2)")
+    _, _, result = typed(cell, tmp_path)
+    assert "J2" in {finding["where"] for finding in warnings(result)}
+    band_nm, wave_nm = cell.friction.coulomb_nm[1], 0.1 * cell.size_nm[1]
+    floor_nm = result["noise_floor_nm"][1]
+    assert floor_nm < 0.05 * band_nm
+    assert floor_nm < 0.2 * wave_nm
+
+
+def test_load_that_changes_between_poses_is_not_passed_on_silently(tmp_path):
+    _, _, result = typed(quiet_cell("load changes half-way"), tmp_path)
+    assert warnings(result)
