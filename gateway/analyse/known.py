@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gateway.cell.plausible import LARGEST_LEVER_M
+from gateway.data.labels import BARE_LABEL
 from gateway.errors import ConfigError, InputError
 from gateway.model.load_bounds import LoadBounds
 from gateway.model.robot import Robot
@@ -52,6 +53,8 @@ def parse_known(text: str) -> tuple[str, KnownLoad]:
     complete = equals and label and len(values) == (4 if comma else 1) and bool(named) == bool(frame)
     if not complete or not all(map(math.isfinite, values)) or values[0] < 0:
         raise InputError(f"{OPTION} {text}: expected {FORM} in kg and m, such as tool=12.5,flange=0,0,0.06")
+    if label == BARE_LABEL:
+        raise InputError(f"{OPTION} {text}: '{BARE_LABEL}' is the unloaded arm: name the load that is known")
     if not comma:
         if values[0] == 0:
             raise InputError(f"{OPTION} {text}: a load of 0 kg says nothing; the unloaded arm is load 'none'")

@@ -81,9 +81,9 @@ class BusConfig(Strict):
     interface: str = Field(description="python-can interface: socketcan, pcan, kvaser, udp_multicast ...")
     channel: str = Field(description="its channel: can0, PCAN_USBBUS1, a multicast address ...")
     bitrate_bit_s: int = Field(
-        default=1_000_000, gt=0, description="of the bus; the load of a cycle is reckoned with it"
+        default=1_000_000, ge=10_000, description="of the bus; the load of a cycle is reckoned with it"
     )
-    sync_period_s: Positive = Field(default=0.01, description="time from SYNC to SYNC, one set point each")
+    sync_period_s: Positive = Field(default=0.01, le=1.0, description="time from SYNC to SYNC, one set point each")
     pacing: Literal["lockstep", "real"] = Field(
         default="real", description="by the clock, or (simulator alone) as fast as everybody has answered"
     )
@@ -436,6 +436,9 @@ class ArmConfig(Strict):
             yield from plausible.angles(name, getattr(self, name), plausible.LARGEST_TURN_RAD)
         for name in ("flange_xyz_m", "base_xyz_m", "tool_xyz_m", "rated_load_com_m", "max_load_com_m"):
             yield from plausible.lengths(name, getattr(self, name))
+        for name in ("floor_m", "column_radius_m"):
+            value = getattr(self, name)
+            yield from plausible.lengths(name, None if value is None else (value,))
         for name in ("start_rad", "home_rad", "loading_rad"):
             yield from plausible.angles(name, getattr(self, name) or ())
         if self.dh is not None:

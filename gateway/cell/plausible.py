@@ -69,9 +69,10 @@ def lengths(key: str, values_m: Sequence[float] | None) -> Found:
     worst = max(values_m or (), key=abs, default=0.0)
     if abs(worst) > LARGEST_LENGTH_M:
         in_m = ", ".join(f"{value / 1000:g}" for value in values_m or ())
+        value = f"[{in_m}]" if len(values_m or ()) > 1 else in_m
         yield (
             (key,),
-            f"{key}: {worst:g} m is beyond {LARGEST_LENGTH_M:g}, these are millimetres: write {key} = [{in_m}]",
+            f"{key}: {worst:g} m is beyond {LARGEST_LENGTH_M:g}, these are millimetres: write {key} = {value}",
         )
 
 

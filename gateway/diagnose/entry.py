@@ -51,10 +51,11 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
         held = None if options.holdout is None else behind_gears(options.holdout, *gears)
         result = diagnose_motion(behind_gears(table, *gears), robot, replace(options, holdout=held))
     else:
-        rest = RestDiagnosis(robot, options)
-        result = rest.report(rest.search(table.take(~table.moving)), options.holdout, options.holdout_kind)
+        rest, at_rest = RestDiagnosis(robot, options), table.take(~table.moving)
+        refused = rest.refusal(at_rest)
+        result = refused or rest.report(rest.search(at_rest), options.holdout, options.holdout_kind)
         if table.moving.any():
-            if not (result.effects or options.masses):
+            if not (refused or result.effects or options.masses):
                 result = _of_both(result, table, robot, options)
             left_out = (*_beside(int(table.moving.sum()), "moving", "rest"), *left_out)
     return replace(result, findings=(*result.findings, *left_out)) if left_out else result

@@ -42,6 +42,9 @@ def close_loop(
     """
     rest = RestDiagnosis(robot, options)
     table = table.take(~table.moving)
+    refused = rest.refusal(table)
+    if refused is not None:
+        return refused, table
     found = rest.search(table)
     result = rest.report(found)
     for _ in range(ROUNDS):

@@ -25,7 +25,7 @@ from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.estimate.posture import estimate_posture
 from gateway.identify.aside import without_gross
 from gateway.identify.links import default_inertials
-from gateway.identify.loads import refuse_absent, refuse_in_motion
+from gateway.identify.loads import BARE_LABEL, refuse_absent, refuse_in_motion
 from gateway.identify.motion.rest_rows import fitted_rest
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
@@ -104,7 +104,7 @@ def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     return replace(
         found,
         method="joint",
-        loads=(*found.loads, *gone.values()),
+        loads=(*found.loads, *(load for label, load in gone.items() if label not in (BARE_LABEL, *options.known))),
         sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest.fit),
         band_nm=found.band_nm if rest is None else np.abs(rest.problem.rows.band_nm),
         set_aside=(*aside.entries, *found.set_aside),

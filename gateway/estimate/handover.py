@@ -97,7 +97,7 @@ def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions)
             out += physical_findings(load, robot.last_link, hull_radius_m(robot, options.hull_radius_m))
     if estimate.rows is not None and estimate.method in ("joint", "difference", "posture"):
         out += _missing_axes(estimate.rows, robot, estimate.sigma_nm, options)
-        out += _one_sided(estimate) + _misfit(estimate) + _reversed_signs(estimate.rows)
+        out += _one_sided(estimate) + _misfit(estimate) + reversed_signs(estimate.rows.band_nm)
     return out + _gear_losses(estimate)
 
 
@@ -143,10 +143,10 @@ def _misfit(estimate: Estimate) -> list[Finding]:
     return out
 
 
-def _reversed_signs(rows: FittedRows) -> list[Finding]:
-    """Report axes with a negative friction band: their torque sign or their direction column is reversed."""
-    seen = int(np.isfinite(rows.band_nm).any(axis=0).sum())
-    negative = np.flatnonzero(negative_bands(rows.band_nm))
+def reversed_signs(half_nm: Floats) -> list[Finding]:
+    """Report axes of which the half-differences (n, N) are negative: torque sign or direction column is reversed."""
+    seen = int(np.isfinite(half_nm).any(axis=0).sum())
+    negative = np.flatnonzero(negative_bands(half_nm))
     if seen < 2:
         return []
     together = [negative] if len(negative) == seen else [np.array([k]) for k in negative]
@@ -154,7 +154,7 @@ def _reversed_signs(rows: FittedRows) -> list[Finding]:
         Finding(
             "fail", ", ".join(f"J{k + 1}" for k in part),
             "torque sign is reversed, or the approach directions are: friction would drive the motion (half-difference"
-            f" {', '.join(f'{np.nanmedian(rows.band_nm[:, k]):.3g}' for k in part)} Nm)",
+            f" {', '.join(f'{np.nanmedian(half_nm[:, k]):.3g}' for k in part)} Nm)",
             "check `torque_sign` in the cell file or the sign of the torque column, and the columns dir1, dir2, ...",
         )
         for part in together

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.errors import DataUnusable
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import require_postures
+from gateway.identify.mass_change import mass_changes
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import per_pose_mass
@@ -42,7 +44,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     InputError
         A known load that is not in the data.
     DataUnusable
-        Nothing measured, or a load in one posture only (rank 3).
+        Nothing measured, a load in one posture only (rank 3), or a mass that changes on the arm without a load.
     """
     problem = problem_of(visits, robot, options)
     for label in problem.labels:
@@ -52,7 +54,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     if not refused:
         return describe(problem, fit, robot, options)
     kept = visits.take(~np.isin(visits.load, list(refused)))
-    others = tuple(refused.values())
+    others = tuple(refused[label] for label in problem.labels if label in refused)
     if not len(kept):
         unknown = np.full(visits.axes, np.nan)
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
@@ -81,16 +83,29 @@ def knowledge_of(options: EstimateOptions) -> Knowledge:
 
 
 def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
-    """Loads by label whose data contradict each other, each with why."""
-    out = {}
+    """Return the loads by label whose data contradict each other, each with the reason.
+
+    Where the visits of the unloaded arm or of a known load contradict each other, these and all loads are listed: each
+    load is a difference to them.
+
+    Raises
+    ------
+    DataUnusable
+        Such visits, and no load is to be estimated.
+    """
+    changed = mass_changes(problem, fit)
+    base = [label for label in changed if label not in problem.labels]
+    if base and not problem.labels:
+        raise DataUnusable(f"load '{base[0]}': {changed[base[0]]}")
+    out = {label: refused_load(label, changed[label]) for label in base}
     for index, label in enumerate(problem.labels):
-        reason = contradiction(problem, fit, robot, options, label)
+        reason = changed[base[0]] if base else changed.get(label) or _contradiction(problem, fit, robot, options, label)
         if reason is not None:
             out[label] = refused_load(label, reason, per_pose_mass(problem, fit, index))
     return out
 
 
-def contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
+def _contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
     """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show."""
     masses = per_pose_mass(problem, fit, problem.labels.index(label))
     if not disagree(list(masses.values())):

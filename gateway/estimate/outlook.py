@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.describe import axis_sigma
-from gateway.estimate.joint import contradiction, problem_of
+from gateway.estimate.joint import problem_of, refused_loads
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.load_estimate import LoadEstimate, load_directions
@@ -200,7 +200,8 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
         index = problem.labels.index(sought.label)
         first, moment = problem.load_part(index).start, fit.loads[index]
         estimated = load_estimates(problem, fit, robot)[index]
-        refused = contradiction(problem, fit, robot, options, sought.label)
+        against = refused_loads(problem, fit, robot, options).get(sought.label)
+        refused = None if against is None else against.refused
     else:
         covariance, first = _with_unknown_load(covariance, sought.guess, robot)
         moment = sought.guess

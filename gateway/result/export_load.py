@@ -15,7 +15,8 @@ from drives.profile_parts import is_assumed
 from gateway.errors import ConfigError, DataUnusable
 from gateway.model.load_bounds import NO_ARM
 from gateway.result.inertia import Floats, has_a_body, tensor_of
-from gateway.result.interval import SAID, half_width
+from gateway.result.interval import SAID, half_width, holds_zero
+from gateway.result.numerals import with_interval
 
 if TYPE_CHECKING:
     from gateway.result.drawn import Drawn
@@ -123,6 +124,11 @@ def _checked(load: LoadResult, com: Vector, std: Vector | None, frame: str) -> E
         raise DataUnusable(
             f"load '{load.label}' has a mass of {load.mass_kg:g} kg: no load weighs that, and a controller that is told"
             " so lets the arm fall; check signs and the bare run with diagnose, then measure again"
+        )
+    if holds_zero(load.mass_kg, load.mass_std_kg):
+        raise DataUnusable(
+            f"load '{load.label}': {with_interval(load.mass_kg, load.mass_std_kg)} kg ({SAID}), no load is detected:"
+            " mount it and measure it again, or at more poses if it was mounted"
         )
     wrong = NO_ARM.violation(load.mass_kg, com)
     if wrong:

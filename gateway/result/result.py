@@ -371,6 +371,8 @@ def _check_loads(result: Result, where: str) -> None:
     for index, load in enumerate(result.loads):
         if any(abs(value) > LARGEST for value in (load.mass_kg, load.mass_std_kg, *(load.com_m or ()))):
             raise InputError(f"{where}: loads[{index}]: a mass or a place beyond {LARGEST:g}")
+        if any(value < 0 for value in (load.mass_std_kg, *(load.com_std_m or ()))):
+            raise InputError(f"{where}: loads[{index}]: a standard deviation below 0; write it again from the data")
 
 
 def _check_bare(bare: Bare, where: str) -> None:

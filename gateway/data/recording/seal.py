@@ -2,12 +2,15 @@
 
 libhdf5 may crash or loop on damaged metadata, which no exception handler can catch. A sealed file that does not match
 is damaged and is refused at once. A file without a seal (made by others, or edited by software that cuts it off) is
-first read in a process of its own. Bytes behind the end of the HDF5 data are ignored by all HDF5 software.
+first read in a process of its own, as is one whose global heaps cannot be walked: a checksum does not protect against
+forgery. Bytes behind the end of the HDF5 data are ignored by all HDF5 software.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +18,8 @@ from pathlib import Path
 from gateway.errors import InputError
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
+#: Begin of a global heap collection, and size of its header and of those of its objects (format specification, III.E).
+_HEAP, _HEADER_BYTES = re.compile(rb"GCOL\x01\0\0\0"), 16
 MARK = b"\nservo-gateway recording sha256 "
 SEAL_BYTES = len(MARK) + 64 + 1
 PROBE_TIMEOUT_S = 60.0
@@ -42,8 +47,9 @@ def refuse_damaged(path: Path) -> None:
     if seal.startswith(MARK):
         if sealed(body) != content:
             raise InputError(f"{path}: is damaged: its content does not match its checksum; use a copy from elsewhere")
-        return
-    if MARK in content[-2 * SEAL_BYTES :] or _end_of_data(content) > len(content):
+        if _heaps_end(body):
+            return
+    elif MARK in content[-2 * SEAL_BYTES :] or _end_of_data(content) > len(content):
         raise InputError(f"{path}: is truncated; use a copy from elsewhere")
     _probe(path)
 
@@ -53,6 +59,24 @@ def _end_of_data(content: bytes) -> int:
     version = content[8] if len(content) > 8 else 0
     at = {0: 40, 1: 44, 2: 28, 3: 28}.get(version, 0)
     return int.from_bytes(content[at : at + 8], "little") if at and len(content) >= at + 8 else len(content) + 1
+
+
+def _heaps_end(content: bytes) -> bool:
+    """Whether all global heaps can be walked to their ends: libhdf5 does not return from free space of size 0."""
+    end = 0
+    for found in _HEAP.finditer(content):
+        at, before = found.start(), end
+        end = at + int.from_bytes(content[at + 8 : at + _HEADER_BYTES], "little")
+        if at < before or end > len(content):
+            return False
+        at += _HEADER_BYTES
+        while at + _HEADER_BYTES <= end:
+            index, size = struct.unpack_from("<H6xQ", content, at)
+            step = _HEADER_BYTES + (size + 7) // 8 * 8 if index else size
+            if step < _HEADER_BYTES:
+                return False
+            at += step
+    return True
 
 
 def _probe(path: Path) -> None:

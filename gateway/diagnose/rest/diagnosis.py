@@ -45,12 +45,13 @@ from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
-from gateway.estimate import EstimateOptions
+from gateway.estimate import EstimateOptions, to_result
+from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.links import default_inertials, parse_inertials
-from gateway.identify.load_estimate import load_result
 from gateway.identify.loads import BARE_LABEL, require_postures
+from gateway.identify.mass_change import mass_changes
 from gateway.identify.rest.fit import fit, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
 from gateway.identify.rest.loads import loads_of, ordinary_of, spread_by_shape
@@ -219,8 +220,8 @@ class RestDiagnosis:
         problem = self.problem(table, found.aside)
         return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
 
-    def _as_estimated(self, visits: Visits) -> tuple[LoadResult, ...]:
-        """Return the loads as `estimate` gives them: one answer and one refusal where no effect is named."""
+    def _as_estimated(self, visits: Visits) -> Result:
+        """Return what `estimate` gives: one answer and one refusal where no effect is named."""
         known = self.knowledge
         options = EstimateOptions(
             inertials=known.inertials,
@@ -230,7 +231,19 @@ class RestDiagnosis:
             gravity_m_s2=known.gravity_m_s2,
             gain_std=known.gain_std,
         )
-        return tuple(load_result(load, self.robot) for load in estimate_joint(visits, self.robot, options).loads)
+        return to_result(estimate_joint(visits, self.robot, options), self.robot, options)
+
+    def refusal(self, table: Table) -> Result | None:
+        """Return what `estimate` gives where the mass under a label changes; None where it does not.
+
+        No effect is searched then: each that moves the load or the arm would take up a part of the change.
+        """
+        aside = self.aside(self._rows(table))
+        problem = self.problem(table, aside)
+        if not mass_changes(problem, fit_without_effects(problem)):
+            return None
+        result = self._as_estimated(problem.rows)
+        return replace(result, verdict="unexplained", findings=(*aside.findings, *result.findings))
 
     def _from_all(self, held: Unseen, seen: Fit, by_shape: Floats) -> tuple[LoadResult, ...]:
         """Loads of the same hypothesis on fitted and fresh visits together."""
@@ -269,14 +282,19 @@ class RestDiagnosis:
                 before = replace(before, loads=after.loads)
         if not effects and not found.mistakes and decision.after is decision.before:
             judged = problem if held is None or kind != "fresh" else held.problem
-            loads = self._as_estimated(judged.rows)
+            loads = self._as_estimated(judged.rows).loads
             before, after = replace(before, loads=loads), replace(after, loads=loads)
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += found.aside.findings
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
-        findings += mistake_findings(found.mistakes) + refused_loads(after.loads) + limits(problem)
+        findings += (
+            reversed_signs(problem.rows.difference_nm)
+            + mistake_findings(found.mistakes)
+            + refused_loads(after.loads)
+            + limits(problem)
+        )
         rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)
         return Result(
             robot=self.robot.name,

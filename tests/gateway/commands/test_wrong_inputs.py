@@ -2,13 +2,16 @@
 
 import pytest
 
+from tests.slips import SLIPS
 from tests.wrong_inputs import KINDS, Kind, wrong
 
+ALL = [*KINDS, *SLIPS]
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+
+@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
 def test_a_wrong_input_is_answered(kind: Kind) -> None:
     assert not wrong(kind)
 
 
 def test_there_are_as_many_kinds_as_are_promised_and_none_twice() -> None:
-    assert len({kind.name for kind in KINDS}) == len(KINDS) >= 80
+    assert len({kind.name for kind in ALL}) == len(ALL) >= 202

@@ -303,6 +303,22 @@ def test_an_object_that_is_linked_many_times_is_read_not_even_once(path, what):
         read(path)
 
 
+def test_a_forged_heap_that_libhdf5_does_not_leave_is_read_by_another_process(path, monkeypatch):
+    """Free space of size 0 in a global heap: libhdf5 does not return, and the checksum was made to fit."""
+    body = bytearray(path.read_bytes()[: -seal.SEAL_BYTES])
+    first_object = body.index(b"GCOL\x01") + 16
+    body[first_object : first_object + 16] = bytes(16)
+    path.write_bytes(seal.sealed(bytes(body)))
+    monkeypatch.setattr(seal, "PROBE_TIMEOUT_S", 3.0)
+    with pytest.raises(InputError, match="is damaged: reading it does not end"):
+        read(path)
+
+
+def test_a_recording_as_it_was_written_needs_no_other_process(path, monkeypatch):
+    monkeypatch.setattr(seal.sys, "executable", "/bin/false")
+    assert read(path).exit_status == "success"
+
+
 @pytest.mark.parametrize("label", ["a\x1b]0;mine\x07", "a\nb", "a\N{RIGHT-TO-LEFT OVERRIDE}b", ""])
 def test_a_label_that_would_control_a_terminal_is_not_read(path, label):
     forge(path, lambda file: file["/arms/main/visits/0001"].attrs.__setitem__("load", label))

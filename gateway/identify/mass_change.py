@@ -1,0 +1,123 @@
+"""Change of the mass on the flange between two visits of one label: mounted late, taken off, two loads of one name.
+
+A body that stays mounted has one mass, whatever else the model of the arm lacks. The visits of a label are divided in
+time at each visit, and the later ones get a body more. The division that the residual of the fit asks for most follows
+from sums over the visits; the model is fitted once with it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.loads import BARE_LABEL
+from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.linear import Fit, RestProblem
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
+
+#: Residual over the noise that the sides of the visits show, from which a change is looked for.
+_MISFIT: Final = 3.0
+#: Share of the misfit that a change of mass may leave: an effect of the arm leaves more, or nothing to explain.
+_LEFT: Final = 0.15
+#: Visits on each side of a division.
+_LEAST_VISITS: Final = 2
+#: Change of mass in standard deviations, and as a share of the heavier of both.
+_CERTAIN_STD, _LEAST_SHARE = 6.0, 0.1
+
+
+def mass_changes(problem: RestProblem, fit: Fit) -> dict[str, str]:
+    """Labels whose visits carry different masses, each with the reason; `none` is the unloaded arm.
+
+    Parameters
+    ----------
+    problem : RestProblem
+    fit : Fit
+        The fit without effects.
+    """
+    before = _misfit(problem, fit)
+    if before < _MISFIT:
+        return {}
+    reasons = {str(label): _change(problem, fit, str(label), before) for label in np.unique(problem.rows.load)}
+    return {label: reason for label, reason in reasons.items() if reason is not None}
+
+
+def _misfit(problem: RestProblem, fit: Fit) -> float:
+    """Residual of the half-sums over the noise that their sides show, on the axis where that is most."""
+    sums = np.unique(problem.group[problem.group < problem.axes])
+    return float((fit.noise.std[sums] / fit.noise.start[sums]).max(initial=0.0))
+
+
+def _change(problem: RestProblem, fit: Fit, label: str, before: float) -> str | None:
+    here = np.flatnonzero(problem.rows.load == label)
+    order = here[np.argsort(np.nan_to_num(problem.rows.time_s[here]), kind="stable")]
+    if len(order) < 2 * _LEAST_VISITS:
+        return None
+    # a mass that is not estimated may be right for the first visits or for the last ones
+    steps = (1,) if label in problem.labels else (1, -1)
+    return next(filter(None, (_divided_at(problem, fit, label, order[::step], step, before) for step in steps)), None)
+
+
+def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: int, before: float) -> str | None:
+    """Return why the visits of a label, in their order or backwards, carry two masses; None where they do not."""
+    cut = _likeliest(problem, fit, order)
+    divided = _divided(problem, order[cut:])
+    second = fit_without_effects(divided)
+    more = divided.load_part(len(problem.labels)).start
+    change_kg, std_kg = float(second.loads[-1, 0]), float(np.sqrt(second.covariance[more, more]))
+    own_kg = float(problem.fixed_load[order[0], 0])
+    if label in problem.labels:
+        own_kg += float(second.loads[problem.labels.index(label), 0])
+    parts = [(own_kg, order[cut - 1]), (own_kg + change_kg, order[cut])]
+    explained = _misfit(divided, second) < _LEFT * before
+    possible = min(kg for kg, _ in parts) > -_CERTAIN_STD * std_kg
+    if not (explained and possible) or abs(change_kg) < max(
+        _CERTAIN_STD * std_kg, _LEAST_SHARE * max(abs(kg) for kg, _ in parts)
+    ):
+        return None
+    (early_kg, last), (late_kg, then) = parts[::step]
+    what = (
+        "was a load mounted during the unloaded run?"
+        if label == BARE_LABEL
+        else "was it mounted late, or do two loads have one label?"
+    )
+    return (
+        f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {late_kg:.3g} kg from"
+        f" pose {problem.rows.pose[then]} on (standard deviation of the change {std_kg:.2g} kg): {what}"
+    )
+
+
+def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
+    """Place in the visits in their order in time, from which on a further body takes up most of the residual."""
+    weight = 1.0 / fit.noise.std[problem.group]
+    body = fit.design[:, problem.link_part][:, -4:] * weight[:, None]
+    residual = fit.residual * weight
+    visit, orthogonal = problem.visit, fit.orthogonal
+    size, slope = np.zeros((4, 4)), np.zeros(4)
+    shared = np.zeros((orthogonal.shape[1], 4))
+    gains = np.zeros(len(order))
+    for place in range(len(order) - 1, _LEAST_VISITS - 1, -1):
+        own = visit == order[place]
+        size += body[own].T @ body[own]
+        slope += body[own].T @ residual[own]
+        shared += orthogonal[own].T @ body[own]
+        if len(order) - place >= _LEAST_VISITS:
+            gains[place] = slope @ np.linalg.pinv(size - shared.T @ shared, rcond=1e-6, hermitian=True) @ slope
+    return int(np.argmax(gains))
+
+
+def _divided(problem: RestProblem, later: Ints) -> RestProblem:
+    """The problem with a further body on the later visits, last of the loads."""
+    member = np.zeros((len(problem.rows), 1))
+    member[later] = 1.0
+    at = problem.load_part(len(problem.labels)).start
+    return replace(
+        problem,
+        labels=(*problem.labels, "later"),
+        member=np.hstack([problem.member, member]),
+        prior_rows=np.insert(problem.prior_rows, [at] * 4, 0.0, axis=1),
+    )
