@@ -108,8 +108,8 @@ def dcf() -> tuple[str, list[bytes], Callable[[Path], Any]]:
 
 def recording(forged: bool = False) -> tuple[str, list[bytes], Callable[[Path], Any]]:
     from gateway.cell.config import load_cell
+    from gateway.data.recording import seal
     from gateway.data.recording.reader import read
-    from gateway.data.recording.seal import SEAL_BYTES, sealed
     from gateway.data.recording.writer import RecordingWriter
     from tests.visits import ARM_HEADER, header_of, visit
 
@@ -125,12 +125,14 @@ def recording(forged: bool = False) -> tuple[str, list[bytes], Callable[[Path], 
     if not forged:
         return "run.h5", [seed], read
 
+    seal.PROBE_TIMEOUT_S = 5.0  # what hangs is waited for; a minute each would take hours
+
     def sealed_and_read(path: Path) -> Any:
         """The checksum is made to fit the edits, so that libhdf5 gets to see them."""
-        path.write_bytes(sealed(path.read_bytes()))
+        path.write_bytes(seal.sealed(path.read_bytes()))
         return read(path)
 
-    return "run.h5", [seed[:-SEAL_BYTES]], sealed_and_read
+    return "run.h5", [seed[: -seal.SEAL_BYTES]], sealed_and_read
 
 
 def parquet() -> tuple[str, list[bytes], Callable[[Path], Any]]:
@@ -185,7 +187,7 @@ def _bag(which: int) -> tuple[str, list[bytes], Callable[[Path], Any]]:
     return ("bag.mcap", "bag.db3")[which], [seed], lambda path: read_bag(path, "/joint_states", ("base", "arm"))
 
 
-#: Recordings whose checksum is made to fit the edits: libhdf5 may hang on them, which is counted on its own.
+#: Recordings whose checksum is made to fit the edits, so that libhdf5 reads them: counted on their own.
 FORGED = "recording HDF5, sealed again"
 READERS: dict[str, Callable[[], tuple[str, list[bytes], Callable[[Path], Any]]]] = {
     "table CSV": table_csv,

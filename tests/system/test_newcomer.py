@@ -217,3 +217,68 @@ def test_four_axes(newcomer, tmp_path):
     load = her.measures()
     inside(load, place / "payload.toml")
     her.counts(load)
+
+
+#: A gripper behind the hand as makers' files have it, and a flange that is turned against the last link.
+FINGERS = """
+<link name="palm"/><joint name="hand_to_palm" type="fixed"><parent link="hand_link"/><child link="palm"/></joint>
+<link name="left"/><joint name="left_joint" type="revolute"><parent link="palm"/><child link="left"/>
+<axis xyz="0 1 0"/><limit lower="0" upper="0.5" effort="20" velocity="0.1"/></joint>
+<link name="right"/><joint name="right_joint" type="revolute"><parent link="palm"/><child link="right"/>
+<axis xyz="0 -1 0"/><limit lower="0" upper="0.5" effort="20" velocity="0.1"/><mimic joint="left_joint"/></joint>
+</robot>"""
+TURNED_RPY = "0 1.57079632679 0"
+
+
+def with_gripper(urdf: str) -> str:
+    """The arm with fingers and a turned `tool0`."""
+    straight = '<origin xyz="0 0 0.03" rpy="0 0 0"/>'
+    assert straight in urdf
+    return urdf.replace(straight, f'<origin xyz="0 0 0.03" rpy="{TURNED_RPY}"/>').replace("</robot>", FINGERS)
+
+
+@pytest.mark.slow
+def test_a_gripper_and_a_turned_flange(newcomer, tmp_path):
+    """The same path with fingers in the URDF: its last link is named, and the flange is that of the URDF."""
+    her = newcomer(OWN / "bench" / "cell.toml", OWN / "bench" / "payload.toml")
+    (tmp_path / "arm.urdf").write_text(with_gripper(known("arm.urdf")), encoding="utf-8")
+    shutil.copy(OWN / "bench" / "drive.toml", tmp_path / "drive.toml")
+    text = answers(known("answers.toml"), "flange_xyz_m") + 'profile = "drive.toml"\n'
+    new = ("cell", "new", "--bus", her.drives.bus, "-o", her.cell, "--answers", her.writes("answers.toml", text))
+    refused = command(*new)
+    assert refused.exit_code == 3
+    assert "--tip hand_link" in refused.stderr
+    her.types(*new, "--answer", "tip=hand_link")
+    assert "tool0" in str(load_cell(her.cell).cell.arm[0].flange_source)
+    her.types("check", her.cell, *LOCKSTEP)
+    load = her.measures()
+    inside(load, OWN / "bench" / "payload.toml")
+    her.counts(load)
+    x, y, z = load["com_m"]
+    # z of the flange points along x of the last link, x of the flange against its z
+    assert np.allclose(load["com_flange_m"], [0.03 - z, y, x], atol=1e-6)
+
+
+@pytest.mark.slow
+def test_seven_axes(newcomer, tmp_path):
+    place = CELLS / "seven"
+    her = newcomer(place / "cell.toml", place / "payload.toml")
+    shutil.copy(place / "robot.urdf", tmp_path / "robot.urdf")
+    (arm,) = load_cell(place / "cell.toml").cell.arm
+    lists = {
+        "position_sign": [axis.position_sign for axis in arm.axis],
+        "torque_sign": [axis.torque_sign for axis in arm.axis],
+        "zero_offset_rad": [axis.zero_offset_rad for axis in arm.axis],
+        "gear_ratio": [axis.gear_ratio.value for axis in arm.axis],
+        "torque_constant_nm_per_a": [axis.torque_constant_nm_per_a.value for axis in arm.axis],
+    }
+    text = 'robot = "robot.urdf"\nprofile = "generic-cia402"\ngear_efficiency = 0.85\nspeed_limit_rad_s = 0.8\n'
+    text += "max_load_kg = 6\nflange_xyz_m = [0, 0, 0.045]\nflange_rpy_rad = [0, 0, 0]\n"
+    text += "".join(f"{key} = {values}\n" for key, values in lists.items())
+    path = her.writes("answers.toml", text + POSES)
+    her.types("cell", "new", "--bus", her.drives.bus, "--answers", path, "-o", her.cell)
+    her.types("check", her.cell, *LOCKSTEP)
+    load = her.measures()
+    inside(load, place / "payload.toml")
+    her.counts(load)
+    assert load["frame"] == "link_7"

@@ -63,19 +63,16 @@ def _end_of_data(content: bytes) -> int:
 
 def _heaps_end(content: bytes) -> bool:
     """Whether all global heaps can be walked to their ends: libhdf5 does not return from free space of size 0."""
-    end = 0
+    left = len(content) // _HEADER_BYTES
     for found in _HEAP.finditer(content):
-        at, before = found.start(), end
-        end = at + int.from_bytes(content[at + 8 : at + _HEADER_BYTES], "little")
-        if at < before or end > len(content):
-            return False
-        at += _HEADER_BYTES
+        at = found.start() + _HEADER_BYTES
+        end = min(found.start() + int.from_bytes(content[at - 8 : at], "little"), len(content))
         while at + _HEADER_BYTES <= end:
             index, size = struct.unpack_from("<H6xQ", content, at)
-            step = _HEADER_BYTES + (size + 7) // 8 * 8 if index else size
-            if step < _HEADER_BYTES:
+            at += _HEADER_BYTES + (size + 7) // 8 * 8 if index else size
+            left -= 1
+            if left < 0:  # free space of size 0, or collections that overlap
                 return False
-            at += step
     return True
 
 
