@@ -107,7 +107,7 @@ def next_load(task: tuple[int, str]) -> dict:
 def write_cell_file(drawn, folder: Path) -> None:
     """The cell file of a drawn arm."""
     axes = [
-        AXIS.format(number=number, low=-limit, high=limit, torque=20.0 * size)
+        AXIS.format(number=number, low=-limit, high=limit, torque=10.0 * size)
         for number, (limit, size) in enumerate(zip(drawn.arm.geometry.limit_rad, drawn.size_nm, strict=True), 1)
     ]
     (folder / "cell.toml").write_text(CELL.format(rated=drawn.arm.rated_kg, axes="".join(axes)), encoding="utf-8")

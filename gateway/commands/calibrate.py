@@ -29,7 +29,7 @@ from gateway.commands.options import (
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings
-from gateway.data.labels import BARE_LABEL, label_refused
+from gateway.data.labels import label_refused
 from gateway.errors import GatewayError, PlanRefused
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def calibrate(
     from gateway.model.arm_model import arm_named
 
     label, stated = parse_known(known)
-    wrong = "is the unloaded arm" if label == BARE_LABEL else label_refused(label)
+    wrong = label_refused(label)
     if wrong:
         raise click.UsageError(f"--known {label}: '{label}' {wrong}")
     request = ModelRequest(cell=cell, known={label: stated}, arm=arm_name, calibrated=False)
