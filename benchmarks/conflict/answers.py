@@ -92,11 +92,14 @@ def _run(command: str, table: Path, robot: Path, options: list[str], answer: Pat
 
 
 def check_of(finding: dict) -> str:
-    """Name of the check that reports a finding: its own, else its text without numbers and names."""
+    """Name of the check that reports a finding: its own, else the beginning of its text, up to the first number."""
     if finding.get("check"):
         return str(finding["check"])
-    text = re.sub(r"[-+]?\d[\d.,e+-]*", "#", str(finding["what"]))
-    return f"{re.sub('[0-9]+', '#', str(finding['where']))}: {text}"[:70]
+    where, text = str(finding["where"]), str(finding["what"]).removeprefix("refused: ")
+    begin = re.split(r" [-+]|[\d\N{MINUS SIGN}\N{PLUS-MINUS SIGN}:(]", re.sub(r"^[-\N{MINUS SIGN}]?[\d.]+ ", "", text))[
+        0
+    ]
+    return begin.strip()[:70] or where
 
 
 def _truths(cell: ConflictCell, label: str) -> list[list[float]]:

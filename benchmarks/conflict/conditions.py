@@ -21,13 +21,13 @@ def unchanged(cell: ConflictCell) -> None:
 class WrongStatement:
     """What is changed before the measurement and in the table afterwards.
 
-    `clean`: a warning is a false alarm; `several`: two loads have one label, so that no interval can hold both.
+    `clean`: a warning is a false alarm; `open`: no interval can hold, as with two loads of one label.
     """
 
     before: Change = unchanged
     after: Change = unchanged
     clean: bool = False
-    several: bool = False
+    open: bool = False
 
 
 def masses(of: Callable[[ConflictCell], object]) -> WrongStatement:
@@ -235,9 +235,9 @@ CONDITIONS: Mapping[str, WrongStatement] = {
     "joint zeros 1 deg": zeros(1.0),
     "friction 10 % lopsided, loaded": set_to(lopsided=0.10),
     "hose with the load": set_to(hose=0.03),
-    "same label, 10 % heavier": WrongStatement(heavier_later, several=True),
-    "load changes half-way": WrongStatement(lighter_later, several=True),
-    "URDF of a larger size": WrongStatement(other_size),
+    "same label, 10 % heavier": WrongStatement(heavier_later, open=True),
+    "load changes half-way": WrongStatement(lighter_later, open=True),
+    "URDF of a larger size": WrongStatement(other_size, open=True),
     "gravity upside down": set_to(gravity_up=-1.0),
     "one posture": WrongStatement(one_posture),
 }

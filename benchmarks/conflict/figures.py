@@ -56,7 +56,7 @@ def figures(answers: Sequence[dict]) -> Figures:
         of_variant = [answer for answer in answers if answer["variant"] == variant]
         for name in (name for name in CONDITIONS if any(a["condition"] == name for a in of_variant)):
             out |= _of_condition(name, variant, [a for a in of_variant if a["condition"] == name])
-    loads = given_loads(answer for answer in answers if not CONDITIONS[answer["condition"]].several)
+    loads = given_loads(answer for answer in answers if not CONDITIONS[answer["condition"]].open)
     out["95 % of mass hold, all conditions"] = share([load["holds"] for load in loads], HOLD_POOLED)
     out["defects of the program"] = share([answer["exit"] == DEFECT for answer in answers], "<= 0")
     return out
@@ -65,7 +65,7 @@ def figures(answers: Sequence[dict]) -> Figures:
 def _of_condition(name: str, variant: str, answers: Sequence[dict]) -> Figures:
     of, loads = f"{name} ({variant})", given_loads(answers)
     out = {f"{of}: silent": share([silent(a) for a in answers], SILENT)}
-    if loads and not CONDITIONS[name].several:
+    if loads and not CONDITIONS[name].open:
         out[f"{of}: 95 % of mass hold"] = share([load["holds"] for load in loads], HOLD)
     if CONDITIONS[name].clean:
         goal = FALSE_ALARMS[name] if variant == "floor" else "printed"
