@@ -95,11 +95,10 @@ def check_of(finding: dict) -> str:
     """Name of the check that reports a finding: its own, else the beginning of its text, up to the first number."""
     if finding.get("check"):
         return str(finding["check"])
-    where, text = str(finding["where"]), str(finding["what"]).removeprefix("refused: ")
-    begin = re.split(r" [-+]|[\d\N{MINUS SIGN}\N{PLUS-MINUS SIGN}:(]", re.sub(r"^[-\N{MINUS SIGN}]?[\d.]+ ", "", text))[
-        0
-    ]
-    return begin.strip()[:70] or where
+    minus, either = "\N{MINUS SIGN}", "\N{PLUS-MINUS SIGN}"
+    text = re.sub(rf"^[-{minus}]?[\d.]+ ", "", str(finding["what"]).removeprefix("refused: "))
+    begin = re.split(rf" [-+]|[\d{minus}{either}:(]", text)[0]
+    return begin.strip()[:70] or str(finding["where"])
 
 
 def _truths(cell: ConflictCell, label: str) -> list[list[float]]:
