@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+import tomllib
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, metadata, requires
 from pathlib import Path
 
 import pytest
@@ -76,3 +79,30 @@ def test_kinds_are_said_in_words() -> None:
     assert kind_in_words(fields["gear_ratio"].annotation) == "table (value, source)"
     assert kind_in_words(fields["jerk_limit_rad_s3"].annotation) == "number"
     assert kind_in_words(Cell.model_fields["bus"].annotation) == "by name: table"
+
+
+def _requirements(names: list[str]) -> set[str]:
+    """Names of all packages that these need, extras aside."""
+    found: set[str] = set()
+    while names:
+        name = re.match(r"[\w.-]+", names.pop())[0].lower().replace("_", "-")  # type: ignore[index]
+        if name not in found:
+            found.add(name)
+            with suppress(PackageNotFoundError):  # of another platform or version of Python
+                names += [each for each in requires(name) or [] if "extra ==" not in each]
+    return found
+
+
+def test_every_package_that_is_installed_beside_it_is_in_the_notice_with_its_licence() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
+    copyleft, _, others = notice.partition("Other licences:")
+    for name in _requirements(list(project["dependencies"])):
+        try:
+            about = metadata(name)
+        except PackageNotFoundError:
+            assert name in others.lower()
+            continue
+        licence = about.get("License-Expression") or " ".join(about.get_all("Classifier") or [])
+        part = copyleft if "GPL" in licence else others
+        assert re.search(rf"(?im)^  {re.escape(name)}\b", part), (name, licence)

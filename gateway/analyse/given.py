@@ -16,6 +16,7 @@ from drives.profile import DriveProfile
 from drives.profile_file import find_profile, parse_profile
 from gateway.analyse.calibrated import Calibrated, calibrated, serial_numbers
 from gateway.analyse.known import KnownLoad, Load, unnamed_frame, with_and_without_centre
+from gateway.analyse.torque_size import refuse_small_torques
 from gateway.cell.calibration import calibration_path
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
@@ -354,7 +355,7 @@ def read_rows(paths: Sequence[Path], about: Given) -> Table:
     Raises
     ------
     InputError
-        A file that cannot be used, or rows of another number of axes than the robot has.
+        A file that cannot be used, rows of another number of axes than the robot has, or torques in another unit.
     """
     axes = None if about.loaded is None or about.arm is None else AxisConversion.from_arm(about.arm)
     table = read_data(paths, about.recordings, axes)
@@ -365,6 +366,8 @@ def read_rows(paths: Sequence[Path], about: Given) -> Table:
             f"{table.file[0]}: the data are of {table.axes} axes, robot '{about.robot.name}' has {about.robot.axes};"
             f" name the robot that was measured{or_another_tip(about.robot, table.axes)}"
         )
+    if about.robot is not None and about.inertials != "ignore":
+        refuse_small_torques(table, about.robot, about.gravity_m_s2)
     return table
 
 

@@ -158,9 +158,9 @@ def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ..
         out.append(
             Finding(
                 "warn", "repeatability",
-                f"visits of one pose disagree by more than the friction band ({what} bands): no sound visit can be told"
-                " from a gross one there",
-                "check the wiring of the axes and what touches the arm, then record again",
+                f"visits of one pose disagree by more than the friction band ({what} bands): outliers cannot be"
+                " identified on these axes",
+                "check the wiring of these axes and whether something touches the arm, then record again",
             )
         )  # fmt: skip
     return tuple(out)

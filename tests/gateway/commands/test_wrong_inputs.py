@@ -8,7 +8,13 @@ from tests.wrong_inputs import KINDS, Kind, wrong
 ALL = [*KINDS, *SLIPS]
 
 
-@pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
+def _marked(kind: Kind) -> object:
+    """A diagnosis that searches before it refuses takes seconds."""
+    searches = kind.arguments[0] == "diagnose" and kind.code == 7
+    return pytest.param(kind, id=kind.name, marks=[pytest.mark.slow] if searches else [])
+
+
+@pytest.mark.parametrize("kind", [_marked(kind) for kind in ALL])
 def test_a_wrong_input_is_answered(kind: Kind) -> None:
     assert not wrong(kind)
 

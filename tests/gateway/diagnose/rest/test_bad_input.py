@@ -105,7 +105,7 @@ def test_where_every_visit_is_gross_none_is_set_aside_and_that_is_said(healthy):
     wild = replace(table, tau_nm=table.tau_nm + push * bench.arm.plant.coulomb_nm)
     result = diagnose(wild, bench.robot, bench.options)
     assert result.set_aside == ()
-    words = [each for each in result.findings if "no sound visit can be told from a gross one" in each.what]
+    words = [each for each in result.findings if "outliers cannot be identified on these axes" in each.what]
     assert len(words) == 1
     assert words[0].severity == "warn"
     # what it says of the load, it says with as much doubt as the visits scatter

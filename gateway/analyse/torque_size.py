@@ -1,0 +1,39 @@
+"""Torques of a table held against the weight of the links: those in another unit differ by powers of ten."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from gateway.data.table import Table
+from gateway.errors import InputError
+from gateway.identify.links import PER_LINK_AT_REST, has_inertials, link_values
+from gateway.model.regressor import gravity_regressor
+from gateway.model.robot import Robot
+
+#: Share of the torque of the links' weight below which torques are in another unit; balancers leave more.
+LEAST_SHARE: Final = 1.0 / 30.0
+
+
+def refuse_small_torques(table: Table, robot: Robot, gravity_m_s2: tuple[float, float, float]) -> None:
+    """Refuse joint torques that are far below what the weight of the links needs.
+
+    Raises
+    ------
+    InputError
+        Names the ratio of both and the likely units.
+    """
+    at_rest = table.take(~table.moving)
+    if not has_inertials(robot) or not len(at_rest.load):
+        return
+    links = link_values(robot)[:, :PER_LINK_AT_REST].ravel()
+    needed_nm = gravity_regressor(robot, at_rest.q_rad, gravity_m_s2) @ links
+    measured = np.isfinite(at_rest.tau_nm)
+    square = float(np.sum(at_rest.tau_nm[measured] ** 2))
+    share = np.sqrt(square / max(float(np.sum(needed_nm[measured] ** 2)), 1e-12))
+    if share < LEAST_SHARE:
+        raise InputError(
+            f"{at_rest.file[0]}: the torques are {100 * share:.2g} % of what the weight of the links needs: are they in"
+            " kNm, or of the motors? tauN_nm is in Nm on the side of the joint, taumN_nm on that of the motor"
+        )
