@@ -1,4 +1,4 @@
-"""Commissioning mistakes: a torque sign, two drives in each other's place, an rms value taken for a peak value.
+"""Commissioning mistakes: signs, two drives in each other's place, coupled angles, an rms value taken for a peak value.
 
 They wreck every other conclusion and are therefore looked for first: each is undone in the data, and the model without
 effects is asked whether it likes the data better, and whether it then foretells poses that it has not seen better.
@@ -38,10 +38,11 @@ class Mistake:
 
     Attributes
     ----------
-    name : sign_reversed, axes_swapped or current_rms_peak
+    name : sign_reversed, joint_reversed, axes_swapped, angles_coupled or current_rms_peak
     joints : joints counted from 1
     factor : reported over true current (current_rms_peak), else 1
     with_positions : whether the positions of swapped axes are swapped too
+    sign : of the first joint's angle in the second one's column (angles_coupled)
     ratio : RMS on left-out poses with it undone over that of the data as they were read; NaN = not judged
     """
 
@@ -49,6 +50,7 @@ class Mistake:
     joints: tuple[int, ...]
     factor: float = 1.0
     with_positions: bool = False
+    sign: float = 1.0
     ratio: float = field(default=np.nan, compare=False)
 
     @property
@@ -61,9 +63,16 @@ class Mistake:
         axes = [joint - 1 for joint in self.joints]
         if self.name == "axes_swapped":
             return _swapped(table, axes, self.with_positions)
-        factor = -1.0 if self.name == "sign_reversed" else 1.0 / self.factor
         scale = np.ones(table.tau_nm.shape[1])
-        scale[axes] = factor
+        if self.name == "angles_coupled":
+            first, second = axes
+            q_rad = table.q_rad.copy()
+            q_rad[:, second] -= self.sign * q_rad[:, first]
+            return replace(table, q_rad=q_rad)
+        scale[axes] = 1.0 / self.factor if self.name == "current_rms_peak" else -1.0
+        if self.name == "joint_reversed":
+            columns = {name: getattr(table, name) for name in ("q_rad", "q2nd_rad", "direction")}
+            table = replace(table, **{name: np.where(scale < 0, -values, values) for name, values in columns.items()})
         return replace(table, tau_nm=table.tau_nm * scale, tau_std_nm=table.tau_std_nm * np.abs(scale))
 
 
@@ -81,9 +90,13 @@ def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
     axes = [int(axis) + 1 for axis in np.flatnonzero(measured)]
     for joint in axes:
         yield Mistake("sign_reversed", (joint,))
+        yield Mistake("joint_reversed", (joint,))
     for first, second in itertools.combinations(axes, 2):
         yield Mistake("axes_swapped", (first, second), with_positions=False)
         yield Mistake("axes_swapped", (first, second), with_positions=True)
+    for first in axes[:-1]:
+        for sign in (1.0, -1.0):
+            yield Mistake("angles_coupled", (first, first + 1), sign=sign)
     for factor in (FACTOR, 1.0 / FACTOR):
         for joint in axes:
             yield Mistake("current_rms_peak", (joint,), float(factor))

@@ -175,8 +175,10 @@ def _effect(problem: RestProblem, fit: Fit, position: int, evidence: Evidence) -
 
 def mistake_effect(mistake: Mistake, gained: float) -> list[EffectResult]:
     """A commissioning mistake as effects: one per axis, or one per pair of axes."""
-    places = [mistake.joints] if mistake.name == "axes_swapped" else [(joint,) for joint in mistake.joints]
-    parameters = {"factor": mistake.factor} if mistake.name == "current_rms_peak" else {}
+    pair = mistake.name in ("axes_swapped", "angles_coupled")
+    places = [mistake.joints] if pair else [(joint,) for joint in mistake.joints]
+    factor, sign = {"factor": mistake.factor}, {"sign": mistake.sign}
+    parameters = {"current_rms_peak": factor, "angles_coupled": sign}.get(mistake.name, {})
     evidence = Evidence(
         holdout_rms_ratio=mistake.ratio,
         p_value=float(np.exp(-min(gained, 690.0))),

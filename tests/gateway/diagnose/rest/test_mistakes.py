@@ -39,8 +39,15 @@ def test_every_mistake_of_the_measured_axes_is_looked_for_once(axes):
     found = list(candidates(np.arange(6) < axes))
     pairs = axes * (axes - 1) // 2
     counts = {name: len([each for each in found if each.name == name]) for name in {each.name for each in found}}
-    # a factor on one axis or, where there are several, on all; swapped torque alone, or with the angles
-    expected = {"sign_reversed": axes, "axes_swapped": 2 * pairs, "current_rms_peak": 2 * (axes + (axes > 1))}
+    # a factor on one axis or, where there are several, on all; swapped torque alone, or with the angles; coupled
+    # angles of neighbours, added or subtracted
+    expected = {
+        "sign_reversed": axes,
+        "joint_reversed": axes,
+        "axes_swapped": 2 * pairs,
+        "angles_coupled": 2 * (axes - 1),
+        "current_rms_peak": 2 * (axes + (axes > 1)),
+    }
     assert counts == {name: count for name, count in expected.items() if count}
     assert len(set(found)) == len(found)
     assert {joint for each in found for joint in each.joints} == set(range(1, axes + 1))
@@ -52,6 +59,13 @@ def test_undoing_a_mistake_touches_its_axes_alone():
     turned = Mistake("sign_reversed", (3,)).undo(read)
     assert turned.tau_nm == pytest.approx(read.tau_nm * [1, 1, -1, 1, 1, 1])
     assert turned.tau_std_nm == pytest.approx(read.tau_std_nm)
+    counted = Mistake("joint_reversed", (3,)).undo(read)
+    for name in ("tau_nm", "q_rad", "direction"):
+        assert getattr(counted, name) == pytest.approx(getattr(read, name) * [1, 1, -1, 1, 1, 1])
+    assert counted.direction.dtype == read.direction.dtype
+    apart = Mistake("angles_coupled", (2, 3), sign=-1.0).undo(read)
+    assert apart.q_rad[:, 2] == pytest.approx(read.q_rad[:, 2] + read.q_rad[:, 1])
+    assert apart.tau_nm is read.tau_nm
     halved = Mistake("current_rms_peak", (2, 5), 2.0).undo(read)
     assert halved.tau_nm == pytest.approx(read.tau_nm * [1, 0.5, 1, 1, 0.5, 1])
     assert halved.tau_std_nm == pytest.approx(read.tau_std_nm * [1, 0.5, 1, 1, 0.5, 1])

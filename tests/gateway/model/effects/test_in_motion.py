@@ -305,7 +305,8 @@ def test_standard_deviations_are_passed_on_to_first_order():
 
 
 def test_the_library_says_what_each_effect_is():
-    assert set(MISTAKES) == {"sign_reversed", "axes_swapped", "current_rms_peak"}
+    names = {"sign_reversed", "joint_reversed", "axes_swapped", "angles_coupled", "current_rms_peak"}
+    assert set(MISTAKES) == names
     assert {"velocity_friction", "load_dependent_friction"} == FRICTION
     assert {"balancer_spring", "link_mass", "base_tilt"} <= DRAWN
     assert not DRAWN & FRICTION
