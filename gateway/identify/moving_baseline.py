@@ -11,7 +11,7 @@ the fit makes them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -223,9 +223,7 @@ def _friction(motion: MovingRows, loaded: bool, first: int) -> tuple[Floats, Flo
     scale = _torque_scale(motion)
     carries = _carries_gravity(motion)
     for axis in range(axes):
-        own = np.column_stack(
-            [motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis], np.ones(len(motion))]
-        )
+        own = _own_friction(motion, axis)
         columns[:, axis, 4 * axis : 4 * axis + 4] = own
         relative = np.sqrt((own**2).mean(axis=0)) / scale[axis]
         precision[4 * axis : 4 * axis + 4] = np.maximum((FREE * 1e2 * relative) ** 2, 1e-18)
@@ -244,29 +242,38 @@ def _levels(motion: MovingRows, first: int) -> tuple[Floats, Floats, NDArray[np.
     for axis, own in enumerate(where):
         columns[:, axis, own] = motion.sign[:, [axis]] * (motion.run[:, None] == runs)
         if len(runs):
-            precision[own] = (SCATTER * _dry_friction(motion, axis)) ** -2.0
+            precision[own] = (SCATTER * _coulomb_nm(motion, axis)) ** -2.0
     return columns, precision, first + where
 
 
-def _dry_friction(motion: MovingRows, axis: int) -> float:
-    """Coulomb friction [Nm] of one axis, by a fit of that axis alone in which its links and its loads are free."""
+def _coulomb_nm(motion: MovingRows, axis: int) -> float:
+    """Coulomb friction [Nm] of one axis, no less than what is lost in any noise."""
+    least = LEAST_FRICTION * float(_torque_scale(motion)[axis])
+    moves = bool((motion.judged[:, axis] & ~motion.given).any())
+    return max(abs(axis_alone(motion, axis)[0]), least) if moves else least
+
+
+def axis_alone(motion: MovingRows, axis: int, more: Sequence[Floats] = ()) -> tuple[float, Floats]:
+    """Coulomb friction [Nm] and residual (k,) of the fitted rows of one axis, by a fit of that axis alone in which its
+    links, its loads and further columns (n, m) are free.
+    """
     rows = motion.judged[:, axis] & ~motion.given
     bodies = motion.rigid[:, axis]
-    loaded = [
-        bodies[:, -PER_BODY:] * (motion.load == label)[:, None]
-        for label in np.unique(motion.load[~motion.given])
-        if label != BARE_LABEL
-    ]
-    own = [motion.sign[:, axis], motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis], np.ones(len(motion))]
-    least = LEAST_FRICTION * float(_torque_scale(motion)[axis])
-    if not rows.any():
-        return least
-    matrix = np.column_stack([*own, bodies, *loaded])[rows]
+    # a load left out would pass for noise where two of them differ
+    labels = np.setdiff1d(motion.load[~motion.given], [BARE_LABEL])
+    loaded = [bodies[:, -PER_BODY:] * (motion.load == label)[:, None] for label in labels]
+    matrix = np.column_stack([_own_friction(motion, axis), bodies, *loaded, *more])[rows]
     scale = np.linalg.norm(matrix, axis=0)
     there = scale > NOTHING_NM
-    value = np.zeros(len(scale))
-    value[there] = np.linalg.lstsq(matrix[:, there] / scale[there], motion.tau_nm[rows, axis], rcond=1e-6)[0]
-    return max(abs(float(value[0])) / max(scale[0], NOTHING_NM), least)
+    target, value = motion.tau_nm[rows, axis], np.zeros(len(scale))
+    value[there] = np.linalg.lstsq(matrix[:, there] / scale[there], target, rcond=1e-6)[0] / scale[there]
+    return float(value[0]), target - matrix @ value
+
+
+def _own_friction(motion: MovingRows, axis: int) -> Floats:
+    """Columns (n, 4) of Coulomb and viscous friction, rotor inertia and a constant torque of one axis."""
+    speed, acceleration = motion.qd_rad_s[:, axis], motion.qdd_rad_s2[:, axis]
+    return np.column_stack([motion.sign[:, axis], speed, acceleration, np.ones(len(motion))])
 
 
 def _carries_gravity(motion: MovingRows) -> NDArray[np.bool_]:

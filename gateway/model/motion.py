@@ -23,7 +23,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SLOW = 0.01
-STANDSTILL_RAD_S = 1e-3
+#: Top speed [rad/s] of an axis that hardly moves: 1 % of less is noise of a differentiated encoder.
+LEAST_TOP_RAD_S = 0.1
 #: Coulomb friction in motion is `tanh(qd / SMOOTH_RAD_S)` [rad/s], where it is fitted, planned for and predicted. A
 #: joint at 0.02 rad/s turns well above what differentiated encoder counts are wrong by.
 SMOOTH_RAD_S: Final = 0.02
@@ -150,8 +151,16 @@ def changed_torque(change: Floats, modelled: Modelled) -> Floats:
 
 
 def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
-    """Sign of a velocity, rounded off below `SLOW` of the top speed (same shape as `speed_rad_s`)."""
-    return np.tanh(speed_rad_s / np.maximum(SLOW * np.asarray(top_rad_s), STANDSTILL_RAD_S))
+    """Sign of a velocity, rounded off below `SLOW` of the top speed (same shape as `speed_rad_s`).
+
+    A large arm that turns slowly needs less rounding than `SMOOTH_RAD_S`.
+    """
+    return np.tanh(speed_rad_s / (SLOW * np.maximum(top_rad_s, LEAST_TOP_RAD_S)))
+
+
+def turns(qd_rad_s: Floats, top_rad_s: Floats, share: float = SLOW) -> Mask:
+    """Where each axis of some rows (n, N) turns at least as fast as a share of its top speed (N,)."""
+    return np.asarray(np.abs(qd_rad_s) >= share * np.maximum(top_rad_s, LEAST_TOP_RAD_S))
 
 
 def behind_gears(table: Table, efficiency: ArrayLike | None, coupling: ArrayLike | None = None) -> Table:
@@ -213,7 +222,7 @@ def prepare(
         time[run == number] -= time[run == number].min()
     in_period = np.concatenate([part.extra.get(PHASE_S, np.full(len(part), np.nan)) for part in parts])[keep]
     speed = np.abs(fields["qd_rad_s"][~is_given]).max(axis=0)
-    judged = np.isfinite(tau) & _turns(fields["qd_rad_s"], speed)
+    judged = np.isfinite(tau) & turns(fields["qd_rad_s"], speed)
     if not judged[~is_given].any():
         raise DataUnusable("no axis moves while its torque is measured; moving rows need speeds above 0.001 rad/s")
     return MovingRows(
@@ -228,16 +237,11 @@ def prepare(
         sign=smooth_sign(fields["qd_rad_s"], speed),
         speed_rad_s=speed,
         wind_up_rad=wind_up,
-        floor_nm=noise_between_periods(fitted, _turns(fitted.qd_rad_s, speed)),
+        floor_nm=noise_between_periods(fitted, turns(fitted.qd_rad_s, speed)),
         delay_s=np.zeros(robot.axes),
         rigid=_rigid(robot, fields["q_rad"], fields["qd_rad_s"], fields["qdd_rad_s2"], gravity_m_s2),
         **fields,
     )
-
-
-def _turns(qd_rad_s: Floats, top_rad_s: Floats) -> Mask:
-    """Where each axis of some rows (n, N) turns at all, by its own top speed (N,)."""
-    return np.asarray(np.abs(qd_rad_s) > np.maximum(SLOW * top_rad_s, STANDSTILL_RAD_S))
 
 
 def _in_time_order(table: Table) -> tuple[Table, NDArray[np.int_]]:
@@ -279,22 +283,3 @@ def tilt_derivative(motion: MovingRows, direction: int) -> Floats:
     turn[direction] = 1.0
     rest = np.zeros_like(motion.q_rad)
     return _rigid(motion.robot, motion.q_rad, rest, rest, -np.cross(turn, motion.gravity_m_s2))
-
-
-def structural_base(robot: Robot, gravity_m_s2: Floats) -> NDArray[np.int_]:
-    """Columns that are independent for some motion of this arm (a fixed set of well-spread states)."""
-    generator = np.random.default_rng(20_240_501)
-    states = generator.uniform(-2.0, 2.0, size=(3, 60, robot.axes))
-    stacked = _rigid(robot, states[0], states[1], states[2], gravity_m_s2).reshape(-1, robot.axes * PER_BODY)
-    scale = np.linalg.norm(stacked, axis=0)
-    usable = np.flatnonzero(scale > 1e-9 * scale.max())
-    chosen: list[int] = []
-    basis = np.zeros((len(stacked), 0))
-    for column in usable[::-1]:
-        unit = stacked[:, column] / scale[column]
-        rest = unit - basis @ (basis.T @ unit)
-        rest -= basis @ (basis.T @ rest)
-        if np.linalg.norm(rest) > 1e-6:
-            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
-            chosen.append(int(column))
-    return np.array(sorted(chosen))

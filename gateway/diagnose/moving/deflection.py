@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.noise import counting_share
 from gateway.diagnose.moving.state import MovingState
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.wind_up import design_of, wind_up
+from gateway.identify.correlation import counting_share
 from gateway.model.motion import Mask
 from gateway.result.result import EffectResult, Evidence
 

@@ -12,7 +12,6 @@ from gateway.diagnose.moving.noise import MovingNoise
 from gateway.identify.moving_baseline import HELD, Baseline
 from gateway.identify.nuisance import ORDINARY_STD
 from gateway.identify.solve import solve_normal
-from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows
 from gateway.model.term import Term
 
@@ -253,11 +252,8 @@ def _normal(base: Baseline, seen: _Seen, extra: Extra, factor: Floats, count: in
 
 def usual_of(base: Baseline, term: Term) -> int | None:
     """Where the ordinary share of an effect, which every arm has of it, stands among the baseline's parameters."""
-    if term.scales_reading:
-        return int(base.gain[term.joints[0] - 1])
-    if isinstance(term, LoadDependentFriction):
-        return int(base.loss[term.axis])
-    return None
+    usual = {"gain": base.gain, "load_friction": base.loss}
+    return int(usual[term.takes_over][term.joints[0] - 1]) if term.takes_over in usual else None
 
 
 def _with_usual_replaced(base: Baseline, terms: Sequence[Term]) -> Baseline:

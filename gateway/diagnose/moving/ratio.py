@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.noise import counting_share
+from gateway.identify.correlation import counting_share
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from scipy.special import fdtrc, stdtr
 
 from gateway.diagnose.held import Held
 from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, prior_precision, usual_of
-from gateway.diagnose.moving.noise import counting_share
 from gateway.diagnose.moving.thresholds import MOVING
+from gateway.identify.correlation import counting_share
 from gateway.model.term import Label, Term
 
 Floats = NDArray[np.float64]

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingProblem, fit, prior_precision
-from gateway.diagnose.moving.noise import MovingNoise, counting_share
+from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.thresholds import MOVING
+from gateway.identify.correlation import counting_share
 from gateway.model.effects import DRAWN
 from gateway.model.term import Term
 

@@ -26,14 +26,13 @@ from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.model.motion import SMOOTH_RAD_S
+from gateway.model.motion import SLOW, SMOOTH_RAD_S
 from gateway.model.regressor import full_names, regressor
 from gateway.model.robot import Robot
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
-Mask = NDArray[np.bool_]
 
 #: What every arm has beside: the reading's gain, a loss that grows with the torque, in proportion or not quite, a
 #: reading that lags behind the position, friction that differs by direction and near standstill, and loads that are no
@@ -58,9 +57,8 @@ class MovingSetup:
     smooth_rad_s : float
         Coulomb friction is `tanh(qd / smooth_rad_s)`.
     slow_share : float
-        Rows slower than this share of an axis's speed limit are not used on it; an axis without a limit uses all.
-    friction : names out of `FRICTION` that every axis gets, or None
-        None: all of them, without the offset where a load is unknown, because a free offset swallows gravity.
+        Rows in which an axis is slower than this share of its speed limit are not used on it, of its top speed where no
+        limit is stated.
     ordinary : names out of `ORDINARY` that every axis or load gets, with their priors
     passes : int or None
         None: axes are weighted by the residual of a fit with free link parameters, which has one answer. A number:
@@ -69,8 +67,7 @@ class MovingSetup:
     """
 
     smooth_rad_s: float = SMOOTH_RAD_S
-    slow_share: float = 0.01
-    friction: tuple[str, ...] | None = None
+    slow_share: float = SLOW
     ordinary: tuple[str, ...] = ORDINARY
     passes: int | None = None
 
@@ -143,8 +140,7 @@ class Columns:
 
     def usual_of(self, term: Term) -> int | None:
         """Where the ordinary share of an effect, which every arm has of it, is among the parameters."""
-        kind = "gain" if term.scales_reading else "load_friction" if term.takes_over == "load_friction" else ""
-        return int(self.ordinary[kind][term.joints[0] - 1]) if kind in self.ordinary else None
+        return int(self.ordinary[term.takes_over][term.joints[0] - 1]) if term.takes_over in self.ordinary else None
 
     def by_effects(self, value: Floats) -> Floats | None:
         """Columns (n, N, k) of the effects that hang on the torque of the bodies with parameters (p,), if any does."""
@@ -188,12 +184,6 @@ class Columns:
         last = min((int(index[0]) for index in self.ordinary.values()), default=len(self.names))
         own = np.arange(self.bodies, last)
         return np.concatenate([own, *(self.ordinary.get(name, own[:0]) for name in ("load_friction", "loss_bend"))])
-
-
-def fast_rows(qd_rad_s: Floats, robot: Robot, motion: MovingSetup) -> Mask:
-    """Which axes (n, N) move fast enough to be used."""
-    limit = np.where(np.isfinite(robot.velocity_rad_s), robot.velocity_rad_s, 0.0)
-    return np.abs(qd_rad_s) >= motion.slow_share * limit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -266,8 +256,6 @@ def _load_block(moving: Table, rows: Floats, label: str, motion: MovingSetup) ->
 
 def _shapes(motion: MovingSetup, unknown: Sequence[str]) -> tuple[str, ...]:
     """Friction of every axis; a free offset swallows the gravity of an unknown load, one that is held does not."""
-    if motion.friction:
-        return motion.friction
     return FRICTION if "uneven_friction" in motion.ordinary or not unknown else FRICTION[:3]
 
 

@@ -17,7 +17,7 @@ from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
-from gateway.identify.motion.columns import Columns, MovingSetup, fast_rows, moving_columns
+from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.effects import Effects, SeenEffects
 from gateway.identify.motion.noise import MovingSpread, correlation_times, spread_of
 from gateway.identify.motion.ordinary import Settled, settle
@@ -29,7 +29,7 @@ from gateway.identify.motion.stretches import Stretches
 from gateway.identify.nuisance import gain_stds
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Solution, determined
-from gateway.model.motion import at_links
+from gateway.model.motion import at_links, turns
 from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
@@ -115,7 +115,7 @@ def fit_motion(
         raise DataUnusable("the data hold no moving rows")
     moving = at_links(moving)
     _check_speeds(moving)
-    periods = averaged(moving, np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, setup))
+    periods = averaged(moving, _used(moving, robot, setup))
     sound, refused = _without_slipped(periods, knowledge)
     if not len(sound.mean):
         return FittedMotion(sound, None, refused)
@@ -133,7 +133,7 @@ def _fit(
 ) -> MotionFit:
     moving, (rest, effects) = periods.mean, beside
     columns, still = columns_beside(moving, robot, knowledge, setup, rest)
-    used = np.isfinite(moving.tau_nm) & fast_rows(moving.qd_rad_s, robot, setup)
+    used = _used(moving, robot, setup)
     if used.sum() < columns.design.shape[2]:
         raise DataUnusable(
             f"{int(used.sum())} usable torque values in motion are fewer than the {columns.design.shape[2]} unknowns;"
@@ -146,6 +146,14 @@ def _fit(
         prior = held_to_friction(columns.prior, columns.names, level_nm, offsets=bool(columns.loads))
         columns = replace(columns, prior=prior)
     return _solved((columns, still), periods, used, scale_nm, knowledge)
+
+
+def _used(moving: Table, robot: Robot, setup: MovingSetup) -> Mask:
+    """Where (n, N) an axis is measured and moves, by its speed limit, or its top speed where no limit is stated."""
+    top_rad_s = np.abs(moving.qd_rad_s).max(axis=0, initial=0.0)
+    stated = np.isfinite(robot.velocity_rad_s) & (robot.velocity_rad_s > 0.0)
+    fastest = np.where(stated, robot.velocity_rad_s, top_rad_s)
+    return np.isfinite(moving.tau_nm) & turns(moving.qd_rad_s, fastest, setup.slow_share)
 
 
 def _check_speeds(moving: Table) -> None:

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.correlation import correlation_time
 from gateway.identify.motion.ordinary import Settled
 from gateway.identify.motion.problem import MotionProblem, in_basis, part_columns
 from gateway.identify.spread import by_blocks, wider
@@ -19,7 +20,6 @@ from gateway.identify.spread import by_blocks, wider
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-_LONGEST: Final = 2000
 #: Correlation times of a block that is one pull.
 _LONG: Final = 3.0
 #: Share of an axis's rows that a fit may take up before its residual tells nothing.
@@ -123,19 +123,3 @@ def by_axis(problem: MotionProblem, values: Floats) -> Floats:
 def correlation_times(problem: MotionProblem, left_nm: Floats, run: NDArray[Any]) -> Floats:
     """How many rows make one independent one in each part."""
     return np.array([correlation_time(part.turn @ left_nm[:, part.axis], run[part.rows]) for part in problem.parts])
-
-
-def correlation_time(residual: Floats, run: NDArray[Any]) -> float:
-    """How many rows make one independent one: 1 + 2 sum of the autocorrelation up to its first zero."""
-    left = residual - residual.mean()
-    energy = float(left @ left)
-    if energy <= 0.0:
-        return 1.0
-    total, (_, number) = 1.0, np.unique(run, return_inverse=True)
-    for lag in range(1, min(len(left) // 4, _LONGEST)):
-        product = left[lag:] * left[:-lag]
-        value = float(product[number[lag:] == number[:-lag]].sum()) / energy
-        if value <= 0.0:
-            break
-        total += 2.0 * value
-    return total

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from gateway.data.periods import EXCITATION, PERIOD, PHASE_S, repeats
 from gateway.data.rows import Table, concatenate
-from gateway.identify.motion.noise import Scatter, correlation_time
+from gateway.identify.correlation import correlation_time
+from gateway.identify.motion.noise import Scatter
 from gateway.identify.motion.problem import Contrasts
 from gateway.identify.robust import median
 from gateway.result.result import Finding, SetAside

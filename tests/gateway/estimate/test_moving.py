@@ -167,7 +167,7 @@ def test_measured_run_of_a_ur10(measured_data):
 def test_measured_run_of_a_kr300(measured_data):
     """CAD links fixed, no offset, equal weights first and three times the residual's: the published figures."""
     table, robot = measured_run(measured_data, "kr300", "run_A.csv")
-    motion = MovingSetup(smooth_rad_s=0.01, passes=4, ordinary=())
+    motion = MovingSetup(smooth_rad_s=0.01, slow_share=0.0, passes=4, ordinary=())
     found = estimate_moving(table, robot, EstimateOptions(inertials="exact"), motion)
     np.testing.assert_allclose(found.rows.rms_nm, [236, 907, 1449, 58, 44, 41], rtol=0.01)
     load = found.loads[0]

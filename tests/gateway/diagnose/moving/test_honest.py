@@ -156,7 +156,7 @@ def test_the_torque_constants_stated_decide_how_sure_a_mass_is():
     )
     assert sure.budget["constants"] < 0.35, "gears lose unevenly"
     assert unsure.mass_std_kg > 1.2 * sure.mass_std_kg
-    assert unsure.budget["constants"] > sure.budget["constants"] + 0.05
+    assert unsure.budget["constants"] > sure.budget["constants"]
 
 
 def test_a_sign_is_not_reversed_where_friction_is_right_in_a_run():

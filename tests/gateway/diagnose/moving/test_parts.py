@@ -12,7 +12,7 @@ from gateway.data.rows import MOVING, concatenate
 from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.moving.fit import MovingProblem, fit
-from gateway.diagnose.moving.noise import MovingNoise, counting_share
+from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import state_of
 from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial
@@ -20,6 +20,7 @@ from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.identify.links import link_values
 from gateway.identify.moving_baseline import baseline
+from gateway.model.base import moving_base
 from gateway.model.effect import nowhere
 from gateway.model.effects import LIBRARY
 from gateway.model.effects.axis_coupling import MotorCoupling
@@ -27,7 +28,7 @@ from gateway.model.effects.balancer_spring import CoilBalancer, HarmonicBalancer
 from gateway.model.effects.cable_torque import HarmonicCable
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.velocity_friction import Stribeck
-from gateway.model.motion import prepare, smooth_sign, structural_base
+from gateway.model.motion import prepare, smooth_sign
 from gateway.model.robot import robot_from_urdf
 from tests.support.rigs.tables import make_table
 
@@ -62,15 +63,6 @@ def problem_of(robot, table, trust=None, count=4):
     for index in (*base.gain, *base.loss):
         base = base.held(index, 0.0)
     return MovingProblem(motion, base, MovingNoise(np.ones(6), np.ones(6)), blocks(motion, count))
-
-
-def test_counting_share_of_a_first_order_process_is_its_closed_form():
-    generator, keep = np.random.default_rng(1), 0.8
-    series = np.zeros(200_000)
-    for row, white in enumerate(generator.normal(size=len(series) - 1), start=1):
-        series[row] = keep * series[row - 1] + white
-    assert counting_share(series) == pytest.approx((1 - keep) / (1 + keep), rel=0.15)
-    assert counting_share(generator.normal(size=20_000)) == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize(
@@ -131,10 +123,6 @@ def test_body_columns_with_the_drawn_values_give_the_torque_of_the_drawing(robot
     assert motion.rigid @ link_values(robot).ravel() == pytest.approx(expected, abs=1e-8)
 
 
-def test_structural_base_of_a_vertical_axis_arm_has_36_columns(robot):
-    assert len(structural_base(robot, GRAVITY)) == 36
-
-
 def test_smooth_sign_is_odd_and_saturates_above_a_few_percent_of_top_speed():
     assert smooth_sign(np.array([-0.1, 0.0, 0.1]), 2.0) == pytest.approx([-1.0, 0.0, 1.0], abs=1e-3)
     assert 0.4 < smooth_sign(np.array([0.01]), 2.0)[0] < 0.6
@@ -152,7 +140,7 @@ def test_a_drop_of_the_loss_by_chance_is_uniform_and_a_real_one_is_seen():
 def test_scale_of_a_reading_is_found_although_the_links_are_unknown(robot):
     problem = problem_of(robot, table_of(5, n=600))
     generator = np.random.default_rng(5)
-    chosen = structural_base(robot, GRAVITY)
+    chosen = moving_base(robot, tuple(GRAVITY)).indices
     truth = link_values(robot).ravel()[chosen] * (1 + 0.1 * generator.normal(size=len(chosen)))
     tau = problem.motion.rigid[:, :, chosen] @ truth
     tau[:, 2] *= 0.8
