@@ -20,16 +20,15 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-import pinocchio
 from click.testing import CliRunner
 
 from gateway.cli import main
-from tests.moving_arm import URDF, World, measured, true_arm
+from tests.mounted import readings
+from tests.moving_arm import URDF, World, measured
 from tests.support.figure import figure
 
 LAYOUTS = 200
 POSES = 12
-BAND_NM = 0.4
 #: A run in motion is one of so many layouts: it costs several seconds.
 ONE_MOVING_OF = 10
 #: 95 % of a normal distribution, and of the largest of four.
@@ -70,16 +69,13 @@ def rest_run(seed: int) -> Run:
     truth = np.array([rng.uniform(1.0, 5.0), *rng.uniform(-0.08, 0.08, 2), rng.uniform(0.03, 0.2)])
     q, tau, load, pose = [], [], [], []
     places = rng.uniform(-1.3, 1.3, (POSES, 6))
-    for label, payload in (("none", None), ("tool", tuple(truth))):
-        model = true_arm(np.random.default_rng(seed), World(payload=payload), 0.02)
-        data = model.createData()
-        for number, place in enumerate(places, start=1):
-            gravity = pinocchio.rnea(model, data, place, np.zeros(6), np.zeros(6))
-            for side in (-1.0, 1.0):
-                q.append(place)
-                tau.append(gravity + side * BAND_NM + rng.normal(0.0, 0.02, 6))
-                load.append(label)
-                pose.append(number)
+    mass, *com = truth.tolist()
+    for label, payload in (("none", None), ("tool", (mass, com[0], com[1], com[2]))):
+        for number, _, torque in readings(seed, rng, places, [payload] * POSES):
+            q.append(places[number - 1])
+            tau.append(torque)
+            load.append(label)
+            pose.append(number)
     return Run(2.0 * np.arange(len(q)), load, np.array(q), np.array(tau), np.array(pose), truth)
 
 
