@@ -45,7 +45,8 @@ def headline(result: Result) -> str:
     missed = [_sized(load, loads) for load in good if not_felt(load)]
     refused = [load.label for load in loads if load.refused]
     parts = [f"{words.listing(hung)} on the flange"] if hung else []
-    parts += [f"{words.listing(missed)}: was {'it' if len(missed) == 1 else 'each'} hung?"] if missed else []
+    asked = "Is it mounted?" if len(missed) == 1 else "Is each mounted?"
+    parts += [f"{words.listing(missed)}: no load detected. {asked}"] if missed else []
     parts += [f"{words.listing(refused)} refused"] if refused else []
     return "; ".join(parts)
 

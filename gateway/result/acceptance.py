@@ -206,13 +206,13 @@ def no_body(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
 
 
 def not_hung(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
-    """A failing finding for every load whose mass cannot be told from nothing: it was announced, was it hung?"""
+    """A failing finding for every load whose mass cannot be told from nothing: it was announced, is it mounted?"""
     return tuple(
         Finding(
             "fail",
             f"load {load.label}",
-            f"{with_interval(load.mass_kg, load.mass_std_kg)} kg: was it hung?",
-            f"its {SAID} interval holds 0: hang it and measure it again, or more poses if it did hang there",
+            f"{with_interval(load.mass_kg, load.mass_std_kg)} kg: no load detected. Is it mounted?",
+            f"its {SAID} interval holds 0: mount it and measure it again, or measure more poses if it was mounted",
         )
         for load in loads
         if holds_zero(load.mass_kg, load.mass_std_kg)

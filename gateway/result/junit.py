@@ -1,6 +1,6 @@
 """Acceptance as a JUnit file, which every build server reads.
 
-A test case per load that was announced (was it hung?), per expectation and rating, and per further failing finding; a
+A test case per load that was announced (is it mounted?), per expectation and rating, and per further failing finding; a
 load that fails and one of which the data cannot tell are both failures, of different `type`.
 """
 

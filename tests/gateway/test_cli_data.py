@@ -278,9 +278,9 @@ def test_what_is_expected_has_to_be_in_the_data(table):
 @pytest.mark.parametrize(
     ("command", "seed", "says", "status"),
     [
-        ("estimate", 1, "kg: was it hung?", "open"),
-        ("diagnose", 1, "kg: was it hung?", "open"),
-        ("diagnose", 5, "kg: was it hung?", "open"),
+        ("estimate", 1, "kg: no load detected. Is it mounted?", "open"),
+        ("diagnose", 1, "kg: no load detected. Is it mounted?", "open"),
+        ("diagnose", 5, "kg: no load detected. Is it mounted?", "open"),
         ("estimate", 4, "the data ask for a mass of -0.01", "bad"),
         ("diagnose", 4, "the data ask for a mass of -0.01", "bad"),
     ],

@@ -60,13 +60,13 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
 def test_a_load_that_was_forgotten_is_asked_for_and_never_green(place, serve, commission, fast_arm):
     code, result, _, output = commission(fast_arm(serve()), "--expect", "load=6.0,0.2", forgets=True)
     assert code == 7
-    assert "kg: was it hung?" in output.err
+    assert "kg: no load detected. Is it mounted?" in output.err
     (load,) = result["loads"]
     assert abs(load["mass_kg"]) < 1.96 * load["mass_std_kg"]
     assert [row["outcome"] for row in result["acceptance"] if row["what"] == "mass"] == ["fail"]
     page = (place.folder / "out" / "report.html").read_text()
     assert 'class="verdict good"' not in page
-    assert "was it hung?" in page
+    assert "Is it mounted?" in page
 
 
 def test_the_check_stops_the_job_before_anything_moves(place, serve, commission):

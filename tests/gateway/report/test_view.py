@@ -95,7 +95,7 @@ def test_a_load_that_may_not_hang_is_asked_for_and_never_green(result):
     result |= {"verdict": "none_needed", "effects": [], "loads": [result["loads"][0]]}
     result["loads"][0] |= {"mass_kg": 0.004, "mass_std_kg": 0.006}
     shown = view(read(result))
-    assert shown.headline == "0.004 ± 0.012 kg (95 %): was it hung?"
+    assert shown.headline == "0.004 ± 0.012 kg (95 %): no load detected. Is it mounted?"
     assert shown.verdict.startswith("The arm moved as if nothing hung on it")
     assert shown.status == "open"
     result["loads"][0] |= {"mass_kg": 0.013}
