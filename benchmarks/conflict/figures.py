@@ -89,7 +89,7 @@ def condition_table(answers: Sequence[dict]) -> Table:
         cells = [
             str(len(these)),
             str(sum(map(silent, these))),
-            _percent([warned(a) for a in these]),
+            _percent([(false_alarm if CONDITIONS[name].clean else warned)(a) for a in these]),
             _percent([refused(a) for a in these]),
             _percent([load["holds"] for load in loads]),
             _percent(centre),

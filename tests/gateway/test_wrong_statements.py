@@ -111,3 +111,26 @@ def test_noise_floor_comes_from_repeats_where_the_model_lacks_a_torque(tmp_path)
 def test_load_that_changes_between_poses_is_not_passed_on_silently(tmp_path):
     _, _, result = typed(quiet_cell("load changes half-way"), tmp_path)
     assert warnings(result)
+
+
+def test_known_mass_that_is_wrong_is_contradicted(tmp_path):
+    _, _, result = typed(quiet_cell("known mass x0.7"), tmp_path)
+    assert warnings(result)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_joint_counted_the_other_way_is_named(command, tmp_path):
+    cell = quiet_cell("joint counted the other way")
+    joint = changed_axis(cell, quiet_cell().columns)
+    _, _, result = typed(cell, tmp_path, command)
+    assert f"J{joint}" in {finding["where"] for finding in warnings(result)}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_coupled_angles_are_not_passed_on_silently(command, tmp_path):
+    cell = quiet_cell("q3 holds q3 + q2")
+    _, _, result = typed(cell, tmp_path, command)
+    assert warnings(result)
+    if command == "diagnose":
+        assert [(effect["name"], effect["joints"]) for effect in result["effects"]] == [("angles_coupled", [2, 3])]
+        assert off(result, cell) < 2.0
