@@ -30,11 +30,10 @@ def answer_of(number: int) -> dict:
     estimated = _timed(lambda: run(one.table, one.robot, one.estimate), _loads)
     out["estimate"] = estimated
     out["diagnose"] = _timed(lambda: diagnose(one.table, one.robot, one.diagnose), lambda r: _diagnosed(one, r))
-    if not one.table.moving.any():
-        nothing = replace(one.diagnose, only=NOTHING)
-        plain = _timed(lambda: diagnose(one.table, one.robot, nothing), _diagnosed_plain)
-        if not plain.get("effects"):
-            out["difference"] = _difference(estimated, plain)
+    nothing = replace(one.diagnose, only=NOTHING)
+    plain = _timed(lambda: diagnose(one.table, one.robot, nothing), _diagnosed_plain)
+    if not plain.get("effects"):
+        out["difference"] = _difference(estimated, plain)
     return json.loads(json.dumps(out))
 
 

@@ -69,7 +69,7 @@ def test_kr300_load_under_any_trust_in_the_cad_is_the_same_within_its_intervals(
         for other in loads:
             both = np.hypot(one.mass_std_kg, other.mass_std_kg)
             assert abs(one.mass_kg - other.mass_kg) < 2.5 * both
-        assert one.mass_std_kg < 30
+        assert one.mass_std_kg < 15
 
 
 @pytest.mark.slow
