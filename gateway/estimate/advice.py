@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS
+from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.information import payload_information
 from gateway.model.robot import Robot
@@ -22,7 +22,7 @@ _UNKNOWN_KG = 1e3
 def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: EstimateOptions) -> NextMeasurement | None:
     """The rest pose that shrinks the uncertainty of a load most, bare and loaded (D-optimal over random postures).
 
-    What the torque constants leave open is the same at every pose: that share of the variance stays as it is.
+    What the torque constants and their drift leave open is the same at every pose: that share of the variance stays as it is.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     NextMeasurement or None
         None where nothing is known about the load, no axis tells anything, or there is no pose to choose.
     """
-    stays = load.budget.get(CONSTANTS, 0.0)
+    stays = load.budget.get(CONSTANTS, 0.0) + load.budget.get(DRIFT, 0.0)
     now = _with_unknown(load, 1.0 - stays)
     q = candidates(robot) if options.pose_choice is None else options.pose_choice
     if now is None or not np.isfinite(sigma_nm).any() or not len(q):
@@ -74,10 +74,13 @@ def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
         return None
     percent = f"{100 * share:.0f} % of the variance of {load.label}'s mass comes from"
     if source == CONSTANTS:
-        what = f"hang a load of known mass and give it as --known: {percent} the torque constants"
+        what = f"mount a load of known mass and give it as --known: {percent} the torque constants"
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == LINKS:
-        what = f"hang a load of known mass, or weigh the links: {percent} what is not known of the links"
+        what = f"mount a load of known mass, or weigh the links: {percent} what is not known of the links"
+        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
+    if source == DRIFT:
+        what = f"warm the arm up, then measure {load.label}, bare, bare, {load.label}: {percent} readings that drift"
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == FRICTION:
         what = f"approach every pose from both sides, bare, {load.label}, {load.label}, bare: {percent} friction"

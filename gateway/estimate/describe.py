@@ -91,7 +91,8 @@ def _named(problem: RestProblem, links: LinkColumns, count: int) -> Iterator[tup
     for kind, (name, unit) in _NUISANCES.items():
         start = problem.nuisance_part.start + KINDS.index(kind) * problem.axes
         for axis in np.flatnonzero(problem.use_sum.any(axis=0)):
-            yield f"{name}[J{axis + 1}]", unit, everything[start + axis]
+            row = problem.gain_directions[axis] if kind == "gain" else everything[start + axis]
+            yield f"{name}[J{axis + 1}]", unit, row
 
 
 def fitted_rows(problem: RestProblem, fit: Fit) -> FittedRows:
@@ -134,9 +135,9 @@ def bare_of(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptio
     if not sure(problem, fit, directions[:rank]).all():
         return None
     measured = np.flatnonzero(problem.use_sum.any(axis=0))
-    for place, kind in enumerate(("gain", "bias")):
-        at = problem.nuisance_part.start + KINDS.index(kind) * axes
-        directions[rank + place * axes + measured, at + measured] = 1.0
+    directions[rank + measured] = problem.gain_directions[measured]
+    bias = problem.nuisance_part.start + KINDS.index("bias") * axes
+    directions[rank + axes + measured, bias + measured] = 1.0
     wide = widening(problem, fit, directions)
     covariance = directions @ fit.covariance @ directions.T * np.outer(wide, wide)
     value = directions @ fit.common

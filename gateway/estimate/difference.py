@@ -22,9 +22,10 @@ from gateway.estimate.joint import knowledge_of
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import refused_load
 from gateway.identify.loads import BARE_LABEL, load_vector, unknown_labels
-from gateway.identify.nuisance import losses
+from gateway.identify.nuisance import gain_stds, losses
 from gateway.identify.repeats import half_difference_scatter
 from gateway.identify.rest.fit import fit
+from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.identify.rest.noise import first_noise
 from gateway.identify.rest.problem import build_problem, nuisance_of
@@ -90,7 +91,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
         raise DataUnusable(f"load '{label}': no axis was measured both under it and under the known load")
     lost = losses(visits.difference_nm, visits.sum_nm)
     problem = _problem(differences, fixed, robot, options)
-    nuisance = nuisance_of(visits, knowledge_of(options)).without_bias().with_losses(*lost)
+    nuisance = nuisance_of(visits, knowledge_of(options), problem.nuisance.changes).without_bias().with_losses(*lost)
     problem = replace(problem, nuisance=nuisance, group=_groups(visits, problem))
     fitted = fit(problem, (), _noise(problem, visits))
     found = describe(problem, fitted, robot, options)
@@ -113,8 +114,8 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
 
 def _problem(differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
     """Differences as visits of an arm whose links weigh nothing, with what is known to hang on it (n, 4)."""
-    own = knowledge_of(options.of_loads(differences.load))
-    problem = build_problem(robot, differences, replace(own, bare=None, known={}))
+    own = replace(knowledge_of(options.of_loads(differences.load)), bare=None, known={})
+    problem = build_problem(robot, differences, own, GainChanges.none(gain_stds(options.gain_std, robot.axes)))
     none = np.zeros_like(problem.links)
     return replace(problem, links=none, link_std=none + _GONE, fixed_load=fixed)
 

@@ -19,7 +19,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.load_estimate import LoadEstimate, load_directions
 from gateway.identify.loads import bare_rows
-from gateway.identify.nuisance import BIAS_SHARE, gain_stds
+from gateway.identify.nuisance import BIAS_SHARE, change_covariance, gain_stds
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import load_estimates
@@ -193,7 +193,13 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     problem = problem_of(visits, robot, options)
     fit = fit_without_effects(problem)
     wide = fit.null * _OPEN
-    covariance = fit.covariance + wide @ wide.T
+    gain, offset = (problem.nuisance_part.start + KINDS.index(kind) * problem.axes for kind in ("gain", "bias"))
+    gains = slice(gain, gain + problem.axes)
+    measured = np.flatnonzero(visits.load == sought.label)
+    last = _last(visits) if not len(measured) else measured[_last(visits.take(measured))]
+    whole = np.eye(problem.n_common)
+    whole[gains] = problem.gains_at(visits.take(np.array([last])))[0]
+    covariance = whole @ (fit.covariance + wide @ wide.T) @ whole.T
     estimated: LoadEstimate | None = None
     refused: str | None = None
     if sought.label in problem.labels:
@@ -203,10 +209,10 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
         against = refused_loads(problem, fit, robot, options).get(sought.label)
         refused = None if against is None else against.refused
     else:
+        covariance[gains, gains] += change_covariance(problem.axes)
         covariance, first = _with_unknown_load(covariance, sought.guess, robot)
         moment = sought.guess
     axis = np.flatnonzero(problem.use_sum.any(axis=0))
-    gain, offset = (problem.nuisance_part.start + KINDS.index(kind) * problem.axes for kind in ("gain", "bias"))
     known = Outlook(
         covariance=covariance,
         links=fit.links,
@@ -215,10 +221,15 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
         axis=axis,
         offset=offset + axis,
         gain=gain + axis,
-        gain_value=fit.common[gain + axis],
+        gain_value=whole[gains][axis] @ fit.common,
         noise=PoseNoise(_friction(problem, fit), np.nan_to_num(sought.sample_std_nm) ** 2),
     )
     return Stock(estimated, refused, known)
+
+
+def _last(visits: Visits) -> int:
+    """The latest visit, whose gains are those of the next one."""
+    return int(np.argmax(visits.time_s)) if np.isfinite(visits.time_s).all() else len(visits) - 1
 
 
 def outlook_of_priors(

@@ -18,10 +18,12 @@ Names = NDArray[np.str_]
 CONSTANTS: Final = "constants"
 LINKS: Final = "links"
 FRICTION: Final = "friction"
+#: Of gains that change between runs and while the arm warms up.
+DRIFT: Final = "drift"
 #: Of what no prior accounts for, too.
 NOISE: Final = "noise"
 #: Keys of a budget.
-SOURCES: Final = (CONSTANTS, LINKS, FRICTION, NOISE)
+SOURCES: Final = (CONSTANTS, LINKS, FRICTION, DRIFT, NOISE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

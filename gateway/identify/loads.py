@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gateway.data.labels import BARE_LABEL
 from gateway.errors import DataUnusable, InputError
 from gateway.identify.links import PER_LINK_AT_REST
+from gateway.identify.nuisance import change_covariance
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
@@ -92,13 +93,16 @@ def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
     """A stored bare identification as rows (k, 6 N) and right side (k,) with unit standard deviation.
 
     Columns are the 4 N link parameters, the gains and the friction biases it was made with: the same arm errs the same
-    way under a load. The rows stand for the prior of those gains and biases too; a column is 0 where none is stored.
+    way under a load, except for the change of its gains from one run to the next. The rows stand for the prior of those
+    gains and biases too; a column is 0 where none is stored.
     """
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
     rank, links = combination.shape
     axes = links // PER_LINK_AT_REST
     further = np.concatenate([np.resize(bare.gain or np.nan, axes), np.asarray(bare.offset_nm, dtype=float)])
-    covariance = np.asarray(bare.gain_covariance if bare.gain else bare.covariance, dtype=float)
+    covariance = np.array(bare.gain_covariance if bare.gain else bare.covariance, dtype=float)
+    gains = slice(rank, min(rank + axes, len(covariance)))
+    covariance[gains, gains] += change_covariance(gains.stop - rank)
     stored = np.flatnonzero(np.isfinite(further[: len(covariance) - rank]))
     rows = np.zeros((rank + len(stored), links + 2 * axes))
     rows[:rank, :links] = combination

@@ -21,6 +21,13 @@ Floats = NDArray[np.float64]
 
 #: Relative standard deviation of a torque whose constants nobody states.
 TABLE_GAIN_STD: Final = 0.03
+#: Share of the variance of torque constants that all axes of an arm have in common (one voltage or rms convention, one
+#: batch of motors).
+COMMON_SHARE: Final = 0.5
+#: Standard deviation of the change of an axis's gain from one run to the next, and of the part that all axes share
+#: (`methods.md` 11: magnets and copper, some 10 K).
+CHANGE_AXIS: Final = 0.01
+CHANGE_COMMON: Final = 0.005
 #: Share of the friction band by which the two directions differ.
 BIAS_SHARE: Final = 0.10
 #: Loss over transmitted torque, and its standard deviation.
@@ -78,6 +85,11 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
             f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
         )
     return np.maximum(values, _EXACT)
+
+
+def change_covariance(axes: int) -> Floats:
+    """Covariance (N, N) of the change of the gains of all axes from one run to the next."""
+    return CHANGE_AXIS**2 * np.eye(axes) + CHANGE_COMMON**2
 
 
 def parse_torque_gain(text: str) -> float:

@@ -215,7 +215,7 @@ class Model:
         """Readings from the torque (n, N) the gears transmit."""
         two = self.rows.two_sided[:, None]
         band = band_nm * setting.band_gain
-        friction = band + setting.load_friction * np.abs(torque)
+        friction = band + setting.load_friction * np.abs(torque) + self._lost_in_gear(setting, torque, band)
         carried, torque = torque, torque + setting.bias_nm + self._left_by_gear(setting, torque, band)
         if self._straight(setting):
             # the way through the gear and back cancels: each side reads torque and friction as they are
@@ -234,11 +234,18 @@ class Model:
         """What a gear that loses more when it is driven leaves in the middle of both sides (n, N).
 
         The motor gives `(tau + band) / eta` upwards and `(tau - band) eta` downwards where it lifts: half their sum
-        holds `nu^2 tau / 2 + nu band` more than `tau`, of `nu = (1 / eta - eta) / 2`.
+        holds `(sqrt(1 + nu^2) - 1) tau + nu band` more than `tau`, of `nu = (1 / eta - eta) / 2`; where the torque is
+        within the band the motor lifts on both sides, and `nu tau` stands for `nu band`.
         """
         nu = setting.load_friction
         within = np.clip(torque, -np.abs(band), np.abs(band))
-        return setting.one_efficiency * nu * (0.5 * nu * torque + within)
+        return setting.one_efficiency * (_mean_loss(nu) * torque + nu * within)
+
+    def _lost_in_gear(self, setting: AlteredModel, torque: Floats, band: Floats) -> Floats:
+        """What half the difference of both sides (n, N) then holds more than `band + nu |tau|`."""
+        nu = setting.load_friction
+        below = np.maximum(np.abs(band) - np.abs(torque), 0.0)
+        return setting.one_efficiency * (_mean_loss(nu) * band + nu * below)
 
     def _straight(self, setting: AlteredModel) -> bool:
         """Whether nothing stands between the gear and the reading that the conversion does not undo."""
@@ -259,7 +266,7 @@ class Model:
         """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""
         if self._straight(setting) and not self.rows.side.any():
             nu, within = setting.load_friction, np.abs(torque) < np.abs(band_nm * setting.band_gain)
-            left = 1.0 + setting.one_efficiency * nu * (0.5 * nu + within)
+            left = 1.0 + setting.one_efficiency * (_mean_loss(nu) + nu * within)
             return setting.coupling[None] * (setting.gain * left)[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
         count = self.rows.axes
@@ -271,6 +278,11 @@ class Model:
             below = self.readings(setting, torque - moved, band_nm).sum_nm
             out[:, :, axis] = (above - below) / (2.0 * step[axis])
         return out
+
+
+def _mean_loss(nu: Floats) -> Floats:
+    """By how much the mean of an efficiency and its inverse exceeds 1."""
+    return np.sqrt(1.0 + nu**2) - 1.0
 
 
 def rotation(vector_rad: Floats) -> Floats:

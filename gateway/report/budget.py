@@ -20,6 +20,7 @@ SOURCE_WORDS: Final = {
     "constants": "torque constants",
     "links": "links",
     "friction": "friction",
+    "drift": "drift of the torque readings",
     "noise": "noise",
 }
 #: Key of the result -> words, unit and factor to it.

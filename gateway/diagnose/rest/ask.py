@@ -123,12 +123,14 @@ def _disagreement(
     problem: RestProblem, robot: Robot, knowledge: Knowledge, fits: Sequence[Fit], choice: Floats
 ) -> Floats:
     """Squared difference over noise (k,) between the best hypothesis and the rival that it is hardest to tell from."""
-    both = build_problem(robot, joined([problem.rows, imagined(problem.rows, choice)]), knowledge)
+    both = build_problem(
+        robot, joined([problem.rows, imagined(problem.rows, choice)]), knowledge, problem.nuisance.changes
+    )
     visit = both.visit - len(problem.rows)
     std = fits[0].noise.std[both.group]
     readings = []
     for fit in fits:
-        setting = with_terms(fit.terms, fit.theta, both.rows, fit.nuisance)
+        setting = with_terms(both, fit.terms, fit.theta, fit.nuisance)
         readings.append(modelled(both, setting, fit.links, fit.loads, fit.band))
     told = []
     for other in readings[1:]:

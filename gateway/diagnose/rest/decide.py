@@ -132,7 +132,7 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
     problem = search.problem
     place = whole.terms.index(term)
     rest = [k for k in range(len(whole.terms)) if k != place]
-    without = with_terms([whole.terms[k] for k in rest], [whole.theta[k] for k in rest], problem.rows, whole.nuisance)
+    without = with_terms(problem, [whole.terms[k] for k in rest], [whole.theta[k] for k in rest], whole.nuisance)
     share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
     share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
     weight = 1.0 / whole.noise.std[problem.group]
@@ -200,14 +200,19 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
         return True
     away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
     unsure = TWO_SIDED_95 * float(np.sqrt(max(hypothesis.covariance[at, at], 0.0)))
-    return away - unsure > ORDINARY_STD * float(problem.common_std[places].max())
+    return away - unsure > ORDINARY_STD * float(np.linalg.norm(problem.common_std[places]))
 
 
 def _ordinary_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:
-    """Places among the common parameters of what every arm has and an effect is too much of."""
-    if term.takes_over == "gain" and not term.joints:
-        return problem.nuisance_part.start + np.arange(problem.axes)  # of all axes, as little known as each
-    return problem.taken_over([term])
+    """Places among the common parameters of what every arm has and an effect is too much of.
+
+    A torque constant is off by its own error and by that of all axes.
+    """
+    places = problem.taken_over([term])
+    if term.takes_over == "gain":
+        own = places[0] if term.joints else problem.nuisance_part.start + int(np.argmax(problem.nuisance.constants))
+        return np.array([own, problem.nuisance_part.start + problem.nuisance.common])
+    return places
 
 
 def _seen_to_help(search: Search, chosen: Fit) -> Fit:

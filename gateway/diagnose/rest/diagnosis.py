@@ -195,7 +195,8 @@ class RestDiagnosis:
             raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
         rows = joined([seen, unseen])
         aside = self.aside(rows)
-        both = build_problem(self.robot, rows.unmeasured(aside.mask), self.knowledge)
+        changes = found.search.problem.nuisance.changes
+        both = build_problem(self.robot, rows.unmeasured(aside.mask), self.knowledge, changes)
         return Unseen(both, both.visit >= len(seen), aside.among(len(seen)))
 
     def _upheld(self, found: Found, holdout: Table | None) -> Found:

@@ -205,7 +205,7 @@ def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
     The noise of the rows, and what the covariance of the fit's parameters leaves open about them.
     """
     problem = held.problem
-    setting = with_terms(fit.terms, fit.theta, problem.rows, fit.nuisance)
+    setting = with_terms(problem, fit.terms, fit.theta, fit.nuisance)
     columns = [common_columns(problem, setting, fit.links, fit.loads, fit.band)]
     columns += [
         term_columns(problem, fit, term, fit.theta[position], position) for position, term in enumerate(fit.terms)
@@ -216,5 +216,5 @@ def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
 
 
 def _at(problem: RestProblem, fit: Fit) -> Floats:
-    setting = with_terms(fit.terms, fit.theta, problem.rows, fit.nuisance)
+    setting = with_terms(problem, fit.terms, fit.theta, fit.nuisance)
     return problem.target - modelled(problem, setting, fit.links, fit.loads, fit.band)

@@ -111,7 +111,7 @@ def _known_band(values: Floats, problem: RestProblem) -> Matrix:
 def _predict(problem: RestProblem, fit: Fit, terms: Sequence[Term]) -> Prediction:
     """Reading of the fitted arm with these of its effects."""
     theta = [fit.theta[fit.terms.index(term)] for term in terms]
-    setting = with_terms(terms, theta, problem.rows, fit.nuisance)
+    setting = with_terms(problem, terms, theta, fit.nuisance)
     return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)
 
 
@@ -218,5 +218,5 @@ def _moved(problem: RestProblem, fit: Fit, term: Term, index: int, step: float) 
     position = fit.terms.index(term)
     theta = [values.copy() for values in fit.theta]
     theta[position][index] += step
-    setting = with_terms(fit.terms, theta, problem.rows, fit.nuisance)
+    setting = with_terms(problem, fit.terms, theta, fit.nuisance)
     return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)

@@ -104,11 +104,15 @@ def _shared(problem: RestProblem) -> Ints:
 
 
 def _eliminated(problem: RestProblem, fit: Fit, shared: Ints) -> tuple[Floats, Floats]:
-    """Rows (k, len(shared)) and right side (k,) with unit noise, all other parameters of the rest rows eliminated."""
+    """Rows (k, len(shared)) and right side (k,) with unit noise, all other parameters of the rest rows eliminated.
+
+    The gains are those with what all axes share: their prior is that of the moving rows.
+    """
     weight = 1.0 / fit.noise.std[problem.group]
     design = fit.design * weight[:, None]
     right = fit.residual * weight + design @ fit.common
-    others = np.setdiff1d(np.arange(problem.n_common), shared)
+    common = problem.nuisance_part.start + problem.nuisance.common
+    others = np.setdiff1d(np.arange(problem.n_common), [*shared, common])
     held = np.isfinite(fit.prior_std[others])
     others = others[held | design[:, others].any(axis=0)]
     held = np.isfinite(fit.prior_std[others])

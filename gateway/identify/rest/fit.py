@@ -95,7 +95,7 @@ def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _S
     if start is None:
         links, loads, band = problem.links.copy(), np.zeros((n_labels, 4)), np.zeros(problem.axes)
         loads[:, 0] = 1e-3
-        nuisance = problem.nuisance.mean.copy()
+        nuisance = problem.nuisance.start
         known: dict[Term, Floats] = {}
         spread: dict[Term, Floats] = {}
     else:
@@ -113,7 +113,7 @@ def _linearised(
     problem: RestProblem, terms: Sequence[Term], state: _State, noise: Noise, spreads: list[Floats], step: int
 ) -> Fit:
     """One Gauss-Newton step from `state` (which is moved), with noise and evidence at the new point."""
-    setting = with_terms(terms, state.theta, problem.rows, state.nuisance)
+    setting = with_terms(problem, terms, state.theta, state.nuisance)
     at_start = _as_fit(problem, terms, state, setting, noise)
     columns = [common_columns(problem, setting, state.links, state.loads, state.band)]
     for position, term in enumerate(terms):
@@ -126,7 +126,7 @@ def _linearised(
     prior = _prior(problem, terms, state, spreads)
     solution = solve(design, residual, 1.0 / noise.std[problem.group], prior, TOLERANCE)
     _move(problem, terms, state, solution.value)
-    setting = with_terms(terms, state.theta, problem.rows, state.nuisance)
+    setting = with_terms(problem, terms, state.theta, state.nuisance)
     left = problem.target - modelled(problem, setting, state.links, state.loads, state.band)
     updated = _update_noise(problem, left, solution.leverage, noise)
     penalty = _penalty(problem, terms, state, prior, spreads)

@@ -92,7 +92,22 @@ class RestProblem:
     @property
     def nuisance_part(self) -> slice:
         """Where the ordinary parameters stand."""
-        return slice(self.n_common - len(KINDS) * self.axes, self.n_common)
+        return slice(self.n_common - len(self.nuisance.mean), self.n_common)
+
+    @property
+    def gain_directions(self) -> Floats:
+        """Linear functions (N, n_common) of the parameters: the gain error of each axis, with what all axes share."""
+        out = np.zeros((self.axes, self.n_common))
+        out[:, self.nuisance_part][:, : self.axes] = np.eye(self.axes)
+        out[:, self.nuisance_part.start + self.nuisance.common] = self.nuisance.changes.relative
+        return out
+
+    def gains_at(self, visits: Visits) -> Floats:
+        """The same (n, N, n_common) at each of these visits, with the changes up to there."""
+        changes = self.nuisance.changes
+        out = np.repeat(self.gain_directions[None], len(visits), axis=0)
+        out[:, :, self.n_common - changes.count :] = changes.patterns(visits)
+        return out
 
     @property
     def sided(self) -> Mask:
@@ -102,7 +117,7 @@ class RestProblem:
     @property
     def n_common(self) -> int:
         """Parameters that every hypothesis has: links, loads, bands and the ordinary ones."""
-        return (5 + len(KINDS)) * self.axes + 4 * len(self.labels)
+        return 5 * self.axes + 4 * len(self.labels) + len(self.nuisance.mean)
 
     @property
     def common_mean(self) -> Floats:
@@ -141,7 +156,7 @@ class Fit:
     ----------
     terms : effects of the hypothesis
     links : (4 N,), loads : (labels, 4), band : (N,)
-    nuisance : (K N,) ordinary parameters
+    nuisance : (K N + E,) ordinary parameters
     theta : parameters of each effect
     covariance : of [links, loads, band, nuisance, theta]
     setting : AlteredModel at the solution
@@ -206,11 +221,11 @@ def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
     return problem.fixed_load + problem.member @ loads if len(problem.labels) else problem.fixed_load.copy()
 
 
-def with_terms(terms: Sequence[Term], theta: Sequence[Floats], rows: Visits, nuisance: Floats) -> AlteredModel:
-    """The setting with what every arm has (K N,), and all effects of a hypothesis, in it."""
-    setting = ordinary_setting(rows, nuisance)
+def with_terms(problem: RestProblem, terms: Sequence[Term], theta: Sequence[Floats], nuisance: Floats) -> AlteredModel:
+    """The setting with what every arm has (K N + E,), and all effects of a hypothesis, in it."""
+    setting = ordinary_setting(problem.rows, nuisance, problem.nuisance.changes)
     for term, values in zip(terms, theta, strict=True):
-        setting = term.apply(setting, values, rows)
+        setting = term.apply(setting, values, problem.rows)
     return setting
 
 
@@ -264,6 +279,8 @@ def _axis_columns(
 ) -> None:
     """Fill in the columns of bands and ordinary parameters.
 
+    What gains share, and how they change, moves the gains visit by visit: those columns are combinations of theirs.
+    Half differences determine friction alone, in the scale of the reading: they determine neither weights nor gains.
     Where no axis is read in another they are independent of each other: one step serves all axes at once.
     """
     model, axes = problem.model, problem.axes
@@ -271,6 +288,8 @@ def _axis_columns(
     fading = fades(problem.rows)
     own = np.arange(axes)
     coupled = bool(np.any(setting.coupling != np.eye(axes)))
+    patterns = problem.nuisance.changes.patterns(problem.rows)
+    shared = slice(problem.n_common - patterns.shape[2], problem.n_common)
     for place, kind in enumerate(("", *KINDS)):
         for moved in np.eye(axes) if coupled else np.ones((1, axes)):
             step = _STEP * (1.0 + np.abs(band)) if kind in ("", "bias") else np.full(axes, _STEP)
@@ -278,16 +297,19 @@ def _axis_columns(
                 shifted = model.readings(raised(setting, kind, step * moved, fading), torque, band)
             else:
                 shifted = model.readings(setting, torque, band + step * moved)
-            for out, new, old in (
-                (half_sum, shifted.sum_nm, base.sum_nm),
-                (difference, shifted.difference_nm, base.difference_nm),
-            ):
+            pairs = [(half_sum, shifted.sum_nm, base.sum_nm)]
+            if kind != "gain":
+                pairs.append((difference, shifted.difference_nm, base.difference_nm))
+            for out, new, old in pairs:
                 slope = (new - old) / step[moved > 0] if coupled else (new - old) / step
                 start = problem.band_part.start + place * axes
                 if coupled:
                     out[:, :, start + int(np.argmax(moved))] = slope
                 else:
                     out[:, own, start + own] = slope
+                if kind == "gain":
+                    by_axis = patterns[:, [int(np.argmax(moved))]] if coupled else patterns
+                    out[:, :, shared] += slope[:, :, None] * by_axis
 
 
 def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:
@@ -297,7 +319,7 @@ def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, posi
     """
     columns = np.empty((len(problem.target), len(theta)))
     rest = [k for k in range(len(fit.terms)) if k != position]
-    base = with_terms([fit.terms[k] for k in rest], [fit.theta[k] for k in rest], problem.rows, fit.nuisance)
+    base = with_terms(problem, [fit.terms[k] for k in rest], [fit.theta[k] for k in rest], fit.nuisance)
     for k, step in enumerate(_steps(term, theta, fit.noise)):
         sides = []
         for sign in (1.0, -1.0):
@@ -306,6 +328,8 @@ def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, posi
             setting = term.apply(base, moved, problem.rows)
             sides.append(modelled(problem, setting, fit.links, fit.loads, fit.band))
         columns[:, k] = (sides[0] - sides[1]) / (2.0 * step)
+    if term.scales_reading:
+        columns[int(problem.use_sum.sum()) :] = 0.0
     return columns
 
 

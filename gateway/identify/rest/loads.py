@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE, Sources, budget_of
+from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, NOISE, Sources, budget_of
 from gateway.identify.load_estimate import (
     LoadEstimate,
     load_directions,
@@ -100,11 +100,12 @@ def _determined(problem: RestProblem, fit: Fit, part: slice) -> NDArray[np.bool_
 def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
     """Share of the variance of a mass by source; one-sided rows are friction, other rows and effects are noise."""
     count, axes = len(fit.prior_std), problem.axes
-    constants, links, friction = np.zeros(count), np.zeros(count), np.zeros(count)
+    constants, links, friction, drift = (np.zeros(count) for _ in range(4))
     links[problem.link_part] = 1.0
-    friction[problem.nuisance_part] = 1.0
-    gains = slice(problem.nuisance_part.start, problem.nuisance_part.start + axes)
-    constants[gains] = problem.nuisance.constants
+    first, common = problem.nuisance_part.start, problem.nuisance_part.start + problem.nuisance.common
+    friction[first:common] = 1.0
+    constants[first : first + axes] = problem.nuisance.constants
+    constants[common], drift[common + 1 : problem.nuisance_part.stop] = 1.0, 1.0
     noise = np.zeros(count)
     noise[problem.n_common :] = 1.0
     further = np.pad(problem.prior_rows, ((0, 0), (0, count - problem.n_common)))
@@ -118,7 +119,13 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
         direction,
         Sources(
             np.where(problem.group >= 2 * axes, FRICTION, NOISE),
-            {CONSTANTS: constants, LINKS: links, FRICTION: friction - constants, NOISE: noise},
+            {
+                CONSTANTS: constants,
+                LINKS: links,
+                FRICTION: np.maximum(friction - constants, 0.0),
+                DRIFT: drift,
+                NOISE: noise,
+            },
         ),
     )
 
@@ -126,8 +133,13 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
 def ordinary_of(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult]:
     """What every arm has, as fitted: of an axis that an effect takes over, the effect says it."""
     at = problem.nuisance_part
-    value = fit.nuisance.reshape(len(KINDS), -1).copy()
-    std = np.sqrt(np.maximum(np.diag(fit.covariance)[at], 0.0)).reshape(len(KINDS), -1)
+    by_axis = slice(at.start, at.start + len(KINDS) * problem.axes)
+    directions = np.zeros((by_axis.stop - by_axis.start, len(fit.scale)))
+    directions[:, by_axis] = np.eye(len(directions))
+    directions[: problem.axes, : problem.n_common] = problem.gain_directions
+    variance = np.einsum("ki,ij,kj->k", directions, fit.covariance, directions)
+    value = (directions[:, : problem.n_common] @ fit.common).reshape(len(KINDS), -1)
+    std = np.sqrt(np.maximum(variance, 0.0)).reshape(len(KINDS), -1)
     gone = problem.nuisance.taken_over(fit.terms)
     measured = problem.use_sum.any(axis=0)
     out = {}

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.nuisance import UNEVEN_LOSS, NuisancePrior
+from gateway.identify.nuisance import COMMON_SHARE, UNEVEN_LOSS, NuisancePrior
+from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.model.rest import AlteredModel, neutral
 from gateway.model.term import Term
@@ -30,14 +31,17 @@ _NO_BIAS_NM: Final = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ordinary:
-    """Prior of the ordinary parameters (K N,), by kind and then by axis.
+    """Prior of the ordinary parameters (K N + E,): by kind and then by axis, then those of `changes`.
 
     `constants` (N,) is the share of a gain's prior variance that is of its torque constant; the rest is of losses.
+    `lost` (N,) is the loss over transmitted torque that half differences show: a fit begins there.
     """
 
     mean: Floats
     std: Floats
     constants: Floats
+    changes: GainChanges
+    lost: Floats
 
     def __post_init__(self) -> None:
         """All hypotheses share the prior: none may change it."""
@@ -45,7 +49,7 @@ class Ordinary:
         self.std.flags.writeable = False
 
     @staticmethod
-    def of(prior: NuisancePrior, gain_std: Floats, lost: Floats) -> Ordinary:
+    def of(prior: NuisancePrior, gain_std: Floats, lost: Floats, changes: GainChanges) -> Ordinary:
         """From what the constants and the sides of visits say.
 
         Parameters
@@ -55,20 +59,27 @@ class Ordinary:
             Of the torque constants alone.
         lost : array of shape (N,)
             Loss over transmitted torque, as the half differences show it.
+        changes : GainChanges
+            What the gains have in common, and how they change.
         """
         none, one = np.zeros_like(gain_std), np.ones_like(gain_std)
-        gain = np.hypot(gain_std, UNEVEN_LOSS * lost)
+        own = np.sqrt(1.0 - COMMON_SHARE) * gain_std
+        gain = np.hypot(own, UNEVEN_LOSS * lost)
         cold = REST_MODEL.cold * one
         return Ordinary(
-            np.concatenate([none, none, prior.load_friction, 0.5 * one, none, none]),
-            np.concatenate([gain, prior.bias_std_nm, prior.load_friction_std, 0.5 * one, cold, cold]),
-            (gain_std / gain) ** 2,
+            np.concatenate([none, none, prior.load_friction, 0.5 * one, none, none, np.zeros(changes.count)]),
+            np.concatenate([gain, prior.bias_std_nm, prior.load_friction_std, 0.5 * one, cold, cold, changes.std]),
+            (own / gain) ** 2,
+            changes,
+            lost,
         )
 
     def held_elsewhere(self, known: NDArray[np.bool_]) -> Ordinary:
         """The prior without that of gains and biases (2 N,) that are `known`: a stored identification contains it."""
         std = self.std.copy()
         std[: len(known)] *= np.where(known, _HELD_ELSEWHERE, 1.0)
+        if known[: self.axes].any():
+            std[self.common] *= _HELD_ELSEWHERE
         return replace(self, std=std)
 
     def without_bias(self) -> Ordinary:
@@ -88,26 +99,39 @@ class Ordinary:
     @property
     def axes(self) -> int:
         """Number of axes N."""
-        return len(self.mean) // len(KINDS)
+        return self.changes.axes
+
+    @property
+    def start(self) -> Floats:
+        """Where a fit begins (K N + E,)."""
+        out = self.mean.copy()
+        out[KINDS.index("load_friction") * self.axes :][: self.axes] = self.lost
+        return out
+
+    @property
+    def common(self) -> int:
+        """Place of the gain that all axes share."""
+        return len(KINDS) * self.axes
 
     def taken_over(self, terms: Sequence[Term]) -> NDArray[np.int_]:
         """Places of which the effects are too much: what they say is said once."""
         places = [
-            KINDS.index(term.takes_over) * self.axes + term.joints[0] - 1
+            KINDS.index(term.takes_over) * self.axes + term.joints[0] - 1 if term.joints else self.common
             for term in terms
-            if term.takes_over in KINDS and len(term.joints) == 1
+            if (term.takes_over in KINDS and len(term.joints) == 1) or (term.takes_over == "gain" and not term.joints)
         ]
         return np.array(places, dtype=int)
 
 
-def ordinary_setting(rows: Visits, value: Floats) -> AlteredModel:
-    """The setting in which nothing but the ordinary parameters (K N,) is changed."""
-    gain, bias, load_friction, one_efficiency, fast, slow = value.reshape(len(KINDS), rows.axes)
+def ordinary_setting(rows: Visits, value: Floats, changes: GainChanges) -> AlteredModel:
+    """The setting in which nothing but the ordinary parameters (K N + E,) is changed."""
+    by_axis, shared = np.split(value, [len(KINDS) * rows.axes])
+    gain, bias, load_friction, one_efficiency, fast, slow = by_axis.reshape(len(KINDS), rows.axes)
     setting = neutral(len(rows), rows.axes)
     fading = fades(rows)
     return replace(
         setting,
-        gain=setting.gain + gain,
+        gain=setting.gain + gain + changes.patterns(rows) @ shared,
         bias_nm=bias,
         load_friction=load_friction,
         one_efficiency=one_efficiency,

@@ -12,6 +12,7 @@ from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
 from gateway.identify.loads import bare_rows, load_vector, refuse_absent, unknown_labels
 from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, losses, nuisance_prior
+from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import RestProblem
 from gateway.identify.rest.ordinary import Ordinary
 from gateway.model.rest import Model
@@ -64,8 +65,10 @@ class Knowledge:
         )
 
 
-def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProblem:
+def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: GainChanges | None = None) -> RestProblem:
     """Rows, priors and noise groups of the visits.
+
+    `changes` are those of other visits, whose fit has to foretell these; of these visits where none are given.
 
     Raises
     ------
@@ -86,7 +89,7 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProbl
     axis = np.broadcast_to(np.arange(rows.axes), use_sum.shape)
     kind = np.where(use_difference, 0, 2 * rows.axes)
     links, std = open_link_prior(robot, knowledge.inertials)
-    nuisance = nuisance_of(rows, knowledge)
+    nuisance = nuisance_of(rows, knowledge, changes)
     count = 4 * (rows.axes + len(labels)) + rows.axes + len(nuisance.mean)
     prior_rows, prior_target = np.zeros((0, count)), np.zeros(0)
     if knowledge.bare is not None:
@@ -95,6 +98,7 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge) -> RestProbl
         gains = count - len(nuisance.mean)
         prior_rows[:, : 4 * rows.axes] = both[:, : 4 * rows.axes]
         prior_rows[:, gains : gains + 2 * rows.axes] = both[:, 4 * rows.axes :]
+        prior_rows[:, gains + nuisance.common] = both[:, 4 * rows.axes : ][:, : rows.axes] @ nuisance.changes.relative
         nuisance = nuisance.held_elsewhere(np.asarray(both[:, 4 * rows.axes :].any(axis=0)))
     weighed = np.zeros((len(knowledge.masses), count))
     for row, (label, mass_kg) in zip(weighed, knowledge.masses.items(), strict=True):
@@ -123,7 +127,7 @@ def open_link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
     return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
 
 
-def nuisance_of(rows: Visits, knowledge: Knowledge) -> Ordinary:
+def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None = None) -> Ordinary:
     """Prior of what every arm has; the sides of the visits tell how large bands and losses are."""
     halves = np.where(np.isfinite(rows.sum_nm), rows.difference_nm, np.nan)
     count = np.maximum(np.isfinite(rows.sum_nm).sum(axis=0), 1)
@@ -133,4 +137,6 @@ def nuisance_of(rows: Visits, knowledge: Knowledge) -> Ordinary:
     lost, _ = losses(halves, rows.sum_nm)
     gain_std = gain_stds(knowledge.gain_std, rows.axes)
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
-    return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost)
+    if changes is None:
+        changes = GainChanges.of(rows, gain_std)
+    return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes)

@@ -25,6 +25,10 @@ class RestModelThresholds:
         "share of an axis's torque below which no noise is believed",
         "resolution of a torque word of 1000 steps, rounded off over some visits",
     )
+    drift_axis: float = threshold(
+        0.005, "", "drift of an axis's torque reading while the arm warms up", "`methods.md` 11: magnets, some 10 K"
+    )
+    drift_s: float = threshold(1800.0, "s", "time constant of that drift", "`methods.md` 9: motors warm in 5 to 60 min")
     cold: float = threshold(
         0.25, "", "share by which friction is larger cold, of each time constant", "`methods.md` 9: 0 to 0.5"
     )

@@ -151,13 +151,13 @@ def test_a_budget_sums_to_one_and_says_what_would_shrink_it(arm, poses, gravity,
     table = measured_by(CONDITIONS["gains"], gravity, poses, band_nm, table_of, np.random.default_rng(2))
     found = estimate(table, arm.robot, EstimateOptions(), method)
     budget = found.loads[0].budget
-    assert set(budget) == {"constants", "links", "friction", "noise"}
+    assert set(budget) == {"constants", "links", "friction", "drift", "noise"}
     assert sum(budget.values()) == pytest.approx(1.0)
     advice = [entry for entry in found.next if not entry.poses_rad]
     assert len(advice) == 1
     assert 0 < advice[0].reduction < 1
     largest = max(budget, key=budget.get)
-    words = {"constants": "hang a load of known mass", "links": "weigh the links", "noise": "another block"}
+    words = {"constants": "mount a load of known mass", "links": "weigh the links", "noise": "another block"}
     assert words[largest] in advice[0].what
 
 

@@ -79,7 +79,7 @@ def test_columns_are_the_derivatives_of_the_modelled_rows(problem, fits):
     found = fits[0]
     times = np.sort(problem.rows.time_s[problem.rows.load != "none"])
     term = PayloadShift(float(times[3]))
-    setting = with_terms([term], [np.array([0.02, -0.01, 0.03])], problem.rows, found.nuisance)
+    setting = with_terms(problem, [term], [np.array([0.02, -0.01, 0.03])], found.nuisance)
     columns = common_columns(problem, setting, found.links, found.loads, found.band)
     sums = problem.group % (2 * problem.axes) < problem.axes
     for place, step in ((3, 1e-3), (problem.load_part(0).start, 1e-3), (problem.load_part(0).start + 2, 1e-3)):

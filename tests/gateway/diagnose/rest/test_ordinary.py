@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.identify.nuisance import UNEVEN_LOSS, nuisance_prior
+from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import common_columns, modelled, with_terms
 from gateway.identify.rest.ordinary import KINDS, Ordinary, fades, ordinary_setting
 from gateway.identify.rest.problem import Knowledge, build_problem
@@ -43,13 +44,14 @@ def place_of(problem, rng):
             rng.uniform(0.02, 0.1, N),
             rng.uniform(0.1, 0.9, N),
             rng.uniform(0.1, 0.4, 2 * N),
+            rng.uniform(-0.02, 0.02, problem.nuisance.changes.count),
         ]
     )
     return links, loads, band, nuisance
 
 
 def foretold(problem, links, loads, band, nuisance, terms=(), theta=()):
-    return modelled(problem, with_terms(terms, theta, problem.rows, nuisance), links, loads, band)
+    return modelled(problem, with_terms(problem, terms, theta, nuisance), links, loads, band)
 
 
 @pytest.mark.parametrize("seen", [lambda table: table, one_sided, undirected], ids=["both", "one side", "no side"])
@@ -62,7 +64,7 @@ def test_columns_are_finite_differences_of_the_modelled_rows(seen, declared, cou
     links, loads, band, nuisance = place_of(problem, np.random.default_rng(2))
     terms = [TorqueMixing(4, 5)] if coupled else []
     theta = [np.array([0.3])] if coupled else []
-    setting = with_terms(terms, theta, problem.rows, nuisance)
+    setting = with_terms(problem, terms, theta, nuisance)
     columns = common_columns(problem, setting, links, loads, band)
     half_sums = problem.group % (2 * N) < N
     whole = np.concatenate([links, loads.ravel(), band, nuisance])
@@ -74,14 +76,16 @@ def test_columns_are_finite_differences_of_the_modelled_rows(seen, declared, cou
             parts = np.split(whole + sign * step * (np.arange(len(whole)) == place), cuts)
             sides.append(foretold(problem, parts[0], parts[1].reshape(-1, 4), *parts[2:], terms, theta))
         slope = (sides[0] - sides[1]) / (2.0 * step)
-        if place < cuts[1]:  # weight is told by half sums alone
+        gain = cuts[2] <= place < cuts[2] + N or place >= cuts[2] + len(KINDS) * N
+        if place < cuts[1] or gain:  # half sums alone determine weights and gains
             assert not columns[~half_sums, place].any()
             slope = np.where(half_sums, slope, 0.0)
         if cuts[1] <= place < cuts[2] and not problem.sided[place - cuts[1]]:
             assert not columns[half_sums, place].any()
             continue
-        if cuts[2] <= place < cuts[2] + N:  # in shares of the gain that the axis has, which is 1 to some hundredths
-            slope *= 1.0 + whole[place]
+        if gain:  # in shares of the gain that the axis has, which is 1 to some hundredths
+            np.testing.assert_allclose(columns[:, place], slope, rtol=0.15, atol=2e-3 * max(np.abs(slope).max(), 1e-3))
+            continue
         np.testing.assert_allclose(columns[:, place], slope, rtol=2e-3, atol=2e-3 * max(np.abs(slope).max(), 1e-3))
 
 
@@ -90,21 +94,35 @@ def test_each_kind_does_what_it_is_called():
     bench = Bench(3, [], poses=6)
     problem = problem_of(bench, bench.both())
     links, loads, band, nuisance = place_of(problem, np.random.default_rng(4))
-    gain, bias, nu, one, fast, slow = nuisance.reshape(len(KINDS), N)
+    gain, bias, nu, one, fast, slow = nuisance[: len(KINDS) * N].reshape(len(KINDS), N)
+    shared = nuisance[len(KINDS) * N :]
+    assert len(problem.nuisance.changes.blocks) == 2
+    assert len(shared) == 1 + 2 * (N + 1)
     bodies = problem.model.bodies(
-        with_terms([], [], problem.rows, nuisance), links, problem.fixed_load + problem.member @ loads
+        with_terms(problem, [], [], nuisance), links, problem.fixed_load + problem.member @ loads
     )
     torque = np.einsum("nak,nk->na", problem.model.nominal, bodies)
     since = problem.rows.time_s - problem.rows.time_s.min()
+    second = problem.rows.load != problem.rows.load[int(np.argmin(since))]
+    warm = 1.0 - np.exp(-since / 1800.0)
+    gain = (
+        gain
+        + shared[0]
+        + second[:, None] * (shared[1 : N + 1] + shared[N + 1])
+        + warm[:, None] * (shared[N + 2 : 2 * N + 2] + shared[2 * N + 2])
+    )
     cold = (
         1.0
         + np.outer(np.exp(-since / REST_MODEL.warm_fast_s), fast)
         + np.outer(np.exp(-since / REST_MODEL.warm_slow_s), slow)
     )
     bands = band * cold
-    left = one * nu * (nu * torque / 2.0 + np.clip(torque, -bands, bands))
+    # of one efficiency: its mean with its inverse, and within the band a motor that lifts on both sides
+    mean = np.sqrt(1.0 + nu**2) - 1.0
+    left = one * (mean * torque + nu * np.clip(torque, -bands, bands))
     half_sum = (1.0 + gain) * (torque + bias + left)
-    difference = (1.0 + gain) * (bands + nu * np.abs(torque))
+    lost = (1.0 - one) * np.abs(torque) + one * np.maximum(np.abs(torque), bands)
+    difference = (1.0 + gain) * ((1.0 + one * mean) * bands + nu * lost)
     expected = np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
     assert foretold(problem, links, loads, band, nuisance) == pytest.approx(expected)
 
@@ -124,9 +142,12 @@ def test_a_gear_of_one_efficiency_leaves_what_the_ordinary_column_says():
 
 
 def test_an_effect_takes_the_place_of_its_own_axis_alone():
-    ordinary = Ordinary(np.zeros(len(KINDS) * N), np.ones(len(KINDS) * N), np.ones(N))
+    changes = GainChanges.none(np.full(N, 0.03))
+    ordinary = Ordinary(
+        np.zeros(len(KINDS) * N + 1), np.ones(len(KINDS) * N + 1), np.ones(N), changes, np.full(N, 0.05)
+    )
     terms = [TorqueOffset(1), TorqueConstantScale(4), TorqueConstantScale(None), LoadDependentFriction(2)]
-    assert ordinary.taken_over(terms).tolist() == [N + 1, 4, 2 * N + 2]
+    assert ordinary.taken_over(terms).tolist() == [N + 1, 4, len(KINDS) * N, 2 * N + 2]
     assert ordinary.taken_over([]).tolist() == []
 
 
@@ -139,7 +160,7 @@ def test_friction_fades_from_the_first_visit_on():
     later = rows.time_s - rows.time_s.min()
     assert np.log(fast) == pytest.approx(-later / REST_MODEL.warm_fast_s)
     assert np.log(slow) == pytest.approx(-later / REST_MODEL.warm_slow_s)
-    none = ordinary_setting(rows, np.zeros(len(KINDS) * N))
+    none = ordinary_setting(rows, np.zeros(len(KINDS) * N + 1), GainChanges.none(np.full(N, 0.03)))
     assert (none.band_gain == 1.0).all()
     assert (none.gain == 1.0).all()
 
@@ -147,15 +168,17 @@ def test_friction_fades_from_the_first_visit_on():
 def test_priors_are_those_of_constants_and_of_the_friction_that_is_seen():
     gain_std, lost = np.full(N, 0.02), np.linspace(0.0, 0.2, N)
     band = np.arange(1.0, 7.0)
-    prior = Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost)
-    mean, std = prior.mean.reshape(len(KINDS), N), prior.std.reshape(len(KINDS), N)
+    prior = Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, GainChanges.none(gain_std))
+    mean, std = (each[: len(KINDS) * N].reshape(len(KINDS), N) for each in (prior.mean, prior.std))
     assert dict(zip(KINDS, mean[:, 0], strict=True)) == pytest.approx(
         {"gain": 0, "bias": 0, "load_friction": 0.05, "one_efficiency": 0.5, "cold_fast": 0, "cold_slow": 0}
     )
-    assert std[0] == pytest.approx(np.hypot(0.02, UNEVEN_LOSS * lost))
+    # half of the variance of the constants is that of all axes
+    assert std[0] == pytest.approx(np.hypot(0.02 * np.sqrt(0.5), UNEVEN_LOSS * lost))
+    assert prior.std[len(KINDS) * N :] == pytest.approx([0.02 * np.sqrt(0.5)])
     # a gear of one efficiency leaves up to its loss times the band in the middle, besides the tenth of all
     assert std[1] == pytest.approx(np.hypot(0.1, 0.5 * lost) * band)
-    assert prior.constants == pytest.approx(0.02**2 / (0.02**2 + (UNEVEN_LOSS * lost) ** 2))
+    assert prior.constants == pytest.approx(0.02**2 / (0.02**2 + 2.0 * (UNEVEN_LOSS * lost) ** 2))
     with pytest.raises(ValueError, match="read-only"):
         prior.mean[0] = 1.0
     assert (std[2] == 0.05).all()

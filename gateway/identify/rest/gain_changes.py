@@ -1,0 +1,102 @@
+"""Errors of the torque readings that axes share, or that change between runs and while the arm warms up.
+
+The reading of axis i is `(1 + g_i + c + s_ib + s_b + (d_i + d) w(t)) tau_i`: its own error `g_i` is in `ordinary`; the
+common one `c` (a wrong voltage or rms convention, one batch of motors), the change `s` of block b against the first, a
+block being a run with one load, and the drift `d` with `w(t) = 1 - exp(-t / T)` are here. Magnets lose 0.04 % (SmCo) to
+0.2 % (ferrite) of their flux per kelvin, so a motor that is 10 K warmer reads 0.4 to 2 % more current for a torque.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.nuisance import CHANGE_AXIS, CHANGE_COMMON, COMMON_SHARE
+from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.model.visits import Visits
+
+Floats = NDArray[np.float64]
+
+#: Blocks above which a block has one change for all axes: those of single axes average out, and their number would
+#: determine the computing time.
+MOST_BLOCKS: Final = 6
+#: Duration [s] of a table below which no drift is modelled.
+_LONG_S: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GainChanges:
+    """Parameters of the common gain, of its changes by block, and of its drift, in this order.
+
+    Attributes
+    ----------
+    relative : (N,) share of the common error that an axis has: its constant's standard deviation over the largest
+    common_std : standard deviation of the common error at the axis of the least certain constant
+    blocks : blocks in their order; the first is the reference
+    start_s : time of the first visit; NaN = no drift is modelled
+    """
+
+    relative: Floats
+    common_std: float
+    blocks: tuple[str, ...] = ()
+    start_s: float = np.nan
+
+    @staticmethod
+    def none(gain_std: Floats) -> GainChanges:
+        """Without blocks and drift, of constants with these standard deviations (N,)."""
+        largest = float(gain_std.max())
+        return GainChanges(gain_std / largest, math.sqrt(COMMON_SHARE) * largest)
+
+    @staticmethod
+    def of(rows: Visits, gain_std: Floats) -> GainChanges:
+        """Of visits whose constants have these standard deviations (N,)."""
+        order = np.argsort(rows.time_s, kind="stable") if np.isfinite(rows.time_s).all() else np.arange(len(rows))
+        blocks = tuple(dict.fromkeys(blocks_of(rows)[order].tolist()))
+        long = np.ptp(rows.time_s) > _LONG_S
+        start_s = float(rows.time_s.min()) if long else np.nan
+        return replace(GainChanges.none(gain_std), blocks=blocks, start_s=start_s)
+
+    @property
+    def axes(self) -> int:
+        """Number of axes N."""
+        return len(self.relative)
+
+    @property
+    def count(self) -> int:
+        """Number of parameters E."""
+        return len(self.std)
+
+    @property
+    def std(self) -> Floats:
+        """Standard deviation (E,) of each parameter's prior; its mean is 0."""
+        change = [CHANGE_COMMON] if self._by_block_alone else self._change(CHANGE_AXIS)
+        drift = self._change(REST_MODEL.drift_axis) if np.isfinite(self.start_s) else []
+        return np.array([self.common_std, *(change * max(len(self.blocks) - 1, 0)), *drift])
+
+    def patterns(self, rows: Visits) -> Floats:
+        """What one unit of each parameter adds to the gain: (n, N, E). A block that is not known adds nothing."""
+        n, axes = len(rows), self.axes
+        parts = [np.broadcast_to(self.relative[:, None], (n, axes, 1))]
+        every = np.ones((axes, 1)) if self._by_block_alone else np.hstack([np.eye(axes), np.ones((axes, 1))])
+        block = blocks_of(rows)
+        parts += [(block == name)[:, None, None] * every[None] for name in self.blocks[1:]]
+        if np.isfinite(self.start_s):
+            warm = 1.0 - np.exp(-np.maximum(rows.time_s - self.start_s, 0.0) / REST_MODEL.drift_s)
+            parts.append(warm[:, None, None] * np.hstack([np.eye(axes), np.ones((axes, 1))])[None])
+        return np.concatenate(parts, axis=2)
+
+    @property
+    def _by_block_alone(self) -> bool:
+        return len(self.blocks) > MOST_BLOCKS
+
+    def _change(self, own: float) -> list[float]:
+        return [own] * self.axes + [CHANGE_COMMON]
+
+
+def blocks_of(rows: Visits) -> NDArray[np.str_]:
+    """Block (n,) of every visit: its run with its load."""
+    return np.char.add(np.char.add(rows.run.astype(str), "/"), rows.load.astype(str))
