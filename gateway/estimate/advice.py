@@ -22,7 +22,7 @@ _UNKNOWN_KG = 1e3
 def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: EstimateOptions) -> NextMeasurement | None:
     """The rest pose that shrinks the uncertainty of a load most, bare and loaded (D-optimal over random postures).
 
-    What the torque constants and their drift leave open is the same at every pose: that share of the variance stays as it is.
+    What the torque constants and their drift leave open is the same at every pose: that share of the variance stays.
 
     Parameters
     ----------

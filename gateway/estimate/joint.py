@@ -12,8 +12,9 @@ from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import EstimateOptions
+from gateway.identify.conflict import settle, two_bodies
 from gateway.identify.load_estimate import LoadEstimate, refused_load
-from gateway.identify.loads import require_postures
+from gateway.identify.loads import require_postures, unknown_labels
 from gateway.identify.mass_change import mass_changes
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -46,13 +47,20 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     DataUnusable
         Nothing measured, a load in one posture only (rank 3), or a mass that changes on the arm without a load.
     """
-    problem = problem_of(visits, robot, options)
-    for label in problem.labels:
+    knowledge = knowledge_of(options)
+    for label in unknown_labels(visits.load, knowledge.known):
         require_postures(visits.q_rad[visits.load == label], label)
-    fit = fit_without_effects(problem)
-    refused = refused_loads(problem, fit, robot, options)
+    settled = settle(robot, visits, knowledge)
+    problem, fit = settled.stated
+    refused = {
+        label: refused_load(label, reason, per_pose_mass(problem, fit, problem.labels.index(label)))
+        for label, reason in two_bodies(robot, visits, settled.knowledge).items()
+    }
+    refused |= refused_loads(problem, fit, robot, options)
     if not refused:
-        return describe(problem, fit, robot, options)
+        trusted = replace(options, inertials=settled.knowledge.inertials)
+        found = describe(settled.problem, settled.fit, robot, trusted)
+        return replace(found, findings=(*found.findings, *settled.findings))
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)
     if not len(kept):

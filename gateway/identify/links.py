@@ -91,10 +91,10 @@ def link_prior(robot: Robot, trust: float, per_link: int) -> tuple[Floats, Float
     Returns
     -------
     mean, std : arrays of shape (N per_link,)
-        Mean 0 and infinite standard deviation where nothing is known.
+        Mean 0 and infinite standard deviation where nothing is known. A mass of 0 or less is unknown.
     """
     values = link_values(robot)[:, :per_link]
-    known = np.isfinite(values[:, :PER_LINK_AT_REST]).all(axis=1) & np.isfinite(trust)
+    known = np.isfinite(values[:, :PER_LINK_AT_REST]).all(axis=1) & np.isfinite(trust) & (robot.mass_kg > 0.0)
     size = robot.mass_kg[:, None] * link_lengths_m(robot)[:, None] ** _POWERS[:per_link]
     mean = np.where(known[:, None], np.nan_to_num(values), 0.0)
     std = np.full(mean.shape, np.inf)

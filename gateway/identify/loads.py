@@ -89,12 +89,12 @@ def load_vector(known: Sequence[float]) -> Floats:
     return mass * np.array([1.0, *com])
 
 
-def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
+def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
     """A stored bare identification as rows (k, 6 N) and right side (k,) with unit standard deviation.
 
     Columns are the 4 N link parameters, the gains and the friction biases it was made with: the same arm errs the same
     way under a load, except for the change of its gains from one run to the next. The rows stand for the prior of those
-    gains and biases too; a column is 0 where none is stored.
+    gains and biases too; a column is 0 where none is stored. `change` is a factor on the usual change.
     """
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
     rank, links = combination.shape
@@ -102,7 +102,7 @@ def bare_rows(bare: Bare) -> tuple[Floats, Floats]:
     further = np.concatenate([np.resize(bare.gain or np.nan, axes), np.asarray(bare.offset_nm, dtype=float)])
     covariance = np.array(bare.gain_covariance if bare.gain else bare.covariance, dtype=float)
     gains = slice(rank, min(rank + axes, len(covariance)))
-    covariance[gains, gains] += change_covariance(gains.stop - rank)
+    covariance[gains, gains] += change**2 * change_covariance(gains.stop - rank)
     stored = np.flatnonzero(np.isfinite(further[: len(covariance) - rank]))
     rows = np.zeros((rank + len(stored), links + 2 * axes))
     rows[:rank, :links] = combination

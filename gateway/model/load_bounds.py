@@ -17,6 +17,7 @@ from gateway.cell.config import ArmConfig
 from gateway.cell.plausible import LARGEST_LEVER_M, LARGEST_LOAD_KG, OVERLOAD
 from gateway.errors import ConfigError
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
+from gateway.model.placeholders import mass_placeholder
 from gateway.model.robot import Robot, reach_m
 
 
@@ -92,7 +93,7 @@ def bounds_of(
     reach = 0.0 if robot is None else reach_m(robot)
     if rating is not None:
         masses.append((OVERLOAD * rating[0], f"{OVERLOAD:g} x {rating[1]} of {rating[0]:g} kg"))
-    elif trusts_masses and robot is not None and np.isfinite(robot.mass_kg).all():
+    elif trusts_masses and robot is not None and np.isfinite(robot.mass_kg).all() and not mass_placeholder(robot):
         masses.append((float(robot.mass_kg.sum()), "what the links of the arm weigh together"))
     if reach > 0:
         levers.append((reach, "the reach of the arm"))

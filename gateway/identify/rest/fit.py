@@ -130,7 +130,10 @@ def _linearised(
     left = problem.target - modelled(problem, setting, state.links, state.loads, state.band)
     updated = _update_noise(problem, left, solution.leverage, noise)
     penalty = _penalty(problem, terms, state, prior, spreads)
-    mode = _log_density(problem, left, updated, penalty)
+    count = problem.by_group()
+    used = np.flatnonzero(count)
+    squares = problem.by_group(left**2)[used]
+    mode = log_density(count[used], squares, updated.std[used], updated.start[used], penalty)
     known = prior.std[problem.nuisance_part]
     log_spread = sum(float(np.sum(np.log(values))) for values in (*spreads, known))
     return Fit(
@@ -195,10 +198,14 @@ def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Flo
 
 def _update_noise(problem: RestProblem, residual: Floats, leverage: Floats, noise: Noise) -> Noise:
     count, taken, squares = problem.by_group(), problem.by_group(leverage), problem.by_group(residual**2)
-    freedom = np.maximum(count - taken, 0.0) + REST_MODEL.noise_weight
-    variance = (squares + REST_MODEL.noise_weight * noise.start**2) / freedom
-    std = np.where(count > 0, np.maximum(np.sqrt(variance), noise.least), noise.start)
+    std = np.where(count > 0, noise_std(count, taken, squares, noise.start, noise.least), noise.start)
     return Noise(noise.start, std, noise.least)
+
+
+def noise_std(count: Floats, taken: Floats, squares: Floats, start: Floats, least: Floats) -> Floats:
+    """Noise (groups,) of rows whose residuals have these squares, of which a fit has `taken` degrees of freedom."""
+    freedom = np.maximum(count - taken, 0.0) + REST_MODEL.noise_weight
+    return np.maximum(np.sqrt((squares + REST_MODEL.noise_weight * start**2) / freedom), least)
 
 
 def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, prior: Prior, spreads: list[Floats]) -> float:
@@ -213,10 +220,12 @@ def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, prior: 
     return total
 
 
-def _log_density(problem: RestProblem, residual: Floats, noise: Noise, penalty: float) -> float:
-    std = noise.std[problem.group]
-    density = -float(np.sum(np.log(std))) - 0.5 * float(np.sum((residual / std) ** 2)) - 0.5 * penalty
-    used = np.unique(problem.group)
-    ratio = (noise.start[used] / noise.std[used]) ** 2
+def log_density(count: Floats, squares: Floats, std: Floats, start: Floats, penalty: float) -> float:
+    """Logarithm of the density of rows and priors, from the rows, squared residuals and noise of each noise group.
+
+    `penalty` is the sum of the squares that priors add.
+    """
+    density = -float(count @ np.log(std)) - 0.5 * float(squares @ std**-2.0) - 0.5 * penalty
+    ratio = (start / std) ** 2
     half = REST_MODEL.noise_weight / 2.0
     return density + float(np.sum((half + 1.0) * np.log(ratio) - half * ratio))

@@ -38,12 +38,14 @@ class GainChanges:
     common_std : standard deviation of the common error at the axis of the least certain constant
     blocks : blocks in their order; the first is the reference
     start_s : time of the first visit; NaN = no drift is modelled
+    factor : on the standard deviation of every change
     """
 
     relative: Floats
     common_std: float
     blocks: tuple[str, ...] = ()
     start_s: float = np.nan
+    factor: float = 1.0
 
     @staticmethod
     def none(gain_std: Floats) -> GainChanges:
@@ -52,13 +54,13 @@ class GainChanges:
         return GainChanges(gain_std / largest, math.sqrt(COMMON_SHARE) * largest)
 
     @staticmethod
-    def of(rows: Visits, gain_std: Floats) -> GainChanges:
-        """Of visits whose constants have these standard deviations (N,)."""
+    def of(rows: Visits, gain_std: Floats, factor: float = 1.0) -> GainChanges:
+        """Of visits whose constants have these standard deviations (N,), and changes `factor` times the usual ones."""
         order = np.argsort(rows.time_s, kind="stable") if np.isfinite(rows.time_s).all() else np.arange(len(rows))
         blocks = tuple(dict.fromkeys(blocks_of(rows)[order].tolist()))
         long = np.ptp(rows.time_s) > _LONG_S
         start_s = float(rows.time_s.min()) if long else np.nan
-        return replace(GainChanges.none(gain_std), blocks=blocks, start_s=start_s)
+        return replace(GainChanges.none(gain_std), blocks=blocks, start_s=start_s, factor=factor)
 
     @property
     def axes(self) -> int:
@@ -75,7 +77,8 @@ class GainChanges:
         """Standard deviation (E,) of each parameter's prior; its mean is 0."""
         change = [CHANGE_COMMON] if self._by_block_alone else self._change(CHANGE_AXIS)
         drift = self._change(REST_MODEL.drift_axis) if np.isfinite(self.start_s) else []
-        return np.array([self.common_std, *(change * max(len(self.blocks) - 1, 0)), *drift])
+        changes = np.array([*(change * max(len(self.blocks) - 1, 0)), *drift])
+        return np.append(self.common_std, self.factor * changes)
 
     def patterns(self, rows: Visits) -> Floats:
         """What one unit of each parameter adds to the gain: (n, N, E). A block that is not known adds nothing."""

@@ -46,6 +46,7 @@ class Knowledge:
     masses : label -> mass [kg] of loads that were weighed, and whose centre is to be estimated
     bare : stored bare identification, or None
     gain_std : relative standard deviation of each torque constant, or None
+    change : factor on the standard deviation of changes of gain between runs and while the arm warms up
     """
 
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
@@ -54,6 +55,7 @@ class Knowledge:
     masses: Mapping[str, float] = field(default_factory=dict)
     bare: Bare | None = None
     gain_std: tuple[float, ...] | None = None
+    change: float = 1.0
 
     def of_loads(self, labels: Iterable[str]) -> Knowledge:
         """The same without known loads that are not among these labels."""
@@ -93,12 +95,12 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
     count = 4 * (rows.axes + len(labels)) + rows.axes + len(nuisance.mean)
     prior_rows, prior_target = np.zeros((0, count)), np.zeros(0)
     if knowledge.bare is not None:
-        both, prior_target = bare_rows(knowledge.bare)
+        both, prior_target = bare_rows(knowledge.bare, knowledge.change)
         prior_rows = np.zeros((len(both), count))
         gains = count - len(nuisance.mean)
         prior_rows[:, : 4 * rows.axes] = both[:, : 4 * rows.axes]
         prior_rows[:, gains : gains + 2 * rows.axes] = both[:, 4 * rows.axes :]
-        prior_rows[:, gains + nuisance.common] = both[:, 4 * rows.axes : ][:, : rows.axes] @ nuisance.changes.relative
+        prior_rows[:, gains + nuisance.common] = both[:, 4 * rows.axes :][:, : rows.axes] @ nuisance.changes.relative
         nuisance = nuisance.held_elsewhere(np.asarray(both[:, 4 * rows.axes :].any(axis=0)))
     weighed = np.zeros((len(knowledge.masses), count))
     for row, (label, mass_kg) in zip(weighed, knowledge.masses.items(), strict=True):
@@ -138,5 +140,5 @@ def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None 
     gain_std = gain_stds(knowledge.gain_std, rows.axes)
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
     if changes is None:
-        changes = GainChanges.of(rows, gain_std)
+        changes = GainChanges.of(rows, gain_std, knowledge.change)
     return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes)

@@ -26,7 +26,7 @@ class RestModelThresholds:
         "resolution of a torque word of 1000 steps, rounded off over some visits",
     )
     drift_axis: float = threshold(
-        0.005, "", "drift of an axis's torque reading while the arm warms up", "`methods.md` 11: magnets, some 10 K"
+        0.003, "", "drift of an axis's torque reading while the arm warms up", "`methods.md` 11: magnets, some 10 K"
     )
     drift_s: float = threshold(1800.0, "s", "time constant of that drift", "`methods.md` 9: motors warm in 5 to 60 min")
     cold: float = threshold(
@@ -37,3 +37,30 @@ class RestModelThresholds:
 
 
 REST_MODEL: Final = RestModelThresholds()
+
+
+@dataclass(frozen=True, slots=True)
+class ConflictThresholds:
+    """When a statement about the arm counts as contradicted by the measurement."""
+
+    log_odds: float = threshold(
+        2.5,
+        "",
+        "logarithm of the marginal likelihood that a wider prior gains over the stated one",
+        "false alarms on clean cells of `make conflict`: at most 2 %",
+    )
+    dropped: float = threshold(
+        3.0, "", "times its stated spread that a group needs before it is dropped", "`methods.md` 11"
+    )
+    shown: float = threshold(
+        2.0, "", "standard deviations from which a torque constant is listed", "one axis in twenty by chance"
+    )
+    bodies_p: float = threshold(
+        1e-4,
+        "",
+        "probability at which two masses under one label are told from one",
+        "one false alarm in 10 000 labels",
+    )
+
+
+CONFLICT: Final = ConflictThresholds()

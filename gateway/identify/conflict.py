@@ -1,0 +1,337 @@
+"""Statements about an arm, tested against rest visits: link masses, torque constants, changes of gain, labels.
+
+A statement enters a fit as a prior. Where the measurement contradicts it, a fit is narrow and wrong, so the spread of
+each group of priors is estimated from the data (empirical Bayes, `methods.md` 11): the marginal likelihood at a wider
+prior over that at the stated one. A group that needs more than three times its stated spread is dropped. Background:
+Box 1980 (predictive checks), Evans and Moshonov 2006 (conflict of prior and data).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc
+
+from gateway.data.labels import BARE_LABEL
+from gateway.identify.links import parse_inertials
+from gateway.identify.loads import bare_rows
+from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
+from gateway.identify.rest.fit import fit_without_effects, log_density, noise_std
+from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.loads import sure
+from gateway.identify.rest.problem import Knowledge, build_problem, nuisance_of, open_link_prior
+from gateway.identify.rest.thresholds import CONFLICT
+from gateway.model.placeholders import mass_placeholder
+from gateway.model.robot import Robot
+from gateway.model.visits import Visits
+from gateway.result.result import Finding
+
+Floats = NDArray[np.float64]
+
+#: Relative standard deviations of link masses that are tried, and of torque constants; factors on changes of gain.
+_LINKS: Final = (0.02, 0.05, 0.1, 0.2, 0.4)
+_GAINS: Final = (0.01, 0.03, 0.06, 0.12)
+_CHANGES: Final = (3.0, 8.0)
+#: Relative size of a direction that neither rows nor priors determine: it counts the same in every alternative.
+_SINGULAR: Final = 1e-14
+#: Between a label and a run: in no label that a table may have.
+_APART: Final = "\x1f"
+#: Standard deviation of a factor on all link masses.
+_LINK_SCALE: Final = 0.2
+#: Steps in which the noise of an alternative settles.
+_NOISE_STEPS: Final = 3
+#: Groups that can be in conflict, one after the other.
+_ROUNDS: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """Knowledge that the data do not contradict, the fit with it, and what was contradicted.
+
+    `stated` is the problem and the fit with the knowledge as it was stated.
+    """
+
+    stated: tuple[RestProblem, Fit]
+    knowledge: Knowledge
+    problem: RestProblem
+    fit: Fit
+    findings: tuple[Finding, ...]
+
+
+def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> Settled:
+    """Fit the visits without effects, and widen or drop the statements that they contradict.
+
+    Raises
+    ------
+    InputError, DataUnusable
+        As `build_problem`.
+    """
+    trusted, placeholder = _without_placeholder(robot, knowledge)
+    problem = build_problem(robot, rows, trusted)
+    fit = fit_without_effects(problem)
+    settled, stated = trusted, (problem, fit)
+    for _ in range(_ROUNDS):
+        wider = wider_knowledge(problem, fit, robot, settled)
+        if wider is None:
+            break
+        settled = wider
+        problem = build_problem(robot, rows, settled)
+        fit = fit_without_effects(problem)
+    findings = (*placeholder, *conflict_findings(robot, problem, fit, trusted, settled))
+    return Settled(stated, settled, problem, fit, findings)
+
+
+def wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Knowledge | None:
+    """The knowledge with the group widened that the data contradict most; None where they contradict none."""
+    line = _Line.of(problem, fit)
+    stated = line.evidence(fit.prior_std)
+    best, found = CONFLICT.log_odds, None
+    for alternative in _alternatives(robot, knowledge):
+        odds = line.evidence(_prior_std(problem, fit, robot, alternative)) - stated
+        if odds > best:
+            best, found = odds, alternative
+    if line.evidence(fit.prior_std, _LINK_SCALE) - stated > best:
+        return replace(knowledge, inertials="ignore" if _unloaded(problem, knowledge) else f"prior:{_LINK_SCALE:g}")
+    if found is None:
+        return None
+    if found.gain_std != knowledge.gain_std and knowledge.inertials != "ignore" and _unloaded(problem, knowledge):
+        # constants and links contradict each other, and the rows do not tell which are wrong: the arm is measured, so
+        # the links are the statement that is not needed
+        return replace(knowledge, inertials="ignore")
+    return _dropped(knowledge, found)
+
+
+def _unloaded(problem: RestProblem, knowledge: Knowledge) -> bool:
+    """Whether the arm was measured under a load that is known, or none."""
+    return knowledge.bare is not None or bool((problem.member.sum(axis=1) == 0).any())
+
+
+def _without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, tuple[Finding, ...]]:
+    why = mass_placeholder(robot)
+    if not why or knowledge.inertials == "ignore":
+        return knowledge, ()
+    finding = Finding(
+        "warn", "link masses", f"{why}: a placeholder, not used", "state the masses of the data sheet in the URDF"
+    )
+    return replace(knowledge, inertials="ignore"), (finding,)
+
+
+def _alternatives(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
+    trust = parse_inertials(knowledge.inertials)
+    for wider in _LINKS:
+        if 1.5 * trust < wider < np.inf:
+            yield replace(knowledge, inertials=f"prior:{wider:g}")
+    std = gain_stds(knowledge.gain_std, robot.axes)
+    for wider in _GAINS:
+        if wider > 1.5 * float(np.median(std)):
+            yield replace(knowledge, gain_std=tuple(np.hypot(std, wider).tolist()))
+    for factor in _CHANGES:
+        if factor > knowledge.change:
+            yield replace(knowledge, change=factor)
+
+
+def _dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
+    """The wider knowledge, without links that need more than three times their stated spread."""
+    trust, needed = parse_inertials(stated.inertials), parse_inertials(wider.inertials)
+    if needed > CONFLICT.dropped * max(trust, _LINKS[0]):
+        return replace(wider, inertials="ignore")
+    return wider
+
+
+def _prior_std(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Floats:
+    """Standard deviations (p,) of the priors of a fit, had it been made with this knowledge."""
+    nuisance = nuisance_of(problem.rows, knowledge, replace(problem.nuisance.changes, factor=knowledge.change))
+    if knowledge.bare is not None:
+        nuisance = nuisance.held_elsewhere(np.asarray(bare_rows(knowledge.bare)[0][:, 4 * problem.axes :].any(axis=0)))
+    _, link_std = open_link_prior(robot, knowledge.inertials)
+    std = fit.prior_std.copy()
+    std[: problem.n_common] = replace(problem, link_std=link_std, nuisance=nuisance).common_std
+    taken = problem.taken_over(fit.terms)
+    std[taken] = fit.prior_std[taken]
+    return std
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Line:
+    """A fit as a linear problem about its solution: products of its columns by noise group, so that a prior is tried
+    at a cost that does not depend on the number of rows.
+
+    Attributes
+    ----------
+    gram : (groups, p, p), right : (groups, p), square : (groups,) products of columns and residual
+    count : (groups,) rows
+    """
+
+    problem: RestProblem
+    fit: Fit
+    gram: Floats
+    right: Floats
+    square: Floats
+    count: Floats
+
+    @staticmethod
+    def of(problem: RestProblem, fit: Fit) -> _Line:
+        width, groups = fit.columns.width, 3 * problem.axes
+        gram, right = np.zeros((groups, width, width)), np.zeros((groups, width))
+        for rows, columns, values in fit.columns.parts:
+            group = int(problem.group[rows[0]])
+            gram[group][np.ix_(columns, columns)] += values.T @ values
+            right[group][columns] += values.T @ fit.residual[rows]
+        used = np.flatnonzero(problem.by_group() > 0)
+        square, count = problem.by_group(fit.residual**2), problem.by_group()
+        return _Line(problem, fit, gram[used], right[used], square[used], count[used])
+
+    def evidence(self, std: Floats, link_scale: float = 0.0) -> float:
+        """Logarithm of the marginal likelihood, up to what all priors share, with priors of these widths (p,).
+
+        `link_scale` is the standard deviation of a factor on all link masses: CAD without motors, or of another alloy.
+        """
+        problem, fit = self.problem, self.fit
+        used = np.flatnonzero(problem.by_group() > 0)
+        held = np.isfinite(std)
+        centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
+        pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])
+        pull[problem.taken_over(fit.terms)] = 0.0
+        precision = np.diag(np.where(held, std, np.inf) ** -2.0)
+        shared = np.zeros(len(std))
+        shared[problem.link_part] = link_scale * problem.links
+        log_spread = float(np.sum(np.log(std[held]))) + 0.5 * float(np.log1p(shared @ precision @ shared))
+        tied = precision @ shared
+        precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
+        rows = np.pad(problem.prior_rows, ((0, 0), (0, len(std) - problem.n_common)))
+        known = problem.prior_target - problem.prior_rows @ fit.common
+        noise = fit.noise.std.copy()
+        for _ in range(_NOISE_STEPS):
+            weight = noise[used] ** -2.0
+            matrix = np.tensordot(weight, self.gram, 1) + precision + rows.T @ rows
+            scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+            size, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+            size = np.maximum(size, _SINGULAR)
+            inverse = (vectors / size) @ vectors.T / np.outer(scale, scale)
+            step = inverse @ (weight @ self.right + precision @ np.where(held, pull, 0.0) + rows.T @ known)
+            left = self.square - 2.0 * self.right @ step + np.einsum("i,gij,j->g", step, self.gram, step)
+            taken = np.einsum("gij,ij->g", self.gram, inverse) * weight
+            left = np.maximum(left, 0.0)
+            noise[used] = noise_std(self.count, taken, left, fit.noise.start[used], fit.noise.least[used])
+        away = np.where(held, pull - step, 0.0)
+        short = known - rows @ step
+        penalty = float(away @ precision @ away) + float(short @ short)
+        log_det = float(np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale)))
+        density = log_density(self.count, left, noise[used], fit.noise.start[used], penalty)
+        return density - 0.5 * log_det - log_spread
+
+
+def conflict_findings(
+    robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
+) -> Iterator[Finding]:
+    """What of the stated knowledge the measurement contradicts, with the numbers of both, by the settled fit."""
+    if settled.inertials != stated.inertials:
+        yield _links_contradicted(robot, problem, fit, stated, settled)
+    if settled.gain_std != stated.gain_std:
+        yield _gains_contradicted(problem, fit, gain_stds(stated.gain_std, robot.axes))
+    if settled.change != stated.change:
+        yield _gains_changed(problem, fit)
+
+
+def _links_contradicted(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge) -> Finding:
+    """The axis on which the torque of the unloaded arm differs most from what the URDF's masses give."""
+    mean, _ = open_link_prior(robot, stated.inertials)
+    rows, own = problem.model.nominal, problem.link_part
+    expected = rows @ mean
+    visit = np.abs(np.where(problem.use_sum, expected, 0.0)).argmax(axis=0)
+    axes = np.arange(problem.axes)
+    at = rows[visit, axes]
+    covariance = fit.covariance[own, own]
+    measured, std = at @ fit.links, np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", at, covariance, at), 1e-12))
+    away = np.where(problem.use_sum.any(axis=0), np.abs(measured - at @ mean) / std, 0.0)
+    axis = int(np.argmax(away))
+    trust = parse_inertials(settled.inertials)
+    use = "they are not used" if np.isinf(trust) else f"they are trusted to {100 * trust:.0f} %"
+    return Finding(
+        "warn",
+        f"J{axis + 1}",
+        f"the link masses of the robot model are contradicted by the measurement: the unloaded arm would need"
+        f" {at[axis] @ mean:.4g} Nm at pose {int(problem.rows.pose[visit[axis]])}, and the measurement gives"
+        f" {measured[axis]:.4g} \N{PLUS-MINUS SIGN} {1.96 * std[axis]:.2g} Nm (95 %); {use}",
+        "check the masses of the robot model against the data sheet, or state --inertials ignore; if they are right, an"
+        " effect is missing: run `servo-gateway diagnose`",
+    )
+
+
+def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> Finding:
+    """The axes whose torque constants differ most from what is stated."""
+    gain, std = _functions(fit, problem.gain_directions)
+    away = np.where(problem.use_sum.any(axis=0), np.abs(gain) / np.hypot(stated, std), 0.0)
+    axes = np.flatnonzero(away > CONFLICT.shown) if (away > CONFLICT.shown).any() else np.array([np.argmax(away)])
+    said = ", ".join(f"J{k + 1} {100 * gain[k]:+.1f} \N{PLUS-MINUS SIGN} {196 * std[k]:.1f} %" for k in axes)
+    return Finding(
+        "warn",
+        ", ".join(f"J{k + 1}" for k in axes),
+        f"the torque constants are contradicted by the measurement: their errors would be {said} (95 %), and"
+        f" {100 * float(np.median(stated)):.2g} % (1 standard deviation) is stated; the intervals are widened for it",
+        "check the constants (rms or peak value, voltage, gear ratio), or measure them with a weighed load:"
+        " `servo-gateway calibrate`",
+    )
+
+
+def _gains_changed(problem: RestProblem, fit: Fit) -> Finding:
+    """The axis and the time between which its reading changed most."""
+    rows = problem.rows
+    order = np.argsort(rows.time_s, kind="stable") if np.isfinite(rows.time_s).all() else np.arange(len(rows))
+    gains = problem.gains_at(rows.take(order))
+    directions = (gains - gains[0]).reshape(-1, gains.shape[2])
+    change, std = (each.reshape(len(order), -1) for each in _functions(fit, directions))
+    certain = np.where(problem.use_sum.any(axis=0) & (std > 0), np.abs(change) / np.maximum(std, 1e-12), 0.0)
+    visit, axis = np.unravel_index(int(np.argmax(certain)), certain.shape)
+    before, after = rows.take(order[[0]]), rows.take(order[[visit]])
+    return Finding(
+        "warn",
+        f"J{axis + 1}",
+        f"its torque reading changed by {100 * change[visit, axis]:+.1f} \N{PLUS-MINUS SIGN}"
+        f" {196 * std[visit, axis]:.1f} % (95 %) from pose {int(before.pose[0])} with load {before.load[0]} to pose"
+        f" {int(after.pose[0])} with load {after.load[0]}, more than {100 * CHANGE_AXIS:.0f} % (1 standard deviation)"
+        " of an arm that warms up; the intervals are widened for it",
+        "warm the arm up before measuring, and measure in the order load, unloaded, unloaded, load",
+    )
+
+
+def _functions(fit: Fit, directions: Floats) -> tuple[Floats, Floats]:
+    """Value and standard deviation (k,) of linear functions (k, n_common) of what every hypothesis has."""
+    own = fit.covariance[: directions.shape[1], : directions.shape[1]]
+    variance = np.einsum("ki,ij,kj->k", directions, own, directions)
+    return directions @ fit.common, np.sqrt(np.maximum(variance, 0.0))
+
+
+def two_bodies(robot: Robot, rows: Visits, knowledge: Knowledge) -> Mapping[str, str]:
+    """Labels under which two runs carry different bodies, each with why: 4 degrees of freedom of [m, h]."""
+    out: dict[str, str] = {}
+    names = {load: tuple(dict.fromkeys(rows.run[rows.load == load].tolist())) for load in np.unique(rows.load).tolist()}
+    for label, runs in names.items():
+        if label == BARE_LABEL or label in knowledge.known or len(runs) < 2:
+            continue
+        apart = np.where(
+            rows.load == label, np.char.add(f"{label}{_APART}", rows.run.astype(str)), rows.load.astype(str)
+        )
+        masses = {name: mass for name, mass in knowledge.masses.items() if name != label}
+        problem = build_problem(robot, replace(rows, load=apart), replace(knowledge, masses=masses))
+        fit = fit_without_effects(problem)
+        first, *others = (problem.load_part(problem.labels.index(f"{label}{_APART}{run}")) for run in runs)
+        for run, other in zip(runs[1:], others, strict=True):
+            turn = np.zeros((4, len(fit.scale)))
+            turn[:, other], turn[:, first] = np.eye(4), -np.eye(4)
+            if not sure(problem, fit, turn).all():
+                continue
+            away = turn[:, : problem.n_common] @ fit.common
+            spread = turn @ fit.covariance @ turn.T
+            if chdtrc(4, float(away @ np.linalg.solve(spread, away))) < CONFLICT.bodies_p:
+                mass = [fit.common[part.start] for part in (first, other)]
+                std = [np.sqrt(fit.covariance[part.start, part.start]) for part in (first, other)]
+                out[label] = (
+                    f"two bodies under one label: {mass[0]:.4g} \N{PLUS-MINUS SIGN} {1.96 * std[0]:.2g} kg in run"
+                    f" {runs[0]} and {mass[1]:.4g} \N{PLUS-MINUS SIGN} {1.96 * std[1]:.2g} kg in run {run} (95 %)"
+                )
+    return out
