@@ -25,6 +25,7 @@ from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import Knowledge, build_problem, nuisance_of, open_link_prior
 from gateway.identify.rest.thresholds import CONFLICT
+from gateway.identify.solve import NOTHING
 from gateway.model.placeholders import mass_placeholder
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -78,11 +79,18 @@ def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> Settled:
         wider = wider_knowledge(problem, fit, robot, settled)
         if wider is None:
             break
-        settled = wider
-        problem = build_problem(robot, rows, settled)
-        fit = fit_without_effects(problem)
+        other = build_problem(robot, rows, wider)
+        refitted = fit_without_effects(other)
+        if not _shows(robot, other, refitted, settled, wider):
+            break
+        settled, problem, fit = wider, other, refitted
     findings = (*placeholder, *conflict_findings(robot, problem, fit, trusted, settled))
     return Settled(stated, settled, problem, fit, findings)
+
+
+def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:
+    """Whether what was widened then differs from what is stated: rounding of rows without noise alone may favour it."""
+    return all(away > CONFLICT.shown for away, _ in _contradicted(robot, problem, fit, stated, wider))
 
 
 def wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Knowledge | None:
@@ -208,7 +216,8 @@ class _Line:
         for _ in range(_NOISE_STEPS):
             weight = noise[used] ** -2.0
             matrix = np.tensordot(weight, self.gram, 1) + precision + rows.T @ rows
-            scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+            scale = np.sqrt(np.diag(matrix))
+            scale[scale <= NOTHING * scale.max()] = 1.0
             size, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
             size = np.maximum(size, _SINGULAR)
             inverse = (vectors / size) @ vectors.T / np.outer(scale, scale)
@@ -229,6 +238,13 @@ def conflict_findings(
     robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
 ) -> Iterator[Finding]:
     """What of the stated knowledge the measurement contradicts, with the numbers of both, by the settled fit."""
+    return (finding for _, finding in _contradicted(robot, problem, fit, stated, settled))
+
+
+def _contradicted(
+    robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
+) -> Iterator[tuple[float, Finding]]:
+    """The same, each with the standard deviations by which the measurement differs."""
     if settled.inertials != stated.inertials:
         yield _links_contradicted(robot, problem, fit, stated, settled)
     if settled.gain_std != stated.gain_std:
@@ -237,7 +253,9 @@ def conflict_findings(
         yield _gains_changed(problem, fit)
 
 
-def _links_contradicted(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge) -> Finding:
+def _links_contradicted(
+    robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
+) -> tuple[float, Finding]:
     """The axis on which the torque of the unloaded arm differs most from what the URDF's masses give."""
     mean, _ = open_link_prior(robot, stated.inertials)
     rows, own = problem.model.nominal, problem.link_part
@@ -251,7 +269,7 @@ def _links_contradicted(robot: Robot, problem: RestProblem, fit: Fit, stated: Kn
     axis = int(np.argmax(away))
     trust = parse_inertials(settled.inertials)
     use = "they are not used" if np.isinf(trust) else f"they are trusted to {100 * trust:.0f} %"
-    return Finding(
+    return float(away[axis]), Finding(
         "warn",
         f"J{axis + 1}",
         f"the link masses of the robot model are contradicted by the measurement: the unloaded arm would need"
@@ -262,13 +280,17 @@ def _links_contradicted(robot: Robot, problem: RestProblem, fit: Fit, stated: Kn
     )
 
 
-def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> Finding:
+def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> tuple[float, Finding]:
     """The axes whose torque constants differ most from what is stated."""
     gain, std = _functions(fit, problem.gain_directions)
     away = np.where(problem.use_sum.any(axis=0), np.abs(gain) / np.hypot(stated, std), 0.0)
     axes = np.flatnonzero(away > CONFLICT.shown) if (away > CONFLICT.shown).any() else np.array([np.argmax(away)])
+    measured = problem.use_sum.any(axis=0)
+    relative = problem.gain_directions - problem.gain_directions[measured].mean(axis=0)
+    apart, apart_std = _functions(fit, relative)
+    most = max(float(away.max()), float((np.abs(apart) / np.hypot(stated, apart_std))[measured].max()))
     said = ", ".join(f"J{k + 1} {100 * gain[k]:+.1f} \N{PLUS-MINUS SIGN} {196 * std[k]:.1f} %" for k in axes)
-    return Finding(
+    return most, Finding(
         "warn",
         ", ".join(f"J{k + 1}" for k in axes),
         f"the torque constants are contradicted by the measurement: their errors would be {said} (95 %), and"
@@ -278,7 +300,7 @@ def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> Findi
     )
 
 
-def _gains_changed(problem: RestProblem, fit: Fit) -> Finding:
+def _gains_changed(problem: RestProblem, fit: Fit) -> tuple[float, Finding]:
     """The axis and the time between which its reading changed most."""
     rows = problem.rows
     order = np.argsort(rows.time_s, kind="stable") if np.isfinite(rows.time_s).all() else np.arange(len(rows))
@@ -288,7 +310,7 @@ def _gains_changed(problem: RestProblem, fit: Fit) -> Finding:
     certain = np.where(problem.use_sum.any(axis=0) & (std > 0), np.abs(change) / np.maximum(std, 1e-12), 0.0)
     visit, axis = np.unravel_index(int(np.argmax(certain)), certain.shape)
     before, after = rows.take(order[[0]]), rows.take(order[[visit]])
-    return Finding(
+    return float(certain[visit, axis]), Finding(
         "warn",
         f"J{axis + 1}",
         f"its torque reading changed by {100 * change[visit, axis]:+.1f} \N{PLUS-MINUS SIGN}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -49,6 +50,7 @@ from gateway.estimate import EstimateOptions, to_result
 from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.aside import Aside, gross_aside
+from gateway.identify.conflict import settle
 from gateway.identify.links import default_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL, require_postures
 from gateway.identify.mass_change import mass_changes
@@ -93,6 +95,8 @@ class Found:
     mistakes: tuple[Mistake, ...]
     gained: float
     aside: Aside
+    knowledge: Knowledge
+    findings: tuple[Finding, ...] = ()
 
     @property
     def score(self) -> float:
@@ -127,6 +131,8 @@ class RestDiagnosis:
             gain_std=options.gain_std,
         )
 
+        self.stated = self.knowledge
+
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.options.efficiency, self.options.coupling)
 
@@ -152,23 +158,46 @@ class RestDiagnosis:
         if looked:
             mistakes, gained = find_mistakes(table, build, self.options.allowed)
             if gained > REST.obvious and self._settled(build(_undone(table, mistakes))):
-                at_once = self._searched(table, aside, mistakes, gained)
+                at_once = self.searched(table, aside, mistakes, gained)
                 if not at_once.taken_back:
                     return at_once
-        found = self._searched(table, aside, (), 0.0)
+        found = self.searched(table, aside, (), 0.0)
         if not looked and (suspicious(found.search.problem, found.chosen) or links_far_from_cad(problem, plain)):
             mistakes, gained = find_mistakes(table, build, self.options.allowed)
         if mistakes:
-            other = self._searched(table, aside, mistakes, gained)
+            other = self.searched(table, aside, mistakes, gained)
             if other.score > found.score and not other.taken_back:
                 found = other
-        return found
+        return self._with_statements_tested(found)
+
+    def _with_statements_tested(self, found: Found) -> Found:
+        """The search with the statements widened that the rows contradict, where it explains the rows as well.
+
+        A wrong statement about links or constants looks like a wrong link or constant: an effect of that kind is not
+        named where the statement as a whole is the likelier cause, and none is needed where no effect was found.
+        """
+        doubtful = any(term.scales_reading or term.name == "link_mass" for term in found.chosen.terms)
+        if found.chosen.terms and not doubtful:
+            return found
+        settled = settle(self.robot, found.search.problem.rows, self.knowledge)
+        if settled.knowledge is self.knowledge:
+            return found
+        other = self._knowing(settled.knowledge).searched(found.table, found.aside, found.mistakes, found.gained)
+        if found.chosen.terms and other.score < found.score:
+            return found
+        return replace(other, findings=settled.findings)
+
+    def _knowing(self, knowledge: Knowledge) -> RestDiagnosis:
+        """The same diagnosis with other knowledge."""
+        other = copy(self)
+        other.knowledge = knowledge
+        return other
 
     def _settled(self, problem: RestProblem) -> bool:
         """Whether the model without effects meets the data, or nearly."""
         return not suspicious(problem, fit_without_effects(problem))
 
-    def _searched(self, table: Table, aside: Aside, mistakes: tuple[Mistake, ...], gained: float) -> Found:
+    def searched(self, table: Table, aside: Aside, mistakes: tuple[Mistake, ...], gained: float) -> Found:
         problem = self.problem(_undone(table, mistakes), aside)
         plain = fit_without_effects(problem)
         noise = settled_noise(problem, plain)
@@ -182,7 +211,7 @@ class RestDiagnosis:
         chosen = run(search)
         if "torque_ripple" in self.options.allowed:
             chosen = with_ripple(search, chosen, setup.gear_ratio)
-        return Found(table, search, chosen, mistakes, gained, aside)
+        return Found(table, search, chosen, mistakes, gained, aside, self.knowledge)
 
     def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
         if holdout is None or holdout.moving.all():
@@ -203,7 +232,7 @@ class RestDiagnosis:
         """The same, without mistakes that leave rows that no fit has seen worse than they were read."""
         if not found.mistakes or holdout is None or holdout.moving.all():
             return found
-        read = self._searched(found.table, found.aside, (), 0.0)
+        read = self.searched(found.table, found.aside, (), 0.0)
         held, undone = self._held(read, holdout), self._held(found, holdout)
         if held is None or undone is None:
             return found
@@ -223,7 +252,7 @@ class RestDiagnosis:
 
     def _as_estimated(self, visits: Visits) -> Result:
         """Return what `estimate` gives: one answer and one refusal where no effect is named."""
-        known = self.knowledge
+        known = self.stated
         options = EstimateOptions(
             inertials=known.inertials,
             known=known.known,
@@ -252,6 +281,8 @@ class RestDiagnosis:
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
+        if found.knowledge is not self.knowledge:
+            return self._knowing(found.knowledge).report(found, holdout, kind)
         found = self._upheld(found, holdout)
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
@@ -287,7 +318,7 @@ class RestDiagnosis:
             before, after = replace(before, loads=loads), replace(after, loads=loads)
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
-        findings += found.aside.findings
+        findings += (*found.findings, *found.aside.findings)
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += (

@@ -35,6 +35,8 @@ Mask = NDArray[np.bool_]
 
 #: Gauss-Newton steps [-]: the model is nearly linear, the noise settles in four.
 _STEPS = 6
+#: The same of the answer that no effect follows: gains and losses settle more slowly the less noise there is.
+_STEPS_ALONE = 12
 #: Standard deviation of what an effect of the hypothesis says instead.
 NOTHING = 1e-9
 #: Relative size below which a combination of columns counts as zero.
@@ -87,7 +89,7 @@ def fit(
 
 def fit_without_effects(problem: RestProblem) -> Fit:
     """Fit what every arm has; the noise begins where sides and repeats of the visits show it."""
-    return fit(problem, (), first_noise(problem))
+    return fit(problem, (), first_noise(problem), steps=_STEPS_ALONE)
 
 
 def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _State:

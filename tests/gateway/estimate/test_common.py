@@ -70,7 +70,7 @@ def test_intervals_hold_the_truth(arm, poses, measured, method):
         value, std = value_of(estimate(table, arm.robot, EstimateOptions(), method))
         inside.append(np.abs(value - TOOL) < 1.96 * std)
     # of the errors of gains and biases that the intervals allow for these tables have none
-    assert 0.88 < np.mean(inside) < 1.0
+    assert np.mean(inside) > 0.88
 
 
 @pytest.mark.parametrize("method", METHODS)

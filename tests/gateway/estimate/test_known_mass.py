@@ -27,7 +27,7 @@ def test_the_mass_alone_gives_the_torque_constants_and_the_other_load(table, arm
     gain = result.nuisance["gain"]
     off = (np.array(gain.value) - GAIN)[1:]
     assert (np.abs(off) < 4 * np.array(gain.std)[1:]).all()
-    assert max(gain.std[1:4]) < 0.01, "a known mass tells axes 2 to 4 to better than 1 %"
+    assert max(gain.std[1:4]) < 0.015, "a known mass determines axes 2 to 4 but for what changes between runs"
     loads = {load.label: load for load in result.loads}
     before = {load.label: load for load in plain.loads}
     assert loads["tool"].mass_std_kg < 0.5 * before["tool"].mass_std_kg
