@@ -71,7 +71,7 @@ def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> Settled:
     InputError, DataUnusable
         As `build_problem`.
     """
-    trusted, placeholder = _without_placeholder(robot, knowledge)
+    trusted, placeholder = without_placeholder(robot, knowledge)
     problem = build_problem(robot, rows, trusted)
     fit = fit_without_effects(problem)
     settled, stated = trusted, (problem, fit)
@@ -118,7 +118,8 @@ def _unloaded(problem: RestProblem, knowledge: Knowledge) -> bool:
     return knowledge.bare is not None or bool((problem.member.sum(axis=1) == 0).any())
 
 
-def _without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, tuple[Finding, ...]]:
+def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, tuple[Finding, ...]]:
+    """The knowledge without link masses that an exporter filled in, and what is reported of it."""
     why = mass_placeholder(robot)
     if not why or knowledge.inertials == "ignore":
         return knowledge, ()
@@ -212,9 +213,11 @@ class _Line:
         precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
         rows = np.pad(problem.prior_rows, ((0, 0), (0, len(std) - problem.n_common)))
         known = problem.prior_target - problem.prior_rows @ fit.common
-        noise = fit.noise.std.copy()
-        for _ in range(_NOISE_STEPS):
-            weight = noise[used] ** -2.0
+        start, least = fit.noise.start[used], fit.noise.least[used]
+        noise = fit.noise.std[used]
+        steps = 0
+        while True:
+            weight = noise**-2.0
             matrix = np.tensordot(weight, self.gram, 1) + precision + rows.T @ rows
             scale = np.sqrt(np.diag(matrix))
             scale[scale <= NOTHING * scale.max()] = 1.0
@@ -225,12 +228,15 @@ class _Line:
             left = self.square - 2.0 * self.right @ step + np.einsum("i,gij,j->g", step, self.gram, step)
             taken = np.einsum("gij,ij->g", self.gram, inverse) * weight
             left = np.maximum(left, 0.0)
-            noise[used] = noise_std(self.count, taken, left, fit.noise.start[used], fit.noise.least[used])
+            noise = noise_std(self.count, taken, left, start, least)
+            steps += 1
+            if steps == _NOISE_STEPS:
+                break
         away = np.where(held, pull - step, 0.0)
         short = known - rows @ step
         penalty = float(away @ precision @ away) + float(short @ short)
         log_det = float(np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale)))
-        density = log_density(self.count, left, noise[used], fit.noise.start[used], penalty)
+        density = log_density(self.count, left, noise, start, penalty)
         return density - 0.5 * log_det - log_spread
 
 

@@ -50,7 +50,7 @@ from gateway.estimate import EstimateOptions, to_result
 from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.aside import Aside, gross_aside
-from gateway.identify.conflict import settle
+from gateway.identify.conflict import settle, two_bodies, without_placeholder
 from gateway.identify.links import default_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL, require_postures
 from gateway.identify.mass_change import mass_changes
@@ -132,6 +132,7 @@ class RestDiagnosis:
         )
 
         self.stated = self.knowledge
+        self.knowledge, _ = without_placeholder(robot, self.knowledge)
 
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.options.efficiency, self.options.coupling)
@@ -171,20 +172,18 @@ class RestDiagnosis:
         return self._with_statements_tested(found)
 
     def _with_statements_tested(self, found: Found) -> Found:
-        """The search with the statements widened that the rows contradict, where it explains the rows as well.
+        """The search with the statements widened that the rows contradict, where those are the likelier cause.
 
-        A wrong statement about links or constants looks like a wrong link or constant: an effect of that kind is not
-        named where the statement as a whole is the likelier cause, and none is needed where no effect was found.
+        A robot model whose masses are wrong looks like wrong constants and links on most axes: one or two of them are
+        effects, more of them are the statement. Where no effect was found, the answer is that of `estimate`.
         """
-        doubtful = any(term.scales_reading or term.name == "link_mass" for term in found.chosen.terms)
-        if found.chosen.terms and not doubtful:
+        alike = sum(term.scales_reading or term.name == "link_mass" for term in found.chosen.terms)
+        if found.chosen.terms and alike < REST.statement_effects:
             return found
         settled = settle(self.robot, found.search.problem.rows, self.knowledge)
         if settled.knowledge is self.knowledge:
             return found
         other = self._knowing(settled.knowledge).searched(found.table, found.aside, found.mistakes, found.gained)
-        if found.chosen.terms and other.score < found.score:
-            return found
         return replace(other, findings=settled.findings)
 
     def _knowing(self, knowledge: Knowledge) -> RestDiagnosis:
@@ -270,7 +269,8 @@ class RestDiagnosis:
         """
         aside = self.aside(self._rows(table))
         problem = self.problem(table, aside)
-        if not mass_changes(problem, fit_without_effects(problem)):
+        changed = mass_changes(problem, fit_without_effects(problem))
+        if not changed and not two_bodies(self.robot, problem.rows, self.knowledge):
             return None
         result = self._as_estimated(problem.rows)
         return replace(result, verdict="unexplained", findings=(*aside.findings, *result.findings))

@@ -156,6 +156,12 @@ class RestThresholds:
         "a scale this far from 1 may be a factor of sqrt 2",
         "what 1 lacks to the root of one half, less 5 % of the drawing",
     )
+    statement_effects: int = threshold(
+        3,
+        "",
+        "wrong constants and links from which the robot model or the constants as a whole are wrong",
+        "no cell of `make blind` has more than two effects",
+    )
     far_from_cad: float = threshold(
         60.0,
         "",
