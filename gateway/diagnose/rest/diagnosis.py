@@ -132,7 +132,7 @@ class RestDiagnosis:
         )
 
         self.stated = self.knowledge
-        self.knowledge, _ = without_placeholder(robot, self.knowledge)
+        self.knowledge, self.placeholder = without_placeholder(robot, self.knowledge)
 
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.options.efficiency, self.options.coupling)
@@ -318,7 +318,7 @@ class RestDiagnosis:
             before, after = replace(before, loads=loads), replace(after, loads=loads)
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
-        findings += (*found.findings, *found.aside.findings)
+        findings += (*self.placeholder, *found.findings, *found.aside.findings)
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += (
