@@ -76,6 +76,7 @@ def next_load(task: tuple[int, str]) -> dict:
     """Calibrate one arm and estimate its next load: error and standard deviation over the mass, before and after."""
     from benchmarks.conflict.answers import write_cell
     from benchmarks.conflict.plant import LoadBlock, draw_cell, measure
+    from gateway.identify.drift import AGAIN
 
     seed, centre = task
     drawn = draw_cell(seed)
@@ -93,6 +94,7 @@ def next_load(task: tuple[int, str]) -> dict:
         write_cell_file(drawn, folder)
         drawn.blocks = [bare, replace(loaded, label="weight", load="weight"), again]
         drawn.columns = measure(drawn)
+        drawn.columns["pose"] = drawn.columns["pose"] + np.where(drawn.columns["run"] == again.run, AGAIN, 0)
         table = write_cell(drawn, folder)[0].rename(folder / "weighed.csv")
         drawn.blocks = [bare, loaded]
         drawn.columns = measure(drawn)
@@ -139,7 +141,7 @@ def judged(folder: Path, mass_kg: float) -> dict:
     """Relative error and standard deviation of the mass by `estimate`."""
     answer = folder / "answer.json"
     answer.unlink(missing_ok=True)
-    code, output = invoked("estimate", folder / "table.csv", "--cell", folder / "cell.toml", "--json", answer)
+    code, output = invoked("estimate", folder / "table.csv", "--warm", "--cell", folder / "cell.toml", "--json", answer)
     load = json.loads(answer.read_text(encoding="utf-8"))["loads"][0] if answer.exists() else {}
     if load.get("mass_kg") is None:
         print(f"estimate: exit {code}: {output[-300:]}", file=sys.stderr)

@@ -28,7 +28,7 @@ from gateway.analyse.calibration_checks import (
     stated_std,
     unknown_axes,
 )
-from gateway.analyse.given import Given, estimate_options, profile_of
+from gateway.analyse.given import WARM_CHANGE, Given, estimate_options, profile_of
 from gateway.cell.calibration import ArmCalibration, CalibratedAxis
 from gateway.cell.config import ArmConfig
 from gateway.data.labels import BARE_LABEL
@@ -37,7 +37,7 @@ from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.describe import axis_sigma, fitted_rows
 from gateway.estimate.joint import problem_of
 from gateway.identify.aside import without_gross
-from gateway.identify.drift import drift_findings, drift_of
+from gateway.identify.drift import drift_findings, drift_of, is_steady
 from gateway.identify.loads import load_vector, require_postures
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -99,7 +99,9 @@ def calibrate(
             " load"
         )
     gain_std = tuple(np.maximum(stated_std(about, robot.axes), PRIOR_STD).tolist())
-    problem = problem_of(visits, robot, replace(options, gain_std=gain_std))
+    drifts = drift_of(visits)
+    change = min(options.change, WARM_CHANGE if is_steady(drifts) else 1.0)
+    problem = problem_of(visits, robot, replace(options, gain_std=gain_std, change=change))
     for label in (weight.label, BARE_LABEL):
         require_postures(visits.q_rad[visits.load == label], label)
     fit = fit_without_effects(problem)
@@ -126,7 +128,7 @@ def calibrate(
     )
     places = Places(robot, options.gravity_m_s2, moment, postures)
     findings = (*mismatch, *stated_findings(axes), *unknown_axes(axes, noise_nm, weight, places))
-    return Calibration(axes, stored, (*findings, *aside.findings, *drift_findings(drift_of(visits))))
+    return Calibration(axes, stored, (*findings, *aside.findings, *drift_findings(drifts)))
 
 
 def _best(axes: Sequence[AxisCalibration]) -> str:

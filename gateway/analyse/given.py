@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -37,6 +37,8 @@ from gateway.model.urdf_text import read_urdf
 from gateway.result.result import Bare, Finding, read_result
 
 VALIDATION = "x_validation"
+#: Change of the torque readings of a warm arm over the usual one: of half a kelvin instead of 10 K.
+WARM_CHANGE: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +56,8 @@ class ModelRequest:
         Relative standard deviation of every torque constant, instead of what the cell says of each.
     tip : str or None
         Last link of the arm in its URDF, instead of the cell's.
+    is_warm : bool
+        The arm was warm: its torque readings change by less than usual.
     calibrated : bool
         Use the torque constants of the calibration file, where there is one.
     """
@@ -66,6 +70,7 @@ class ModelRequest:
     arm: str | None = None
     gain_std: float | None = None
     tip: str | None = None
+    is_warm: bool = False
     calibrated: bool = True
 
 
@@ -95,6 +100,8 @@ class Given:
         Relative standard deviations of the torque constants; None where nobody says any.
     assumed : tuple of Finding
         What was assumed of the statements, such as the frame of a known load.
+    change : float
+        Factor on the usual change of the torque readings between runs and while the arm warms up.
     calibrated : Calibrated or None
         Torque constants of the calibration file, which `read_rows` applies.
     """
@@ -113,7 +120,13 @@ class Given:
     corrections: tuple[Correction, ...] = ()
     gain_std: tuple[float, ...] | None = None
     assumed: tuple[Finding, ...] = ()
+    change: float = 1.0
     calibrated: Calibrated | None = None
+
+    @property
+    def measured_gain(self) -> tuple[bool, ...]:
+        """Axes (N,) whose torque constant a calibration states; empty where there is none."""
+        return () if self.calibrated is None else tuple(np.isfinite(self.calibrated.std).tolist())
 
     @property
     def coupling(self) -> np.ndarray | None:
@@ -187,6 +200,7 @@ def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
         corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
         gain_std=_gain_std(request, arm, axes, profile_of(read_ones, loaded), measured),
         assumed=(*filter(None, assumed), *(() if measured is None else measured.findings)),
+        change=WARM_CHANGE if request.is_warm else 1.0,
         calibrated=measured,
     )
 
@@ -381,6 +395,8 @@ def estimate_options(about: Given) -> EstimateOptions:
         bare=about.bare,
         gravity_m_s2=about.gravity_m_s2,
         gain_std=about.gain_std,
+        measured_gain=about.measured_gain,
+        change=about.change,
         efficiency=tuple(about.efficiency.tolist()),
         coupling=about.coupling,
     )
@@ -395,6 +411,8 @@ def diagnose_arguments(about: Given) -> dict[str, Any]:
         "bare": about.bare,
         "gravity_m_s2": about.gravity_m_s2,
         "gain_std": about.gain_std,
+        "measured_gain": about.measured_gain,
+        "change": about.change,
         "efficiency": about.efficiency,
         "coupling": about.coupling,
         "gear_ratio": about.gear_ratio,

@@ -43,6 +43,7 @@ def model_request(
     arm_name: str | None,
     torque_gain: str | None,
     tip: str | None,
+    is_warm: bool,
 ) -> ModelRequest:
     """The options of MODEL as one value."""
     from gateway.analyse.given import ModelRequest
@@ -51,7 +52,7 @@ def model_request(
 
     gain_std = None if torque_gain is None else parse_torque_gain(torque_gain)
     loads = dict(parse_known(text) for text in known)
-    return ModelRequest(robot, cell_file, inertials, loads, bare, arm_name, gain_std, tip)
+    return ModelRequest(robot, cell_file, inertials, loads, bare, arm_name, gain_std, tip, is_warm)
 
 
 def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
@@ -97,6 +98,7 @@ def estimate(
     known: tuple[str, ...],
     bare: Path | None,
     torque_gain: str | None,
+    is_warm: bool,
     method: str,
     axis: int | None,
     lever: str | None,
@@ -117,7 +119,7 @@ def estimate(
     from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
 
-    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip)
+    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
     about = given(request, data)
     note_remarks(about.robot)
     table = read_rows(data, about)
@@ -199,6 +201,7 @@ def diagnose(
     known: tuple[str, ...],
     bare: Path | None,
     torque_gain: str | None,
+    is_warm: bool,
     holdout: tuple[Path, ...],
     only: frozenset[str],
     without: frozenset[str],
@@ -215,7 +218,7 @@ def diagnose(
     from gateway.diagnose import DiagnoseOptions
     from gateway.diagnose import diagnose as run
 
-    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip)
+    request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
     about = given(request, [*data, *holdout])
     note_remarks(about.robot)
     table = read_rows(data, about)

@@ -26,6 +26,7 @@ from gateway.commands.options import (
     note_remarks,
     refuse_unwritable,
     session_of,
+    warm_option,
     write_json,
 )
 from gateway.commands.outcome import fail_on_findings
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path, dir_okay=False),
     help="Recordings or tables that hold the unloaded arm and the load; nothing moves. Repeatable.",
 )
+@warm_option
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
 @click.option("--resume", is_flag=True, help="Go on with OUT/calibrate.h5 instead of starting a new one.")
 @arm_option
@@ -63,6 +65,7 @@ def calibrate(
     cell: Path,
     known: str,
     data: tuple[Path, ...],
+    is_warm: bool,
     out: Path,
     resume: bool,
     arm_name: str | None,
@@ -86,7 +89,7 @@ def calibrate(
     wrong = label_refused(label)
     if wrong:
         raise click.UsageError(f"--known {label}: '{label}' {wrong}")
-    request = ModelRequest(cell=cell, known={label: stated}, arm=arm_name, calibrated=False)
+    request = ModelRequest(cell=cell, known={label: stated}, arm=arm_name, is_warm=is_warm, calibrated=False)
     about = given(request, data)
     weight = Weight.of(label, about)
     arm = arm_named(load_cell(cell), arm_name)

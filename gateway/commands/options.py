@@ -210,6 +210,14 @@ bus_option = click.option(
 cell_argument = click.argument("cell", type=click.Path(path_type=Path, dir_okay=False))
 
 
+warm_option = click.option(
+    "--warm",
+    "is_warm",
+    is_flag=True,
+    help="The arm was warm in all runs: torque readings did not change with temperature (0.7 % an axis otherwise).",
+)
+
+
 def model_options(function: Function) -> Function:
     """Add the options of MODEL."""
     for option in (
@@ -218,6 +226,7 @@ def model_options(function: Function) -> Function:
             metavar="exact|prior:S",
             help="How far the torque constants are trusted; the cell's std_percent if omitted, prior:0.03 for tables.",
         ),
+        warm_option,
         click.option("--bare", type=click.Path(path_type=Path, dir_okay=False), help="Stored bare identification."),
         click.option(
             "--known",

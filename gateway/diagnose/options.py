@@ -31,6 +31,8 @@ class DiagnoseOptions:
     only, without : names of effects that alone are tried, that are not tried
     gravity_m_s2 : gravity in the frame of the base
     gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
+    measured_gain : axes (N,) whose torque was calibrated on this arm; empty = none
+    change : factor on the usual change of the torque readings between runs and while the arm warms up
     efficiency : (N,) gear efficiencies that the table's torque still has to go through; None = lossless
     coupling : (N, N) how gear outputs act on the joints, as of `Gears`; None = one to one
     gear_ratio : (N,), NaN where unknown; None = all unknown
@@ -48,6 +50,8 @@ class DiagnoseOptions:
     without: frozenset[str] = frozenset()
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
     gain_std: tuple[float, ...] | None = None
+    measured_gain: tuple[bool, ...] = ()
+    change: float = 1.0
     efficiency: Floats | None = None
     coupling: Floats | None = None
     gear_ratio: Floats | None = None

@@ -86,7 +86,14 @@ def problem_of(visits: Visits, robot: Robot, options: EstimateOptions) -> RestPr
 def knowledge_of(options: EstimateOptions) -> Knowledge:
     """What the options say is known besides the measured rows."""
     return Knowledge(
-        options.gravity_m_s2, options.inertials, options.known, options.masses, options.bare, options.gain_std
+        options.gravity_m_s2,
+        options.inertials,
+        options.known,
+        options.masses,
+        options.bare,
+        options.gain_std,
+        options.measured_gain,
+        options.change,
     )
 
 

@@ -43,6 +43,8 @@ class EstimateOptions:
         Stored bare identification.
     gravity_m_s2 : base frame
     gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
+    measured_gain : axes (N,) whose torque was calibrated on this arm; empty = none
+    change : factor on the usual change of the torque readings between runs and while the arm warms up
     efficiency : gear efficiency of every axis, or one for all
         1 where the torque already stands behind the gear.
     coupling : (N, N) how gear outputs act on the joints, as of `Gears`; None = one to one
@@ -59,6 +61,8 @@ class EstimateOptions:
     bare: Bare | None = None
     gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
     gain_std: tuple[float, ...] | None = None
+    measured_gain: tuple[bool, ...] = ()
+    change: float = 1.0
     efficiency: tuple[float, ...] = (1.0,)
     coupling: NDArray[np.float64] | None = field(default=None, compare=False)
     coefficient: Coefficient | None = None

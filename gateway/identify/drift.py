@@ -21,6 +21,8 @@ _FEWEST = 3
 _LARGEST_HALF = 0.1
 #: Halves of a 95 % interval from none at which a change is told: twelve are asked for, most of them of few poses.
 _TOLD = 1.5
+#: The same of the torque of an arm, any axis: 1 % of steady arms with twelve poses.
+_SURELY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +46,11 @@ class AxisDrift:
     def shows(self) -> bool:
         """Whether either is told from none."""
         return any(_known(std) and abs(value) > _TOLD * half_width(std) for value, std in self.changes)
+
+    @property
+    def gain_shows(self) -> bool:
+        """Whether the torque has changed; stricter, since it is asked of all axes at once, from few poses each."""
+        return _known(self.gain_std) and abs(self.gain) > _SURELY * half_width(self.gain_std)
 
     @property
     def changes(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -88,6 +95,11 @@ def _slope(size: Floats, change: Floats) -> tuple[float, float]:
     slope = float(x @ y) / power
     left = y - slope * x
     return slope, float(np.sqrt(left @ left / (len(x) - 1) / power))
+
+
+def is_steady(drifts: tuple[AxisDrift, ...]) -> bool:
+    """Whether poses were measured twice and no torque has changed in between."""
+    return bool(drifts) and not any(axis.gain_shows for axis in drifts)
 
 
 def drift_findings(drifts: tuple[AxisDrift, ...]) -> tuple[Finding, ...]:

@@ -129,6 +129,8 @@ class RestDiagnosis:
             masses=options.masses,
             bare=options.bare,
             gain_std=options.gain_std,
+            measured_gain=options.measured_gain,
+            change=options.change,
         )
 
         self.stated = self.knowledge
@@ -259,6 +261,8 @@ class RestDiagnosis:
             bare=known.bare,
             gravity_m_s2=known.gravity_m_s2,
             gain_std=known.gain_std,
+            measured_gain=known.measured_gain,
+            change=known.change,
         )
         return to_result(estimate_joint(visits, self.robot, options), self.robot, options)
 

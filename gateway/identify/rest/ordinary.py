@@ -49,7 +49,9 @@ class Ordinary:
         self.std.flags.writeable = False
 
     @staticmethod
-    def of(prior: NuisancePrior, gain_std: Floats, lost: Floats, changes: GainChanges) -> Ordinary:
+    def of(
+        prior: NuisancePrior, gain_std: Floats, lost: Floats, changes: GainChanges, measured: Sequence[bool] = ()
+    ) -> Ordinary:
         """From what the constants and the sides of visits say.
 
         Parameters
@@ -61,10 +63,12 @@ class Ordinary:
             Loss over transmitted torque, as the half differences show it.
         changes : GainChanges
             What the gains have in common, and how they change.
+        measured : sequence of bool
+            Axes (N,) whose gain was measured on this arm, uneven losses included; empty = none.
         """
         none, one = np.zeros_like(gain_std), np.ones_like(gain_std)
         own = np.sqrt(1.0 - COMMON_SHARE) * gain_std
-        gain = np.hypot(own, UNEVEN_LOSS * lost)
+        gain = np.hypot(own, np.where(measured or False, 0.0, UNEVEN_LOSS * lost))
         cold = REST_MODEL.cold * one
         return Ordinary(
             np.concatenate([none, none, prior.load_friction, 0.5 * one, none, none, np.zeros(changes.count)]),

@@ -46,6 +46,7 @@ class Knowledge:
     masses : label -> mass [kg] of loads that were weighed, and whose centre is to be estimated
     bare : stored bare identification, or None
     gain_std : relative standard deviation of each torque constant, or None
+    measured_gain : axes (N,) whose torque was calibrated on this arm, uneven losses included; empty = none
     change : factor on the standard deviation of changes of gain between runs and while the arm warms up
     """
 
@@ -55,6 +56,7 @@ class Knowledge:
     masses: Mapping[str, float] = field(default_factory=dict)
     bare: Bare | None = None
     gain_std: tuple[float, ...] | None = None
+    measured_gain: tuple[bool, ...] = ()
     change: float = 1.0
 
     def of_loads(self, labels: Iterable[str]) -> Knowledge:
@@ -141,4 +143,4 @@ def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None 
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
     if changes is None:
         changes = GainChanges.of(rows, gain_std, knowledge.change)
-    return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes)
+    return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes, knowledge.measured_gain)

@@ -137,6 +137,26 @@ def test_a_diagnosis_uses_them(place):
     assert any(each["where"] == "calibration" for each in result["findings"])
 
 
+def test_a_warm_arm_is_a_statement_that_narrows_the_mass(place):
+    tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
+    assert calibrated(place).exit_code == 0
+    words = ("estimate", tool, "--cell", "cell.toml", "--json", "-")
+    cold, warm = (json.loads(place(*words, *more).stdout)["loads"][0] for more in ((), ("--warm",)))
+    assert warm["mass_std_kg"] < 0.7 * cold["mass_std_kg"]
+    assert abs(warm["mass_kg"] - TOOL[0]) < 4 * warm["mass_std_kg"]
+
+
+def test_unloaded_runs_that_differ_widen_the_calibration(place):
+    steady = {axis["joint"]: axis for axis in json.loads(calibrated(place).stdout)["axes"]}
+    blocks = [rows("none", None), rows("weight", WEIGHT, start_s=300.0)]
+    later = rows("none", None, first=1001, start_s=600.0, gain=GAIN + np.array([0, 0.02, 0.02, 0.02, 0.02, 0.02]))
+    done = calibrated(place, "--force", content=concatenate([*blocks, later]))
+    answer = json.loads(done.stdout)
+    drifted = {axis["joint"]: axis for axis in answer["axes"]}
+    assert drifted[2]["std"] > 2 * steady[2]["std"]
+    assert any("between both times its torque changed" in each["what"] for each in answer["findings"])
+
+
 def change(place, **values):
     """Rewrite the stored calibration of axis 3, or of the run."""
     path = calibration_path(place.folder / "cell.toml")

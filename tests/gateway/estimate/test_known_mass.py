@@ -22,8 +22,9 @@ def table(arm, poses, measured):
 
 
 def test_the_mass_alone_gives_the_torque_constants_and_the_other_load(table, arm):
-    plain = run(table, arm.robot, EstimateOptions(gain_std=(0.05,) * 6))
-    result = run(table, arm.robot, EstimateOptions(masses={"weight": WEIGHT[0]}, gain_std=(0.05,) * 6))
+    stated = EstimateOptions(gain_std=(0.05,) * 6, change=0.05)
+    plain = run(table, arm.robot, stated)
+    result = run(table, arm.robot, replace(stated, masses={"weight": WEIGHT[0]}))
     gain = result.nuisance["gain"]
     off = (np.array(gain.value) - GAIN)[1:]
     assert (np.abs(off) < 4 * np.array(gain.std)[1:]).all()

@@ -74,7 +74,9 @@ def test_without_a_rating_mass_and_torque_of_the_arm_count():
 def test_masses_that_exporters_left_out_refuse_no_rated_load():
     text = (EXAMPLES / "small" / "robot.urdf").read_text(encoding="utf-8")
     light = robot_from_urdf(text, "robot.urdf")
-    light = type(light)(**{name: getattr(light, name) for name in light.__slots__} | {"mass_kg": np.linspace(0.01, 0.012, 6)})
+    light = type(light)(
+        **{name: getattr(light, name) for name in light.__slots__} | {"mass_kg": np.linspace(0.01, 0.012, 6)}
+    )
     arm = small().cell.arm[0]
     assert load_bounds(light, arm).violation(10.0, ()) == ""
     assert load_bounds(light, arm.model_copy(update={"rated_load_kg": None})).violation(10.0, ())
