@@ -120,13 +120,15 @@ def _unloaded(problem: RestProblem, knowledge: Knowledge) -> bool:
 
 def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, tuple[Finding, ...]]:
     """The knowledge without link masses that an exporter filled in, and what is reported of it."""
-    why = mass_placeholder(robot)
-    if not why or knowledge.inertials == "ignore":
+    why, advice = mass_placeholder(robot), "state the masses of the data sheet in the URDF"
+    if knowledge.inertials == "ignore":
         return knowledge, ()
-    finding = Finding(
-        "warn", "link masses", f"{why}: a placeholder, not used", "state the masses of the data sheet in the URDF"
-    )
-    return replace(knowledge, inertials="ignore"), (finding,)
+    if why:
+        finding = Finding("warn", "link masses", f"{why}: a placeholder, not used", advice)
+        return replace(knowledge, inertials="ignore"), (finding,)
+    weightless = ", ".join(f"J{axis + 1}" for axis in np.flatnonzero(robot.mass_kg <= 0))
+    what = "the URDF states no mass above 0 kg for the link of this axis: its mass is taken as unknown"
+    return knowledge, (Finding("info", weightless, what, advice),) if weightless else ()
 
 
 def _alternatives(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:

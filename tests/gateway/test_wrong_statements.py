@@ -113,9 +113,55 @@ def test_load_that_changes_between_poses_is_not_passed_on_silently(tmp_path):
     assert warnings(result)
 
 
+@pytest.mark.parametrize(
+    "condition",
+    ["URDF masses 0", "URDF masses 1 kg", "URDF masses 10 g", "URDF masses x3", "motors left out"],
+)
+def test_link_masses_that_are_wrong_are_named_and_not_used(condition, tmp_path):
+    cell = quiet_cell(condition)
+    code, _, result = typed(cell, tmp_path)
+    assert code == 0
+    assert off(result, cell) < 2.0
+    said = " ".join(finding["what"] for finding in warnings(result))
+    assert "mass" in said or "link" in said
+
+
+def test_link_without_mass_is_unknown_and_named(tmp_path):
+    cell = quiet_cell("one link 0 kg")
+    joint = int(np.flatnonzero(cell.stated.mass_kg == 0.0)[0]) + 1
+    code, _, result = typed(cell, tmp_path)
+    assert code == 0
+    assert off(result, cell) < 2.0
+    assert [f["where"] for f in result["findings"] if "unknown" in f["what"]] == [f"J{joint}"]
+
+
+def test_reading_that_falls_over_the_run_is_named(tmp_path):
+    cell = quiet_cell("drift 4 %")
+    _, _, result = typed(cell, tmp_path)
+    assert warnings(result)
+    assert off(result, cell) < 3.0
+
+
+def test_two_bodies_under_one_label_are_refused_with_both_masses(tmp_path):
+    cell = quiet_cell("same label, 10 % heavier")
+    code, output, result = typed(cell, tmp_path)
+    assert code == 7
+    assert result["loads"][0]["mass_kg"] is None
+    assert "two bodies" in output
+
+
 def test_known_mass_that_is_wrong_is_contradicted(tmp_path):
     _, _, result = typed(quiet_cell("known mass x0.7"), tmp_path)
     assert warnings(result)
+
+
+@pytest.mark.parametrize("option", ["inertials exact", "torque-gain exact"])
+def test_exact_is_tested_like_any_other_statement(option, tmp_path):
+    cell = draw_cell(7)  # its links scatter by 5 %, its constants by 3 %
+    CONDITIONS[option].before(cell)
+    cell.columns = measure(cell)
+    _, _, result = typed(cell, tmp_path)
+    assert warnings(result) or off(result, cell) < 3.0
 
 
 @pytest.mark.parametrize("command", COMMANDS)
