@@ -26,8 +26,8 @@ TABLE_GAIN_STD: Final = 0.03
 COMMON_SHARE: Final = 0.5
 #: Standard deviation of the change of an axis's gain from one run to the next, and of the part that all axes share
 #: (`methods.md` 11: magnets and copper, some 10 K).
-CHANGE_AXIS: Final = 0.007
-CHANGE_COMMON: Final = 0.005
+CHANGE_AXIS: Final = 0.004
+CHANGE_COMMON: Final = 0.003
 #: Share of the friction band by which the two directions differ.
 BIAS_SHARE: Final = 0.10
 #: Loss over transmitted torque, and its standard deviation.
