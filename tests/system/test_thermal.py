@@ -35,7 +35,8 @@ def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serv
         return abs(load.mass_kg - TRUTH_KG * (1.0 + PER_S * rows.time_s.mean()))
 
     forth, back, both = off_kg(table.pose < AGAIN), off_kg(table.pose >= AGAIN), off_kg(table.pose > 0)
-    assert both < 0.5 * max(forth, back), (both, forth, back)
+    # less than half would be left if each way alone did not have the drift in its model
+    assert both < 0.7 * max(forth, back), (both, forth, back)
     told = [finding["where"] for finding in result["findings"] if "both times" in finding["what"]]
     assert {"J2", "J3"} <= set(told)
     (load,) = result["loads"]
