@@ -50,7 +50,7 @@ _ROUNDS: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settled:
+class SettledKnowledge:
     """Knowledge that the data do not contradict, the fit with it, and what was contradicted.
 
     `stated` is the problem and the fit with the knowledge as it was stated.
@@ -63,7 +63,7 @@ class Settled:
     findings: tuple[Finding, ...]
 
 
-def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> Settled:
+def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> SettledKnowledge:
     """Fit the visits without effects, and widen or drop the statements that they contradict.
 
     Raises
@@ -85,7 +85,7 @@ def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> Settled:
             break
         settled, problem, fit = wider, other, refitted
     findings = (*placeholder, *conflict_findings(robot, problem, fit, trusted, settled))
-    return Settled(stated, settled, problem, fit, findings)
+    return SettledKnowledge(stated, settled, problem, fit, findings)
 
 
 def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:

@@ -22,7 +22,7 @@ from gateway.cell.config import Cell
 from gateway.cli import main as program
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.thresholds import CONFLICT, REST_MODEL
 from gateway.identify.thresholds import described
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
@@ -195,7 +195,12 @@ def thresholds_page() -> str:
     """Every tuned number of the diagnosis."""
     intro = "Every tuned number, its unit, what it decides and where its value comes from."
     lines = ["# Thresholds of the diagnosis", "", intro]
-    for title, thresholds in (("Model at rest", REST_MODEL), ("At rest", REST), ("In motion", MOVING)):
+    for title, thresholds in (
+        ("Model at rest", REST_MODEL),
+        ("Statements", CONFLICT),
+        ("At rest", REST),
+        ("In motion", MOVING),
+    ):
         lines += ["", f"## {title}", "", "| name | value | unit | what it is | origin |", "|---|---|---|---|---|"]
         lines += [f"| `{row[0]}` | {' | '.join(str(each) for each in row[1:])} |" for row in described(thresholds)]
     return "\n".join(lines) + "\n"

@@ -318,15 +318,16 @@ class RestDiagnosis:
                 before = replace(before, loads=after.loads)
         if not effects and not found.mistakes and decision.after is decision.before:
             judged = problem if held is None or kind != "fresh" else held.problem
-            loads = self._as_estimated(judged.rows).loads
-            before, after = replace(before, loads=loads), replace(after, loads=loads)
+            estimated = self._as_estimated(judged.rows)
+            before, after = replace(before, loads=estimated.loads), replace(after, loads=estimated.loads)
+            findings += [each for each in estimated.findings if each.severity == "fail" and "refused:" not in each.what]
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += (*self.placeholder, *found.findings, *found.aside.findings)
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += (
-            reversed_signs(problem.rows.difference_nm)
+            [each for each in reversed_signs(problem.rows.difference_nm) if each not in findings]
             + mistake_findings(found.mistakes)
             + refused_loads(after.loads)
             + limits(problem)

@@ -25,7 +25,7 @@ class RestThresholds:
         0.5, "floors", "what links, loads and bands leave of an effect that is named", BLIND
     )
     least_link_strength: float = threshold(
-        1.2, "floors", "the same of extra mass on a link, which a drawing that is wrong looks like", BLIND
+        0.8, "floors", "the same of extra mass on a link, which a drawing that is wrong looks like", BLIND
     )
     unseen: float = threshold(
         1.0,

@@ -11,7 +11,7 @@ import pytest
 import gateway
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.thresholds import CONFLICT, REST_MODEL
 from gateway.identify.thresholds import described
 
 HOME = Path(gateway.__file__).parent
@@ -41,7 +41,9 @@ INSIDE = {
 }
 
 
-@pytest.mark.parametrize("thresholds", [REST, MOVING, REST_MODEL], ids=["at rest", "in motion", "model at rest"])
+@pytest.mark.parametrize(
+    "thresholds", [REST, MOVING, REST_MODEL, CONFLICT], ids=["at rest", "in motion", "model at rest", "conflict"]
+)
 def test_every_threshold_says_what_it_is_and_where_it_comes_from(thresholds):
     listed = list(described(thresholds))
     assert listed

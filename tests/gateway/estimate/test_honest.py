@@ -74,7 +74,7 @@ def inside(found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "seeds"), [("joint", 24), ("posture", 8), ("difference", SEEDS)], ids=list(BY_METHOD)
+    ("method", "seeds"), [("joint", 24), ("posture", 8), ("difference", SEEDS)], ids=["joint", "posture", "difference"]
 )
 def test_intervals_hold_the_truth_in_every_condition(arm, poses, gravity, band_nm, table_of, method, seeds):
     hold = {}
@@ -86,8 +86,8 @@ def test_intervals_hold_the_truth_in_every_condition(arm, poses, gravity, band_n
         hold[name] = float(np.mean(hits))
     few = seeds < SEEDS
     assert (0.91 if few else 0.93) <= np.mean(list(hold.values())) <= (0.99 if few else 0.97), hold
-    # a stored unloaded arm does not carry the losses of its gears over to the load
-    assert min(hold.values()) >= (0.85 if few or method == "posture" else 0.9), hold
+    # differences take what one gear efficiency leaves at the difference of two torques, and not at each of them
+    assert min(hold.values()) >= (0.85 if few or method == "difference" else 0.9), hold
 
 
 @pytest.mark.slow

@@ -29,7 +29,7 @@ def test_shares_are_those_of_the_variance_when_one_source_alone_varies():
     direction = np.array([1.0, 0.0, 0.0, 0.5])
     found = budget_of(design, weight, prior, covariance, direction, SOURCES)
     rng = np.random.default_rng(1)
-    draws = {source: [] for source in ("constants", "links", "friction", "noise")}
+    draws = {source: [] for source in found}
     for source, values in draws.items():
         for _ in range(3000):
             noise = np.where(SOURCES.row == source, rng.standard_normal(20) / weight, 0.0)
