@@ -258,7 +258,7 @@ def _contradicted(
     if settled.gain_std != stated.gain_std:
         yield _gains_contradicted(problem, fit, gain_stds(stated.gain_std, robot.axes))
     if settled.change != stated.change:
-        yield _gains_changed(problem, fit)
+        yield _gains_changed(problem, fit, CHANGE_AXIS * stated.change)
 
 
 def _links_contradicted(
@@ -308,7 +308,7 @@ def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> tuple
     )
 
 
-def _gains_changed(problem: RestProblem, fit: Fit) -> tuple[float, Finding]:
+def _gains_changed(problem: RestProblem, fit: Fit, stated: float) -> tuple[float, Finding]:
     """The axis and the time between which its reading changed most."""
     rows = problem.rows
     order = np.argsort(rows.time_s, kind="stable") if np.isfinite(rows.time_s).all() else np.arange(len(rows))
@@ -323,7 +323,7 @@ def _gains_changed(problem: RestProblem, fit: Fit) -> tuple[float, Finding]:
         f"J{axis + 1}",
         f"its torque reading changed by {100 * change[visit, axis]:+.1f} \N{PLUS-MINUS SIGN}"
         f" {196 * std[visit, axis]:.1f} % (95 %) from pose {int(before.pose[0])} with load {before.load[0]} to pose"
-        f" {int(after.pose[0])} with load {after.load[0]}, more than {100 * CHANGE_AXIS:.0f} % (1 standard deviation)"
+        f" {int(after.pose[0])} with load {after.load[0]}, more than {100 * stated:.1g} % (1 standard deviation)"
         " of an arm that warms up; the intervals are widened for it",
         "warm the arm up before measuring, and measure in the order load, unloaded, unloaded, load",
     )
