@@ -309,13 +309,6 @@ RESULTS: list[tuple[str, Sequence[str], int, str, Make]] = [
     ("of another robot beside it", COMPARE, 3, "only results of one arm are compared", and_another(robot="other")),
     ("of nothing beside it", COMPARE, 3, "hold no quantity in common", and_another(loads=[])),
     (
-        "as a PDF without a browser",
-        ("report", "out.json", "-o", "r.pdf"),
-        3,
-        "install chromium, or write r.html",
-        result(),
-    ),
-    (
         "for a folder that is not there",
         (*REPORT, "--json", "new/r.json"),
         3,
