@@ -55,7 +55,7 @@ def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal
     once = tuple(poses)
     if thermal is None:
         return tuple(Block(label, once) for label in (BARE_LABEL, *labels))
-    again = tuple(replace(pose, number=pose.number + AGAIN) for pose in once)
+    again = _again(once)
     forth = [Block(label, once) for label in (*labels, BARE_LABEL)]
     return (*forth, *(Block(block.load, again) for block in reversed(forth)))
 
@@ -63,8 +63,12 @@ def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal
 def bracket_of(label: str, poses: Sequence[RestPose]) -> tuple[Block, ...]:
     """Blocks of a load between two of the bare arm: what drifts evenly in time cancels in their difference."""
     once = tuple(poses)
-    again = tuple(replace(pose, number=pose.number + AGAIN) for pose in once)
-    return (Block(BARE_LABEL, once), Block(label, once), Block(BARE_LABEL, again))
+    return (Block(BARE_LABEL, once), Block(label, once), Block(BARE_LABEL, _again(once)))
+
+
+def _again(poses: Sequence[RestPose]) -> tuple[RestPose, ...]:
+    """The same poses under the numbers of a second time."""
+    return tuple(replace(pose, number=pose.number + AGAIN) for pose in poses)
 
 
 def warm_up(

@@ -91,7 +91,11 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
         raise DataUnusable(f"load '{label}': no axis was measured both under it and under the known load")
     lost = losses(visits.difference_nm, visits.sum_nm)
     problem = _problem(differences, fixed, robot, options)
-    nuisance = nuisance_of(visits, knowledge_of(options), problem.nuisance.changes).without_bias().with_losses(*lost)
+    nuisance = (
+        nuisance_of(visits, replace(knowledge_of(options), bare=None), problem.nuisance.changes)
+        .without_bias()
+        .with_losses(*lost)
+    )
     problem = replace(problem, nuisance=nuisance, group=_groups(visits, problem))
     fitted = fit(problem, (), _noise(problem, visits))
     found = describe(problem, fitted, robot, options)

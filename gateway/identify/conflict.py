@@ -18,7 +18,6 @@ from scipy.special import chdtrc
 
 from gateway.data.labels import BARE_LABEL
 from gateway.identify.links import parse_inertials
-from gateway.identify.loads import bare_rows
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.fit import fit_without_effects, log_density, noise_std
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -76,7 +75,7 @@ def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> SettledKnowledge
     fit = fit_without_effects(problem)
     settled, stated = trusted, (problem, fit)
     for _ in range(_ROUNDS):
-        wider = wider_knowledge(problem, fit, robot, settled)
+        wider = _wider_knowledge(problem, fit, robot, settled)
         if wider is None:
             break
         other = build_problem(robot, rows, wider)
@@ -84,8 +83,8 @@ def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> SettledKnowledge
         if not _shows(robot, other, refitted, settled, wider):
             break
         settled, problem, fit = wider, other, refitted
-    findings = (*placeholder, *conflict_findings(robot, problem, fit, trusted, settled))
-    return SettledKnowledge(stated, settled, problem, fit, findings)
+    conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
+    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts))
 
 
 def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:
@@ -93,16 +92,16 @@ def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wide
     return all(away > CONFLICT.shown for away, _ in _contradicted(robot, problem, fit, stated, wider))
 
 
-def wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Knowledge | None:
+def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Knowledge | None:
     """The knowledge with the group widened that the data contradict most; None where they contradict none."""
     line = _Line.of(problem, fit)
-    stated = line.evidence(fit.prior_std)
+    stated = line.evidence(problem.common_std)
     best, found = CONFLICT.log_odds, None
     for alternative in _alternatives(robot, knowledge):
-        odds = line.evidence(_prior_std(problem, fit, robot, alternative)) - stated
+        odds = line.evidence(_prior_std(problem, robot, alternative)) - stated
         if odds > best:
             best, found = odds, alternative
-    if line.evidence(fit.prior_std, _LINK_SCALE) - stated > best:
+    if line.evidence(problem.common_std, _LINK_SCALE) - stated > best:
         return replace(knowledge, inertials="ignore" if _unloaded(problem, knowledge) else f"prior:{_LINK_SCALE:g}")
     if found is None:
         return None
@@ -153,32 +152,28 @@ def _dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
     return wider
 
 
-def _prior_std(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Floats:
-    """Standard deviations (p,) of the priors of a fit, had it been made with this knowledge."""
+def _prior_std(problem: RestProblem, robot: Robot, knowledge: Knowledge) -> Floats:
+    """Standard deviations (p,) of the priors of a problem, had it been built with this knowledge."""
     nuisance = nuisance_of(problem.rows, knowledge, replace(problem.nuisance.changes, factor=knowledge.change))
-    if knowledge.bare is not None:
-        nuisance = nuisance.held_elsewhere(np.asarray(bare_rows(knowledge.bare)[0][:, 4 * problem.axes :].any(axis=0)))
     _, link_std = open_link_prior(robot, knowledge.inertials)
-    std = fit.prior_std.copy()
-    std[: problem.n_common] = replace(problem, link_std=link_std, nuisance=nuisance).common_std
-    taken = problem.taken_over(fit.terms)
-    std[taken] = fit.prior_std[taken]
-    return std
+    return replace(problem, link_std=link_std, nuisance=nuisance).common_std
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Line:
-    """A fit as a linear problem about its solution: products of its columns by noise group, so that a prior is tried
-    at a cost that does not depend on the number of rows.
+    """A fit without effects as a linear problem about its solution: products of its columns by noise group, so that a
+    prior is tried at a cost that does not depend on the number of rows.
 
     Attributes
     ----------
+    used : (groups,) noise groups that have rows
     gram : (groups, p, p), right : (groups, p), square : (groups,) products of columns and residual
     count : (groups,) rows
     """
 
     problem: RestProblem
     fit: Fit
+    used: NDArray[np.int_]
     gram: Floats
     right: Floats
     square: Floats
@@ -192,28 +187,25 @@ class _Line:
             group = int(problem.group[rows[0]])
             gram[group][np.ix_(columns, columns)] += values.T @ values
             right[group][columns] += values.T @ fit.residual[rows]
-        used = np.flatnonzero(problem.by_group() > 0)
         square, count = problem.by_group(fit.residual**2), problem.by_group()
-        return _Line(problem, fit, gram[used], right[used], square[used], count[used])
+        used = np.flatnonzero(count > 0)
+        return _Line(problem, fit, used, gram[used], right[used], square[used], count[used])
 
     def evidence(self, std: Floats, link_scale: float = 0.0) -> float:
         """Logarithm of the marginal likelihood, up to what all priors share, with priors of these widths (p,).
 
         `link_scale` is the standard deviation of a factor on all link masses: CAD without motors, or of another alloy.
         """
-        problem, fit = self.problem, self.fit
-        used = np.flatnonzero(problem.by_group() > 0)
+        problem, fit, used = self.problem, self.fit, self.used
         held = np.isfinite(std)
-        centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
-        pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])
-        pull[problem.taken_over(fit.terms)] = 0.0
+        pull = problem.common_mean - fit.common
         precision = np.diag(np.where(held, std, np.inf) ** -2.0)
         shared = np.zeros(len(std))
         shared[problem.link_part] = link_scale * problem.links
         log_spread = float(np.sum(np.log(std[held]))) + 0.5 * float(np.log1p(shared @ precision @ shared))
         tied = precision @ shared
         precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
-        rows = np.pad(problem.prior_rows, ((0, 0), (0, len(std) - problem.n_common)))
+        rows = problem.prior_rows
         known = problem.prior_target - problem.prior_rows @ fit.common
         start, least = fit.noise.start[used], fit.noise.least[used]
         noise = fit.noise.std[used]
@@ -242,17 +234,12 @@ class _Line:
         return density - 0.5 * log_det - log_spread
 
 
-def conflict_findings(
-    robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
-) -> Iterator[Finding]:
-    """What of the stated knowledge the measurement contradicts, with the numbers of both, by the settled fit."""
-    return (finding for _, finding in _contradicted(robot, problem, fit, stated, settled))
-
-
 def _contradicted(
     robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
 ) -> Iterator[tuple[float, Finding]]:
-    """The same, each with the standard deviations by which the measurement differs."""
+    """What of the stated knowledge the measurement contradicts, by the settled fit: each with the standard deviations
+    by which it differs, and with the numbers of both.
+    """
     if settled.inertials != stated.inertials:
         yield _links_contradicted(robot, problem, fit, stated, settled)
     if settled.gain_std != stated.gain_std:

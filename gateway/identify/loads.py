@@ -99,16 +99,29 @@ def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
     rank, links = combination.shape
     axes = links // PER_LINK_AT_REST
-    further = np.concatenate([np.resize(bare.gain or np.nan, axes), np.asarray(bare.offset_nm, dtype=float)])
+    further = _stored(bare)
     covariance = np.array(bare.gain_covariance if bare.gain else bare.covariance, dtype=float)
     gains = slice(rank, min(rank + axes, len(covariance)))
-    covariance[gains, gains] += change**2 * change_covariance(gains.stop - rank)
+    covariance[gains, gains] += change_covariance(gains.stop - rank, change)
     stored = np.flatnonzero(np.isfinite(further[: len(covariance) - rank]))
     rows = np.zeros((rank + len(stored), links + 2 * axes))
     rows[:rank, :links] = combination
     rows[rank + np.arange(len(stored)), links + stored] = 1.0
     both = np.concatenate([np.arange(rank), rank + stored])
     return _whitened(rows, np.concatenate([value, further[stored]]), covariance[np.ix_(both, both)])
+
+
+def stored_errors(bare: Bare) -> NDArray[np.bool_]:
+    """Which gains and friction biases (2 N,) a stored identification holds."""
+    held = len(bare.gain_covariance if bare.gain else bare.covariance) - len(bare.value)
+    return np.isfinite(_stored(bare)) & (np.arange(2 * len(bare.offset_nm)) < held)
+
+
+def _stored(bare: Bare) -> Floats:
+    """Gains and friction biases (2 N,) of a stored identification; NaN where none is stored."""
+    return np.concatenate(
+        [np.resize(bare.gain or np.nan, len(bare.offset_nm)), np.asarray(bare.offset_nm, dtype=float)]
+    )
 
 
 def _whitened(rows: Floats, right: Floats, covariance: Floats) -> tuple[Floats, Floats]:

@@ -87,9 +87,9 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     return np.maximum(values, _EXACT)
 
 
-def change_covariance(axes: int) -> Floats:
-    """Covariance (N, N) of the change of the gains of all axes from one run to the next."""
-    return CHANGE_AXIS**2 * np.eye(axes) + CHANGE_COMMON**2
+def change_covariance(axes: int, factor: float = 1.0) -> Floats:
+    """Covariance (N, N) of the change of the gains of all axes from one run to the next, `factor` times the usual."""
+    return factor**2 * (CHANGE_AXIS**2 * np.eye(axes) + CHANGE_COMMON**2)
 
 
 def parse_torque_gain(text: str) -> float:

@@ -327,7 +327,7 @@ class RestDiagnosis:
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += (
-            [each for each in reversed_signs(problem.rows.difference_nm) if each not in findings]
+            reversed_signs(problem.rows.difference_nm)
             + mistake_findings(found.mistakes)
             + refused_loads(after.loads)
             + limits(problem)
@@ -345,7 +345,7 @@ class RestDiagnosis:
             friction_band_nm=band,
             rejected=tuple(rejected(search, decision)),
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
-            findings=tuple(findings),
+            findings=tuple(dict.fromkeys(findings)),
             nuisance=ordinary_of(problem, decision.after),
             set_aside=found.aside.entries + (() if held is None else held.aside),
             quality=structure_seen_nm(problem, decision.whole, np.array(floor))

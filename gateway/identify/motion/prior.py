@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.identify.links import as_bodies
 from gateway.identify.motion.friction import FALL, FALL_SHARE
-from gateway.identify.nuisance import BIAS_SHARE, nuisance_prior
+from gateway.identify.nuisance import BIAS_SHARE, COMMON_SHARE, nuisance_prior
 from gateway.identify.solve import Prior
 
 Floats = NDArray[np.float64]
@@ -21,9 +21,6 @@ Ints = NDArray[np.int_]
 _DELAY_S: Final = 0.02
 #: Power of the torque with which a loss grows, off 1: gears that are loaded little lose more of it, or less.
 _BEND: Final = 0.1
-#: Share of the variance of torques that nobody states the constants of, that all axes have in common: one unit, one
-#: supply, one factor between peak and rms.
-_COMMON: Final = 0.5
 #: Half of what a gear loses otherwise where it is driven back than where it drives, however little it loses.
 _LEAST_UNEVEN: Final = 0.0015
 #: Standard deviation over that of the prior, beyond which the rows say nothing of a quantity.
@@ -68,8 +65,8 @@ def alike(prior: Prior, index: Ints) -> Prior:
     what tells them apart: `C = s ((1 - r) E + r 1 1^T) s`.
     """
     count, size = len(index), prior.std[index]
-    alone = 1.0 / (1.0 - _COMMON + count * _COMMON)
-    apart = np.sqrt(1.0 / (1.0 - _COMMON) - alone) * (np.eye(count) - 1.0 / count) / size
+    alone = 1.0 / (1.0 - COMMON_SHARE + count * COMMON_SHARE)
+    apart = np.sqrt(1.0 / (1.0 - COMMON_SHARE) - alone) * (np.eye(count) - 1.0 / count) / size
     rows = np.zeros((count, len(prior.std)))
     rows[:, index] = apart
     changed = prior.with_std(index, size / np.sqrt(alone))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
-from gateway.identify.loads import bare_rows, load_vector, refuse_absent, unknown_labels
+from gateway.identify.loads import bare_rows, load_vector, refuse_absent, stored_errors, unknown_labels
 from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, losses, nuisance_prior
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import RestProblem
@@ -103,7 +103,6 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
         prior_rows[:, : 4 * rows.axes] = both[:, : 4 * rows.axes]
         prior_rows[:, gains : gains + 2 * rows.axes] = both[:, 4 * rows.axes :]
         prior_rows[:, gains + nuisance.common] = both[:, 4 * rows.axes :][:, : rows.axes] @ nuisance.changes.relative
-        nuisance = nuisance.held_elsewhere(np.asarray(both[:, 4 * rows.axes :].any(axis=0)))
     weighed = np.zeros((len(knowledge.masses), count))
     for row, (label, mass_kg) in zip(weighed, knowledge.masses.items(), strict=True):
         row[4 * (rows.axes + labels.index(label))] = 1.0 / (EXACT * mass_kg)
@@ -143,4 +142,5 @@ def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None 
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
     if changes is None:
         changes = GainChanges.of(rows, gain_std, knowledge.change)
-    return Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes, knowledge.measured_gain)
+    prior = Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes, knowledge.measured_gain)
+    return prior if knowledge.bare is None else prior.held_elsewhere(stored_errors(knowledge.bare))
