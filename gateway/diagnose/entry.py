@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from gateway.data.table import Table
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.errors import DataUnusable, InputError
-from gateway.estimate import ESTIMATORS, EstimateOptions
-from gateway.identify.links import default_inertials
+from gateway.estimate import ESTIMATORS
 from gateway.identify.load_estimate import load_result
 from gateway.identify.loads import refuse_in_motion
 from gateway.model.motion import behind_gears
@@ -63,17 +60,7 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
 
 def _of_both(result: Result, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
     """The result with the loads that `estimate` gives of rest and moving rows together."""
-    efficiency = (1.0,) if options.efficiency is None else tuple(np.asarray(options.efficiency, dtype=float).tolist())
-    told = EstimateOptions(
-        inertials=options.inertials or default_inertials(robot),
-        known=options.known,
-        bare=options.bare,
-        gravity_m_s2=options.gravity_m_s2,
-        gain_std=options.gain_std,
-        efficiency=efficiency,
-        coupling=options.coupling,
-    )
-    found = ESTIMATORS["joint"](table, robot, told)
+    found = ESTIMATORS["joint"](table, robot, options.as_estimate(robot))
     loads = tuple(load_result(load, robot) for load in found.loads)
     nuisance = {**result.nuisance, **found.nuisance}
     return replace(result, loads=loads, after=replace(result.after, loads=loads), nuisance=nuisance)

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
+from gateway.estimate.options import EstimateOptions
+from gateway.identify.links import default_inertials
 from gateway.model.effects import LIBRARY
+from gateway.model.robot import Robot
 from gateway.result.result import Bare, HoldoutKind
 
 Floats = NDArray[np.float64]
@@ -56,6 +59,22 @@ class DiagnoseOptions:
     coupling: Floats | None = None
     gear_ratio: Floats | None = None
     pose_choice: Floats | Callable[[], Floats | None] | None = None
+
+    def as_estimate(self, robot: Robot) -> EstimateOptions:
+        """What an estimate of the same rows is told."""
+        efficiency = np.ones(1) if self.efficiency is None else np.asarray(self.efficiency, dtype=float)
+        return EstimateOptions(
+            inertials=default_inertials(robot) if self.inertials is None else self.inertials,
+            known=self.known,
+            masses=self.masses,
+            bare=self.bare,
+            gravity_m_s2=self.gravity_m_s2,
+            gain_std=self.gain_std,
+            measured_gain=self.measured_gain,
+            change=self.change,
+            efficiency=tuple(efficiency.tolist()),
+            coupling=self.coupling,
+        )
 
     @property
     def allowed(self) -> frozenset[str]:

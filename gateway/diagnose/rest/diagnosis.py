@@ -46,12 +46,12 @@ from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
-from gateway.estimate import EstimateOptions, to_result
+from gateway.estimate import to_result
 from gateway.estimate.handover import reversed_signs
-from gateway.estimate.joint import estimate_joint
+from gateway.estimate.joint import estimate_joint, knowledge_of
 from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.conflict import settle, two_bodies, without_placeholder
-from gateway.identify.links import default_inertials, parse_inertials
+from gateway.identify.links import parse_inertials
 from gateway.identify.loads import BARE_LABEL, require_postures
 from gateway.identify.mass_change import mass_changes
 from gateway.identify.rest.fit import fit, fit_without_effects
@@ -121,20 +121,10 @@ class RestDiagnosis:
     """Diagnosis of rest visits in two steps: the search, and the report with or without unseen rows."""
 
     def __init__(self, robot: Robot, options: DiagnoseOptions) -> None:
-        self.robot, self.options = robot, options
-        self.knowledge = Knowledge(
-            gravity_m_s2=options.gravity_m_s2,
-            inertials=_inertials(robot, options.inertials),
-            known=options.known,
-            masses=options.masses,
-            bare=options.bare,
-            gain_std=options.gain_std,
-            measured_gain=options.measured_gain,
-            change=options.change,
-        )
-
-        self.stated = self.knowledge
-        self.knowledge, self.placeholder = without_placeholder(robot, self.knowledge)
+        self.robot, self.options, self.as_estimate = robot, options, options.as_estimate(robot)
+        parse_inertials(self.as_estimate.inertials)
+        stated = knowledge_of(self.as_estimate)
+        self.knowledge, self.placeholder = without_placeholder(robot, stated)
 
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.options.efficiency, self.options.coupling)
@@ -253,18 +243,7 @@ class RestDiagnosis:
 
     def _as_estimated(self, visits: Visits) -> Result:
         """Return what `estimate` gives: one answer and one refusal where no effect is named."""
-        known = self.stated
-        options = EstimateOptions(
-            inertials=known.inertials,
-            known=known.known,
-            masses=known.masses,
-            bare=known.bare,
-            gravity_m_s2=known.gravity_m_s2,
-            gain_std=known.gain_std,
-            measured_gain=known.measured_gain,
-            change=known.change,
-        )
-        return to_result(estimate_joint(visits, self.robot, options), self.robot, options)
+        return to_result(estimate_joint(visits, self.robot, self.as_estimate), self.robot, self.as_estimate)
 
     def refusal(self, table: Table) -> Result | None:
         """Return what `estimate` gives where the mass under a label changes; None where it does not.
@@ -387,10 +366,3 @@ def _undone(table: Table, mistakes: tuple[Mistake, ...]) -> Table:
     for mistake in mistakes:
         table = mistake.undo(table)
     return table
-
-
-def _inertials(robot: Robot, given: str | None) -> str:
-    if given is None:
-        return default_inertials(robot)
-    parse_inertials(given)
-    return given
