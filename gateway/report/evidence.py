@@ -81,7 +81,7 @@ def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None
         return None
     values = [mass for load in loads for mass in (load.mass_kg, *load.per_pose_mass_kg.values())]
     panel = Panel(430.0, 190.0, (-0.7, len(names) - 0.3), limits(values))
-    panel.y_axis("mass by each pose alone [kg]")
+    panel.y_axis("mass [kg]")
     for place, name in enumerate(names):
         if len(names) <= 24 or place % 5 == 0:
             panel.text(panel.x(place), panel.height - panel.bottom + 13, name, "tick mid")

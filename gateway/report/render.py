@@ -35,17 +35,19 @@ def render(result: Result) -> str:
         residual_rows=_residual_rows(shown),
         posed=_posed,
         cellular=_cellular,
-        failing=_failing(result),
+        first=_first(result),
+        notes=[finding for finding in result.findings if finding.severity == "info"],
         checksum=result.sha256 or to_dict(result)["sha256"],
         **_figures(result, data, shown),
         **_tables(result, data),
     )
 
 
-def _failing(result: Result) -> list[Finding]:
-    """Failing findings that stand at the top; acceptance has its own lines there."""
-    told = set(acceptance_findings(result.acceptance))
-    return [finding for finding in result.findings if finding.severity == "fail" and finding not in told]
+def _first(result: Result) -> list[Finding]:
+    """Failures and contradicted statements, above every value; acceptance has lines of its own there."""
+    stated = set(acceptance_findings(result.acceptance))
+    found = [finding for finding in result.findings if finding.severity != "info" and finding not in stated]
+    return sorted(found, key=lambda finding: finding.severity)
 
 
 def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:

@@ -22,13 +22,14 @@ NEAR_FLOOR = 1.3
 def status(result: Result) -> str:
     """`bad` with a failing finding or a refused load, `good` when nothing is left open, else `open`.
 
-    A load that may not have been hung, or of which the data cannot tell whether it is accepted, is open.
+    Open: a statement that the measurement contradicts, a load that may not be mounted, an acceptance
+    that the data cannot decide.
     """
     failing = {finding for finding in result.findings if finding.severity == "fail"}
-    unsure = open_findings(result)
-    if failing - unsure or any(load.refused for load in result.loads):
+    undecided = open_findings(result)
+    if failing - undecided or any(load.refused for load in result.loads):
         return "bad"
-    if failing or unsure:
+    if failing or undecided or any(finding.severity == "warn" for finding in result.findings):
         return "open"
     return "good" if result.verdict in ("none_needed", "explained") else "open"
 

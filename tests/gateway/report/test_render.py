@@ -101,6 +101,20 @@ def test_a_long_moving_run_is_drawn_as_a_line(result):
     assert len(page) < 6e6
 
 
+def test_what_contradicts_a_statement_is_read_before_any_value(result):
+    result["findings"] = [
+        {"severity": "info", "where": "J6", "what": "wide friction band"},
+        {"severity": "warn", "where": "J2", "what": "link masses are contradicted"},
+        {"severity": "fail", "where": "J4", "what": "torque sign is reversed"},
+    ]
+    page = render(read(result))
+    places = [
+        page.index(text) for text in ("sign is reversed", "are contradicted", "Centre of gravity", "wide friction")
+    ]
+    assert places == sorted(places)
+    assert page.count("are contradicted") == 1
+
+
 def test_sources_findings_and_questions_may_say_less(result):
     result["data"]["sources"] = [{"file": "table.csv", "kind": "measured table", "visits": 3}]
     result["next"] = [{"what": "hang a known load"}]

@@ -25,6 +25,11 @@ def test_the_first_screen_answers_what_how_sure_how_good_and_what_was_wrong(resu
     assert shown.status == "good"
 
 
+def test_a_statement_that_the_measurement_contradicts_is_amber(result):
+    result["findings"] = [{"severity": "warn", "where": "J2", "what": "the link masses are contradicted"}]
+    assert view(read(result)).status == "open"
+
+
 def test_half_widths_are_95_percent_intervals(result):
     load = view(read(result)).loads[0]
     # 25.03 -+ 1.96 * 0.11

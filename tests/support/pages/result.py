@@ -160,7 +160,7 @@ def full_result() -> dict:
         ],
         "findings": [
             {
-                "severity": "warn",
+                "severity": "info",
                 "where": "J6",
                 "what": "friction band above 10 % of the torque limit",
                 "advice": "warm the axis up and repeat",
