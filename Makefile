@@ -43,6 +43,7 @@ lint: venv
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+	$(BIN)/python -m benchmarks.language
 
 # The documentation as pages, in out/docs; a link that leads nowhere fails.
 docs: venv
