@@ -51,7 +51,7 @@ class Admission:
         raise ConfigurationRefused(what, node=node.node_id, advice=advice)
 
 
-class EmergencyEars:
+class EmergencyListener:
     """Listens to emergency messages at the identifiers that the drives state; they are known by node id all the same.
 
     Parameters

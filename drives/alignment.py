@@ -21,7 +21,7 @@ _NEW: Final = 0.1
 
 
 @dataclass(slots=True)
-class _Astray:
+class _Unassigned:
     """One TPDO whose answers cannot be assigned.
 
     Attributes
@@ -47,7 +47,7 @@ class Alignment:
 
     def __init__(self) -> None:
         #: By slot, those of which it is not known.
-        self.astray: dict[int, _Astray] = {}
+        self.astray: dict[int, _Unassigned] = {}
         self._usual_s: float | None = None
         self._open = False
 
@@ -85,4 +85,4 @@ class Alignment:
         if None in frames:
             for slot, data in enumerate(frames):
                 if data is None and slot not in self.astray:
-                    self.astray[slot] = _Astray(owed=1)
+                    self.astray[slot] = _Unassigned(owed=1)

@@ -203,7 +203,7 @@ class Bus:
                 tap(frame, received)
             except Exception:
                 self.counts["taps_failed"] += 1
-                self.overhear_no_more(tap)
+                self.remove_tap(tap)
 
     def _on_odd_frame(self, frame: Any) -> None:
         if not frame.is_error_frame:
@@ -302,12 +302,12 @@ class Bus:
         else:
             self._handlers.pop(can_id, None)
 
-    def overhear(self, tap: Tap) -> None:
+    def add_tap(self, tap: Tap) -> None:
         """Call `tap` for every frame that comes or goes, whatever it is."""
         self._taps = (*self._taps, tap)
 
-    def overhear_no_more(self, tap: Tap) -> None:
-        """Undo `overhear`."""
+    def remove_tap(self, tap: Tap) -> None:
+        """Undo `add_tap`."""
         self._taps = tuple(other for other in self._taps if other != tap)
 
     def add_chore(self, chore: Callable[[], None]) -> None:

@@ -24,7 +24,7 @@ __all__ = ["AxisSetup", "Cia402Drive", "DriveCommand", "DriveReading", "Identity
 _I16_MAX: Final = 0x7FFF
 #: An axis that is held outside its limits stays held where a target leads further out by no more than this: a way
 #: inwards begins at the position that was read, which is not to the count the one that is held.
-HAIR_REVOLUTIONS: Final = 1e-3
+POSITION_TOLERANCE_REVOLUTIONS: Final = 1e-3
 
 
 class Cia402Drive:
@@ -200,11 +200,11 @@ class Cia402Drive:
         for condition in profile.safety:
             value = self.access.read(condition.object)
             if not condition.holds(value):
-                faults.append(f"{condition.what}: {condition.words(value)}")
+                faults.append(f"{condition.what}: {condition.describe(value)}")
         if profile.reference is not None:
             value = self.access.read(profile.reference.object)
             if not profile.reference.holds(value):
-                faults.append(f"the encoder is not referenced: {profile.reference.words(value)}")
+                faults.append(f"the encoder is not referenced: {profile.reference.describe(value)}")
         return faults
 
     def arm(self, master_node_id: int) -> None:
@@ -224,7 +224,7 @@ class Cia402Drive:
         """Statusword, read now by SDO."""
         return self.access.read(OBJECTS["statusword"])
 
-    def fault_words(self) -> str:
+    def fault_text(self) -> str:
         """Error code 0x603F in words, as far as the drive answers."""
         try:
             code = self.access.read(OBJECTS["error_code"], ONCE)
@@ -251,7 +251,7 @@ class Cia402Drive:
             velocity = self._velocity(command.velocity_offset_rad_s) if command.velocity_offset_rad_s else 0
         except (ValueError, OverflowError) as error:
             raise CommandRefused(f"{command} is no target: {error}", node=self.node_id) from error
-        if self.target_count == self._held_count and abs(count - self.target_count) <= self._hair_count:
+        if self.target_count == self._held_count and abs(count - self.target_count) <= self._tolerance_count:
             count = self._no_further_out(count)
         if not self._lowest <= count <= self._highest and not self._inward(count):
             what = f"target {count} counts is outside {self._lowest} .. {self._highest}"
@@ -265,9 +265,9 @@ class Cia402Drive:
         self._staged = (count, offset, velocity)
 
     @property
-    def _hair_count(self) -> float:
+    def _tolerance_count(self) -> float:
         """By how much the position that is read may differ from the one that is held, in counts."""
-        return abs((self._scale or self.scale).revolutions(HAIR_REVOLUTIONS))
+        return abs((self._scale or self.scale).revolutions(POSITION_TOLERANCE_REVOLUTIONS))
 
     def _no_further_out(self, count: int) -> int:
         """A target, or where the axis is held, if it is held outside its limits and the target leads further out."""

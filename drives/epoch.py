@@ -108,7 +108,7 @@ class EpochCollector:
         self._inquiry = inquiry
         self.counts = EpochCounts()
         #: Answers that came after their SYNC was closed, or may have, by slot.
-        self.late_by_slot = [0] * len(slots)
+        self.late_count_by_slot = [0] * len(slots)
         #: What came since the last SYNC, assigned or not.
         self.frames: list[bytes | bytearray | None] = [None] * len(slots)
         self.alignment = Alignment()
@@ -252,13 +252,13 @@ class EpochCollector:
 
     def _late(self, slot: int) -> None:
         self.counts.late += 1
-        self.late_by_slot[slot] += 1
+        self.late_count_by_slot[slot] += 1
 
     def _unsure(self, slot: int, stamp_s: float) -> None:
         """A frame that may answer an earlier SYNC, if its slot is astray."""
         if slot in self.alignment.astray:
             self.counts.unsure += 1
-            self.late_by_slot[slot] += 1
+            self.late_count_by_slot[slot] += 1
             after_s = stamp_s - self._sent_wall_s
             if not 0.0 <= after_s < _CLOCK_SET_S:
                 after_s = time.monotonic() - self._sent_s

@@ -18,7 +18,7 @@ DriveError (4)
 |   +-- DriveRebooted       boot-up in the middle of a run: its configuration is gone
 |   +-- HeartbeatLost       the drive's heartbeat stopped, or never came
 +-- NotOperational          a node does not take the NMT command START
-+-- StopAsked (130)         a person asked to stop while the drives were being enabled
++-- StopRequested (130)         a person asked to stop while the drives were being enabled
 +-- TransitionTimeout       a CiA 402 transition did not happen in time (also TimeoutError)
 +-- IncompleteEpochs        an axis did not answer several SYNCs in a row
 +-- MasterStalled           this computer was held up while the axes moved
@@ -152,7 +152,7 @@ class NotOperational(DriveError):  # noqa: N818 - reads as what happened
     """A node does not go to NMT state OPERATIONAL, however often it is told to, or leaves it while axes are enabled."""
 
 
-class StopAsked(DriveError):  # noqa: N818 - reads as what happened
+class StopRequested(DriveError):  # noqa: N818 - reads as what happened
     """A person asked to stop while the drives were being enabled; all of them have been disabled."""
 
     exit_code = 130
@@ -218,7 +218,7 @@ def raise_failures(failures: Sequence[DriveError]) -> None:
 # -- in words that fit a screen ----------------------------------------------------------------------------------------
 
 #: Different failures that are told in one text; the first is the cause.
-_TOLD: Final = 6
+_MAX_LISTED: Final = 6
 #: Longest text of one list of failures: the advice of all but the first is left out of a longer one.
 _LONGEST: Final = 500
 
@@ -289,9 +289,9 @@ def _listed(errors: Sequence[DriveError]) -> list[str]:
 
 def _short(listed: list[str]) -> list[str]:
     """The first few of a list, and how many more there are."""
-    if len(listed) <= _TOLD:
+    if len(listed) <= _MAX_LISTED:
         return listed
-    return [*listed[: _TOLD - 1], f"and {len(listed) - _TOLD + 1} more"]
+    return [*listed[: _MAX_LISTED - 1], f"and {len(listed) - _MAX_LISTED + 1} more"]
 
 
 def _aftermath(errors: Sequence[DriveError]) -> str:

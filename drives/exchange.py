@@ -116,7 +116,7 @@ class SyncExchange:
         #: An axis was told to be enabled since this was last set back.
         self.powered = False
         #: How far each axis moved after it was last disabled, motor rad.
-        self.sag_rad = (0.0,) * len(self.drives)
+        self.brake_drop_rad = (0.0,) * len(self.drives)
         self.cycles = 0
         self.incomplete = 0
         #: Answers in which a drive warns.
@@ -186,13 +186,13 @@ class SyncExchange:
         if self.timing.pacing == "real":
             spare_collections()
 
-    def late_while_silent(self, axis: int) -> int:
+    def late_answers(self, axis: int) -> int:
         """Answers of an axis (from 0) that came too late since it began to leave SYNCs unanswered."""
         return self._late(axis) - self._late_before[axis]
 
     def _late(self, axis: int) -> int:
         first = self._first_slots[axis]
-        return sum(self.collector.late_by_slot[first : first + len(self.drives[axis].answers)])
+        return sum(self.collector.late_count_by_slot[first : first + len(self.drives[axis].answers)])
 
     def stands(self, axis: int) -> bool:
         """Whether an axis (from 0) was seen to stand at the last SYNCs."""

@@ -13,9 +13,10 @@ import math
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 
-from drives import bringup, operational, starting, stopping
+from drives import bringup, enable_checks, operational, stopping
 from drives.cia402 import Mode
 from drives.drive import DriveCommand
+from drives.enabling import EnableSequence
 from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
@@ -29,8 +30,7 @@ from drives.exchange import SyncExchange
 from drives.group_setup import DriveSetup, GroupOptions
 from drives.guard import Guard
 from drives.heartbeat import NmtCommand, send_nmt
-from drives.proof import BrakeTest, DriveTest, QuickStopTest, SilenceTest
-from drives.way_up import WayUp
+from drives.proof import BrakeTest, DriveTest, HeartbeatLossTest, QuickStopTest
 
 __all__ = ["DriveGroup", "GroupOptions"]
 
@@ -45,18 +45,18 @@ class DriveGroup(DriveSetup):
     """
 
     #: Motor angle of each axis from where it was last held to the farthest place after it was disabled; 0.0 = unknown.
-    sag_rad: tuple[float, ...] = ()
+    brake_drop_rad: tuple[float, ...] = ()
     #: What is tried at present; None = nothing.
     _test: DriveTest | None = None
 
     # -- moving ------------------------------------------------------------------------------------------------------
 
-    def enable(self, stop_asked: Callable[[], bool] = lambda: False) -> Epoch:
+    def enable(self, stop_requested: Callable[[], bool] = lambda: False) -> Epoch:
         """Bring every axis to OPERATION ENABLED, where it holds the position it is at.
 
         Parameters
         ----------
-        stop_asked : callable
+        stop_requested : callable
             Asked at every SYNC until the brakes are open: whether a person wants to stop.
 
         Returns
@@ -69,19 +69,19 @@ class DriveGroup(DriveSetup):
         DriveFault, NotOperational, TransitionTimeout, IncompleteEpochs, SeveralFailures
             What failed; all axes are disabled again. A drive in FAULT is refused and never reset, one that falls back
             on the way up is not led up again.
-        StopAsked
+        StopRequested
             All axes are disabled again.
         """
         exchange, guard = self._parts()
         self._require(self._configured and not self.enabled, "configure() first, and enable() once")
-        self._for_each(lambda drive: starting.refuse_fault(drive, guard))
-        self._for_each(starting.refuse_unsafe)
+        self._for_each(lambda drive: enable_checks.refuse_fault(drive, guard))
+        self._for_each(enable_checks.refuse_unsafe)
         try:
-            self._for_each(starting.refuse_lost_configuration)
+            self._for_each(enable_checks.refuse_lost_configuration)
         except Exception:
             self._configured = False
             raise
-        way = WayUp(exchange, guard, stop_asked)
+        way = EnableSequence(exchange, guard, stop_requested)
         way.check_stop()
         try:
             return self._enable(exchange, guard, way)
@@ -89,7 +89,7 @@ class DriveGroup(DriveSetup):
             self._after(error, stopping.disable)
             raise
 
-    def _enable(self, exchange: SyncExchange, guard: Guard, way: WayUp) -> Epoch:
+    def _enable(self, exchange: SyncExchange, guard: Guard, way: EnableSequence) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
         guard.forgive()
         self._bus.free_count = None  # from now on the guard watches for other masters
@@ -99,9 +99,9 @@ class DriveGroup(DriveSetup):
         epoch = self._start_nodes(exchange, guard, way)
         guard.forgive_cleared()  # a node may say why it refuses START, and that it does no more
         readings = {reading.node_id: reading for reading in epoch.readings if reading is not None}
-        self._for_each(lambda drive: starting.compare_with_sdo(drive, readings[drive.node_id]))
+        self._for_each(lambda drive: enable_checks.compare_with_sdo(drive, readings[drive.node_id]))
         exchange.clock.restart()
-        epoch = way.walk(starting.first_epoch(exchange))
+        epoch = way.walk(enable_checks.first_epoch(exchange))
         for drive in self.drives:
             if not drive.setup.profile.state_machine.mode_before_enable:
                 bringup.check_mode(drive.access, Mode.CYCLIC_SYNC_POSITION)
@@ -114,7 +114,7 @@ class DriveGroup(DriveSetup):
             way.check(epoch)
         return epoch
 
-    def _start_nodes(self, exchange: SyncExchange, guard: Guard, way: WayUp) -> Epoch:
+    def _start_nodes(self, exchange: SyncExchange, guard: Guard, way: EnableSequence) -> Epoch:
         """NMT START, confirmed by every drive; the first row in which all of them answer."""
         watch = self._watch
         if watch is None:
@@ -123,7 +123,7 @@ class DriveGroup(DriveSetup):
         start.begin()
         start.confirm(way.check_stop)
         exchange.clock.restart()
-        return starting.first_epoch(exchange, lambda epoch: way.check_stop() or start.again(epoch))
+        return enable_checks.first_epoch(exchange, lambda epoch: way.check_stop() or start.again(epoch))
 
     def exchange(self, commands: Sequence[DriveCommand]) -> Epoch:
         """One SYNC: send a target to every axis, gather what every axis measured at this SYNC.
@@ -190,7 +190,7 @@ class DriveGroup(DriveSetup):
         """
         self._stage(commands)
         with self._stopping():
-            self._parts()[0].begin(self._enable_words)
+            self._parts()[0].begin(self._enable_controlwords)
 
     def prepare(self, at_s: float | None = None) -> float:
         """Second part: wait until the SYNC is due, by this group's clock or as it is due by that of another one.
@@ -239,18 +239,18 @@ class DriveGroup(DriveSetup):
         if self._exchange is not None:
             self._exchange.abandon()
 
-    def withhold_heartbeat(self) -> SilenceTest:
+    def withhold_heartbeat(self) -> HeartbeatLossTest:
         """Stop the master's heartbeat on purpose while the axes move: every drive has to stop by itself.
 
         `exchange` and `hold` go on, with the controlwords of the test, until `disable`.
 
         Returns
         -------
-        SilenceTest
+        HeartbeatLossTest
             A drive that reacts with a fault stays in it.
         """
         self._require(self.enabled, "enable() first")
-        test = SilenceTest(self._parts()[0], self._last_beat)
+        test = HeartbeatLossTest(self._parts()[0], self._last_beat)
         self._test = test
         return test
 
@@ -299,7 +299,7 @@ class DriveGroup(DriveSetup):
 
     def _cycle(self) -> Epoch:
         with self._stopping():
-            words = self._enable_words if self._test is None else self._test.words()
+            words = self._enable_controlwords if self._test is None else self._test.controlwords()
             return self._looked_at(self._parts()[0].cycle(words))
 
     def _looked_at(self, epoch: Epoch) -> Epoch:
@@ -353,7 +353,7 @@ class DriveGroup(DriveSetup):
             failures = stop(exchange)
         except Exception as error:
             failures = [while_stopping(error)]
-        self.sag_rad = exchange.sag_rad
+        self.brake_drop_rad = exchange.brake_drop_rad
         if failures:
             self._producer.stop()
             self._configured = False
@@ -377,7 +377,7 @@ class DriveGroup(DriveSetup):
         """Disable every axis and let the drives stop watching the master; does nothing when nothing runs.
 
         Axes that move are brought to rest by their quick stop ramps first. Afterwards positions are watched for 0.3 s:
-        `sag_rad`.
+        `brake_drop_rad`.
 
         Raises
         ------

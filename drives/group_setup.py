@@ -9,9 +9,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from drives import finding, starting
+from drives import discovery, enable_checks
 from drives.access import ObjectAccess
-from drives.admission import Admission, EmergencyEars
+from drives.admission import Admission, EmergencyListener
 from drives.bus import Bus
 from drives.busload import frame_bits_worst, load_percent
 from drives.cia402 import ENABLE_OPERATION
@@ -26,11 +26,11 @@ from drives.errors import (
     raise_failures,
 )
 from drives.exchange import Pacing, SyncExchange, Timing
+from drives.foreign_master import FREE_S, refuse_foreign
 from drives.guard import Guard, Limits
 from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch
 from drives.instrument import Instrument, InstrumentSetup
 from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, without_shared_serials
-from drives.listening import FREE_S, refuse_foreign
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
@@ -47,7 +47,7 @@ class GroupOptions:
         Where the write ledger is kept, so that a restore is possible after a crash.
     answer_timeout_s, gap_timeout_s, window : float
         As in `drives.exchange.Timing`.
-    silent_syncs : int or None
+    unanswered_syncs : int or None
         As in `drives.guard.Limits`; None = as the table of reactions says.
     foreign_frames : int
         As in `drives.guard.Limits`.
@@ -64,7 +64,7 @@ class GroupOptions:
     answer_timeout_s: float = 1.0
     gap_timeout_s: float = 0.02
     window: float = 0.9
-    silent_syncs: int | None = None
+    unanswered_syncs: int | None = None
     foreign_frames: int = DRIVE_RULES["foreign_master"].count
     load_limit_percent: float = 70.0
     instruments: tuple[InstrumentSetup, ...] = ()
@@ -129,18 +129,18 @@ class DriveSetup:
         consumer_s = min(setup.profile.heartbeat.consumer_ms for setup in setups) / 1000.0
         self._producer = HeartbeatProducer(bus, master_node_id, consumer_s)
         self._emcy = EmcyLog({setup.node_id: setup.profile for setup in setups})
-        self._emcy_ears = EmergencyEars(bus, self._emcy)
+        self._emcy_ears = EmergencyListener(bus, self._emcy)
         self._watch: HeartbeatWatch | None = None
         self._exchange: SyncExchange | None = None
         self._guard: Guard | None = None
         self._running = self._configured = False
-        self._enable_words = (ENABLE_OPERATION,) * len(setups)
+        self._enable_controlwords = (ENABLE_OPERATION,) * len(setups)
         bus.add_chore(self._beat)
 
     def _beat(self) -> None:
         self._producer.tick(0.0 if self._exchange is None else self._exchange.sync_time_s)
 
-    # -- finding and setting up --------------------------------------------------------------------------------------
+    # -- discovery and setting up --------------------------------------------------------------------------------------
 
     def connect(self) -> tuple[Identity, ...]:
         """Find every drive and compare it with its profile; no object is written.
@@ -193,16 +193,16 @@ class DriveSetup:
         self._forget()
         refuse_foreign(self._bus, max(FREE_S, 3.0 * self.timing.period_s), self._master_node_id)
         timeout_s = max(setup.profile.sdo.timeout_s for setup in self.setups)
-        answers = finding.count_answers(self._bus, [setup.node_id for setup in self.setups], timeout_s)
+        answers = discovery.count_answers(self._bus, [setup.node_id for setup in self.setups], timeout_s)
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
         self.instruments = tuple(Instrument(self._bus, setup, self.ledger) for setup in self.options.instruments)
         identities: list[Identity] = []
         silent = [node_id for node_id, number in answers.items() if number == 0]
         try:
-            states = finding.nmt_states(self._bus, silent)
+            states = discovery.nmt_states(self._bus, silent)
 
             def identify(drive: Cia402Drive) -> None:
-                identities.append(finding.identify(drive, answers[drive.node_id], states.get(drive.node_id)))
+                identities.append(discovery.identify(drive, answers[drive.node_id], states.get(drive.node_id)))
 
             failures = self._failures(identify, Instrument.identify)
         except DriveError:
@@ -246,7 +246,7 @@ class DriveSetup:
         node_ids = [drive.node_id for drive in self.drives]
         watch = HeartbeatWatch(self._bus, node_ids, limits, lambda: exchange.sync_time_s)
         self._exchange, self._watch = exchange, watch
-        silent = self.options.silent_syncs or DRIVE_RULES["silent"].syncs(self.timing.period_s, self.timing.pacing)
+        silent = self.options.unanswered_syncs or DRIVE_RULES["silent"].syncs(self.timing.period_s, self.timing.pacing)
         guard_limits = Limits(silent, self.options.foreign_frames)
         self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)
         self._configured = True
@@ -315,7 +315,7 @@ class DriveSetup:
         drive = next((each for each in self.drives if each.node_id == node_id), None)
         if drive is None:
             raise NodeMissing("is not connected", node=node_id, advice="connect() first")
-        starting.reset_fault(drive)
+        enable_checks.reset_fault(drive)
 
     def restore(self) -> None:
         """Put back every object that the ledger holds of the connected drives.

@@ -18,7 +18,7 @@ from drives.errors import (
 from drives.exchange import SyncExchange
 from drives.heartbeat import HeartbeatWatch
 from drives.reactions import DRIVE_RULES
-from drives.symptoms import Symptoms
+from drives.status_monitor import StatusMonitor
 
 _EVERY: Final = 16
 _BUSY: Final = "all axes were stopped; end other work on this computer, lower the bus load, or raise sync_period_s"
@@ -31,13 +31,13 @@ class Limits:
 
     Attributes
     ----------
-    silent_syncs : int
+    unanswered_syncs : int
         SYNCs in a row that an axis may leave unanswered.
     foreign_frames : int
         SDO requests or set points of another master with one id; of SYNC and NMT commands one frame is enough.
     """
 
-    silent_syncs: int = DRIVE_RULES["silent"].count
+    unanswered_syncs: int = DRIVE_RULES["silent"].count
     foreign_frames: int = DRIVE_RULES["foreign_master"].count
 
 
@@ -59,7 +59,7 @@ class Guard:
         self._exchange = exchange
         self._watch = watch
         self._emcy = emcy
-        self._symptoms = Symptoms(exchange, emcy)
+        self._symptoms = StatusMonitor(exchange, emcy)
         #: Axes (from 0) that may leave OPERATION ENABLED: they were told to.
         self.excused: frozenset[int] = frozenset()
         self._foreign_before: dict[int, int] = {}
@@ -122,7 +122,7 @@ class Guard:
             if reading is not None and decode_state(reading.statusword) is not State.OPERATION_ENABLED
         ]
 
-    def last_words(self, node_id: int) -> str:
+    def last_emergency(self, node_id: int) -> str:
         """Last emergency message of a node, as the end of a sentence."""
         last = self._emcy.last(node_id)
         return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"
@@ -131,7 +131,7 @@ class Guard:
         """Add to each fault what the drive has said about it meanwhile."""
         for failure in error.failures if isinstance(error, SeveralFailures) else (error,):
             if isinstance(failure, DriveFault) and failure.node is not None:
-                failure.what += self.last_words(failure.node)
+                failure.what += self.last_emergency(failure.node)
 
     def check_operational(self) -> None:
         """Nodes that left the NMT state OPERATIONAL."""
@@ -145,19 +145,19 @@ class Guard:
 
     def check_silence(self) -> None:
         """Axes that leave too many SYNCs unanswered."""
-        if max(self._exchange.silent) < self.limits.silent_syncs:
+        if max(self._exchange.silent) < self.limits.unanswered_syncs:
             return
         raise_failures(
             [
                 self._silent(axis, silent)
                 for axis, silent in enumerate(self._exchange.silent)
-                if silent >= self.limits.silent_syncs
+                if silent >= self.limits.unanswered_syncs
             ]
         )
 
     def _silent(self, axis: int, silent: int) -> DriveError:
         """The error about an axis without answers, or whose answers came when their SYNC was closed."""
-        node, late = self._exchange.drives[axis].node_id, self._exchange.late_while_silent(axis)
+        node, late = self._exchange.drives[axis].node_id, self._exchange.late_answers(axis)
         rule = DRIVE_RULES["silent"]
         if not late:
             return rule.raised(f"left {silent} SYNCs in a row unanswered", node=node)

@@ -14,8 +14,8 @@ from drives.access import AccessRules, NodeAccess
 from drives.bringup import check_sync, read_identity, settle_sync_period
 from drives.bus import Bus
 from drives.decode import Frames
+from drives.discovery import count_answers, nmt_states, require_one
 from drives.errors import ConfigurationRefused, IdentityMismatch
-from drives.finding import count_answers, nmt_states, require_one
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import KnownDevice, WriteLedger
 from drives.objects import OBJECTS, RPDO_COMMUNICATION, TPDO_COMMUNICATION, TPDO_MAPPING

@@ -52,7 +52,7 @@ class NmtStart:
     ) -> None:
         self._bus, self._watch, self._guard = bus, watch, guard
         self._drives, self._instruments = tuple(drives), tuple(instruments)
-        self._began_s = self._told_s = 0.0
+        self._began_s = self._sent_s = 0.0
 
     def begin(self) -> None:
         """Tell every node; what it said of its state before does not count."""
@@ -60,7 +60,7 @@ class NmtStart:
         for drive in self._drives:
             self._watch.states[drive.node_id] = None
         self._began_s = time.monotonic()
-        self._tell([node.node_id for node in (*self._drives, *self._instruments)])
+        self._send([node.node_id for node in (*self._drives, *self._instruments)])
 
     def confirm(self, check_stop: Callable[[], None]) -> None:
         """Wait until every drive whose profile sets a heartbeat says OPERATIONAL with it.
@@ -80,7 +80,7 @@ class NmtStart:
         while waiting := [drive for drive in self._drives if self._beats(drive) and not self._is_up(drive)]:
             if all(time.monotonic() - self._began_s > _patience_s(drive) for drive in waiting):
                 raise_failures([self._failure(drive) for drive in waiting])
-            self._tell_again([drive.node_id for drive in waiting])
+            self._send_again([drive.node_id for drive in waiting])
             check_stop()
             self._bus.listen(_SLICE_S)
             self._guard.check_bus()
@@ -98,17 +98,17 @@ class NmtStart:
             raise_failures([self._failure(drive) for drive in silent])
         devices = zip(self._instruments, epoch.instruments, strict=True)
         mute = [instrument.node_id for instrument, reading in devices if reading is None]
-        self._tell_again([*(drive.node_id for drive in silent), *mute])
+        self._send_again([*(drive.node_id for drive in silent), *mute])
         return bool(silent)
 
-    def _tell_again(self, node_ids: Sequence[int]) -> None:
-        if time.monotonic() - self._told_s >= REPEAT_S:
-            self._tell(node_ids)
+    def _send_again(self, node_ids: Sequence[int]) -> None:
+        if time.monotonic() - self._sent_s >= REPEAT_S:
+            self._send(node_ids)
 
-    def _tell(self, node_ids: Sequence[int]) -> None:
+    def _send(self, node_ids: Sequence[int]) -> None:
         for node_id in node_ids:
             send_nmt(self._bus, NmtCommand.START, node_id)
-        self._told_s = time.monotonic()
+        self._sent_s = time.monotonic()
 
     def _is_up(self, drive: Cia402Drive) -> bool:
         return self._watch.states[drive.node_id] is NmtState.OPERATIONAL
@@ -125,7 +125,7 @@ class NmtStart:
             return HeartbeatLost(what, node=drive.node_id, index=0x1017, advice=advice)
         said = "its NMT state is not known" if state is None else f"it is in NMT state {str(state).upper()}"
         what = f"does not go to OPERATIONAL, told so for {PATIENCE_S:.0f} s: {said}"
-        what += self._guard.last_words(drive.node_id)
+        what += self._guard.last_emergency(drive.node_id)
         advice = "a communication error may stand: see 0x1001, 0x1003, error behaviour 0x1029 and SYNC period 0x1006"
         return NotOperational(what, node=drive.node_id, advice=f"{advice}; remove its cause, or switch it off and on")
 

@@ -11,8 +11,8 @@ from typing import Final
 from drives.bringup import read_identity
 from drives.bus import SDO_ANSWER_BASE, SDO_REQUEST_BASE, Bus
 from drives.errors import DriveError
+from drives.foreign_master import FREE_S, refuse_foreign
 from drives.heartbeat import HeartbeatWatch, NmtState
-from drives.listening import FREE_S, refuse_foreign
 from drives.profile_file import GENERIC, list_profiles, load_profile
 from drives.sdo import SdoClient
 from drives.values import Identity

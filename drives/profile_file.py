@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Final
 
-from drives.eds import check_eds
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
+from drives.profile_check import check_eds
 from drives.toml_lines import KeyPath
 from drives.validation import Unfit, read_strict
 

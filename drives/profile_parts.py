@@ -313,7 +313,7 @@ class Condition(Strict):
         """Whether a value of the object says that all is well."""
         return value & self.mask == self.good
 
-    def words(self, value: int) -> str:
+    def describe(self, value: int) -> str:
         """What a value says, for a message."""
         where = f"{self.object.index:04X}:{self.object.subindex:02X}"
         return f"{where} & {self.mask:#x} is {value & self.mask:#x} instead of {self.good:#x}"

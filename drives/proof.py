@@ -49,7 +49,7 @@ _STILL_S: Final = 0.05
 #: The same as a share of what the motor travelled in that time at its largest speed: less with a low gear ratio.
 _STILL_SHARE: Final = 0.2
 #: Rounding of a sum of SYNC periods [s].
-_HAIR_S: Final = 1e-9
+_TIME_TOLERANCE_S: Final = 1e-9
 #: SYNCs after which a drive that was told to hold its axis again is given the position that it has reached meanwhile.
 _ENABLE_SYNCS: Final = 3
 #: Controlwords from SWITCH ON DISABLED to OPERATION ENABLED.
@@ -73,7 +73,7 @@ class DriveTest(Protocol):
     @property
     def guards(self) -> bool: ...
 
-    def words(self) -> list[int]:
+    def controlwords(self) -> list[int]:
         """Controlwords of the next SYNC; called once per SYNC."""
         ...
 
@@ -159,7 +159,7 @@ class _Axis:
         elif self.left_s is None:
             self.left_s = time_s
         still_s = time_s - max(self._moving_s, self.left_s or 0.0)
-        self._stood |= self.left_s is not None and still_s >= _STILL_S - _HAIR_S
+        self._stood |= self.left_s is not None and still_s >= _STILL_S - _TIME_TOLERANCE_S
 
     def _look_whether_still(self, time_s: float, count: int) -> None:
         """Note when the motor last left the range within which it counts as standing, `_moving_s`."""
@@ -239,8 +239,8 @@ class StopTest:
         """Axes (from 0) that have left OPERATION ENABLED."""
         return frozenset(number for number, axis in enumerate(self._axes) if axis.left_s is not None)
 
-    def words(self) -> list[int]:
-        """As `DriveTest.words`."""
+    def controlwords(self) -> list[int]:
+        """As `DriveTest.controlwords`."""
         return [QUICK_STOP if self._stops(axis) else axis.word() for axis in self._axes]
 
     def held_count(self, axis: int) -> int | None:
@@ -281,7 +281,7 @@ class StopTest:
         )
 
 
-class SilenceTest(StopTest):
+class HeartbeatLossTest(StopTest):
     """The master's heartbeat is withheld: every drive has to stop by itself.
 
     Parameters
@@ -298,12 +298,12 @@ class SilenceTest(StopTest):
         drives = exchange.drives
         super().__init__(exchange, [drive.setup.profile.heartbeat.consumer_ms / 1000.0 + period_s for drive in drives])
 
-    def words(self) -> list[int]:
-        """As `DriveTest.words`."""
+    def controlwords(self) -> list[int]:
+        """As `DriveTest.controlwords`."""
         if self._last_beat is not None:
             self._last_beat()
             self._last_beat = None
-        return super().words()
+        return super().controlwords()
 
 
 class QuickStopTest(StopTest):
@@ -399,22 +399,22 @@ class BrakeTest:
         """Let the drive hold the axis again, where it is."""
         self._enables = True
 
-    def words(self) -> list[int]:
-        """As `DriveTest.words`."""
-        words = [ENABLE_OPERATION] * len(self._exchange.drives)
+    def controlwords(self) -> list[int]:
+        """As `DriveTest.controlwords`."""
+        controlwords = [ENABLE_OPERATION] * len(self._exchange.drives)
         if not self.held:
             state = self._exchange.states[self._axis] or State.UNDEFINED
-            words[self._axis] = self._word_up(state) if self._enables else self._word_down(state)
-        return words
+            controlwords[self._axis] = self._enable_word(state) if self._enables else self._disable_word(state)
+        return controlwords
 
-    def _word_down(self, state: State) -> int:
+    def _disable_word(self, state: State) -> int:
         if state is State.OPERATION_ENABLED:
             return DISABLE_OPERATION
         if state is State.SWITCHED_ON and (self._closing is None or self.released_syncs <= self._closing):
             return DISABLE_OPERATION
         return DISABLE_VOLTAGE
 
-    def _word_up(self, state: State) -> int:
+    def _enable_word(self, state: State) -> int:
         try:
             word = next_controlword(state, State.OPERATION_ENABLED)
         except NoRoute as error:

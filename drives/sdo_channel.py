@@ -59,7 +59,7 @@ class Posted:
     value : int or None
         None = no answer yet, or a refusal.
     answered : bool
-    asked_s : float
+    requested_s : float
         Monotonic time: the drive has read the value since then. Where an answer to an earlier question may have been
         lost, that is when the earlier question was asked. Infinite = not known.
     """
@@ -68,7 +68,7 @@ class Posted:
     until_s: float
     value: int | None = None
     answered: bool = False
-    asked_s: float = math.inf
+    requested_s: float = math.inf
 
     def take(self, answer: bytes) -> None:
         """Keep the value of an expedited answer; anything else counts as a refusal."""
@@ -90,7 +90,7 @@ class Pending:
     #: Number of the question of `ask`; 0 = a transfer that was given up.
     question: int = 0
     posted: Posted | None = None
-    asked_s: float = 0.0
+    requested_s: float = 0.0
 
 
 class SdoChannel:
@@ -149,7 +149,7 @@ class SdoChannel:
         address = _QUESTIONS[self._questions % len(_QUESTIONS)]
         self._questions += 1
         now = time.monotonic()
-        question = Pending(SCS_UPLOAD, address, now + self.slow_timeout_s, self._questions, asked_s=now)
+        question = Pending(SCS_UPLOAD, address, now + self.slow_timeout_s, self._questions, requested_s=now)
         with self._pending_lock:
             # an answer to an earlier question for this object says as well that the drive is there
             others = [each for each in self._pending if not (each.question and each.address == address)]
@@ -177,10 +177,10 @@ class SdoChannel:
             last = next((each.posted for each in reversed(before) if each.posted is not None), None)
             if last is not None and not last.answered and now < last.until_s:
                 return last
-            asked_s = min((each.asked_s for each in before), default=now)
-            posted = Posted(data_type, now + self.timeout_s, asked_s=asked_s)
+            requested_s = min((each.requested_s for each in before), default=now)
+            posted = Posted(data_type, now + self.timeout_s, requested_s=requested_s)
             until_s = now + self.slow_timeout_s
-            self._pending.append(Pending(SCS_UPLOAD, address, until_s, posted=posted, asked_s=now))
+            self._pending.append(Pending(SCS_UPLOAD, address, until_s, posted=posted, requested_s=now))
         self._bus.send(SDO_REQUEST_BASE + self.node_id, HEAD.pack(CCS_UPLOAD, *address) + bytes(4))
         return posted
 
@@ -289,10 +289,10 @@ class SdoChannel:
     ) -> DriveError:
         self._counts["timeouts"] += 1
         now = time.monotonic()
-        asked_s = now - timeout_s
-        until_s = asked_s + max(self.slow_timeout_s, timeout_s)
+        requested_s = now - timeout_s
+        until_s = requested_s + max(self.slow_timeout_s, timeout_s)
         with self._pending_lock:
-            self._pending.append(Pending(specifier, echo, until_s, asked_s=asked_s))
+            self._pending.append(Pending(specifier, echo, until_s, requested_s=requested_s))
         self._send_abort(address, TIMED_OUT)
         index, subindex = address
         if self._strange:

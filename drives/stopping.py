@@ -40,8 +40,8 @@ _RAMP_S: Final = 2.0
 #: What an axis is given beyond the time that a step should take, until the step counts as not confirmed.
 _PATIENCE_S: Final = 0.2
 #: How long positions are watched after the brakes have closed; by SYNCs, and at most so long by the clock.
-_SAG_S: Final = 0.3
-_SAG_LONGEST_S: Final = 1.0
+_DROP_WATCH_S: Final = 0.3
+_DROP_WATCH_MAX_S: Final = 1.0
 #: Where only SDO is left: time between two readings, and by how much they differ at rest, in motor revolutions.
 _SDO_PAUSE_S: Final = 0.02
 _SDO_STILL_REVOLUTIONS: Final = 0.005
@@ -79,7 +79,7 @@ class _Step:
     reached: frozenset[State]
 
 
-class _Sag:
+class _BrakeDrop:
     """How far each axis goes from where it was last held.
 
     Parameters
@@ -117,7 +117,7 @@ def disabling_controlword(state: State) -> int:
         return DISABLE_VOLTAGE
 
 
-class _WayDown:
+class _DisableSequence:
     """Controlwords to SWITCH ON DISABLED; an axis stays in SWITCHED ON until its brake has had its time to close.
 
     Without the voltage a drive cannot hold the axis while the brake closes.
@@ -168,7 +168,7 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
 def disable(exchange: SyncExchange) -> list[DriveError]:
     """Lead every axis to SWITCH ON DISABLED, those that move by their quick stop ramp; a drive in fault stays there.
 
-    Afterwards the positions are watched for a while: `SyncExchange.sag_rad`.
+    Afterwards the positions are watched for a while: `SyncExchange.brake_drop_rad`.
 
     Returns
     -------
@@ -177,7 +177,7 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
         master's heartbeat has ended.
     """
     failures = quick_stop(exchange) if _moves(exchange) else []
-    sag, way = _Sag(exchange), _WayDown(exchange)
+    sag, way = _BrakeDrop(exchange), _DisableSequence(exchange)
     leave_s = _PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
     limit_s = leave_s + way.closing_s
     step = _Step(way.word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
@@ -187,7 +187,7 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
     if exchange.powered:
         exchange.powered = False
         failures += _watch(exchange, sag)
-        exchange.sag_rad = sag.rad()
+        exchange.brake_drop_rad = sag.rad()
     return failures
 
 
@@ -200,11 +200,11 @@ def _moves(exchange: SyncExchange) -> bool:
     )
 
 
-def _watch(exchange: SyncExchange, sag: _Sag) -> list[DriveError]:
+def _watch(exchange: SyncExchange, sag: _BrakeDrop) -> list[DriveError]:
     """Positions after the brakes have closed."""
-    until_s = time.monotonic() + _SAG_LONGEST_S
+    until_s = time.monotonic() + _DROP_WATCH_MAX_S
     try:
-        for _ in range(math.ceil(_SAG_S / exchange.timing.period_s)):
+        for _ in range(math.ceil(_DROP_WATCH_S / exchange.timing.period_s)):
             sag.note(_cycle(exchange, lambda _axis, state: disabling_controlword(state)))
             if min(exchange.silent) >= _SILENT or time.monotonic() > until_s:
                 break
@@ -255,12 +255,12 @@ def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
             if state in step.reached:
                 return [] if _seen_at_rest(exchange, axis, step) else [_still_moving(drive)]
             if state is State.OPERATION_ENABLED and step.disables:
-                _tell(drive, QUICK_STOP)
-                _comes_to_rest(drive)
+                _send(drive, QUICK_STOP)
+                _wait_for_rest(drive)
                 state = _state(drive)
             if state is State.SWITCHED_ON and step.disables:
                 time.sleep(_closing_s(drive))
-            _tell(drive, disabling_controlword(state) if step.disables else step.word(axis, state))
+            _send(drive, disabling_controlword(state) if step.disables else step.word(axis, state))
         what = f"stays in {_state(drive)}"
         advice = "use the emergency stop; then check the drive"
         return [TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice)]
@@ -268,7 +268,7 @@ def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
         return [while_stopping(error, drive.node_id)]
 
 
-def _tell(drive: Cia402Drive, word: int) -> None:
+def _send(drive: Cia402Drive, word: int) -> None:
     control = OBJECTS["controlword"]
     drive.access.sdo.write(control.index, control.subindex, control.type, word)
 
@@ -283,10 +283,10 @@ def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
         return True
     if not exchange.silent[axis]:
         return exchange.states[axis] not in step.reached
-    return _comes_to_rest(exchange.drives[axis])
+    return _wait_for_rest(exchange.drives[axis])
 
 
-def _comes_to_rest(drive: Cia402Drive) -> bool:
+def _wait_for_rest(drive: Cia402Drive) -> bool:
     """Wait until two readings by SDO say that the axis stands; whether they do in time."""
     allowed = max(1.0, drive.scale.revolutions(_SDO_STILL_REVOLUTIONS))
     until_s = time.monotonic() + _RAMP_S

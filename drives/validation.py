@@ -16,8 +16,8 @@ from typing import Any, Final, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from drives.toml_lines import KeyPath, key_lines, line_of
+from drives.toml_problems import field_at, placeholder, problem_text
 from drives.toml_text import parse_toml
-from drives.toml_words import field_at, in_words, stand_in
 
 #: Times that what was found is replaced to find more.
 _ROUNDS: Final = 4
@@ -184,7 +184,7 @@ def _problems(model: type[BaseModel], data: dict[str, Any], error: ValidationErr
         among_others = detail["type"] == "too_short" and any(each[: len(path)] == path for each in seen)
         if path not in seen and not among_others:
             seen.add(path)
-            yield path, in_words(model, data, path, detail)
+            yield path, problem_text(model, data, path, detail)
 
 
 def _mend(model: type[BaseModel], data: dict[str, Any], path: KeyPath) -> None:
@@ -199,11 +199,11 @@ def _mend(model: type[BaseModel], data: dict[str, Any], path: KeyPath) -> None:
     place = field_at(model, path)
     if isinstance(table, list) and isinstance(last, int):
         if last < len(table):
-            table[last] = stand_in(place.kind, place.info)
+            table[last] = placeholder(place.kind, place.info)
         else:
             _mend(model, data, path[:-1])
     elif isinstance(table, dict) and isinstance(last, str):
         if place.path == path and (place.info is None or place.info.is_required()):
-            table[last] = stand_in(place.kind, place.info)
+            table[last] = placeholder(place.kind, place.info)
         else:
             table.pop(last, None)

@@ -10,9 +10,9 @@ from drives.access import NodeAccess, ObjectAccess
 from drives.bringup import check_at_rest
 from drives.configuration.dcf import NodeConfiguration
 from drives.configuration.difference import Compared, differing
-from drives.configuration.kinds import is_mapping, why_asked, why_never_written
+from drives.configuration.kinds import confirmation_reason, is_mapping, why_never_written
 from drives.configuration.reading import Readout
-from drives.configuration.values import Value, ledger_word
+from drives.configuration.values import Value, ledger_value
 from drives.errors import ConfigurationRefused, DriveError, raise_failures
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import LedgerEntry
@@ -47,7 +47,7 @@ def questions(file: NodeConfiguration, rows: Sequence[Compared], nodes: Collecti
         Every node of the bus.
     """
     entries, others = file.sheet.entries, set(nodes) - {file.node_id}
-    asked = [(row, why_asked(entries[row.address], row.file, others)) for row in differing(rows)]
+    asked = [(row, confirmation_reason(entries[row.address], row.file, others)) for row in differing(rows)]
     return [(row, why) for row, why in asked if why is not None]
 
 
@@ -72,7 +72,7 @@ def planned_writes(
     wanted |= _whole_records(wanted, {**found.values, **stated})
     values: dict[Address, tuple[str, int]] = {}
     for address in _limits_in_order(sorted(wanted), wanted, found):
-        word = ledger_word(file.sheet.entries[address].data_type, wanted[address])
+        word = ledger_value(file.sheet.entries[address].data_type, wanted[address])
         if word is not None:
             values[address] = word
     work = NodeWrites(access, tuple(ordered_steps(values, f"config apply: {file.path.name}")))
@@ -102,7 +102,7 @@ def _obstacle(access: NodeAccess, profile: DriveProfile, row: Compared) -> Confi
     advice = "take it out of the file, or set it with the maker's own tool"
     if row.state == "not on drive":
         why, advice = f"the drive does not give it: {row.why}", "take it out of the file; another firmware may lack it"
-    elif why is None and ledger_word(row.data_type, row.file) is None:
+    elif why is None and ledger_value(row.data_type, row.file) is None:
         why = "the write ledger cannot hold its type"
     if why is None:
         return None

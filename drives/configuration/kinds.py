@@ -149,7 +149,7 @@ def own_identifier(entry: SheetObject, value: int, node_id: int) -> bool:
     return _identifier_node(entry, value) == node_id
 
 
-def why_asked(entry: SheetObject, value: Value, others: Collection[int]) -> str | None:
+def confirmation_reason(entry: SheetObject, value: Value, others: Collection[int]) -> str | None:
     """Why a value is written only if a question of its own was answered; None where it needs none.
 
     Parameters

@@ -132,7 +132,7 @@ def understood(data_type: int, text: str, node_id: int) -> Value:
     return text if data_type in _TEXTS else bytes.fromhex(text)
 
 
-def ledger_word(data_type: int, value: Value) -> tuple[str, int] | None:
+def ledger_value(data_type: int, value: Value) -> tuple[str, int] | None:
     """Type and number as which a value is written and entered in the ledger; None where it holds no such type."""
     if data_type in _FLOATS:
         return _FLOATS[data_type][1], int.from_bytes(encoded(data_type, value), "little")

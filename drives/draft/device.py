@@ -12,9 +12,9 @@ from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
+from drives.discovery import nmt_states, require_one
 from drives.errors import IdentityMismatch, SdoAbort
-from drives.finding import nmt_states, require_one
-from drives.listening import refuse_foreign
+from drives.foreign_master import refuse_foreign
 from drives.objects import OBJECTS, DataType, object_name
 from drives.probe import probe
 from drives.sdo import SdoClient

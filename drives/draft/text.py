@@ -11,9 +11,9 @@ from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device
 from drives.draft.questions import COUNTS, RATED, is_current, open_questions, rated_address, torque_address
 from drives.draft.units import velocity_unit_rad_s
-from drives.eds import contradictions
 from drives.errors import ProfileError
 from drives.objects import DataType
+from drives.profile_check import contradictions
 from drives.profile_file import parse_profile
 from drives.profile_parts import NEEDED_WRITES
 from drives.toml_text import toml_string

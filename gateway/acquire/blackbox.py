@@ -74,7 +74,7 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
     keeper = BoxKeeper(header)
     watch, bus = BlackBoxWatch(keeper, opened.config.name), opened.group.bus
     keeper.wait_until_kept()
-    bus.overhear(keeper.frame)
+    bus.add_tap(keeper.frame)
     reason: str | None = None
     failure: BaseException | None = None
     try:
@@ -85,7 +85,7 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
             reason = str(error) or type(error).__name__
         raise
     finally:
-        bus.overhear_no_more(keeper.frame)
+        bus.remove_tap(keeper.frame)
         watch.leave()
         trouble = keeper.close(reason)
         if failure is not None and reason is not None:

@@ -119,7 +119,7 @@ def _after(opened: OpenArm, error: DriveError, found: list[CheckItem]) -> list[C
     if found:
         return [replace(found[0], what=f"{found[0].what}; then: {error}")]
     # an axis that goes on sinking once all are disabled is no standstill
-    sags = opened.arm.sag_rad()
+    sags = opened.arm.brake_drop_rad()
     if sags.max() <= SAG_RAD:
         raise error
     axis = int(np.argmax(sags))

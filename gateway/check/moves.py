@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from drives.busload import cycle_bits_worst, load_percent
-from drives.witness import TorqueWitness, TorqueWords
+from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.run import Shelf, VisitStation
@@ -139,7 +139,7 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
     group, config = opened.group, opened.config
     plan = plan_moves(config.name, opened.workspace, opened.arm.where(), group.timing.period_s)
     shelf = Shelf()
-    with TorqueWitness(group.bus, group.drives if _room_for_witness(opened) else ()) as witness:
+    with TorqueSignalReader(group.bus, group.drives if _room_for_witness(opened) else ()) as reader:
         try:
             pacing = group.timing.pacing
             station = VisitStation(
@@ -152,9 +152,9 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
                 (CheckItem("fail", f"J{error.joint}", f"small moves were stopped: {error}", advice),), None
             )
     items: list[CheckItem] = []
-    nothing = [TorqueWords(axis.node_id, missing="the bus is too full for a third TPDO") for axis in config.axis]
+    nothing = [TorqueSignals(axis.node_id, missing="the bus is too full for a third TPDO") for axis in config.axis]
     for joint, (axis, profile, drive, words) in enumerate(
-        zip(config.axis, opened.profiles, group.drives, witness.words or nothing, strict=True), start=1
+        zip(config.axis, opened.profiles, group.drives, reader.signals or nothing, strict=True), start=1
     ):
         items += judge_torque(Axis(joint, axis, profile), words, Scales.of(drive.scale, axis))
     if opened.workspace.links is None:

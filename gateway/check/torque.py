@@ -15,7 +15,7 @@ import numpy as np
 
 from drives.objects import OBJECTS, object_name
 from drives.scaling import MotorScale
-from drives.witness import TorqueWords
+from drives.torque_signals import TorqueSignals
 from gateway.cell.config import AxisConfig
 from gateway.preflight.rules import Axis, CheckItem, Severity
 
@@ -70,13 +70,13 @@ class Scales:
         return cls(scale.torque_nm, current)
 
 
-def judge_torque(axis: Axis, words: TorqueWords, scales: Scales) -> list[CheckItem]:
+def judge_torque(axis: Axis, words: TorqueSignals, scales: Scales) -> list[CheckItem]:
     """Judge where the torque of one drive comes from.
 
     Parameters
     ----------
     axis : Axis
-    words : TorqueWords
+    words : TorqueSignals
         Taken while the axis moved both ways.
     scales : Scales
     """
@@ -91,7 +91,7 @@ def judge_torque(axis: Axis, words: TorqueWords, scales: Scales) -> list[CheckIt
     return found or [_fine(where, torque, words)]
 
 
-def _rules(torque: np.ndarray, words: TorqueWords, scales: Scales) -> Iterator[tuple[Severity, str, str]]:
+def _rules(torque: np.ndarray, words: TorqueSignals, scales: Scales) -> Iterator[tuple[Severity, str, str]]:
     if len(np.unique(torque)) < LEAST_VALUES:
         what = f"the torque showed {len(np.unique(torque))} different values in {len(torque)} SYNCs of motion"
         yield "fail", what, "this is not a live measurement: look up which object holds the measured torque"
@@ -177,7 +177,7 @@ def _correlation(first: np.ndarray, second: np.ndarray) -> float:
     return 0.0 if spread == 0.0 else float(np.mean((first - first.mean()) * (second - second.mean())) / spread)
 
 
-def _fine(where: str, torque: np.ndarray, words: TorqueWords) -> CheckItem:
+def _fine(where: str, torque: np.ndarray, words: TorqueSignals) -> CheckItem:
     others = {"demand": words.demand, "current": words.current}
     compared = [name for name, values in others.items() if len(values) == len(torque)]
     if not compared:

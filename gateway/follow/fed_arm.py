@@ -72,9 +72,9 @@ class FedArm(Arm):
             raise ValueError("the offsets must be eased out before another law is used")
         self._law = law
 
-    def enable(self, stop_asked: Callable[[], bool] = lambda: False) -> ArmSample:
+    def enable(self, stop_requested: Callable[[], bool] = lambda: False) -> ArmSample:
         """Power the drives; no offset is given yet."""
-        sample = super().enable(stop_asked)
+        sample = super().enable(stop_requested)
         self._last, self._rate = sample.q_rad, np.zeros(6)
         self._see(sample)
         return sample

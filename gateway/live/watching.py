@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from drives.bus import BusSpec, open_bus
 from drives.cia402 import State, decode_state
 from drives.epoch import Epoch
-from drives.overheard import OverheardBus
+from drives.listen_only import ListenOnlyBus
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
@@ -53,7 +53,7 @@ class WatchedArm:
     ----------
     config : ArmConfig
     workspace : Workspace
-    overheard : OverheardBus
+    overheard : ListenOnlyBus
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class WatchedArm:
         What the arm does, by what its drives say and are told.
     """
 
-    def __init__(self, config: ArmConfig, workspace: Workspace, overheard: OverheardBus) -> None:
+    def __init__(self, config: ArmConfig, workspace: Workspace, overheard: ListenOnlyBus) -> None:
         self.name, self.workspace, self.overheard = config.name, workspace, overheard
         self._axes = AxisConversion.from_arm(config)
         self._side = JointSide(self._axes)
@@ -210,7 +210,7 @@ def watch(loaded: LoadedCell, specs: Mapping[str, BusSpec], feed: Feed, recordin
             workspace = workspace_of(config, arm_robot(loaded, config))
             constants = None if recording is None else stored_constants(recording, config)
             bus = stack.enter_context(open_bus(spec))
-            arms.append(WatchedArm(config, workspace, OverheardBus(bus, axis_setups(loaded, config), constants)))
+            arms.append(WatchedArm(config, workspace, ListenOnlyBus(bus, axis_setups(loaded, config), constants)))
         watching = Watching(arms, feed, loaded.cell.bus[loaded.cell.arm[0].bus].sync_period_s)
         while not feed.gone:
             watching.turn()

@@ -21,8 +21,8 @@ class ArmDrives(Protocol):
         """Where the motors stand, read while they are not enabled."""
         ...
 
-    def enable(self, stop_asked: Callable[[], bool], /) -> Epoch:
-        """Power the drives where they stand; `stop_asked` is asked at every SYNC of the way up."""
+    def enable(self, stop_requested: Callable[[], bool], /) -> Epoch:
+        """Power the drives where they stand; `stop_requested` is asked at every SYNC of the way up."""
         ...
 
     def exchange(self, commands: Sequence[DriveCommand], /) -> Epoch:
@@ -65,7 +65,7 @@ class ArmDrives(Protocol):
         """Stop by the drives' own ramp."""
         ...
 
-    def sag_rad(self) -> Sequence[float]:
+    def brake_drop_rad(self) -> Sequence[float]:
         """How far each motor has turned since the drives were disabled."""
         ...
 
@@ -129,9 +129,9 @@ class Arm:
         """Joint positions (N,) [rad] of the arm in its brakes."""
         return self.axes.joint_position(np.array(self.drives.positions_rad()))
 
-    def enable(self, stop_asked: Callable[[], bool] = lambda: False) -> ArmSample:
+    def enable(self, stop_requested: Callable[[], bool] = lambda: False) -> ArmSample:
         """Power the drives; they hold the position they stand at."""
-        return self._sample(self.drives.enable(stop_asked))
+        return self._sample(self.drives.enable(stop_requested))
 
     def disable(self) -> None:
         """Brakes on, power off."""
@@ -141,9 +141,9 @@ class Arm:
         """Stop by the drives' own ramp."""
         self.drives.quick_stop()
 
-    def sag_rad(self) -> np.ndarray:
+    def brake_drop_rad(self) -> np.ndarray:
         """How far each joint (N,) [rad] has moved since the drives were disabled."""
-        return self.axes.joint_bound(np.array(self.drives.sag_rad()))
+        return self.axes.joint_bound(np.array(self.drives.brake_drop_rad()))
 
     def command(
         self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None

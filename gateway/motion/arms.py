@@ -21,7 +21,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from drives.drive import DriveCommand
-from drives.errors import StopAsked
+from drives.errors import StopRequested
 from drives.exchange import Pacing
 from gateway.data.sample import ArmSample
 from gateway.motion.arm import Arm
@@ -39,7 +39,7 @@ _KEPT: Final = 100_000
 
 def _first_cause(failures: Sequence[BaseException]) -> BaseException:
     """What failed first hand, with the others in its notes; an arm that gave up because another one failed is none."""
-    first_hand = [error for error in failures if not isinstance(error, StopAsked)]
+    first_hand = [error for error in failures if not isinstance(error, StopRequested)]
     cause = (first_hand or failures)[0]
     for error in first_hand:
         if error is not cause:
@@ -104,7 +104,7 @@ class Arms:
         """Joint positions of every arm in its brakes [rad]."""
         return tuple(arm.where() for arm in self.members)
 
-    def enable(self, stop_asked: Callable[[], bool]) -> tuple[ArmSample, ...]:
+    def enable(self, stop_requested: Callable[[], bool]) -> tuple[ArmSample, ...]:
         """Power all drives; an arm that is ready holds its position until the others are.
 
         Raises
@@ -115,7 +115,7 @@ class Arms:
         ready, failed = [False] * len(self.members), threading.Event()
 
         def given_up() -> bool:
-            return failed.is_set() or stop_asked()
+            return failed.is_set() or stop_requested()
 
         def up(index: int) -> ArmSample:
             arm = self.members[index]

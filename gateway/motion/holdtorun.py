@@ -151,7 +151,7 @@ class HeldInput:
         if posted is not None and posted.answered:
             self._posted = None
             if posted.value is not None and posted.value & config.mask == config.good:
-                self._held_s = max(self._held_s, min(now, posted.asked_s))
+                self._held_s = max(self._held_s, min(now, posted.requested_s))
         if now - self._asked_s >= POLL_S:
             self._asked_s = now
             self._posted = self._sdo.post(config.object.index, config.object.subindex, "u32")

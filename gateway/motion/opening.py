@@ -115,9 +115,9 @@ class _GroupDrives:
         drives = self._group.drives
         return [drive.access.read(drive.setup.profile.position.object) * drive.scale.count_rad for drive in drives]
 
-    def sag_rad(self) -> tuple[float, ...]:
+    def brake_drop_rad(self) -> tuple[float, ...]:
         """How far each motor has turned since it was disabled."""
-        return self._group.sag_rad or (0.0,) * len(self._group.drives)
+        return self._group.brake_drop_rad or (0.0,) * len(self._group.drives)
 
     def when_stopping(self, tell: Callable[[], None]) -> None:
         """Have `tell` called before the drives are stopped because of an error of theirs."""

@@ -108,10 +108,10 @@ def _sag(stream: Stream) -> str:
     """Joints that have sunk in their brakes, in words."""
     found = []
     for arm in stream.station.arms.members:
-        sag_rad = arm.sag_rad()
+        brake_drop_rad = arm.brake_drop_rad()
         found += [
             f"arm '{arm.name}', joint {joint} sank by {value:.4f} rad in its brake"
-            for joint, value in enumerate(sag_rad.tolist(), start=1)
+            for joint, value in enumerate(brake_drop_rad.tolist(), start=1)
             if value > SAG_RAD
         ]
     return "; ".join(found) + ("; check its brake and the brake's delay" if found else "")

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol
 
 from drives.bus_spec import BusSpec
-from drives.eds import contradictions
 from drives.profile import DriveProfile
+from drives.profile_check import contradictions
 from drives.profile_file import find_profile
 from gateway.cell.config import DhTable
 from gateway.errors import ConfigError

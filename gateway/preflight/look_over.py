@@ -10,13 +10,13 @@ from drives.abort import ABSENT
 from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.busload import cycle_bits_worst, load_percent
+from drives.discovery import LISTEN_S, nmt_states
 from drives.errors import DriveError, SdoAbort, SdoError, raise_failures
-from drives.finding import LISTEN_S, nmt_states
+from drives.foreign_master import refuse_foreign
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.instrument import InstrumentSetup
 from drives.ledger import KnownDevice, WriteLedger
-from drives.listening import refuse_foreign
 from drives.objects import OBJECTS, object_name
 from drives.pdo import rpdo_plan, tpdo_plans
 from drives.probe import probe

@@ -187,7 +187,7 @@ def _conditions(lines: Lines, readings: Readings) -> None:
             lines.add("fail", address, what, "correct [safety] or [reference] of the profile")
         elif not condition.holds(value):
             advice = "release it before the arm is to move" if safety else "have the encoder referenced at the drive"
-            lines.add("fail", address, f"{name}: {condition.words(value)}", advice)
+            lines.add("fail", address, f"{name}: {condition.describe(value)}", advice)
         else:
             lines.add("ok", address, f"0x{value:X}: as it must be for motion")
 

@@ -213,7 +213,7 @@ def test_a_listener_that_raises_is_left_out_and_delays_no_frame(bus, wire):
         heard.append(frame)
         raise OSError(28, "No space left on device")
 
-    bus.overhear(broken)
+    bus.add_tap(broken)
     for _ in range(3):
         bus.send(0x201, b"")
         wire.emit(0x181, b"")

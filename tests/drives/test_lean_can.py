@@ -17,7 +17,7 @@ def said(program: str) -> str:
 
 
 @pytest.mark.skipif(find_spec("asammdf") is None, reason="asammdf is not installed")
-@pytest.mark.parametrize("room", ["drives.bus", "drives.eds", "sim.server"])
+@pytest.mark.parametrize("room", ["drives.bus", "drives.profile_check", "sim.server"])
 def test_python_can_is_loaded_without_the_library_of_mf4_files_which_stays_to_be_had(room):
     found = said(
         f"import {room}, sys\n"

@@ -204,8 +204,8 @@ def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
     slow(slaves[1], 30)
     slaves[1].ways = {"switched on": [0], "switch on disabled": [0] * 17 + [-5] + [-400] * 10}
     syncs = slaves[0].sync_seen
-    sag_rad = release(group, 1, 0.3).moved_rad
-    assert 5 <= sag_rad / COUNT_RAD + 1e-6 < 1000
+    brake_drop_rad = release(group, 1, 0.3).moved_rad
+    assert 5 <= brake_drop_rad / COUNT_RAD + 1e-6 < 1000
     assert slaves[0].sync_seen - syncs >= 30 + 20
 
 

@@ -469,19 +469,19 @@ def test_one_question_at_a_time_for_one_object(bus, sdo, slave, wire):
 def test_an_answer_that_may_be_late_is_as_old_as_the_first_question_that_it_may_answer(bus, sdo, slave, wire):
     delays = iter([0.4])
     slave.reply = lambda request, answer: [(next(delays, 0.001), answer)]
-    slave.torque, asked_s = 1, wire.now_s
+    slave.torque, requested_s = 1, wire.now_s
     sdo.post(0x6077, 0, "i16")
     bus.listen(0.35)
     slave.torque = 2
     second = sdo.post(0x6077, 0, "i16")
     bus.listen(0.1)
     assert second.answered
-    assert second.asked_s - asked_s < 0.001
+    assert second.requested_s - requested_s < 0.001
     bus.listen(2.0)
     last_s = wire.now_s
     last = sdo.post(0x6077, 0, "i16")
     bus.listen(0.1)
-    assert (last.value, last.asked_s >= last_s) == (2, True)
+    assert (last.value, last.requested_s >= last_s) == (2, True)
 
 
 def test_a_lost_answer_to_the_question_whether_a_node_is_there_does_not_keep_later_ones_open(bus, sdo, slave):

@@ -18,7 +18,7 @@ from drives.errors import (
     DriveFault,
     MasterStalled,
     SeveralFailures,
-    StopAsked,
+    StopRequested,
     TransitionTimeout,
 )
 from drives.group import DriveGroup
@@ -180,7 +180,7 @@ def test_sag_is_measured_from_where_the_drive_last_held_the_axis(group, slaves):
     slaves[4].ways = {"switch on disabled": [7]}
     syncs = slaves[0].sync_seen
     group.disable()
-    assert group.sag_rad == pytest.approx([0, 90 * COUNT_RAD, 0, 0, 7 * COUNT_RAD, 0])
+    assert group.brake_drop_rad == pytest.approx([0, 90 * COUNT_RAD, 0, 0, 7 * COUNT_RAD, 0])
     assert slaves[0].sync_seen - syncs >= 0.3 / PERIOD_S
 
 
@@ -213,15 +213,15 @@ def test_the_voltage_stays_on_until_the_brake_has_had_its_time_to_close(bus, sla
 def test_the_time_of_a_brake_that_was_never_opened_is_not_waited_for(bus, slaves, setups):
     asked: list[int] = []
 
-    def stop_asked() -> bool:
+    def stop_requested() -> bool:
         asked.append(1)
         return slaves[2].state == "switched on"
 
     with DriveGroup(bus, setups(6), PERIOD_S, "lockstep") as group:
         group.connect()
         group.configure()
-        with pytest.raises(StopAsked):
-            group.enable(stop_asked)
+        with pytest.raises(StopRequested):
+            group.enable(stop_requested)
         words = slaves[2].controlwords
         assert words[words.index(0x07) :].count(0x07) == 1
 
@@ -488,8 +488,8 @@ def test_one_axis_hangs_on_its_brake_while_the_others_hold(bus, slaves, setups, 
         slaves[1].ways = {"switched on": [-20], "switch on disabled": [-30, -40, 10]}
         for slave in slaves:
             slave.controlwords.clear()
-        sag_rad = release(group, 1, 0.5).moved_rad
-        assert sag_rad == pytest.approx(90 * COUNT_RAD)
+        brake_drop_rad = release(group, 1, 0.5).moved_rad
+        assert brake_drop_rad == pytest.approx(90 * COUNT_RAD)
         assert slaves[1].controlwords.count(0x0F) <= 5
         assert slaves[0].controlwords.count(0x0F) >= 0.5 / PERIOD_S
         assert {slave.state for slave in slaves} == {"switch on disabled"}

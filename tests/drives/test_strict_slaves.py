@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from drives.discovery import nmt_states
 from drives.errors import (
     ConfigurationRefused,
     DriveFault,
@@ -11,10 +12,9 @@ from drives.errors import (
     NodeMissing,
     NotOperational,
 )
-from drives.finding import nmt_states
+from drives.foreign_master import FREE_S
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
-from drives.listening import FREE_S
 from drives.profile_file import load_profile
 from drives.values import AxisSetup
 

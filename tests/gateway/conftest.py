@@ -67,7 +67,7 @@ class FakeDrives:
     def positions_rad(self) -> Sequence[float]:
         return self.axes.motor_position(self.q_rad).tolist()
 
-    def enable(self, stop_asked=lambda: False) -> Epoch:
+    def enable(self, stop_requested=lambda: False) -> Epoch:
         self.log.append("enable")
         self.enabled = True
         self.q_rad = self.q_rad - self.drop_on_enable_rad
@@ -126,7 +126,7 @@ class FakeDrives:
         self.log.append("quick stop")
         self.target_rad = self.q_rad
 
-    def sag_rad(self):
+    def brake_drop_rad(self):
         return (0.0,) * 6
 
     def when_stopping(self, tell):

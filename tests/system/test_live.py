@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 
 from drives.bus import BusSpec, open_bus
-from drives.overheard import OverheardBus
+from drives.listen_only import ListenOnlyBus
 from gateway.cell.config import load_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.live.page import LivePage
@@ -144,7 +144,7 @@ def test_what_is_heard_beside_a_run_is_what_the_run_has_recorded(place, serve, g
     loaded = load_cell(place.cell)
     (config,) = loaded.cell.arm
     with open_bus(BusSpec.parse(drives.bus)) as bus:
-        heard = OverheardBus(bus, axis_setups(loaded, config))
+        heard = ListenOnlyBus(bus, axis_setups(loaded, config))
         assert heard.unknown == tuple(axis.node_id for axis in config.axis)
         stop, epochs = threading.Event(), []
 

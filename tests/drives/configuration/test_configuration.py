@@ -23,9 +23,9 @@ from drives.configuration.dcf import (
     read_dcf,
 )
 from drives.configuration.difference import compare, differing
-from drives.configuration.kinds import kind_of, mapped_objects, why_asked, why_never_written
+from drives.configuration.kinds import confirmation_reason, kind_of, mapped_objects, why_never_written
 from drives.configuration.reading import Readout, read_drive
-from drives.configuration.values import decoded, encoded, ledger_word, understood, written
+from drives.configuration.values import decoded, encoded, ledger_value, understood, written
 from drives.datasheet.sheet import SheetObject
 from drives.errors import ConfigurationRefused, DriveFault, SdoAbort, SdoTimeout, SeveralFailures
 from drives.ledger import WriteLedger
@@ -98,10 +98,10 @@ def test_a_number_below_zero_may_stand_as_twos_complement_and_an_identifier_by_n
 
 
 def test_the_ledger_takes_numbers_and_the_bits_of_floats():
-    assert ledger_word(datatypes.INTEGER64, -5) == ("i64", -5)
-    assert ledger_word(datatypes.REAL32, 1.5) == ("u32", 0x3FC00000)
-    assert ledger_word(datatypes.VISIBLE_STRING, "x") is None
-    assert ledger_word(datatypes.UNSIGNED24, 5) is None
+    assert ledger_value(datatypes.INTEGER64, -5) == ("i64", -5)
+    assert ledger_value(datatypes.REAL32, 1.5) == ("u32", 0x3FC00000)
+    assert ledger_value(datatypes.VISIBLE_STRING, "x") is None
+    assert ledger_value(datatypes.UNSIGNED24, 5) is None
 
 
 def test_an_array_in_short_form_has_every_element_in_the_file(tmp_path):
@@ -491,7 +491,7 @@ def test_an_object_that_acts_when_it_is_written_is_no_configuration(name, action
     ],
 )
 def test_what_takes_a_drive_off_the_bus_needs_a_question_of_its_own(index, name, value, says):
-    why = why_asked(SheetObject(index, 1 if index == 0x1800 else 0, name), value, {1, 2, 4, 5, 6})
+    why = confirmation_reason(SheetObject(index, 1 if index == 0x1800 else 0, name), value, {1, 2, 4, 5, 6})
     assert why is None if says is None else says in why
 
 

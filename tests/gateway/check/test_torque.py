@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drives.profile_file import load_profile
-from drives.witness import TorqueWords
+from drives.torque_signals import TorqueSignals
 from gateway.cell.config import AxisConfig
 from gateway.check.torque import Scales, judge_torque
 from gateway.preflight.rules import Axis
@@ -40,7 +40,7 @@ AXIS = Axis(
 
 
 def judge(torque, demand=DEMAND, current=MEASURED, scales=SCALES):
-    words = TorqueWords(1, list(torque), list(demand), list(current))
+    words = TorqueSignals(1, list(torque), list(demand), list(current))
     return judge_torque(AXIS, words, scales)
 
 

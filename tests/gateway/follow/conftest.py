@@ -55,7 +55,7 @@ class PerfectDrives:
         )
         return Row(self.syncs, PERIOD_S * self.syncs, readings)
 
-    def enable(self, stop_asked=lambda: False):
+    def enable(self, stop_requested=lambda: False):
         self.calls.append("enable")
         return self._row()
 
@@ -69,7 +69,7 @@ class PerfectDrives:
         self.told.append(tuple(DriveCommand(p) for p in self.at))
         return self._row()
 
-    def sag_rad(self):
+    def brake_drop_rad(self):
         return (0.0,) * 6
 
     def when_stopping(self, tell):

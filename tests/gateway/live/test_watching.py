@@ -25,7 +25,7 @@ STEP_RAD = 0.01
 
 
 class HeardBus:
-    """What `OverheardBus` tells, as a test has it; motor angles of six axes."""
+    """What `ListenOnlyBus` tells, as a test has it; motor angles of six axes."""
 
     def __init__(self) -> None:
         self.bus = SimpleNamespace(listen=lambda _seconds: None)

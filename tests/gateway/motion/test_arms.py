@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from drives.errors import DriveFault, StopAsked
+from drives.errors import DriveFault, StopRequested
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
 from tests.gateway.conftest import BAND_NM, FakeDrives
@@ -29,12 +29,12 @@ class Drives(FakeDrives):
         self.ahead_s: float | None = None
         self.refused: Exception | None = None
 
-    def enable(self, stop_asked=lambda: False):
+    def enable(self, stop_requested=lambda: False):
         self.log.append("enable")
         if self.refused is not None:
             raise self.refused
-        if stop_asked():
-            raise StopAsked("a stop was asked for")
+        if stop_requested():
+            raise StopRequested("a stop was asked for")
         self.enabled = True
         return self._epoch()
 
@@ -108,9 +108,9 @@ def test_an_arm_that_is_ready_holds_until_the_other_one_is(pair, drives):
     slow = threading.Event()
     plain = drives[1].enable
 
-    def enable(stop_asked):
+    def enable(stop_requested):
         slow.wait(5.0)
-        return plain(stop_asked)
+        return plain(stop_requested)
 
     drives[1].enable = enable  # type: ignore[method-assign]
     held = drives[0].hold
@@ -134,9 +134,9 @@ def test_an_arm_that_waits_for_another_one_does_not_run_away_with_the_time(drive
         held.append(time.monotonic())
         return plain()
 
-    def enable(stop_asked):
+    def enable(stop_requested):
         time.sleep(0.2)
-        return slow(stop_asked)
+        return slow(stop_requested)
 
     drives[0].hold, drives[1].enable = hold, enable
     pair.enable(lambda: False)
@@ -150,9 +150,9 @@ def test_set_points_begin_where_every_joint_was_seen(pair, drives):
     slow = threading.Event()
     plain, held = drives[1].enable, drives[0].hold
 
-    def enable(stop_asked):
+    def enable(stop_requested):
         slow.wait(5.0)
-        return plain(stop_asked)
+        return plain(stop_requested)
 
     def hold():
         drives[0].silent[drives[0].sync_index + 1] = 3
@@ -178,7 +178,7 @@ def test_one_arm_that_cannot_be_enabled_leaves_none_under_power(pair, drives, fa
 
 
 def test_who_asks_to_stop_on_the_way_up_gets_nothing_enabled(pair, drives):
-    with pytest.raises(StopAsked):
+    with pytest.raises(StopRequested):
         pair.enable(lambda: True)
     assert [each.log[-1] for each in drives] == ["disable"] * 2
     assert not pair.enabled
@@ -356,8 +356,8 @@ def test_a_silent_drive_leaves_its_joint_without_a_number(arm, fake):
 
 
 def test_sag_is_a_bound_at_the_joints(arm, fake):
-    fake.sag_rad = lambda: np.abs(fake.axes.ratio * 0.01).tolist()
-    assert arm.sag_rad() == pytest.approx(np.full(6, 0.01))
+    fake.brake_drop_rad = lambda: np.abs(fake.axes.ratio * 0.01).tolist()
+    assert arm.brake_drop_rad() == pytest.approx(np.full(6, 0.01))
 
 
 def test_measured_torque_is_that_of_the_joints(pair, drives):

@@ -61,7 +61,7 @@ class Group:
     """As much of a drive group as an arm asks for."""
 
     def __init__(self) -> None:
-        self.sag_rad: tuple[float, ...] = ()
+        self.brake_drop_rad: tuple[float, ...] = ()
         self.sync_sent_s = 12.5
         self.aligned: list[float] = []
         self.on_stop = lambda: None
@@ -86,9 +86,9 @@ def test_an_arm_asks_its_drives_by_sdo_where_they_stand_and_hears_of_their_sag()
     group = Group()
     seen = opening._GroupDrives(group)  # type: ignore[arg-type]
     assert seen.positions_rad() == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    assert list(seen.sag_rad()) == [0.0] * 6
-    group.sag_rad = (0.1,) * 6
-    assert list(seen.sag_rad()) == [0.1] * 6
+    assert list(seen.brake_drop_rad()) == [0.0] * 6
+    group.brake_drop_rad = (0.1,) * 6
+    assert list(seen.brake_drop_rad()) == [0.1] * 6
     seen.align(3.0)
     assert (group.aligned, seen.sync_sent_s()) == ([3.0], 12.5)
     told = []

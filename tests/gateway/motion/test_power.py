@@ -90,8 +90,8 @@ def test_a_wish_while_the_arm_stands_is_answered_at_once(station, fake):
 def test_a_wish_on_the_way_up_powers_nothing(station, fake):
     asked = []
 
-    def enable(stop_asked):
-        asked.append(stop_asked())
+    def enable(stop_requested):
+        asked.append(stop_requested())
         raise DriveFault("a stop was asked for")
 
     fake.enable = enable
@@ -158,7 +158,7 @@ def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(s
 
 def test_a_joint_that_sinks_in_its_brake_is_told(station, fake):
     keeper = station.state
-    fake.sag_rad = lambda: fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
+    fake.brake_drop_rad = lambda: fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
     with powered(Stream(station)):
         pass
     assert "joint 2 sank by 0.0080 rad" in keeper.state.reason
@@ -168,7 +168,7 @@ def test_a_joint_that_sinks_in_its_brake_is_told(station, fake):
 def test_a_joint_sinks_from_a_limit_on(station, fake, sunk_rad, said):
     sag = np.zeros(6)
     sag[3] = sunk_rad * SAG_RAD
-    fake.sag_rad = lambda: np.abs(fake.axes.motor_velocity(sag)).tolist()
+    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(sag)).tolist()
     with powered(Stream(station)):
         pass
     assert ("joint 4 sank" in station.state.state.reason) == said
@@ -187,7 +187,7 @@ def test_a_stop_that_fails_without_another_error_is_raised(station, fake):
 
 def test_a_sag_after_an_error_is_among_its_notes_with_time_and_sync(station, workspace, fake):
     fake.fault_at = 30
-    fake.sag_rad = lambda: np.abs(fake.axes.motor_velocity(np.full(6, 2 * SAG_RAD))).tolist()
+    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(np.full(6, 2 * SAG_RAD))).tolist()
     with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
         move(stream, workspace)
     notes = " ".join(failed.value.__notes__)

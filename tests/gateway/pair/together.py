@@ -85,7 +85,7 @@ class Joints:
     def positions_rad(self):
         return self.axes.motor_position(self.part.q_rad[self.index]).tolist()
 
-    def enable(self, _stop_asked):
+    def enable(self, _stop_requested):
         self.log.append("enable")
         self.enabled = True
         self.last_rad = self.part.next_rad[self.index] = self.part.q_rad[self.index]
@@ -119,7 +119,7 @@ class Joints:
     def quick_stop(self):
         self.log.append("quick stop")
 
-    def sag_rad(self):
+    def brake_drop_rad(self):
         return (0.0,) * self.arm.axes
 
     def when_stopping(self, tell):

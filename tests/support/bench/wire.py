@@ -58,7 +58,7 @@ def _group(bus: Bus, pacing: str, period_s: float) -> Iterator[DriveGroup]:
     profile = load_profile(PROFILE)
     setups = [AxisSetup(node, profile, 1.0, 300.0) for node in NODES]
     # A machine that is busy with other things may leave many SYNCs unanswered: here they are counted, not stopped for.
-    options = GroupOptions(silent_syncs=1_000_000)
+    options = GroupOptions(unanswered_syncs=1_000_000)
     with DriveGroup(bus, setups, period_s, pacing, options=options) as group:  # type: ignore[arg-type]
         group.connect()
         group.configure()

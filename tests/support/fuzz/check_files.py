@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from hypothesis import strategies as st
 
-from drives.eds import check_eds
 from drives.errors import ConfigurationRefused, ProfileError
 from drives.ledger import WriteLedger
+from drives.profile_check import check_eds
 from drives.profile_file import PROFILE_FOLDER, load_profile, parse_profile
 from gateway.cell.config import load_cell
 from gateway.data.table import read_csv

@@ -27,7 +27,7 @@ _MOST: Final = 100_000
 
 
 @dataclass(slots=True)
-class TorqueWords:
+class TorqueSignals:
     """Words of one drive, each list one entry per SYNC; empty where the drive has no such object.
 
     Attributes
@@ -45,7 +45,7 @@ class TorqueWords:
     missing: str = ""
 
 
-class TorqueWitness:
+class TorqueSignalReader:
     """Listens to a third TPDO of each drive.
 
     Parameters
@@ -56,7 +56,7 @@ class TorqueWitness:
     """
 
     def __init__(self, bus: Bus, drives: Sequence[Cia402Drive]) -> None:
-        self.words = tuple(TorqueWords(drive.node_id) for drive in drives)
+        self.signals = tuple(TorqueSignals(drive.node_id) for drive in drives)
         self._bus = bus
         self._drives = tuple(drives)
         self._plans: dict[int, PdoPlan] = {}
@@ -64,10 +64,10 @@ class TorqueWitness:
 
     def open(self) -> None:
         """Map the TPDO on every drive that can have it; the others say why not."""
-        for drive, own in zip(self._drives, self.words, strict=True):
+        for drive, own in zip(self._drives, self.signals, strict=True):
             try:
                 entries = self._entries(drive)
-                plan = witness_plan(drive.node_id, [reference for _, reference in entries])
+                plan = torque_signal_plan(drive.node_id, [reference for _, reference in entries])
                 send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, drive.node_id)
                 drive.access.map_pdo(plan)
             except DriveError as error:
@@ -106,7 +106,7 @@ class TorqueWitness:
             except DriveError:
                 self._bus.counts["witness_left_on"] += 1
 
-    def __enter__(self) -> TorqueWitness:
+    def __enter__(self) -> TorqueSignalReader:
         self.open()
         return self
 
@@ -119,7 +119,7 @@ def current_object(profile: DriveProfile) -> ObjectReference:
     return _CURRENT if profile.current is None else profile.current.object
 
 
-def witness_plan(node_id: int, entries: Sequence[ObjectReference]) -> PdoPlan:
+def torque_signal_plan(node_id: int, entries: Sequence[ObjectReference]) -> PdoPlan:
     """TPDO3 of a node with these objects."""
     return PdoPlan("TPDO3", TPDO_COMMUNICATION + 2, TPDO_MAPPING + 2, 0x380 + node_id, tuple(entries))
 

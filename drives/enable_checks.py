@@ -17,6 +17,7 @@ from drives.cia402 import (
     describe,
 )
 from drives.drive import Cia402Drive
+from drives.enabling import BRAKE_DROP_REVOLUTIONS
 from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
@@ -29,7 +30,6 @@ from drives.guard import Guard
 from drives.objects import OBJECTS, object_name
 from drives.pdo import differences
 from drives.values import DriveReading
-from drives.way_up import SAG_REVOLUTIONS
 
 _FIRST_TRIES: Final = 10
 #: Differences of one drive that a message names beside the first one.
@@ -52,7 +52,7 @@ def refuse_fault(drive: Cia402Drive, guard: Guard) -> None:
     status = drive.statusword()
     state = decode_state(status)
     if state in FAULTED:
-        what = f"is in {describe(status)}: {drive.fault_words()}{guard.last_words(drive.node_id)}"
+        what = f"is in {describe(status)}: {drive.fault_text()}{guard.last_emergency(drive.node_id)}"
         advice = "find and remove the cause, then reset the fault by hand; it is never reset automatically"
     elif state not in AT_REST:
         what, advice = f"is in {describe(status)} before it was enabled", "disable it first"
@@ -79,7 +79,7 @@ def reset_fault(drive: Cia402Drive) -> None:
     while decode_state(status := drive.statusword()) in FAULTED and time.monotonic() < deadline_s:
         drive.access.bus.listen(POLL_S)
     if decode_state(status) in FAULTED:
-        what = f"is still in {describe(status)}: {drive.fault_words()}"
+        what = f"is still in {describe(status)}: {drive.fault_text()}"
         raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice="its cause is still there")
 
 
@@ -159,7 +159,7 @@ def refuse_lost_configuration(drive: Cia402Drive) -> None:
     position = drive.setup.profile.position.object
     if drive.rest_count is not None:
         count = drive.access.read(position)
-        if abs(count - drive.rest_count) > abs(drive.scale.revolutions(SAG_REVOLUTIONS)):
+        if abs(count - drive.rest_count) > abs(drive.scale.revolutions(BRAKE_DROP_REVOLUTIONS)):
             drive.access.refuse(
                 position,
                 f"the axis came to rest at {drive.rest_count} counts, {count} counts are read now",

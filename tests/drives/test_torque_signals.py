@@ -7,8 +7,8 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from drives.group import DriveGroup
+from drives.torque_signals import TorqueSignalReader, TorqueSignals, torque_signal_plan
 from drives.values import AxisSetup
-from drives.witness import TorqueWitness, TorqueWords, witness_plan
 from tests.drives.conftest import Slave
 
 OFF = 1 << 31
@@ -33,15 +33,15 @@ def group(bus: object, slaves: list[Slave], setups: Callable[[int], list[AxisSet
 
 
 def test_each_sync_gives_the_three_words_of_each_drive(group, slaves):
-    with TorqueWitness(group.bus, group.drives) as witness:
+    with TorqueSignalReader(group.bus, group.drives) as reader:
         group.enable()
         group.bus.listen(0.001)
-        before = [len(words.torque) for words in witness.words]
+        before = [len(signals.torque) for signals in reader.signals]
         for number in range(5):
             slaves[1].torque = 100 + number
             group.hold()
         group.disable()
-    first, second = witness.words
+    first, second = reader.signals
     assert second.torque[before[1] : before[1] + 5] == [100, 101, 102, 103, 104]
     assert second.current[before[1] : before[1] + 5] == [200, 202, 204, 206, 208]
     assert set(first.torque) == {10}
@@ -51,39 +51,39 @@ def test_each_sync_gives_the_three_words_of_each_drive(group, slaves):
 
 
 def test_afterwards_it_is_off_and_nobody_listens(group, slaves):
-    with TorqueWitness(group.bus, group.drives) as witness:
+    with TorqueSignalReader(group.bus, group.drives) as reader:
         assert [slave.values[0x1802, 1] & OFF for slave in slaves] == [0, 0]
         assert [slave.values[0x1802, 2] for slave in slaves] == [1, 1]
     assert [slave.values[0x1802, 1] & OFF for slave in slaves] == [OFF, OFF]
     slaves[0].wire.emit(0x381, bytes(6))
     group.bus.drain()
-    assert witness.words[0].torque == []
-    witness.close()
+    assert reader.signals[0].torque == []
+    reader.close()
 
 
 def test_a_drive_without_a_third_tpdo_says_so_and_the_other_is_heard(group, slaves):
     for address in [address for address in slaves[0].values if address[0] in (0x1802, 0x1A02)]:
         del slaves[0].values[address]
-    with TorqueWitness(group.bus, group.drives) as witness:
+    with TorqueSignalReader(group.bus, group.drives) as reader:
         group.enable()
         group.disable()
-    assert "1802" in witness.words[0].missing
-    assert witness.words[0] == TorqueWords(1, missing=witness.words[0].missing)
-    assert len(witness.words[1].torque) > 1
+    assert "1802" in reader.signals[0].missing
+    assert reader.signals[0] == TorqueSignals(1, missing=reader.signals[0].missing)
+    assert len(reader.signals[1].torque) > 1
 
 
 def test_an_object_that_a_drive_does_not_have_is_left_out(group, slaves):
     del slaves[0].values[0x6074, 0]
-    with TorqueWitness(group.bus, group.drives) as witness:
+    with TorqueSignalReader(group.bus, group.drives) as reader:
         group.enable()
         group.disable()
-    assert witness.words[0].demand == []
-    assert len(witness.words[0].torque) == len(witness.words[0].current) > 1
-    assert set(witness.words[0].current) == {20}
+    assert reader.signals[0].demand == []
+    assert len(reader.signals[0].torque) == len(reader.signals[0].current) > 1
+    assert set(reader.signals[0].current) == {20}
 
 
 def test_a_drive_that_is_gone_at_the_end_is_counted(group, slaves):
-    with TorqueWitness(group.bus, group.drives):
+    with TorqueSignalReader(group.bus, group.drives):
         slaves[1].alive = False
     assert group.bus.counts["witness_left_on"] == 1
     assert slaves[0].values[0x1802, 1] & OFF
@@ -91,14 +91,14 @@ def test_a_drive_that_is_gone_at_the_end_is_counted(group, slaves):
 
 
 def test_a_frame_of_another_length_is_no_word(group, slaves, wire):
-    with TorqueWitness(group.bus, group.drives) as witness:
+    with TorqueSignalReader(group.bus, group.drives) as reader:
         for length in (5, 7, 6):
             wire.emit(0x382, bytes(length))
         group.bus.drain()
-        assert witness.words[1].torque == [0]
+        assert reader.signals[1].torque == [0]
 
 
 def test_the_third_tpdo_has_the_identifier_of_the_standard(group):
     """CiA 301, predefined connection set: TPDO3 is 0x380 + node id, its records are 0x1802 and 0x1A02."""
-    plan = witness_plan(5, [])
+    plan = torque_signal_plan(5, [])
     assert (plan.cob_id, plan.communication, plan.mapping) == (0x385, 0x1802, 0x1A02)

@@ -66,7 +66,7 @@ class _Answers:
         raise ConfigurationRefused(what, node=self._node_id, index=entry.index, subindex=entry.subindex, advice=advice)
 
 
-class _HeardDrive:
+class _ObservedDrive:
     """One drive as it is heard."""
 
     def __init__(self, setup: AxisSetup, constants: Constants | None) -> None:
@@ -78,9 +78,9 @@ class _HeardDrive:
         self.decoder: Decoder | None = None
         self.scale: MotorScale | None = None
         if constants is not None:
-            self.know(constants)
+            self.set_constants(constants)
 
-    def know(self, constants: Constants) -> None:
+    def set_constants(self, constants: Constants) -> None:
         """Its constants are known."""
         setup = self.setup
         scale = self.scale = motor_scale(setup.profile, constants, setup.torque_constant_nm_per_a)
@@ -94,7 +94,7 @@ class _HeardDrive:
     def learn(self) -> None:
         """Take the constants from what was heard, as soon as all of them were."""
         try:
-            self.know(read_constants(self.answers))
+            self.set_constants(read_constants(self.answers))
         except ConfigurationRefused:
             return
 
@@ -105,7 +105,7 @@ class _HeardDrive:
         return reading
 
 
-class OverheardBus:
+class ListenOnlyBus:
     """The drives of an arm on a bus that somebody else is the master of.
 
     Parameters
@@ -128,7 +128,7 @@ class OverheardBus:
         self.sync_index = 0
         self.emergencies: deque[Emergency] = deque(maxlen=_KEPT)
         known = [None] * len(setups) if constants is None else constants
-        self._drives = [_HeardDrive(setup, each) for setup, each in zip(setups, known, strict=True)]
+        self._drives = [_ObservedDrive(setup, each) for setup, each in zip(setups, known, strict=True)]
         self._done: deque[Epoch] = deque(maxlen=1024)
         self._began_s: float | None = None
         self._sent_s = 0.0
@@ -157,7 +157,7 @@ class OverheardBus:
 
     # -- inside --------------------------------------------------------------------------------------------------------
 
-    def _listen_to(self, drive: _HeardDrive) -> None:
+    def _listen_to(self, drive: _ObservedDrive) -> None:
         node_id = drive.setup.node_id
 
         def on_answer(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:

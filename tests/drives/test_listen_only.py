@@ -7,7 +7,7 @@ import struct
 
 import pytest
 
-from drives.overheard import OverheardBus
+from drives.listen_only import ListenOnlyBus
 from drives.scaling import Constants
 
 ENABLED = 0x1237
@@ -32,7 +32,7 @@ def answer(wire, node: int, counts: int, torque: int) -> None:
 
 
 def test_rows_are_those_of_the_drives_and_nothing_is_sent(bus, wire, setups):
-    heard = OverheardBus(bus, setups(2))
+    heard = ListenOnlyBus(bus, setups(2))
     assert heard.unknown == (1, 2)
     for node in (1, 2):
         say_constants(wire, node)
@@ -58,7 +58,7 @@ def test_rows_are_those_of_the_drives_and_nothing_is_sent(bus, wire, setups):
 
 
 def test_without_constants_nothing_is_read_and_nothing_assumed(bus, wire, setups):
-    heard = OverheardBus(bus, setups(1))
+    heard = ListenOnlyBus(bus, setups(1))
     for index, subindex in list(CONSTANTS)[:-1]:
         say(wire, 1, index, subindex, CONSTANTS[index, subindex])
     wire.emit(0x080, b"")
@@ -72,7 +72,7 @@ def test_without_constants_nothing_is_read_and_nothing_assumed(bus, wire, setups
 
 
 def test_constants_may_come_from_elsewhere(bus, wire, setups):
-    heard = OverheardBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
+    heard = ListenOnlyBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
     assert heard.unknown == ()
     wire.emit(0x201, struct.pack("<Hih", 0x0F, COUNTS // 4, 0))
     bus.listen(0.01)
@@ -80,7 +80,7 @@ def test_constants_may_come_from_elsewhere(bus, wire, setups):
 
 
 def test_frames_of_another_mapping_are_not_read(bus, wire, setups):
-    heard = OverheardBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
+    heard = ListenOnlyBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
     wire.emit(0x080, b"")
     wire.emit(0x181, struct.pack("<Hi", ENABLED, 5))
     wire.emit(0x080, b"")
@@ -89,7 +89,7 @@ def test_frames_of_another_mapping_are_not_read(bus, wire, setups):
 
 
 def test_emergencies_are_told_in_words(bus, wire, setups):
-    heard = OverheardBus(bus, setups(2))
+    heard = ListenOnlyBus(bus, setups(2))
     wire.emit(0x082, struct.pack("<HB5s", 0x8130, 0x11, b""))
     bus.listen(0.01)
     (emergency,) = heard.emergencies

@@ -15,7 +15,7 @@ from drives.exchange import Timing
 from drives.profile_file import load_profile
 from drives.scaling import MotorScale
 from drives.sdo import Posted
-from drives.symptoms import BITS_IN_A_ROW, SAME_IN_A_ROW, SETTLED_SYNCS, Symptoms
+from drives.status_monitor import BITS_IN_A_ROW, SAME_IN_A_ROW, SETTLED_SYNCS, StatusMonitor
 from drives.values import DriveReading
 
 ENABLED = 0x0237
@@ -30,7 +30,7 @@ class Rig:
         profile = load_profile("generic-cia402")
         drives = tuple(self._drive(axis, profile) for axis in range(2))
         self.emcy = EmcyLog({})
-        self.symptoms = Symptoms(SimpleNamespace(drives=drives, timing=Timing(0.01, pacing)), self.emcy)  # type: ignore[arg-type]
+        self.monitor = StatusMonitor(SimpleNamespace(drives=drives, timing=Timing(0.01, pacing)), self.emcy)  # type: ignore[arg-type]
         self.asked = 0
         self.deaf = False
         self._index = 0
@@ -67,7 +67,7 @@ class Rig:
             None if answer is None else DriveReading(axis + 1, self._index, *answer, None, None, 0.0, 0.0, None, None)
             for axis, answer in enumerate(answers)
         )
-        self.symptoms.check(Epoch(self._index, 0.0, readings))
+        self.monitor.check(Epoch(self._index, 0.0, readings))
 
 
 @pytest.fixture
@@ -79,7 +79,7 @@ def rig() -> Rig:
 def test_a_bit_that_stands_stops_and_one_that_flickers_does_not(rig: Rig, word: int, says: str) -> None:
     for number in range(10):
         rig.check((word if number % BITS_IN_A_ROW else ENABLED, number, 0), (ENABLED, number, 0))
-    rig.symptoms.forgive()
+    rig.monitor.forgive()
     with pytest.raises(DriveFault, match=f"node 2.*{says}") as stopped:
         rig.checks(*(((ENABLED, number, 0), (word, number, 0)) for number in range(BITS_IN_A_ROW)))
     assert stopped.value.code == word
@@ -99,7 +99,7 @@ def test_a_drive_that_no_longer_follows_its_target_is_a_reason_to_stop(rig: Rig)
 def test_a_drive_that_never_shows_bit_12_is_not_expected_to(rig: Rig) -> None:
     rig.checks(*(((ENABLED, number, 0), (ENABLED, number, 0)) for number in range(20)))
     rig.check((FOLLOWS, 20, 0), (FOLLOWS, 20, 0))
-    rig.symptoms.forgive()
+    rig.monitor.forgive()
     rig.checks(*(((ENABLED, number, 0), (ENABLED, number, 0)) for number in range(20)))
 
 
@@ -125,7 +125,7 @@ def test_a_storm_of_emergencies_is_one_short_error(rig: Rig) -> None:
 
 def test_an_emergency_that_says_all_is_well_and_an_old_one_do_not_stop(rig: Rig) -> None:
     rig.emcy.on_frame(0x82, b"\x10\x32\x05\x00\x00\x00\x00\x00", 0.0)
-    rig.symptoms.forgive()
+    rig.monitor.forgive()
     rig.emcy.on_frame(0x82, bytes(8), 0.0)
     rig.check((ENABLED, 0, 0), (ENABLED, 0, 0))
 

@@ -45,14 +45,14 @@ def field_at(model: type[BaseModel], path: KeyPath) -> FieldPlace:
     kind: Any = model
     info: FieldInfo | None = None
     for length, part in enumerate(path):
-        inner, inside = _inside(kind, part)
+        inner, inside = _inner_type(kind, part)
         if inner is None:
             return FieldPlace(path[:length], kind, info)
         kind, info = inner, inside or info
     return FieldPlace(path, kind, info)
 
 
-def _inside(kind: Any, part: str | int) -> tuple[Any, FieldInfo | None]:
+def _inner_type(kind: Any, part: str | int) -> tuple[Any, FieldInfo | None]:
     for each in _alternatives(kind):
         origin, arguments = typing.get_origin(each), typing.get_args(each)
         if isinstance(each, type) and issubclass(each, BaseModel):
@@ -134,7 +134,7 @@ def _shown(value: Any) -> str:
     return text if len(text) <= _SHOWN else f"{text[:_SHOWN]}.."
 
 
-def in_words(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath, detail: Mapping[str, Any]) -> str:
+def problem_text(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath, detail: Mapping[str, Any]) -> str:
     """One problem: the key, what is wrong with it, what to write."""
     kind = detail["type"]
     if kind == "missing" and isinstance(path[-1], int):
@@ -230,20 +230,20 @@ def _name(kind: Any) -> str:
     return {int: "integer", float: "number", bool: "true or false", str: "text in quotes"}.get(kind, "table")
 
 
-def stand_in(kind: Any, info: FieldInfo | None) -> Any:
+def placeholder(kind: Any, info: FieldInfo | None) -> Any:
     """Something that fits, to look further: it is never used."""
     first = _alternatives(kind)[0]
     origin, arguments = typing.get_origin(first), typing.get_args(first)
     if isinstance(first, type) and issubclass(first, BaseModel):
         fields = first.model_fields.items()
-        return {key: stand_in(each.annotation, each) for key, each in fields if each.is_required()}
+        return {key: placeholder(each.annotation, each) for key, each in fields if each.is_required()}
     if origin is Literal:
         return arguments[0]
     if origin is tuple:
         many = len(arguments) == 2 and arguments[1] is Ellipsis
-        return [stand_in(arguments[0], None)] * 2 if many else [*range(1 - len(arguments), 1)]
+        return [placeholder(arguments[0], None)] * 2 if many else [*range(1 - len(arguments), 1)]
     if origin is dict:
-        return {"a": stand_in(arguments[1], None)}
+        return {"a": placeholder(arguments[1], None)}
     if first is int:
         # the largest that is allowed: hardly another axis has that node id
         return next((each.le for each in (info.metadata if info else ()) if hasattr(each, "le")), 1)

@@ -6,9 +6,9 @@ import struct
 
 import pytest
 
-from drives.errors import DriveFault, IncompleteEpochs, StopAsked, TransitionTimeout
+from drives.enabling import BRAKE_DROP_REVOLUTIONS
+from drives.errors import DriveFault, IncompleteEpochs, StopRequested, TransitionTimeout
 from drives.group import DriveGroup
-from drives.way_up import SAG_REVOLUTIONS
 
 PERIOD_S = 0.004
 TURN = 65536
@@ -41,7 +41,7 @@ def targets(wire, node_id):
 
 
 def test_who_asks_before_anything_began_gets_nothing_enabled(group, slaves):
-    with pytest.raises(StopAsked) as caught:
+    with pytest.raises(StopRequested) as caught:
         group.enable(lambda: True)
     assert caught.value.exit_code == 130
     assert [slave.controlwords for slave in slaves] == [[]] * 3
@@ -50,7 +50,7 @@ def test_who_asks_before_anything_began_gets_nothing_enabled(group, slaves):
 def test_a_stop_is_heard_while_a_node_does_not_start(group, slaves, wire):
     slaves[1].communication_error_until_s = wire.now_s + 1e9
     begin_s = wire.now_s
-    with pytest.raises(StopAsked):
+    with pytest.raises(StopRequested):
         group.enable(lambda: wire.now_s > begin_s + 0.5)
     assert wire.now_s - begin_s < 1.5
     assert enabling_words(slaves) == set()
@@ -58,7 +58,7 @@ def test_a_stop_is_heard_while_a_node_does_not_start(group, slaves, wire):
 
 def test_a_stop_is_heard_while_an_axis_does_not_switch_on(group, slaves):
     slaves[2].stuck_in = "ready"
-    with pytest.raises(StopAsked):
+    with pytest.raises(StopRequested):
         group.enable(lambda: slaves[2].state == "ready")
     assert {slave.state for slave in slaves[:2]} == {OFF}
     assert not group.enabled
@@ -71,7 +71,7 @@ def test_a_stop_is_heard_while_the_brakes_open(group, slaves, syncs):
     def asked():
         return all(slave.controlwords.count(0x0F) > syncs for slave in slaves)
 
-    with pytest.raises(StopAsked):
+    with pytest.raises(StopRequested):
         group.enable(asked)
     assert {slave.state for slave in slaves} == {OFF}
     assert max(slave.controlwords.count(0x0F) for slave in slaves) <= syncs + 3
@@ -186,7 +186,7 @@ def with_short_patience(group):
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
 def test_an_axis_that_moves_while_its_brake_opens_stops_the_way_up(group, slaves, share):
-    moved = round(share * SAG_REVOLUTIONS * TURN)
+    moved = round(share * BRAKE_DROP_REVOLUTIONS * TURN)
 
     def sag(word):
         real(word)

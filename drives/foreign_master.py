@@ -1,4 +1,4 @@
-"""Is the bus free? Listen before anything is sent, and say who is heard; a running arm notices nothing of it."""
+"""Is the bus free? Listen before anything is sent, and report who is sending; a running arm notices nothing of it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drives.bus import HEARTBEAT_BASE, NMT_ID, SDO_REQUEST_BASE, SYNC_ID, Bus
 from drives.errors import ForeignMaster
 from drives.heartbeat import MASTER_NODE_ID
 
-#: A bus on which no master was heard for so long [s] is free: longer than SYNC periods and heartbeats of masters.
+#: A bus on which no master has sent for so long [s] is free: longer than SYNC periods and heartbeats of masters.
 FREE_S: Final = 0.5
 _MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
 
@@ -44,21 +44,21 @@ def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MAS
     finally:
         bus.unsubscribe(HEARTBEAT_BASE + master_node_id, on_beat)
     new = {can_id: number - before.get(can_id, 0) for can_id, number in bus.foreign.items()}
-    heard = _in_words(new)
+    sent = _sent_by_master(new)
     advice = "end the other master, or wait until it has ended, then start again"
-    if beats and not heard:
+    if beats and not sent:
         advice += f"; if node {master_node_id} is a drive, give it another id: masters have this one"
-    heard += [f"the heartbeat of node {master_node_id}"] * bool(beats)
-    if heard:
-        what = f"another master is at work on {bus.spec}: in {listen_s:g} s it has sent {' and '.join(heard)}"
+    sent += [f"the heartbeat of node {master_node_id}"] * bool(beats)
+    if sent:
+        what = f"another master is at work on {bus.spec}: in {listen_s:g} s it has sent {' and '.join(sent)}"
         raise ForeignMaster(f"{what}; nothing was sent to the drives", advice=advice)
     bus.free_count = bus.foreign_count
 
 
-def _in_words(frames: Mapping[int, int]) -> list[str]:
+def _sent_by_master(frames: Mapping[int, int]) -> list[str]:
     """What a master has sent, number of frames by CAN id."""
-    heard = [f"{frames[can_id]} {what}" for can_id, what in _MASTER_ONLY if frames.get(can_id)]
+    sent = [f"{frames[can_id]} {what}" for can_id, what in _MASTER_ONLY if frames.get(can_id)]
     asked = [can_id - SDO_REQUEST_BASE for can_id in sorted(frames) if can_id > SDO_REQUEST_BASE and frames[can_id]]
     if asked:
-        heard.append(f"SDO requests to node{'s' * (len(asked) > 1)} {', '.join(map(str, asked))}")
-    return heard
+        sent.append(f"SDO requests to node{'s' * (len(asked) > 1)} {', '.join(map(str, asked))}")
+    return sent

@@ -8,13 +8,13 @@ from typing import Final
 
 from drives.cia402 import NoRoute, State, next_controlword
 from drives.epoch import Epoch
-from drives.errors import DriveFault, StopAsked, TransitionTimeout, raise_failures
+from drives.errors import DriveFault, StopRequested, TransitionTimeout, raise_failures
 from drives.exchange import SyncExchange
 from drives.guard import Guard
 
 #: How far an axis may be from where it stood until its brake is open, in motor revolutions: behind a gear of 100 it is
 #: 0.016 rad of the joint. A drive that holds its place stays far below; one that lets its axis sag is stopped here.
-SAG_REVOLUTIONS: Final = 0.25
+BRAKE_DROP_REVOLUTIONS: Final = 0.25
 #: From SWITCH ON DISABLED to OPERATION ENABLED.
 _TRANSITIONS: Final = 3
 #: States on the way up, each higher than the one before.
@@ -27,7 +27,7 @@ _LADDER: Final = (
 )
 
 
-class WayUp:
+class EnableSequence:
     """The way from SWITCH ON DISABLED to an open brake, watched at every SYNC.
 
     No axis is led up twice: one that falls back to a lower state ends it. The place that each axis is told to hold is
@@ -37,16 +37,16 @@ class WayUp:
     ----------
     exchange : SyncExchange
     guard : Guard
-    stop_asked : callable
+    stop_requested : callable
         Whether a person has asked to stop.
     """
 
-    def __init__(self, exchange: SyncExchange, guard: Guard, stop_asked: Callable[[], bool]) -> None:
+    def __init__(self, exchange: SyncExchange, guard: Guard, stop_requested: Callable[[], bool]) -> None:
         machines = [drive.setup.profile.state_machine for drive in exchange.drives]
         #: Longest time that a brake takes to open.
         self.brake_s = max(machine.brake_delay_s for machine in machines)
         self._limit_s = _TRANSITIONS * max(machine.transition_timeout_s for machine in machines) + self.brake_s
-        self._exchange, self._guard, self._stop_asked = exchange, guard, stop_asked
+        self._exchange, self._guard, self._stop_requested = exchange, guard, stop_requested
         self._since_s = 0.0
         self._held: tuple[int, ...] = ()
 
@@ -55,10 +55,10 @@ class WayUp:
 
         Raises
         ------
-        StopAsked
+        StopRequested
         """
-        if self._stop_asked():
-            raise StopAsked("stopped while the drives were being enabled", advice="all axes have been disabled")
+        if self._stop_requested():
+            raise StopRequested("stopped while the drives were being enabled", advice="all axes have been disabled")
 
     def walk(self, start: Epoch) -> Epoch:
         """Transitions to OPERATION ENABLED.
@@ -75,7 +75,7 @@ class WayUp:
 
         Raises
         ------
-        DriveFault, TransitionTimeout, IncompleteEpochs, DriveRebooted, StopAsked, SeveralFailures
+        DriveFault, TransitionTimeout, IncompleteEpochs, DriveRebooted, StopRequested, SeveralFailures
         """
         exchange, epoch = self._exchange, start
         states = exchange.states
@@ -87,7 +87,7 @@ class WayUp:
             raise_failures(_stuck(exchange, waited))
             for drive, count in zip(exchange.drives, self._held, strict=True):
                 drive.hold(count)
-            words = _words_up(exchange, self._guard)
+            words = _enable_controlwords(exchange, self._guard)
             before = list(states)
             epoch = exchange.cycle(words)
             self._guard.check_bus()
@@ -110,7 +110,7 @@ class WayUp:
             An axis moves away from where it stood.
         TransitionTimeout
             All of it takes too long.
-        StopAsked
+        StopRequested
             A person asked to stop.
         """
         self.check_stop()
@@ -127,7 +127,7 @@ class WayUp:
         failures = []
         for drive, was, now in zip(self._exchange.drives, before, self._exchange.states, strict=True):
             if was in _LADDER and now in _LADDER and _LADDER.index(now) < _LADDER.index(was):
-                what = f"fell back from {was} to {now} on the way up{self._guard.last_words(drive.node_id)}"
+                what = f"fell back from {was} to {now} on the way up{self._guard.last_emergency(drive.node_id)}"
                 advice = "check power stage, STO and enable input; it is not led up again by itself"
                 failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
         raise_failures(failures)
@@ -138,7 +138,7 @@ class WayUp:
             if reading is None:
                 continue
             turns = abs(reading.position_count - held) / drive.scale.revolutions(1.0)
-            if turns > SAG_REVOLUTIONS:
+            if turns > BRAKE_DROP_REVOLUTIONS:
                 what = f"moves while its brake opens: {turns:.2f} motor revolutions from where it stood"
                 advice = "check the brake, the load and the torque limit 0x6072; the axis may sag when it is enabled"
                 failures.append(DriveFault(what, node=drive.node_id, index=0x6064, advice=advice))
@@ -155,14 +155,14 @@ class WayUp:
         return slow or [TransitionTimeout(what, advice=advice)]
 
 
-def _words_up(exchange: SyncExchange, guard: Guard) -> list[int]:
+def _enable_controlwords(exchange: SyncExchange, guard: Guard) -> list[int]:
     words: list[int] = []
     failures = []
     for drive, state in zip(exchange.drives, exchange.states, strict=True):
         try:
             words.append(0 if state is None else next_controlword(state, State.OPERATION_ENABLED))
         except NoRoute as error:
-            what = f"{error}: {drive.fault_words()}{guard.last_words(drive.node_id)}"
+            what = f"{error}: {drive.fault_text()}{guard.last_emergency(drive.node_id)}"
             advice = "find and remove the cause; nothing is reset automatically"
             failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
     raise_failures(failures)

@@ -40,7 +40,7 @@ _BITS: Final = (
 )
 
 
-class Symptoms:
+class StatusMonitor:
     """Looks at every epoch while the axes are enabled.
 
     Parameters
@@ -52,7 +52,7 @@ class Symptoms:
     def __init__(self, exchange: SyncExchange, emcy: EmcyLog) -> None:
         self._exchange = exchange
         self._emcy = emcy
-        self._heard = 0
+        self._seen_count = 0
         timing = exchange.timing
         self._bits_in_a_row = DRIVE_RULES["internal_limit"].syncs(timing.period_s, timing.pacing)
         self._odd: list[int] = []
@@ -67,7 +67,7 @@ class Symptoms:
 
     def forgive(self) -> None:
         """Begin a new run."""
-        self._heard = self._emcy.count
+        self._seen_count = self._emcy.count
         axes = len(self._exchange.drives)
         self._odd, self._same, self._last = [0] * axes, [0] * axes, [None] * axes
         self._good = [_GOOD] * axes
@@ -75,9 +75,9 @@ class Symptoms:
 
     def forgive_cleared(self) -> None:
         """Emergencies since the beginning are no reason to stop if every node that sent one says that all is well."""
-        new = self._emcy.count - self._heard
+        new = self._emcy.count - self._seen_count
         if new and all(each.is_reset for each in {each.node_id: each for each in self._emcy.messages[-new:]}.values()):
-            self._heard = self._emcy.count
+            self._seen_count = self._emcy.count
 
     def forget(self, axis: int) -> None:
         """Begin anew with one axis (from 0): its drive is going to leave OPERATION ENABLED."""
@@ -94,7 +94,7 @@ class Symptoms:
         SdoError
             A drive does not confirm its answer.
         """
-        if self._emcy.count != self._heard:
+        if self._emcy.count != self._seen_count:
             self._check_emergencies()
         for axis, reading in enumerate(epoch.readings):
             if reading is None:
@@ -120,7 +120,7 @@ class Symptoms:
                     self._confirm(axis, reading)
 
     def _check_emergencies(self) -> None:
-        new, self._heard = self._emcy.count - self._heard, self._emcy.count
+        new, self._seen_count = self._emcy.count - self._seen_count, self._emcy.count
         rule = DRIVE_RULES["emergency"]
         first = {each.node_id: each for each in reversed(self._emcy.messages[-new:]) if not each.is_reset}
         raise_failures(
