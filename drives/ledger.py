@@ -366,7 +366,7 @@ def take_over(ledger: WriteLedger, path: Path, bus: str | None) -> None:
 def _locked(path: Path) -> Generator[None]:
     """Keep other processes from changing a ledger meanwhile."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o666)
     try:
         until_s = time.monotonic() + _PATIENCE_S
         while True:

@@ -29,8 +29,8 @@ import click
 
 from drives.printable import without_controls
 from gateway import __version__
-from gateway.errors import IN_BRAKES, NOT_CONFIRMED
-from gateway.motion.stops import SIGNALS, StoppedByPerson, output_closed
+from gateway.errors import ENDING_SIGNALS, IN_BRAKES, NOT_CONFIRMED
+from gateway.motion.stops import StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
 CTRL_C = 130
@@ -161,14 +161,14 @@ def _end_by_signal() -> None:
     def stopped(number: int, _frame: Any) -> None:
         raise StoppedByPerson(f"stopped by {signal.Signals(number).name}")
 
-    for number in SIGNALS:
+    for number in ENDING_SIGNALS:
         if signal.getsignal(number) == signal.SIG_DFL:
             signal.signal(number, stopped)
 
 
 def _hear_no_signal() -> None:
     """A second Ctrl-C while the interpreter ends would replace the exit code."""
-    for number in SIGNALS:
+    for number in ENDING_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 

@@ -15,6 +15,7 @@ Bus and drive errors (4) are `drives.errors.DriveError`.
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Mapping, Sequence
 from typing import Final, Self
 
@@ -31,6 +32,10 @@ EXIT_CODES: Final[Mapping[int, str]] = {
     " found, a failed check",
     130: "stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was finished is kept",
 }
+#: Signals by which a person or a system ends a program; Windows has no SIGHUP.
+ENDING_SIGNALS: Final = tuple(
+    signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__
+)
 #: What is known of an arm that was under power, among the notes of what ended the command.
 IN_BRAKES: Final = "the arm is in its brakes, what was measured is kept"
 NOT_CONFIRMED: Final = "the stop of the arm is not confirmed: use the emergency stop"

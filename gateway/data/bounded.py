@@ -17,7 +17,7 @@ def read_bounded(path: Path, most_bytes: int) -> bytes:
     ValueError
         It is no regular file, or larger than `most_bytes`; the message is the reason, in a few words.
     """
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))  # Windows has no named pipes among its files
     try:
         status = os.fstat(descriptor)
         if not stat.S_ISREG(status.st_mode):

@@ -17,10 +17,10 @@ from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from gateway.errors import ENDING_SIGNALS
+
 #: Largest piece that is read or written at once; the size of a pipe.
 PIECE_BYTES = 65536
-#: A terminal or a service manager sends these to all processes; the writer ends when its work is done.
-NOT_FOR_THE_WRITER = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Between two looks whether the process that feeds this one is still there: another one may hold its end of the pipe.
 LOOK_S = 0.5
 _LENGTH = struct.Struct("<Q")
@@ -84,7 +84,8 @@ class PipeEnd:
 @contextmanager
 def _held_back() -> Generator[None]:
     """A process that is started meanwhile never gets these signals; this one gets them afterwards."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_THE_WRITER)
+    # a terminal or a service manager sends these to all processes; the writer ends when its work is done
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     try:
         yield
     finally:

@@ -80,7 +80,7 @@ def workers(
     try:
         if scheduler is None:
             cluster = distributed.LocalCluster(
-                n_workers=count or len(os.sched_getaffinity(0)),
+                n_workers=count or _processors(),
                 threads_per_worker=1,
                 processes=True,
                 dashboard_address=None,
@@ -194,3 +194,8 @@ def _guarded(function: Callable[[Item], Done], item: Item) -> Done | GatewayErro
         return function(item)
     except GatewayError as error:
         return error
+
+
+def _processors() -> int:
+    """Processors that this process may use; all of them where the system does not say (macOS, Windows)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -13,7 +13,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Final
 
-from gateway.errors import ConfigError
+from gateway.errors import ENDING_SIGNALS, ConfigError
 from gateway.live.feed import Feed
 from gateway.live.guard import HOST, Door
 from gateway.live.wire import Hello, pair_of_sockets, pieces
@@ -22,8 +22,6 @@ from gateway.live.wire import Hello, pair_of_sockets, pieces
 PORT: Final = 8460
 FURTHER: Final = 20
 PROGRAM: Final = "gateway.live.process"
-#: A terminal or a service manager sends these to all processes; the page ends when the command does.
-NOT_FOR_THE_PAGE: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: How long the process may take to end after the last word, before it is ended [s].
 PATIENCE_S: Final = 3.0
 
@@ -102,7 +100,8 @@ def _started(channel: int, listener: int) -> subprocess.Popen[bytes]:
     """The process, in a session of its own: Ctrl-C in a terminal does not reach it."""
     # the same modules are found there as here, wherever this process was started
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, NOT_FOR_THE_PAGE)
+    # a terminal or a service manager sends these to all processes; the page ends when the command does
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     try:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", PROGRAM, str(channel), str(listener)],

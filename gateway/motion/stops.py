@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
 
-#: Signals by which a person or a system ends a program.
-SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+from gateway.errors import ENDING_SIGNALS
+
 #: Why, where nobody can read any more what is said.
 CLOSED: Final = "stopped: the terminal was closed"
 
@@ -124,7 +124,7 @@ def signals_ask(desk: StopDesk) -> Generator[None]:
         heard += 1
         desk.ask(cause, StopKind.ALONG_PATH if heard == 1 else StopKind.QUICK_STOP)
 
-    before = {number: signal.signal(number, on_signal) for number in SIGNALS}
+    before = {number: signal.signal(number, on_signal) for number in ENDING_SIGNALS}
     try:
         yield
     finally:

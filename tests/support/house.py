@@ -35,6 +35,7 @@ FLOORS: Final = (
     ("acquire",),
     ("check",),
     ("follow", "pair", "newcell", "live", "fleet"),
+    ("api",),
     ("commands",),
     ("cli",),
 )

@@ -30,6 +30,7 @@ from gateway.result.follow import FollowResult
 from gateway.result.pair import LearnStatus, LessonFile, PairRunResult, StoredFunction
 from gateway.result.result import json_schema
 from gateway.result.values import json_text, schema_of
+from tests.support.reference_api import api_page
 from tests.support.reference_drives import answers_page, drives_page
 from tests.support.reference_files import exit_codes_page, recording_page, table_page
 from tests.support.reference_newcell import cell_answers_page
@@ -236,6 +237,7 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "reference/profile-answers.md": answers_page,
     "reference/cell-answers.md": cell_answers_page,
     "reference/commands.md": commands_page,
+    "reference/python.md": api_page,
     "reference/measured-table.md": table_page,
     "reference/recording.md": recording_page,
     "reference/exit-codes.md": exit_codes_page,

@@ -59,7 +59,7 @@ class Ring:
         self._number = 0
         remove(folder)
         folder.mkdir(parents=True)
-        self._header = os.open(folder / HEADER, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o666)
+        self._header = os.open(folder / HEADER, os.O_WRONLY | os.O_CREAT, 0o666)
         lock_file(self._header, wait=True)
         os.write(self._header, _header_text(header).encode())
 

@@ -24,7 +24,7 @@ def salvage(recording: Path) -> None:
     """
     folder = folder_of(recording)
     try:
-        descriptor = os.open(folder / HEADER, os.O_RDWR | os.O_CLOEXEC)
+        descriptor = os.open(folder / HEADER, os.O_RDWR)
     except FileNotFoundError:
         return
     try:

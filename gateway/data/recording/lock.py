@@ -48,7 +48,7 @@ def sole_writer(path: Path, patience_s: float) -> Generator[None]:
 
 def _taken(mark: Path) -> int | None:
     """The mark, held; None if another one holds it, or has just taken it away."""
-    descriptor = os.open(mark, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o666)
+    descriptor = os.open(mark, os.O_RDWR | os.O_CREAT, 0o666)
     try:
         lock_file(descriptor)
         if os.path.samestat(os.fstat(descriptor), os.stat(mark)):

@@ -7,8 +7,8 @@ import threading
 
 import pytest
 
+from gateway.errors import ENDING_SIGNALS
 from gateway.motion.stops import (
-    SIGNALS,
     StopDesk,
     StopKind,
     StoppedByPerson,
@@ -80,7 +80,7 @@ def test_sources_are_asked_until_they_are_forgotten():
     assert desk.look() == wish
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", ENDING_SIGNALS)
 def test_under_power_a_signal_asks_and_the_second_one_is_urgent(number):
     desk, before = StopDesk(), signal.getsignal(number)
     with signals_ask(desk):
@@ -105,7 +105,7 @@ def test_a_second_signal_after_the_stop_does_not_interrupt_what_is_being_kept():
             signal.raise_signal(signal.SIGINT)
 
 
-@pytest.mark.parametrize("number", SIGNALS)
+@pytest.mark.parametrize("number", ENDING_SIGNALS)
 def test_a_signal_that_was_inherited_as_ignored_is_heard(number):
     before = signal.signal(number, signal.SIG_IGN)
     try:
@@ -204,12 +204,12 @@ def test_two_threads_may_ask_about_the_outputs_at_the_same_time():
 
 
 def test_outside_the_main_thread_signals_are_left_as_they_are():
-    before = [signal.getsignal(number) for number in SIGNALS]
+    before = [signal.getsignal(number) for number in ENDING_SIGNALS]
     seen = []
 
     def run():
         with signals_ask(StopDesk()):
-            seen.append([signal.getsignal(number) for number in SIGNALS])
+            seen.append([signal.getsignal(number) for number in ENDING_SIGNALS])
 
     thread = threading.Thread(target=run)
     thread.start()

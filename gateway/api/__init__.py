@@ -1,0 +1,39 @@
+"""The public Python interface: read measured data, estimate loads, find what the model lacks, read a drive.
+
+Import from here: `from gateway.api import estimate, read`. What `__all__` lists is public; every other module may
+change in any version. Nothing in this interface moves an arm or writes to a drive.
+
+Units are SI and part of every name (`_kg _m _rad _nm _s`), joints count from 1. Errors are of `GatewayError` or
+`DriveError`: their text says what happened, where, and what to do.
+"""
+
+from drives.errors import DriveError
+from drives.values import Identity
+from gateway.analyse.given import ModelRequest
+from gateway.analyse.known import KnownLoad
+from gateway.api.analysis import diagnose, estimate, read
+from gateway.api.drive import Drive
+from gateway.cell.config import Cell, load_cell
+from gateway.data.table import Table
+from gateway.errors import GatewayError
+from gateway.report.render import render
+from gateway.result.result import Result, read_result, to_json
+
+__all__ = [
+    "Cell",
+    "Drive",
+    "DriveError",
+    "GatewayError",
+    "Identity",
+    "KnownLoad",
+    "ModelRequest",
+    "Result",
+    "Table",
+    "diagnose",
+    "estimate",
+    "load_cell",
+    "read",
+    "read_result",
+    "render",
+    "to_json",
+]

@@ -1,0 +1,67 @@
+"""Page of the reference on the public Python interface, written from its docstrings."""
+
+from __future__ import annotations
+
+import inspect
+import textwrap
+from typing import Any
+
+from gateway import api
+
+#: Values whose attributes are documented on a page of their own.
+EXPLAINED_ELSEWHERE = {
+    "Cell": "[cell file](cell-file.md): the keys are the attributes",
+    "Result": "[result file](result.md): the keys are the attributes",
+    "Table": "[measured table](measured-table.md): the columns",
+}
+STABILITY = """\
+## What is stable
+
+Public are the names on this page with their arguments, the commands and their exit codes, and the keys of the files
+([result](result.md), [recording](recording.md), [measured table](measured-table.md), [cell](cell-file.md)). Everything
+else may change in any version, also where its name does not begin with an underscore.
+
+- Versions are MAJOR.MINOR.PATCH. Before 1.0 a minor version may remove what is public, after a deprecation.
+- What goes is deprecated for one minor version first: it works, warns (`DeprecationWarning` in Python, a line on stderr
+  from a command) and names its successor; the change log says so.
+- Names, arguments with a default, keys and columns may be added at any time: a program that reads JSON has to ignore
+  keys that it does not know.
+- Numbers are not frozen: a better estimator changes them, and [measured](../measured.md) says by how much.
+- Files of an older version are read; the schema number of a file rises when a key changes its meaning.
+"""
+
+
+def api_page() -> str:
+    """Every public name with its signature and docstring."""
+    lines = ["# Python interface", "", *_paragraphs(inspect.getdoc(api) or "")]
+    lines += ["`examples/python/load_and_effect.py` is a whole program: a table in, load, effect and page out.", ""]
+    for name in api.__all__:
+        found = getattr(api, name)
+        lines += [f"## {name}", ""]
+        if name in EXPLAINED_ELSEWHERE:
+            lines += [*_paragraphs((inspect.getdoc(found) or "").split("\n\n")[0]), EXPLAINED_ELSEWHERE[name] + ".", ""]
+            continue
+        lines += _documented(name, found)
+        for method, value in vars(found).items() if name == "Drive" else ():
+            if not method.startswith("_"):
+                lines += _documented(f"Drive.{method}", value)
+    return "\n".join([*lines, STABILITY])
+
+
+def _documented(name: str, found: Any) -> list[str]:
+    """Signature and docstring of a function, a method or a class that is no error."""
+    text = textwrap.dedent(inspect.getdoc(found) or "")
+    if inspect.isclass(found) and issubclass(found, Exception):
+        return [*_paragraphs(text), ""]
+    signature = inspect.signature(found)
+    bare = [
+        each.replace(annotation=inspect.Parameter.empty)
+        for each in signature.parameters.values()
+        if each.name != "self"
+    ]
+    shown = signature.replace(parameters=bare, return_annotation=inspect.Signature.empty)
+    return ["```", f"{name}{shown}", "", text, "```", ""]
+
+
+def _paragraphs(text: str) -> list[str]:
+    return [*text.splitlines(), ""]
