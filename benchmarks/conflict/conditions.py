@@ -130,19 +130,20 @@ def set_to(**values: object) -> WrongStatement:
     return WrongStatement(change)
 
 
-def known(factor: float) -> WrongStatement:
-    """A second load is stated as known, with a wrong mass."""
+def known(factor: float, constants: float = 1.0, centre: bool = True, clean: bool = False) -> WrongStatement:
+    """A second load is stated as known, with `factor` times its mass; all constants are wrong by one factor."""
 
     def change(cell: ConflictCell) -> None:
-        mass, *com = cell.loads["tool"]
+        com = cell.loads["tool"][1:]
         cell.loads["weight"] = np.array([0.6 * cell.arm.rated_kg, *com])
         last = cell.blocks[-1]
         step_s = last.start_s - cell.blocks[-2].start_s
         cell.blocks.append(LoadBlock("weight", "run", last.start_s + step_s, load="weight"))
-        stated = ",".join(f"{x:.9g}" for x in (factor * cell.loads["weight"][0], *com))
+        stated = ",".join(f"{x:.9g}" for x in (factor * cell.loads["weight"][0], *(com if centre else ())))
         cell.options += ["--known", f"weight={stated}"]
+        cell.gain = constants * (1.0 + cell.gain) - 1.0
 
-    return WrongStatement(change)
+    return WrongStatement(change, clean=clean)
 
 
 def undeclared_wave(cell: ConflictCell) -> None:
@@ -228,7 +229,10 @@ CONDITIONS: Mapping[str, WrongStatement] = {
     "torque in mNm": WrongStatement(after=torque_in_mnm),
     "lengths in mm": set_to(length_unit=1000.0),
     "known mass in grams": known(1000.0),
+    "known mass": known(1.0, clean=True),
     "known mass x0.7": known(0.7),
+    "known mass x0.7, no centre": known(0.7, centre=False),
+    "known mass, constants x1.41": known(1.0, constants=2.0**0.5),
     "undeclared sin(2 q2)": WrongStatement(undeclared_wave),
     "one-sided visits": set_to(one_sided=True),
     "joint zeros 0.5 deg": zeros(0.5),

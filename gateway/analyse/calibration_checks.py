@@ -129,13 +129,16 @@ def mass_finding(visits: Visits, robot: Robot, options: EstimateOptions, weight:
     if load.refused:
         raise DataUnusable(f"load '{weight.label}' calibrates no axis: {load.refused}")
     if abs(load.mass_kg - weight.mass_kg) > CONFLICT * load.mass_std_kg:
+        factor = weight.mass_kg / max(load.mass_kg, 1e-9)
         yield Finding(
             "fail",
             f"load {weight.label}",
             f"stated as {weight.mass_kg:.4g} kg, and {load.mass_kg:.4g} kg with a standard deviation of"
             f" {load.mass_std_kg:.2g} kg by the constants of the cell file",
-            "check that this load was mounted, its mass and unit (kg), and the constants (rms or peak, ratio); if all"
-            " are right, --force stores the calibration",
+            f"the stated mass or the constants are wrong by a common factor of {factor:.3g}, and the"
+            " data cannot determine which: weigh the mass, check that this load was mounted, its unit (kg), and the"
+            " constants (rms or peak, ratio); if all are right, --force stores the calibration",
+            "known_load",
         )
 
 
@@ -157,6 +160,7 @@ def stated_findings(axes: Sequence[AxisCalibration]) -> Iterator[Finding]:
                 f"{measured} (standard deviation {100 * axis.std:.2g} %), {stated} (to {100 * axis.stated_std:.2g} %):"
                 f" they differ by {abs(axis.deviation):.1f} standard deviations",
                 "check the constant, rms or peak, and the gear ratio in the cell file",
+                "torque_constants",
             )
 
 

@@ -138,6 +138,7 @@ def _misfit(estimate: Estimate) -> list[Finding]:
                     f"the model does not fit: the residual is {np.sqrt(square / use.sum()):.2g} Nm and repeated visits"
                     f" agree to {floor[k]:.2g} Nm; the difference is model error, not noise",
                     "run `servo-gateway diagnose` on the same data: it searches for the effect that is missing",
+                    "model_misfit",
                 )
             )  # fmt: skip
     return out
@@ -156,6 +157,7 @@ def reversed_signs(half_nm: Floats) -> list[Finding]:
             "torque sign is reversed, or the approach directions are: friction would drive the motion (half-difference"
             f" {', '.join(f'{np.nanmedian(half_nm[:, k]):.3g}' for k in part)} Nm)",
             "check `torque_sign` in the cell file or the sign of the torque column, and the columns dir1, dir2, ...",
+            "sign_reversed",
         )
         for part in together
     ]  # fmt: skip
@@ -173,6 +175,7 @@ def _gear_losses(estimate: Estimate) -> list[Finding]:
             f"its friction grows by {100 * value:.0f} % of the torque, as of a gear of efficiency"
             f" {efficiency_of(value):.2f} that is not stated; the intervals are widened for it",
             "state `gear_efficiency` in the cell file",
+            "gear_efficiency",
         )
         for joint, (value, std) in enumerate(zip(loss.value, loss.std, strict=True), start=1)
         if value - ORDINARY_STD * std > most

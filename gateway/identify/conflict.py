@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from gateway.data.labels import BARE_LABEL
+from gateway.identify.known_load import load_contradicted, most_doubtful
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.fit import fit_without_effects, log_density, noise_std
@@ -101,11 +102,21 @@ def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Kn
         odds = line.evidence(_prior_std(problem, robot, alternative)) - stated
         if odds > best:
             best, found = odds, alternative
-    if line.evidence(problem.common_std, _LINK_SCALE) - stated > best:
+    link_odds = line.evidence(problem.common_std, _LINK_SCALE) - stated
+    freed, odds = most_doubtful(robot, problem, fit, knowledge)
+    if freed is not None and odds > max(best, link_odds):
+        return freed
+    if link_odds > best:
         return replace(knowledge, inertials="ignore" if _unloaded(problem, knowledge) else f"prior:{_LINK_SCALE:g}")
     if found is None:
         return None
-    if found.gain_std != knowledge.gain_std and knowledge.inertials != "ignore" and _unloaded(problem, knowledge):
+    weighed = knowledge.known or knowledge.masses
+    if (
+        found.gain_std != knowledge.gain_std
+        and knowledge.inertials != "ignore"
+        and not weighed
+        and _unloaded(problem, knowledge)
+    ):
         # constants and links contradict each other, and the rows do not tell which are wrong: the arm is measured, so
         # the links are the statement that is not needed
         return replace(knowledge, inertials="ignore")
@@ -123,11 +134,11 @@ def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, 
     if knowledge.inertials == "ignore":
         return knowledge, ()
     if why:
-        finding = Finding("warn", "link masses", f"{why}: a placeholder, not used", advice)
+        finding = Finding("warn", "link masses", f"{why}: a placeholder, not used", advice, "link_masses_placeholder")
         return replace(knowledge, inertials="ignore"), (finding,)
     weightless = ", ".join(f"J{axis + 1}" for axis in np.flatnonzero(robot.mass_kg <= 0))
     what = "the URDF states no mass above 0 kg for the link of this axis: its mass is taken as unknown"
-    return knowledge, (Finding("info", weightless, what, advice),) if weightless else ()
+    return knowledge, (Finding("info", weightless, what, advice, "link_mass_missing"),) if weightless else ()
 
 
 def _alternatives(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
@@ -240,6 +251,9 @@ def _contradicted(
     """What of the stated knowledge the measurement contradicts, by the settled fit: each with the standard deviations
     by which it differs, and with the numbers of both.
     """
+    for label in stated.weighed:
+        if label not in settled.weighed:
+            yield load_contradicted(robot, problem, fit, stated, label)
     if settled.inertials != stated.inertials:
         yield _links_contradicted(robot, problem, fit, stated, settled)
     if settled.gain_std != stated.gain_std:
@@ -272,6 +286,7 @@ def _links_contradicted(
         f" {measured[axis]:.4g} \N{PLUS-MINUS SIGN} {1.96 * std[axis]:.2g} Nm (95 %); {use}",
         "check the masses of the robot model against the data sheet, or state --inertials ignore; if they are right, an"
         " effect is missing: run `servo-gateway diagnose`",
+        "link_masses",
     )
 
 
@@ -292,6 +307,7 @@ def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> tuple
         f" {100 * float(np.median(stated)):.2g} % (1 standard deviation) is stated; the intervals are widened for it",
         "check the constants (rms or peak value, voltage, gear ratio), or measure them with a weighed load:"
         " `servo-gateway calibrate`",
+        "torque_constants",
     )
 
 
@@ -313,6 +329,7 @@ def _gains_changed(problem: RestProblem, fit: Fit, stated: float) -> tuple[float
         f" {int(after.pose[0])} with load {after.load[0]}, more than {100 * stated:.1g} % (1 standard deviation)"
         " of an arm that warms up; the intervals are widened for it",
         "warm the arm up before measuring, and measure in the order load, unloaded, unloaded, load",
+        "gain_change",
     )
 
 

@@ -151,12 +151,16 @@ class NextMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """Something the reader has to know: severity `info`, `warn` or `fail`."""
+    """Something the reader has to know: severity `info`, `warn` or `fail`.
+
+    `check` is the name of the test that reports it, for programs: it stays when the text changes.
+    """
 
     severity: Severity
     where: str
     what: str
     advice: str = ""
+    check: str = field(default="", metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)

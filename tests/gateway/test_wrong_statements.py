@@ -150,9 +150,41 @@ def test_two_bodies_under_one_label_are_refused_with_both_masses(tmp_path):
     assert "two bodies" in output
 
 
-def test_known_mass_that_is_wrong_is_contradicted(tmp_path):
-    _, _, result = typed(quiet_cell("known mass x0.7"), tmp_path)
-    assert warnings(result)
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("condition", ["known mass x0.7", "known mass x0.7, no centre"])
+def test_known_mass_that_is_wrong_is_named_and_not_used(condition, command, tmp_path):
+    cell = quiet_cell(condition)
+    code, _, result = typed(cell, tmp_path, command)
+    assert code == 0
+    assert [(f["check"], f["where"]) for f in warnings(result)] == [("known_load", "load weight")]
+    assert f"{0.7 * cell.loads['weight'][0]:.4g} kg" in warnings(result)[0]["what"]
+    assert off(result, cell) < 2.0
+    weight = next(load for load in result["loads"] if load["label"] == "weight")
+    assert abs(weight["mass_kg"] - cell.loads["weight"][0]) < 2.0 * weight["mass_std_kg"]
+
+
+def test_known_centre_that_is_wrong_is_named_and_not_used(tmp_path):
+    cell = quiet_cell("known mass")
+    mass, *centre = cell.loads["weight"]
+    moved = ",".join(f"{x:.9g}" for x in (mass, centre[0] + 0.25 * cell.arm.rated_kg**0.34, *centre[1:]))
+    cell.options[-1] = f"weight={moved}"
+    code, _, result = typed(cell, tmp_path)
+    assert code == 0
+    assert [f["check"] for f in warnings(result)] == ["known_load"]
+    assert "centre of gravity" in warnings(result)[0]["what"]
+    assert off(result, cell) < 2.0
+
+
+def test_constants_that_are_wrong_by_one_factor_are_not_blamed_on_the_known_mass(tmp_path):
+    _, _, result = typed(quiet_cell("known mass, constants x1.41"), tmp_path)
+    assert {f["check"] for f in warnings(result)} == {"torque_constants"}
+
+
+def test_known_mass_that_is_right_raises_no_warning(tmp_path):
+    cell = quiet_cell("known mass")
+    code, _, result = typed(cell, tmp_path)
+    assert (code, warnings(result)) == (0, [])
+    assert off(result, cell) < 2.0
 
 
 @pytest.mark.parametrize("option", ["inertials exact", "torque-gain exact"])

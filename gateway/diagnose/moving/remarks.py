@@ -109,7 +109,7 @@ def richer(outcome: MovingOutcome, any_effect: bool) -> tuple[NextMeasurement, .
 def faults(effects: tuple[EffectResult, ...]) -> tuple[Finding, ...]:
     """A failing finding for every commissioning mistake."""
     return tuple(
-        Finding("fail", " ".join(f"J{joint}" for joint in effect.joints), *MISTAKES[effect.name])
+        Finding("fail", " ".join(f"J{joint}" for joint in effect.joints), *MISTAKES[effect.name], effect.name)
         for effect in effects
         if effect.name in MISTAKES
     )

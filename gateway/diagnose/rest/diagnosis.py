@@ -167,15 +167,20 @@ class RestDiagnosis:
         """The search with the statements widened that the rows contradict, where those are the likelier cause.
 
         A robot model whose masses are wrong looks like wrong constants and links on most axes: one or two of them are
-        effects, more of them are the statement. Where no effect was found, the answer is that of `estimate`.
+        effects, more of them are the statement. A known load that is not needed is one where fewer effects explain the
+        rows without it. Where no effect was found, the answer is that of `estimate`.
         """
-        alike = sum(term.scales_reading or term.name == "link_mass" for term in found.chosen.terms)
-        if found.chosen.terms and alike < REST.statement_effects:
+        effects = found.chosen.terms
+        alike = sum(term.scales_reading or term.name == "link_mass" for term in effects)
+        likelier = not effects or alike >= REST.statement_effects
+        if not (likelier or self.knowledge.weighed):
             return found
         settled = settle(self.robot, found.search.problem.rows, self.knowledge)
-        if settled.knowledge is self.knowledge:
+        if settled.knowledge is self.knowledge or not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
         other = self._knowing(settled.knowledge).searched(found.table, found.aside, found.mistakes, found.gained)
+        if not likelier and len(other.chosen.terms) >= len(effects):
+            return found
         return replace(other, findings=settled.findings)
 
     def _knowing(self, knowledge: Knowledge) -> RestDiagnosis:
@@ -194,7 +199,7 @@ class RestDiagnosis:
         noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
-        weighed = bool(self.options.known or self.options.masses) or self.knowledge.inertials == "exact"
+        weighed = bool(self.knowledge.weighed) or self.knowledge.inertials == "exact"
         drawn = np.where(np.isfinite(problem.link_std), problem.links, np.nan)
         setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)

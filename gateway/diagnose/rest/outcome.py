@@ -193,7 +193,7 @@ def mistake_findings(mistakes: Sequence[Mistake]) -> list[Finding]:
     for mistake in mistakes:
         what, advice = MISTAKES[mistake.name]
         where = " and ".join(f"J{joint}" for joint in mistake.joints)
-        out.append(Finding("fail", where, what, advice))
+        out.append(Finding("fail", where, what, advice, mistake.name))
     return out
 
 

@@ -59,6 +59,15 @@ class Knowledge:
     measured_gain: tuple[bool, ...] = ()
     change: float = 1.0
 
+    @property
+    def weighed(self) -> tuple[str, ...]:
+        """Labels of the loads whose mass is known."""
+        return (*self.known, *self.masses)
+
+    def without_load(self, label: str) -> Knowledge:
+        """The same with one known load unknown."""
+        return self.of_loads(name for name in self.weighed if name != label)
+
     def of_loads(self, labels: Iterable[str]) -> Knowledge:
         """The same without known loads that are not among these labels."""
         there = set(map(str, labels))

@@ -1,0 +1,93 @@
+"""Loads of known mass, tested against rest visits: is another load on the flange, or is the stated one right?
+
+A known load is freed and gets a wide prior about what is stated. Its marginal likelihood over that of the stated load
+is compared with those of wider constants and links: a mass that is wrong by 30 % and constants that are all wrong by
+30 % read alike, and the constants have a datasheet's tolerance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.load_estimate import load_directions
+from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.loads import sure
+from gateway.identify.rest.problem import EXACT, Knowledge, build_problem
+from gateway.model.robot import Robot, reach_m
+from gateway.result.result import Finding
+
+Floats = NDArray[np.float64]
+
+#: Standard deviation of a mass that was stated wrongly, over the stated mass, and of its centre over the arm's reach.
+_WRONG_MASS: Final = 0.5
+_WRONG_CENTRE: Final = 0.1
+#: Half width of a 95 % interval in standard deviations.
+_HALF_WIDTH: Final = 1.96
+
+
+def most_doubtful(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> tuple[Knowledge | None, float]:
+    """Return the knowledge without the known load that the visits support least, and the log odds for that.
+
+    None where no load is known.
+    """
+    tried = [
+        (_free_odds(robot, problem, fit, knowledge, label), knowledge.without_load(label))
+        for label in knowledge.weighed
+    ]
+    odds, freed = max(tried, key=lambda each: each[0], default=(-np.inf, None))
+    return freed, float(odds)
+
+
+def _free_odds(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge, label: str) -> float:
+    """Logarithm of the marginal likelihood of a free load over that of the stated one."""
+    mass_kg, *centre = knowledge.known.get(label, (knowledge.masses.get(label, 0.0),))
+    if not mass_kg > 0.0:
+        return -np.inf
+    stated = mass_kg * np.array([1.0, *(centre or (0.0,) * 3)])
+    std = mass_kg * np.array([_WRONG_MASS, *[_WRONG_CENTRE * reach_m(robot)] * 3])
+    held = 1 + len(centre)
+    freed = build_problem(robot, problem.rows, knowledge.without_load(label), problem.nuisance.changes)
+    prior = np.zeros((held, freed.n_common))
+    prior[:, freed.load_part(freed.labels.index(label))] = np.diag(1.0 / std)[:held]
+    freed = replace(
+        freed,
+        prior_rows=np.vstack([freed.prior_rows, prior]),
+        prior_target=np.append(freed.prior_target, (stated / std)[:held]),
+    )
+    before = fit.evidence - (0.0 if centre else float(np.log(EXACT * mass_kg)))
+    return fit_without_effects(freed).evidence - float(np.sum(np.log(std[:held]))) - before
+
+
+def load_contradicted(
+    robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, label: str
+) -> tuple[float, Finding]:
+    """Report a stated load that the measurement contradicts, with the standard deviations by which it differs."""
+    mass_kg, *centre = stated.known.get(label, (stated.masses.get(label, 0.0),))
+    moment, part = fit.loads[problem.labels.index(label)], problem.load_part(problem.labels.index(label))
+    turn = np.zeros((4, len(fit.scale)))
+    turn[:, part] = load_directions(moment)
+    std = np.sqrt(np.maximum(np.diag(turn @ fit.covariance @ turn.T), 1e-18))
+    std = np.where(sure(problem, fit, np.eye(len(fit.scale))[part]), std, np.inf)
+    found = np.array([moment[0], *(moment[1:] / moment[0])])
+    away = np.abs(found - np.array([mass_kg, *centre, *found[1 + len(centre) :]])) / std
+    longest_m = reach_m(robot)
+    by_mass = bool(away[0] >= away[1:].max()) or not (std[1:] < longest_m).all()
+    plus_minus = "\N{PLUS-MINUS SIGN}"
+    if by_mass:
+        half = _HALF_WIDTH * std[0]
+        what = f"mass of {mass_kg:.4g} kg is contradicted by the measurement, which gives {found[0]:.4g}"
+        what += f" {plus_minus} {half:.2g} kg (95 %) by the torque constants as stated"
+        advice = "weigh the load, check its unit (kg) and which load was mounted; if the mass is right, the torque"
+        advice += f" constants of all axes are wrong by a factor of {mass_kg / found[0]:.3g} (rms or peak value)"
+    else:
+        each = [", ".join(f"{1e3 * x:.0f}" for x in values) for values in (centre, found[1:], _HALF_WIDTH * std[1:])]
+        what = f"centre of gravity ({each[0]}) mm is contradicted by the measurement, which gives ({each[1]})"
+        what += f" {plus_minus} ({each[2]}) mm (95 %)"
+        advice = "check the frame of the centre (last link or flange), its unit, and which load was mounted"
+    what = f"the stated {what}; the statement is not used"
+    return float(away.max()), Finding("warn", f"load {label}", what, advice, "known_load")
