@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -10,7 +11,7 @@ import click
 from drives.files import replace_file
 from gateway.commands.measure import arm_option
 from gateway.commands.options import common, json_option, one_of, output_option, session_of, write_json
-from gateway.result.names import EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
+from gateway.result.names import CERTIFICATE_FORMAT, EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
 
 if TYPE_CHECKING:
     from gateway.formats.log_map import LogMap
@@ -75,7 +76,7 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     "--format",
     "fmt",
     required=True,
-    type=one_of([*EXPORT_FORMATS, *RECORDING_FORMATS]),
+    type=one_of([*EXPORT_FORMATS, CERTIFICATE_FORMAT, *RECORDING_FORMATS]),
     help=f"Syntax to write; of RUN.h5 {', '.join(RECORDING_FORMATS)}.",
 )
 @click.option("--load", "label", metavar="LABEL", help="Only this load.")
@@ -84,6 +85,8 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
 @common
 def export(result: Path, fmt: str, label: str | None, arm_name: str | None, output: Path | None) -> None:
     """The load as URDF, JSON, or in the load syntax of a robot controller; a recording as table or for other programs.
+
+    dcc is a Digital Calibration Certificate (XML): values, expanded uncertainty, budget, traceability.
 
     csv is the measured table that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint. The
     other formats of a recording hold every sample, with units.
@@ -98,6 +101,9 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     if fmt in RECORDING_FORMATS and fmt != TABLE_FORMAT:
         _every_sample(result, fmt, (arm_name, label), output)
         return
+    if fmt == CERTIFICATE_FORMAT:
+        _certificate(result, label, output)
+        return
     if fmt == TABLE_FORMAT:
         text = _table(result, arm_name, label)
     else:
@@ -110,6 +116,32 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     else:
         replace_file(output, text)
         session_of().show(f"{fmt}: {output}")
+
+
+def _certificate(path: Path, label: str | None, output: Path | None) -> None:
+    """The certificate of a result; one that refuses a load is written too, and exits with 7."""
+    from gateway.errors import DataUnusable, FindingFailed, InputError
+    from gateway.result.certificate import NOT_TRACEABLE, certificate
+    from gateway.result.dcc import certificate_xml
+
+    held = _whole(path)
+    stated = certificate(held, label)
+    if not stated.loads:
+        labels = ", ".join(load.label for load in held.loads)
+        if not labels:
+            raise DataUnusable(f"{path}: holds no load to certify (servo-gateway estimate DATA --json OUT.json)")
+        raise InputError(f"{path}: holds no load '{label}'; it holds: {labels}")
+    text = certificate_xml(held, label, datetime.now(UTC).date())
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        replace_file(output, text)
+        session_of().show(f"{CERTIFICATE_FORMAT}: {output}")
+    if not stated.traceability.is_traceable:
+        session_of().note(f"{path}: {NOT_TRACEABLE}: {stated.traceability.statement}")
+    if stated.refused:
+        first = stated.refused[0]
+        raise FindingFailed(f"{path}: load '{first.label}' is refused, the certificate says so: {first.refused}")
 
 
 def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:

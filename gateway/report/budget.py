@@ -11,18 +11,13 @@ from markupsafe import Markup
 
 from gateway.report import words
 from gateway.report.svg import Panel
+from gateway.result.certificate import EVALUATIONS
 from gateway.result.interval import PLUS_MINUS, SAID, half_width
 from gateway.result.numerals import with_interval
 from gateway.result.result import LoadResult, NuisanceResult, Result, SetAside
 
 #: Source -> what the page calls it.
-SOURCE_WORDS: Final = {
-    "constants": "torque constants",
-    "links": "links",
-    "friction": "friction",
-    "drift": "drift of the torque readings",
-    "noise": "noise",
-}
+SOURCE_WORDS: Final = {source: said for source, (said, _) in EVALUATIONS.items()}
 #: Key of the result -> words, unit and factor to it.
 NUISANCE_WORDS: Final = {
     "gain": ("gain of the torque", "%", 100.0),

@@ -13,6 +13,7 @@ from gateway.report.centre import centre, earlier
 from gateway.report.page import Head, drive_rows, page
 from gateway.report.view import View, view
 from gateway.result.acceptance import acceptance_findings
+from gateway.result.certificate import COVERAGE_FACTOR, NOT_TRACEABLE, CertifiedQuantity, certificate
 from gateway.result.drawn import FRESH, Curve, Drawn
 from gateway.result.result import EffectResult, Finding, Result, to_dict
 from gateway.result.values import Matrix
@@ -38,9 +39,31 @@ def render(result: Result) -> str:
         first=_first(result),
         notes=[finding for finding in result.findings if finding.severity == "info"],
         checksum=result.sha256 or to_dict(result)["sha256"],
+        **_certificate(result),
         **_figures(result, data, shown),
         **_tables(result, data),
     )
+
+
+def _certificate(result: Result) -> dict[str, Any]:
+    """The certificate, and its values in the units of the page: kg, mm, kg m2."""
+    stated = certificate(result)
+    return {
+        "certified": stated,
+        "certified_rows": [[_certified(quantity) for quantity in load.quantities] for load in stated.loads],
+        "coverage_factor": f"{COVERAGE_FACTOR:g}",
+        "not_traceable": NOT_TRACEABLE,
+    }
+
+
+def _certified(quantity: CertifiedQuantity) -> tuple[str, str, str, str, str]:
+    unit, factor = quantity.unit.replace("m2", "m\N{SUPERSCRIPT TWO}"), 1.0
+    if unit == "m":
+        unit, factor = "mm", 1000.0
+    if not words.known(quantity.value):
+        return quantity.name, unit, "not determined", "", ""
+    value, expanded = words.plus_minus(factor * quantity.value, factor * quantity.expanded)
+    return quantity.name, unit, value, expanded, f"{COVERAGE_FACTOR:g}"
 
 
 def _first(result: Result) -> list[Finding]:

@@ -10,6 +10,8 @@ INERTIA_PARTS: Final = tuple(f"inertia_{name}_kg_m2" for name in ("xx", "yy", "z
 INERTIA_WHOLE: Final = "inertia_kg_m2"
 #: What a load is exported as: the keys of `gateway.result.export.FORMATS`.
 EXPORT_FORMATS: Final = ("urdf", "json", "abb", "kuka", "ur", "fanuc", "yaskawa", "opc40010")
+#: The load certificate, which a refused load has too: `gateway.result.dcc`.
+CERTIFICATE_FORMAT: Final = "dcc"
 #: What a recording is exported as: its measured table, or every sample by `gateway.formats`.
 TABLE_FORMAT: Final = "csv"
 RECORDING_FORMATS: Final = (TABLE_FORMAT, "mcap", "parquet", "mf4", "blf")

@@ -121,3 +121,21 @@ def test_sources_findings_and_questions_may_say_less(result):
     result["findings"] = [{"severity": "fail", "where": "J4", "what": "torque sign is reversed"}]
     page = render(read(result))
     assert all(text in page for text in ("table.csv", "hang a known load", "torque sign is reversed"))
+
+
+def test_the_certificate_states_values_traceability_and_a_place_to_sign(result):
+    page = render(from_json(json.dumps(result)))
+    section = page[page.index('<section class="certificate">') :]
+    assert "NOT TRACEABLE" in section
+    # 1.96 x 0.11 kg, by two digits of the uncertainty
+    assert re.search(r"mass</td>.*25\.03</td>.*0\.22</td>.*1\.96</td>", section)
+    assert section.count('<div class="sign">') == page.count('<div class="sign">') == 1
+
+
+def test_a_certificate_of_a_refused_load_has_no_table(result):
+    result["loads"] = [{"label": "b", "mass_kg": None, "refused": "rows contradict each other"}]
+    result["after"]["loads"] = result["loads"]
+    page = render(from_json(json.dumps(result)))
+    section = page[page.index('<section class="certificate">') : page.index('<div class="sign">')]
+    assert "No value is certified: rows contradict each other" in section
+    assert "<table" not in section
