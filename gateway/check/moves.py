@@ -25,6 +25,7 @@ from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
 from gateway.data.rest_pose import RestPose
 from gateway.data.visit import Visit
 from gateway.errors import LimitExceeded, WrongPlace
+from gateway.identify.links import parse_inertials
 from gateway.motion.assumed import reference_load
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
@@ -177,7 +178,7 @@ def _room_for_witness(opened: OpenArm) -> bool:
 
 def _arm(opened: OpenArm) -> WiredArm:
     config, workspace = opened.config, opened.workspace
-    trust = float(config.inertials.removeprefix("prior:")) if config.inertials.startswith("prior:") else 0.0
+    trust = parse_inertials(config.inertials)
     load_kg, _ = reference_load(workspace, opened.arm.where()[None])
     return WiredArm(workspace.robot, workspace.gravity_m_s2, opened.arm.axes, workspace.torque_nm, trust, load_kg)
 

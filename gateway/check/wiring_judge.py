@@ -10,15 +10,17 @@ motion, so half the difference of the two approaches is positive where torque an
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from scipy.special import logsumexp
 
 from gateway.check.wiring import Floats, Moves, Reading, WiredArm, Wiring
-from gateway.model.regressor import gravity_regressor
+from gateway.identify.links import PER_LINK_AT_REST, link_prior
+from gateway.identify.solve import Prior, solve
+from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.model.robot import link_lengths_m
 
 #: A wiring is named when its evidence is better by this (natural logarithm), and seen when the others are worse by it.
@@ -95,66 +97,53 @@ class Verdict:
     misfit: float
 
 
-@dataclass(slots=True)
 class _Evidence:
-    """Evidence of readings of the same moves."""
+    """Evidence of wirings from the same moves: the marginal likelihood of the half-sums, links and load unknown."""
 
-    arm: WiredArm
-    moves: Moves
-    _noise_nm: Floats = field(init=False)
-    _mean: Floats = field(init=False)
-    _root: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        arm = self.arm
-        _, _, band = Reading.stated(arm.axes).joints(self.moves, arm.axes)
+    def __init__(self, arm: WiredArm, moves: Moves) -> None:
+        self.arm, self.moves = arm, moves
+        _, _, band = Reading.stated(arm.axes).joints(moves, arm.axes)
         seen = np.hypot(SCATTER * np.abs(band).mean(axis=0), SCATTER_SEEN * _scatter(band))
-        noise = np.hypot(seen, FLOOR_SHARE * arm.torque_limit_nm)
-        #: Of one half sum, motor side, by drive.
-        self._noise_nm = noise / np.abs(arm.axes.ratio)
-        lengths = link_lengths_m(arm.robot)
-        mass = np.nan_to_num(arm.robot.mass_kg)
-        self._mean = np.column_stack([mass, mass[:, None] * np.nan_to_num(arm.robot.com_m)]).ravel()
-        std = max(arm.trust, LEAST_TRUST) * np.column_stack([mass, *[mass * lengths] * 3])
-        load = arm.load_kg * np.append(1.0, np.full(3, lengths[-1] + 0.1))
-        std[-1] = np.hypot(std[-1], load)
-        self._root = std.ravel()
+        #: Standard deviation of a half-sum by drive [Nm, motor side].
+        self._noise_nm = np.hypot(seen, FLOOR_SHARE * arm.torque_limit_nm) / np.abs(arm.axes.ratio)
+        self._links, std = link_prior(arm.robot, max(arm.trust, LEAST_TRUST), PER_LINK_AT_REST)
+        reach = link_lengths_m(arm.robot)[-1] + 0.1
+        std[LOAD_COLUMNS] = np.hypot(std[LOAD_COLUMNS], arm.load_kg * np.array([1.0, reach, reach, reach]))
+        errors = [np.full(arm.robot.axes, ZERO_STD_RAD), np.full(arm.robot.axes, SCALE_STD)]
+        self._std = np.concatenate([std, *errors, OFFSET_SHARE * arm.torque_limit_nm])
 
     def of(self, reading: Reading) -> float:
         """Natural logarithm of the evidence."""
-        return self._whitened(reading)[0]
+        return self._fitted(reading)[0]
 
     def misfit(self, reading: Reading) -> float:
         """Root mean square of the whitened residual."""
-        return float(np.sqrt(np.mean(self._whitened(reading)[1] ** 2)))
+        return self._fitted(reading)[1]
 
-    def _whitened(self, reading: Reading) -> tuple[float, Floats]:
+    def _fitted(self, reading: Reading) -> tuple[float, float]:
         arm = self.arm
         q, measured, _ = reading.joints(self.moves, arm.axes)
         rows = gravity_regressor(arm.robot, q, arm.gravity_m_s2)
-        expected = rows @ self._mean
-        count = expected.size
-        free = [rows.reshape(count, -1) * self._root, *self._free_columns(q, expected, measured)]
-        noise = self._noise_nm[reading.order] * np.abs(reading.axes.ratio) / reading.torque_factor
-        shape = np.hstack(free)
-        covariance = shape @ shape.T + np.diag(np.tile(noise**2, len(q)))
-        factor = np.linalg.cholesky(covariance)
-        white = np.linalg.solve(factor, (measured - expected).ravel())
-        log = -0.5 * float(white @ white) - float(np.log(np.diag(factor)).sum()) - 0.5 * count * np.log(2 * np.pi)
-        return log - len(q) * float(np.log(np.abs(reading.scale)).sum()), np.asarray(white, dtype=np.float64)
+        design = np.concatenate([rows, *self._error_columns(q, rows @ self._links, measured)], axis=2)
+        noise = np.tile(self._noise_nm[reading.order] * np.abs(reading.axes.ratio) / reading.torque_factor, len(q))
+        mean = np.concatenate([self._links, np.zeros(len(self._std) - len(self._links))])
+        none = np.zeros((0, len(mean)))
+        flat = design.reshape(len(noise), -1)
+        found = solve(flat, measured.ravel(), 1.0 / noise, Prior(mean, self._std, none, none[:, 0]))
+        log = -0.5 * (found.misfit + found.log_determinant + len(noise) * np.log(2 * np.pi))
+        log -= float(np.log(self._std).sum() + np.log(noise).sum())
+        scaled = len(q) * float(np.log(np.abs(reading.scale)).sum())
+        return log - scaled, float(np.sqrt(found.misfit / len(noise)))
 
-    def _free_columns(self, q: Floats, expected: Floats, measured: Floats) -> Iterator[Floats]:
-        """Small errors that are no mistake, one column each: zeros of the encoders, offset and scale of each axis."""
-        arm = self.arm
-        for joint in range(arm.robot.axes):
-            moved = q.copy()
-            moved[:, joint] += STEP_RAD
-            change = gravity_regressor(arm.robot, moved, arm.gravity_m_s2) @ self._mean - expected
-            yield change.reshape(-1, 1) * (ZERO_STD_RAD / STEP_RAD)
-            for value in (SCALE_STD * np.abs(measured[:, joint]), OFFSET_SHARE * arm.torque_limit_nm[joint]):
-                column = np.zeros_like(expected)
-                column[:, joint] = value
-                yield column.reshape(-1, 1)
+    def _error_columns(self, q: Floats, expected: Floats, measured: Floats) -> tuple[Floats, Floats, Floats]:
+        """Columns (n, N, N) of errors that are no mistake: encoder zeros, torque scale and torque offset of each axis.
+
+        Here the torque as wired is scaled: modelled torque would let a wrong ratio pass as a scale error.
+        """
+        own = np.eye(self.arm.robot.axes)
+        moved = [gravity_regressor(self.arm.robot, q + STEP_RAD * step, self.arm.gravity_m_s2) for step in own]
+        zeros = np.stack([(rows @ self._links - expected) / STEP_RAD for rows in moved], axis=2)
+        return zeros, np.abs(measured)[:, :, None] * own, np.broadcast_to(own, zeros.shape)
 
 
 def judge_wiring(arm: WiredArm, moves: Moves) -> Verdict:
