@@ -9,8 +9,8 @@ Nuisance per axis: offset, Coulomb and viscous friction, a part in proportion to
 that are not as entered), which turn round with the direction of motion while the load does not, and a part in
 proportion to the axis' own acceleration: a drive that moves in even steps from target to target changes its speed at
 each SYNC, and its torque, sampled there, misses part of what accelerates the axis. So gravity is what tells the load.
-Only rows in which an axis moves are used. Neighbouring rows err alike: standard deviations come from leaving out one
-stretch of time at a time.
+Only rows in which an axis moves are used. Errors of neighbouring rows are correlated: the covariance is that of blocks
+of time (`identify.spread`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,10 @@ from numpy.typing import NDArray
 from gateway.feedforward.load import FeedLoad
 from gateway.follow.settings import FeedModel
 from gateway.follow.track import Track
+from gateway.identify.motion.friction import FRICTION, friction_columns
+from gateway.identify.solve import ByGroup, Solution, determined, solve
+from gateway.identify.spread import by_blocks
+from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
 from gateway.result.follow import FedTrend
 from gateway.result.values import numbers
@@ -31,12 +35,13 @@ Floats = NDArray[np.float64]
 
 #: Speed below which friction has no clear sense [rad/s].
 SLOW_RAD_S = 0.02
-#: Stretches of time that are left out in turn.
+#: Blocks of time whose errors count as independent.
 BLOCKS = 24
 LEAST_ROWS = 200
-NUISANCE = 5
-#: Singular values below this share of the largest do not tell anything.
+#: Relative size of a singular value below which the rows do not determine its direction.
 TOLERANCE = 1e-3
+#: Share of an undetermined direction in a parameter from which on the parameter is not identifiable.
+OPEN_SHARE = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,12 +87,12 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
         return None
     behind, friction = _behind_gears(track, model, (rates, accelerations), arm + own)
     residual = np.where(used, behind - friction - arm - own, 0.0)
-    sense = np.sign(rates)
-    kinds = [np.ones_like(rates), sense, rates, sense * np.abs(arm + own), accelerations]
-    nuisance = np.stack(kinds, axis=2) * used[:, :, None]
-    moment = np.einsum("nij,ik->nkj", columns[:, :, 50:54], to_gear) * used[:, :, None]
+    own_axis = np.eye(len(model.axes))
+    lost = (np.sign(rates) * np.abs(arm + own))[:, :, None] * own_axis
+    nuisance = np.concatenate([friction_columns(rates, accelerations, FRICTION, SMOOTH_RAD_S), lost], axis=2)
+    moment = np.einsum("nij,ik->nkj", columns[:, :, 50:54], to_gear)
     problem = _Problem(residual, nuisance, used)
-    scale, scale_std, left = problem.solve((own * used)[:, :, None])
+    scale, scale_std, left = problem.solve(own[:, :, None])
     values, stds, _ = problem.solve(moment)
     mass, mass_std, com, com_std = _as_load(load, values, stds)
     return Trend(
@@ -125,63 +130,39 @@ def _behind_gears(
 
 
 class _Problem:
-    """Weighted least squares with nuisance columns per axis, and the jackknife over stretches of time."""
+    """Least squares with nuisance columns per axis; each axis is weighted by its residual without the load."""
 
     def __init__(self, residual: Floats, nuisance: Floats, used: NDArray[np.bool_]) -> None:
-        self._residual = residual
-        self._used = used
-        rows, axes, _ = nuisance.shape
-        wide = np.zeros((rows, axes, NUISANCE * axes))
-        for axis in range(axes):
-            wide[:, axis, NUISANCE * axis : NUISANCE * (axis + 1)] = nuisance[:, axis]
-        self._nuisance = wide
-        alone = np.linalg.lstsq(_flat(wide), residual.ravel(), rcond=1e-9)[0]
-        spread = residual - (_flat(wide) @ alone).reshape(rows, axes)
-        sigma = np.sqrt(np.sum(spread**2, axis=0) / np.maximum(used.sum(axis=0), 1))
-        self._weight = np.where(sigma > 0, 1.0 / np.maximum(sigma, 1e-9), 0.0)
-        self._block = np.minimum(np.arange(rows) * BLOCKS // max(rows, 1), BLOCKS - 1)
+        self._residual, self._nuisance, self._used = residual, nuisance, used
+        alone = self._solved(nuisance, np.ones(used.shape))
+        squares = (alone.residual.reshape(used.shape) ** 2).sum(axis=0)
+        sigma_nm = np.sqrt(squares / np.maximum(used.sum(axis=0), 1))
+        inverse = np.where(sigma_nm > 0, 1.0 / np.maximum(sigma_nm, 1e-9), 0.0)
+        self._weight = np.broadcast_to(inverse, used.shape)
+
+    def _solved(self, columns: Floats, weight: Floats) -> Solution:
+        axis = np.tile(np.arange(columns.shape[1]), len(columns))
+        design = ByGroup.of(_flat(columns * self._used[:, :, None]), axis)
+        return solve(design, self._residual.ravel(), weight.ravel(), tolerance=TOLERANCE)
 
     def solve(self, columns: Floats) -> tuple[Floats, Floats, Floats]:
-        """Values and standard deviations of `columns` (n, 6, k), and what is left of the residual (n, 6).
+        """Return values and standard deviations (k,) of `columns` (n, 6, k), and the residual (n, 6).
 
-        A direction that the rows do not tell is NaN.
+        A direction that the rows do not determine is NaN.
         """
-        count = columns.shape[2]
-        wide = np.concatenate([columns, self._nuisance], axis=2) * self._weight[:, None]
-        size = np.sqrt((_flat(wide) ** 2).sum(axis=0))
-        size[size == 0] = 1.0
-        wide = wide / size
-        target = self._residual * self._weight
-        grams = np.array([_gram(wide[self._block == b], target[self._block == b]) for b in range(BLOCKS)])
-        total = grams.sum(axis=0)
-        value, told = _solve(total)
-        parts = np.array([_solve(total - gram)[0] for gram in grams])
-        std = np.sqrt((BLOCKS - 1) / BLOCKS * np.sum((parts - parts.mean(axis=0)) ** 2, axis=0))
-        fitted = (_flat(wide) @ value).reshape(target.shape)
-        weight = np.where(self._weight > 0, self._weight, 1.0)
-        left = np.where(self._used, (target - fitted) / weight, 0.0)
-        known = np.where(told[:count], 1.0, np.nan)
-        return known * value[:count] / size[:count], known * std[:count] / size[:count], left
+        count, rows = columns.shape[2], len(columns)
+        both = np.concatenate([columns, self._nuisance], axis=2) * self._used[:, :, None]
+        found = self._solved(both, self._weight)
+        pull = _flat(both) * (found.residual * self._weight.ravel() ** 2)[:, None]
+        instant = np.repeat(np.arange(rows), columns.shape[1])
+        spread = by_blocks(pull, instant, np.zeros(rows, dtype=str), rows / BLOCKS)
+        std = np.sqrt(np.diag(found.covariance @ spread @ found.covariance))[:count]
+        known = np.where(determined(found, np.eye(count, both.shape[2]), OPEN_SHARE), 1.0, np.nan)
+        return known * found.value[:count], known * std, found.residual.reshape(self._used.shape)
 
 
-def _flat(rows: Floats) -> Floats:
-    return rows.reshape(-1, rows.shape[2])
-
-
-def _gram(rows: Floats, target: Floats) -> Floats:
-    """Normal equations of some rows, right side in the last column."""
-    flat = _flat(rows)
-    return np.column_stack([flat.T @ flat, flat.T @ target.ravel()])
-
-
-def _solve(gram: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Minimum-norm solution and which unknowns the rows tell."""
-    matrix, right = gram[:, :-1], gram[:, -1]
-    power, turn = np.linalg.eigh(matrix)
-    good = power > TOLERANCE**2 * power[-1]
-    value = turn[:, good] @ ((turn[:, good].T @ right) / power[good])
-    hidden = (turn[:, ~good] ** 2).sum(axis=1)
-    return value, hidden < 1e-3
+def _flat(columns: Floats) -> Floats:
+    return columns.reshape(-1, columns.shape[2])
 
 
 def _as_load(load: FeedLoad, change: Floats, std: Floats) -> tuple[float, float, Floats, Floats]:

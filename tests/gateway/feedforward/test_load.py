@@ -135,7 +135,7 @@ def bare(qh165):
 def test_the_links_are_corrected_to_the_torque_that_was_identified(large, qh165, bare):
     truth, identified = bare
     drawn = drawn_parameters(qh165, large.cell.arm[0])
-    corrected = corrected_parameters(qh165, drawn, identified, GRAVITY)
+    corrected = corrected_parameters(qh165, identified, GRAVITY)
     rows = gravity_regressor(qh165, np.random.default_rng(0).uniform(-2, 2, (50, 6)), GRAVITY)
     moments = [part.reshape(6, 10)[:, :4].ravel() for part in (drawn, corrected)]
     assert np.abs(rows @ (moments[0] - truth)).max() > 50.0
@@ -150,10 +150,9 @@ def test_the_links_are_corrected_to_the_torque_that_was_identified(large, qh165,
         np.testing.assert_allclose(upper[np.triu_indices(3)], expected, atol=1e-9)
 
 
-def test_an_identification_that_does_not_fit_corrects_nothing(large, qh165, bare):
-    drawn = drawn_parameters(qh165, large.cell.arm[0])
+def test_an_identification_that_does_not_apply_corrects_nothing(qh165, bare):
     _, identified = bare
-    assert corrected_parameters(qh165, drawn, replace(identified, robot="other"), GRAVITY) is None
-    assert corrected_parameters(qh165, drawn, identified, np.array([0.0, 9.8, 0.0])) is None
+    assert corrected_parameters(qh165, replace(identified, robot="other"), GRAVITY) is None
+    assert corrected_parameters(qh165, identified, np.array([0.0, 9.8, 0.0])) is None
     absurd = replace(identified, value=tuple(-3.0 * value for value in identified.value))
-    assert corrected_parameters(qh165, drawn, absurd, GRAVITY) is None
+    assert corrected_parameters(qh165, absurd, GRAVITY) is None
