@@ -1,22 +1,27 @@
-"""What motions promise to tell: expected standard deviations, before anything has moved (Cramer-Rao bound).
+"""Expected standard deviations of what a motion identifies, before anything has moved (Cramer-Rao bound).
 
-Noise hangs together in time, so that many rows make one independent one; what is not asked for but stands in every
-model has its prior: torque constants, losses in proportion to the torque, links (Swevers et al., 1997).
+Torque noise is correlated in time, so several rows count as one independent row. Parameters that are not asked for but
+are in every model of motion have the priors of the fit: torque constants, losses in proportion to the torque, links
+(Swevers et al., 1997).
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Final, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.excite.limits import States
 from gateway.feedforward.load import FeedLoad
+from gateway.identify.inertia import central_directions
 from gateway.identify.links import PER_LINK_MOVING, link_prior
-from gateway.identify.nuisance import LOAD_FRICTION_STD
+from gateway.identify.load_estimate import load_directions
+from gateway.identify.motion.friction import FRICTION, friction_columns
+from gateway.identify.motion.prior import moving_prior
+from gateway.identify.solve import ByGroup, Prior, determined, solve
 from gateway.model.base import moving_base
 from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
@@ -25,25 +30,25 @@ from gateway.motion.workspace import Workspace
 Floats = NDArray[np.float64]
 Purpose = Literal["load", "friction", "rotor"]
 
-#: Time over which the error of a torque hangs together [s], one way: longer than the filter of any drive.
-CORRELATION_S = 0.05
-#: What is added to the information on each number, as a share of it: nothing is divided by nothing.
-_LEAST = 1e-12
-#: A number whose standard deviation is this many times what it would be by itself cannot be told from others.
-_LOST = 1e5
-#: Of a load: mass, centre of gravity and inertia, as results have them.
-LOAD_NUMBERS = ("mass", "com_x", "com_y", "com_z", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+#: One-sided correlation time of the torque error [s]: longer than the filter of any drive.
+CORRELATION_S: Final = 0.05
+#: Ridge on the scaled information, so that it is regular where a parameter is not determined.
+_RIDGE: Final = 1e-12
+#: Relative size of a singular value below which the motions do not determine its direction.
+_TOLERANCE: Final = 1e-5
+#: Friction shapes of a planned motion: Coulomb, viscous, rotor inertia.
+_SHAPES: Final = FRICTION[:3]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TorqueNoise:
-    """What torque is believed to be off by.
+    """Expected error of the measured torque.
 
     Attributes
     ----------
     std_nm : array of shape (N,)
     correlation_s : float
-        Time over which it hangs together: `2 correlation_s` of motion make one independent row.
+        Correlation time: `2 correlation_s` of motion make one independent row.
     source : str
     gain_std : array of shape (N,)
         Relative standard deviation of the torque constants.
@@ -54,100 +59,99 @@ class TorqueNoise:
     source: str
     gain_std: Floats
 
-    def factor(self, sync_period_s: float) -> float:
-        """How many rows, one per SYNC, make one independent one."""
-        return float(1.0 / np.tanh(sync_period_s / (2.0 * self.correlation_s)))
+    def weighted(self, columns: Floats, states: States, independent: float) -> Floats:
+        """Return columns (n, N, p) over their standard deviation.
 
-    def weighted(self, rows: Floats, states: States) -> Floats:
-        """Rows (n, N, p) over their standard deviation; those of an axis that hardly moves tell of friction at rest."""
+        Rows of an axis near standstill have little weight, since friction at rest is not a function of speed.
+        `independent` is the number of independent rows per row.
+        """
         moves = np.tanh(np.abs(states.qd_rad_s) / SMOOTH_RAD_S)
-        return rows * (moves / self.std_nm)[:, :, None]
+        return columns * (moves * np.sqrt(independent) / self.std_nm)[:, :, None]
+
+    def independent(self, duration_s: float) -> float:
+        """Return the number of independent instants of a motion."""
+        return duration_s / (2.0 * self.correlation_s)
 
 
 class AskedNumbers(Protocol):
-    """What is asked of motions, with all that stands beside it."""
+    """Quantities that a motion shall identify, with the parameters of the model that holds them."""
 
     @property
     def noise(self) -> TorqueNoise:
-        """What torque is believed to be off by."""
+        """Expected error of the measured torque."""
         ...
 
     @property
-    def prior(self) -> Floats:
-        """What is known of each unknown beforehand: information (p,)."""
+    def prior(self) -> Prior:
+        """Prior of the p parameters."""
         ...
 
     @property
     def turn(self) -> Floats:
-        """Derivative (k, p) of what is asked by the unknowns."""
+        """Derivative (k, p) of the quantities by the parameters."""
         ...
 
-    def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """Information (motions, p, p) of several motions.
+    def rows(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+        """Return the weighted rows (motions n, N, p) of several motions.
 
         Parameters
         ----------
         states : States
-            Arrays of shape (motions n, N): the same number of instants of each, evenly spread.
+            Arrays of shape (motions n, N): the same number of evenly spaced instants of each.
         rigid : array of shape (motions n, N, 10 N)
-            Full rows of the arm there.
+            Regressor of the arm at these states.
         motions : int
         duration_s : float
-            Of all periods of one motion.
+            Duration of all periods of one motion.
         """
         ...
 
 
-def expected_stds(asked: AskedNumbers, information: Floats) -> Floats:
-    """Standard deviations (m, k) of what is asked under informations (m, p, p); very large where nothing tells."""
-    size, scaled = _scaled(asked, information)
-    spread = asked.turn[None] / size[:, None, :]
-    return np.sqrt(np.einsum("mkp,mpq,mkq->mk", spread, np.linalg.inv(scaled), spread))
+def expected_stds(asked: AskedNumbers, rows: Floats, motions: int) -> Floats:
+    """Return standard deviations (motions, k) by weighted rows of each motion; very large where nothing determines.
 
-
-def told_stds(asked: AskedNumbers, information: Floats) -> Floats:
-    """Standard deviations (k,) under one information (p, p); NaN for what it does not tell from others."""
-    size, scaled = _scaled(asked, information[None])
-    spread = asked.turn / size
-    values, vectors = np.linalg.eigh(scaled[0])
-    parts = (spread @ vectors) ** 2
-    open_ = values < _LOST**-2
-    lost = parts[:, open_].sum(axis=1) > _LEAST * parts.sum(axis=1)
-    return np.where(lost, np.nan, np.sqrt((parts[:, ~open_] / values[~open_]).sum(axis=1)))
-
-
-def _scaled(asked: AskedNumbers, information: Floats) -> tuple[Floats, Floats]:
-    """Size (m, p) of the information on each unknown, and information (m, p, p) over it."""
-    index = np.arange(information.shape[1])
-    total = information.copy()
-    total[:, index, index] += asked.prior
+    Normal equations of many motions at once: the optimiser needs hundreds per step, which `solve` takes one by one.
+    """
+    each = rows.reshape(motions, -1, rows.shape[2])
+    total = np.matmul(each.transpose(0, 2, 1), each) + asked.prior.precision
+    index = np.arange(total.shape[1])
     size = np.sqrt(np.diagonal(total, axis1=1, axis2=2))
     size = np.where(size > 0.0, size, 1.0)
     total /= size[:, :, None] * size[:, None, :]
-    total[:, index, index] += _LEAST
-    return size, total
+    total[:, index, index] += _RIDGE
+    turn = asked.turn[None] / size[:, None, :]
+    return np.sqrt(np.einsum("mkp,mpq,mkq->mk", turn, np.linalg.inv(total), turn))
 
 
-def _gram(rows: Floats, motions: int, independent: float) -> Floats:
-    """Information (motions, p, p) of weighted rows (motions n, N, p), of which so many of each are independent."""
-    instants = len(rows) // motions
-    each = rows.reshape(motions, instants * rows.shape[1], -1)
-    return np.matmul(each.transpose(0, 2, 1), each) * (independent / instants)
+def identifiable_stds(asked: AskedNumbers, rows: Floats) -> Floats:
+    """Return standard deviations (k,) by all weighted rows (n, N, p); NaN for what they do not determine."""
+    count, axes, width = rows.shape
+    design = ByGroup.of(rows.reshape(-1, width), np.tile(np.arange(axes), count))
+    found = solve(design, np.zeros(count * axes), np.ones(count * axes), asked.prior, _TOLERANCE)
+    std = np.sqrt(np.einsum("kp,pq,kq->k", asked.turn, found.covariance, asked.turn))
+    return np.where(determined(found, asked.turn), std, np.nan)
+
+
+def _usual_prior(links: tuple[Floats, Floats], first: int, gain_std: Floats) -> Prior:
+    """Prior of links, parameters without a prior, and from `first` on the gain and load friction of every axis."""
+    gain = first + np.arange(len(gain_std))
+    usual = {"gain": gain, "load_friction": gain + len(gain)}
+    return moving_prior(links, first + 2 * len(gain), usual, gain_std)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadAsked:
-    """A load's ten numbers, from bare and loaded runs of the same motion.
+    """The ten parameters of a load, from one motion driven without and with it.
 
-    Their difference is free of links and of friction that no load changes, and has twice the variance. Unknowns: the
-    body's parameters, gains, losses in proportion to the torque.
+    The difference of both runs is free of links and of friction that does not depend on the load. Its variance is twice
+    that of one run. Parameters: the body, gains, load friction.
 
     Attributes
     ----------
     workspace : Workspace
     noise : TorqueNoise
     load : FeedLoad
-        The one that the promise is made for.
+        Load for which the standard deviations are expected.
     links : array of shape (10 N,) or None
         Parameters of the links; None = not known.
     """
@@ -158,60 +162,48 @@ class LoadAsked:
     links: Floats | None
 
     @property
-    def prior(self) -> Floats:
+    def prior(self) -> Prior:
         """As `AskedNumbers.prior`."""
-        gain = self.noise.gain_std
-        return np.concatenate([np.zeros(10), gain**-2.0, np.full(len(gain), LOAD_FRICTION_STD**-2.0)])
+        return _usual_prior((np.zeros(0), np.zeros(0)), PER_LINK_MOVING, self.noise.gain_std)
 
     @property
     def turn(self) -> Floats:
-        """As `AskedNumbers.turn`, of `LOAD_NUMBERS`."""
-        return np.hstack([load_jacobian(self.load), np.zeros((10, 2 * self.workspace.robot.axes))])
+        """As `AskedNumbers.turn`, of mass, centre of gravity and inertia in the order of a result."""
+        body = self.load.parameters
+        turn = np.zeros((PER_LINK_MOVING, PER_LINK_MOVING + 2 * self.workspace.robot.axes))
+        turn[:4, :4], turn[4:, :PER_LINK_MOVING] = load_directions(body[:4]), central_directions(body)
+        return turn
 
-    def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """As `AskedNumbers.information`."""
-        torque = rigid[:, :, -10:] @ self.load.parameters
+    def rows(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+        """As `AskedNumbers.rows`."""
+        body = rigid[:, :, -PER_LINK_MOVING:]
+        torque = body @ self.load.parameters
         bare = np.zeros_like(torque) if self.links is None else rigid @ self.links
         lost = (np.abs(bare + torque) - np.abs(bare)) * np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
         own = np.eye(self.workspace.robot.axes)
-        rows = np.concatenate([rigid[:, :, -10:], torque[:, :, None] * own, lost[:, :, None] * own], axis=2)
-        independent = duration_s / (2.0 * self.noise.correlation_s)
-        return _gram(self.noise.weighted(rows, states), motions, independent / 2.0)
-
-
-def load_jacobian(load: FeedLoad) -> Floats:
-    """Derivative (10, 10) of `LOAD_NUMBERS` by a body's parameters, as `body_parameters` has them."""
-    mass, com = load.mass_kg, load.com_m
-    turn = np.zeros((10, 10))
-    turn[0, 0] = 1.0
-    turn[1:4, 0], turn[1:4, 1:4] = -com / mass, np.eye(3) / mass
-    upper = np.triu_indices(3)
-    turn[4:, 0] = (com @ com * np.eye(3) - np.outer(com, com))[upper]
-    for axis, unit in enumerate(np.eye(3)):
-        turn[4:, 1 + axis] = (np.outer(unit, com) + np.outer(com, unit) - 2.0 * com[axis] * np.eye(3))[upper]
-    turn[4:, 4:] = np.eye(6)
-    order = [0, 1, 2, 3, 4, 7, 9, 5, 6, 8]  # xx, yy, zz, xy, xz, yz of a result
-    return turn[order]
+        columns = np.concatenate([body, torque[:, :, None] * own, lost[:, :, None] * own], axis=2)
+        independent = self.noise.independent(duration_s) * motions / len(columns)
+        return self.noise.weighted(columns, states, independent / 2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveTrainAsked:
-    """Friction or rotors of every axis, from one run bare.
+    """Friction or rotor inertia of every axis, from one run without a load.
 
-    Unknowns: links, dry and viscous friction, rotor inertia, gains, losses in proportion to the torque.
+    Parameters: links, Coulomb and viscous friction and rotor inertia of every axis, gains, load friction.
 
     Attributes
     ----------
     workspace : Workspace
     noise : TorqueNoise
     purpose : Purpose
-        `friction`: dry, then viscous, of all axes; `rotor`.
+        `friction`: Coulomb, then viscous, of all axes; `rotor`.
     links : array of shape (10 N,) or None
         None = not known.
     chosen : int array of shape (b,)
-        Columns of the links that can be told at all, or that something is known of.
-    link_information : array of shape (b,)
-        What is known of them.
+        Columns of the links: base parameters, or those with a prior.
+    link_prior : mean and standard deviation (b,)
+        Empty where the links have no prior.
     """
 
     workspace: Workspace
@@ -219,51 +211,57 @@ class DriveTrainAsked:
     purpose: Purpose
     links: Floats | None
     chosen: NDArray[np.int_]
-    link_information: Floats
+    link_prior: tuple[Floats, Floats]
 
     @classmethod
     def of(
         cls, workspace: Workspace, noise: TorqueNoise, purpose: Purpose, links: Floats | None, trust: float
     ) -> DriveTrainAsked:
-        """With links that are trusted so far: relative standard deviation, infinite = not at all."""
-        std = link_prior(workspace.robot, trust, PER_LINK_MOVING)[1]
-        free = not np.isfinite(std).all()
-        chosen = moving_base(workspace.robot, workspace.gravity_m_s2).indices if free else np.flatnonzero(std > 0.0)
-        known = np.zeros(len(chosen)) if free else std[chosen] ** -2.0
-        return cls(workspace, noise, purpose, links, chosen, known)
+        """With links of relative standard deviation `trust`, infinite = unknown."""
+        mean, std = link_prior(workspace.robot, trust, PER_LINK_MOVING)
+        if np.isfinite(std).all():
+            chosen = np.flatnonzero(std > 0.0)
+            return cls(workspace, noise, purpose, links, chosen, (mean[chosen], std[chosen]))
+        base = moving_base(workspace.robot, workspace.gravity_m_s2)
+        return cls(workspace, noise, purpose, links, base.indices, (np.zeros(0), np.zeros(0)))
 
     @property
-    def prior(self) -> Floats:
+    def prior(self) -> Prior:
         """As `AskedNumbers.prior`."""
-        gain = self.noise.gain_std
-        free, lost = np.zeros(3 * len(gain)), np.full(len(gain), LOAD_FRICTION_STD**-2.0)
-        return np.concatenate([self.link_information, free, gain**-2.0, lost])
+        return _usual_prior(self.link_prior, self._first_usual, self.noise.gain_std)
+
+    @property
+    def _first_usual(self) -> int:
+        return len(self.chosen) + len(_SHAPES) * self.workspace.robot.axes
 
     @property
     def turn(self) -> Floats:
         """As `AskedNumbers.turn`."""
-        axes, first = self.workspace.robot.axes, len(self.chosen)
-        columns = np.arange(2 * axes) if self.purpose == "friction" else np.arange(2 * axes, 3 * axes)
-        return np.eye(first + 5 * axes)[first + columns]
+        axes = self.workspace.robot.axes
+        shapes = (0, 1) if self.purpose == "friction" else (2,)
+        columns = [len(self.chosen) + len(_SHAPES) * np.arange(axes) + shape for shape in shapes]
+        return np.eye(self._first_usual + 2 * axes)[np.concatenate(columns)]
 
-    def information(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """As `AskedNumbers.information`."""
+    def rows(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
+        """As `AskedNumbers.rows`."""
         torque = np.zeros_like(states.q_rad) if self.links is None else rigid @ self.links
-        sign = np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
-        shapes = (sign, states.qd_rad_s, states.qdd_rad_s2, torque, np.abs(torque) * sign)
+        friction = friction_columns(states.qd_rad_s, states.qdd_rad_s2, _SHAPES, SMOOTH_RAD_S)
+        lost = np.abs(torque) * np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
         own = np.eye(self.workspace.robot.axes)
-        rows = np.concatenate([rigid[:, :, self.chosen], *(shape[:, :, None] * own for shape in shapes)], axis=2)
-        independent = duration_s / (2.0 * self.noise.correlation_s)
-        return _gram(self.noise.weighted(rows, states), motions, independent)
+        parts = [rigid[:, :, self.chosen], friction, torque[:, :, None] * own, lost[:, :, None] * own]
+        columns = np.concatenate(parts, axis=2)
+        return self.noise.weighted(columns, states, self.noise.independent(duration_s) * motions / len(columns))
 
 
-def promise(asked: Sequence[AskedNumbers], states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-    """Mean logarithm (motions,) of all standard deviations asked for; its arguments are those of `information`."""
-    stds = [expected_stds(each, each.information(states, rigid, motions, duration_s)) for each in asked]
+def mean_log_std(
+    asked: Sequence[AskedNumbers], states: States, rigid: Floats, motions: int, duration_s: float
+) -> Floats:
+    """Return the mean logarithm (motions,) of all standard deviations asked for; arguments as `AskedNumbers.rows`."""
+    stds = [expected_stds(each, each.rows(states, rigid, motions, duration_s), motions) for each in asked]
     return np.log(np.concatenate(stds, axis=1)).mean(axis=1)
 
 
 def arm_rows(workspace: Workspace, states: States) -> Floats:
-    """Full rows (n, N, 10 N) of the moving arm."""
+    """Return the regressor (n, N, 10 N) of the moving arm."""
     q, qd, qdd = states.q_rad, states.qd_rad_s, states.qdd_rad_s2
     return regressor(workspace.robot, q, qd, qdd, workspace.gravity_m_s2)

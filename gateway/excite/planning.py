@@ -23,9 +23,9 @@ from gateway.excite.expected import (
     Purpose,
     TorqueNoise,
 )
-from gateway.excite.foretold import foretold
 from gateway.excite.limits import PLANNED, MovingLimits, States, moving_limits, states_of
 from gateway.excite.plan_file import read_moving_plan
+from gateway.excite.plan_summary import plan_summary
 from gateway.excite.sweeping import chosen_sweeps
 from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.feedforward.load import FeedLoad, assumed_load
@@ -133,7 +133,7 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
         over_random = chosen.over_random
     if len(told) < len(asked):
         excitations += chosen_sweeps(limits, [*anchors, *starts], min(request.periods, SWEEP_PERIODS))
-    expected = foretold(excitations, asked, limits, load, over_random)
+    expected = plan_summary(excitations, asked, limits, load, over_random)
     plan = MovingPlan(config.name, tuple(excitations), expected)
     check_moving_plan(plan, workspace, config, known)
     return plan

@@ -1,4 +1,4 @@
-"""What a plan of motions foretells, as plain values: standard deviations, limits that are taken, duration."""
+"""Expected standard deviations, shares of the limits and durations of a plan of motions, as plain values."""
 
 from __future__ import annotations
 
@@ -9,46 +9,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.excite.excitation import Excitation
-from gateway.excite.expected import AskedNumbers, LoadAsked, Purpose, arm_rows, told_stds
+from gateway.excite.expected import AskedNumbers, LoadAsked, Purpose, arm_rows, identifiable_stds
 from gateway.excite.limits import KINDS, LOAD_ACCELERATION, MovingLimits, states_of
 from gateway.feedforward.load import FeedLoad
 from gateway.result.values import plain_values
 
 Floats = NDArray[np.float64]
 
-#: Instants at which a motion is looked at [s].
+#: Sampling period of a motion [s].
 STEP_S = 0.02
 
 
-def foretold(
+def plan_summary(
     excitations: Sequence[Excitation],
     asked: Mapping[Purpose, AskedNumbers],
     limits: MovingLimits,
     load: FeedLoad,
     over_random: float | None,
 ) -> dict[str, Any]:
-    """Plain values of what all motions together promise, and of what each takes of the limits.
+    """Return the expected standard deviations of all motions together, and the share of the limits of each.
 
     Parameters
     ----------
     excitations : sequence of Excitation
     asked : mapping of Purpose to AskedNumbers
     limits : MovingLimits
-        As it was planned with; shares are of these.
+        Limits of the planning; shares are of these.
     load : FeedLoad
-        That a load's promise is made for.
+        Load for which the standard deviations are expected.
     over_random : float or None
         Expected standard deviations of the series over those of the best random one.
     """
-    information: dict[Purpose, Floats] = {}
+    rows: dict[Purpose, list[Floats]] = {name: [] for name in asked}
     taken: list[dict[str, Any]] = []
     for excitation in excitations:
         states = states_of(excitation, STEP_S)
         rigid = arm_rows(limits.workspace, states)
         duration_s = excitation.periods * excitation.period_s
         for name, each in asked.items():
-            found = each.information(states, rigid, 1, duration_s)[0]
-            information[name] = information.get(name, 0.0) + found
+            rows[name].append(each.rows(states, rigid, 1, duration_s))
         taken.append(
             {"name": excitation.name, "duration_s": duration_s, "share": _shares(limits, limits.shares(states, rigid))}
         )
@@ -56,7 +55,7 @@ def foretold(
     return plain_values(
         {
             "duration_s": sum(each["duration_s"] for each in taken),
-            **{name: _told(name, each, told_stds(each, information[name]), load) for name, each in asked.items()},
+            **{name: _stds(name, each, np.concatenate(rows[name]), load) for name, each in asked.items()},
             "over_random": over_random,
             "limits": taken,
             "not_checked": list(limits.unchecked),
@@ -69,7 +68,7 @@ def foretold(
 
 
 def _shares(limits: MovingLimits, share: Floats) -> dict[str, Any]:
-    """Largest share of each kind of limit, one an axis; that of the load where the cell limits it."""
+    """Return the largest share of each kind of limit per axis; of the load where the cell limits it."""
     peak = share.max(axis=0)
     axes = limits.workspace.robot.axes
     found: dict[str, Any] = {kind: peak[k * axes : (k + 1) * axes] for k, kind in enumerate(KINDS)}
@@ -80,8 +79,9 @@ def _shares(limits: MovingLimits, share: Floats) -> dict[str, Any]:
     return found
 
 
-def _told(name: Purpose, asked: AskedNumbers, std: Floats, load: FeedLoad) -> dict[str, Any]:
-    """Standard deviations of one purpose under the names of a result."""
+def _stds(name: Purpose, asked: AskedNumbers, rows: Floats, load: FeedLoad) -> dict[str, Any]:
+    """Return the standard deviations of one purpose under the names of a result."""
+    std = identifiable_stds(asked, rows)
     if isinstance(asked, LoadAsked):
         about = {"mass_kg": load.mass_kg, "com_m": load.com_m, "source": load.source}
         about["inertia_kg_m2"] = load.inertia_kg_m2[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
