@@ -25,9 +25,9 @@ from drives.bus import BusSpec
 from drives.errors import DriveError
 from gateway.acquire.session import RecordRequest, record
 from gateway.data.blackbox.box import BlackBox, read_box
-from gateway.data.blackbox.process import KILLED
-from gateway.data.blackbox.ring import box_of, folder_of
-from gateway.data.blackbox.salvage import BOTH_KILLED, salvage
+from gateway.data.blackbox.recorder_process import KILLED
+from gateway.data.blackbox.recovery import BOTH_KILLED, salvage
+from gateway.data.blackbox.ring_buffer import box_of, folder_of
 from gateway.errors import GatewayError, InputError
 from gateway.motion.opening import BusOverride, open_arm
 from sim.faults import KINDS, Fault

@@ -96,7 +96,7 @@ class Command:
         for place in Path("/proc").glob("[0-9]*"):
             with suppress(OSError):
                 parent = int((place / "stat").read_text().rpartition(")")[2].split()[1])
-                if parent == self.process.pid and b"gateway.live.process" in (place / "cmdline").read_bytes():
+                if parent == self.process.pid and b"gateway.live.page_process" in (place / "cmdline").read_bytes():
                     return int(place.name)
         raise RuntimeError(f"the page has no process:\n{self.text}")
 

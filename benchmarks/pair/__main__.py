@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table as RichTable
 
 from benchmarks.pair.bus_tier import BusTier
-from gateway.report.pair import FORCE, Limited, render_pair
+from gateway.report.pair_page import FORCE, Limited, render_pair
 from gateway.result.pair import PairRunResult
 from gateway.result.values import decoded
 from tests.support.figure import show

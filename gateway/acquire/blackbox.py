@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from drives.errors import DriveError
-from gateway.data.blackbox.keeper import BoxKeeper
 from gateway.data.blackbox.part import FIELDS, BoxHeader
-from gateway.data.blackbox.ring import box_of
-from gateway.data.blackbox.shelf import place_in
+from gateway.data.blackbox.recorder import BoxKeeper
+from gateway.data.blackbox.ring_buffer import box_of
+from gateway.data.blackbox.spool import place_in
 from gateway.motion.flat import fill
 from gateway.motion.observer import Observed, Observers, Scene
 from gateway.motion.opening import OpenArm

@@ -30,7 +30,7 @@ from gateway.motion.assumed import reference_load
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
-from gateway.preflight.look_over import LOAD_LIMIT_PERCENT
+from gateway.preflight.drive_check import LOAD_LIMIT_PERCENT
 from gateway.preflight.rules import Axis, CheckItem
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval

@@ -22,7 +22,7 @@ from gateway.errors import FindingFailed
 from gateway.motion.holdtorun import with_held_input
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
-from gateway.preflight.look_over import live_addresses, require_passed
+from gateway.preflight.drive_check import live_addresses, require_passed
 from gateway.preflight.rules import Readings
 
 SCHEMA: Final = 2

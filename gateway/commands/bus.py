@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.console import findings_table, grid
-from gateway.commands.moving import MoveChoice, move_options, stoppable, support_asked
-from gateway.commands.options import (
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable, support_asked
+from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
@@ -118,7 +118,7 @@ def check(
     Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks.
     """
     from gateway.commands.cell_context import open_cell
-    from gateway.preflight.look_over import require_passed
+    from gateway.preflight.drive_check import require_passed
 
     context = open_cell(cell, bus_spec, moving.pacing)
     session = session_of()

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
-from gateway.commands.analyse import postures
 from gateway.commands.console import findings_table, grid
 from gateway.commands.guided import Terminal, keep_earlier
+from gateway.commands.identification import postures
 from gateway.commands.measure import arm_option
-from gateway.commands.moving import MoveChoice, move_options, stoppable
-from gateway.commands.options import (
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
+from gateway.commands.result_output import fail_on_findings
+from gateway.commands.shared_options import (
     KNOWN_FORM,
     KNOWN_HELP,
     bus_option,
@@ -29,7 +30,6 @@ from gateway.commands.options import (
     warm_option,
     write_json,
 )
-from gateway.commands.outcome import fail_on_findings
 from gateway.data.labels import label_refused
 from gateway.errors import GatewayError, PlanRefused
 

@@ -13,7 +13,7 @@ import click
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
 from gateway.commands.measure import arm_option
-from gateway.commands.options import (
+from gateway.commands.shared_options import (
     cell_argument,
     common,
     json_option,
@@ -28,9 +28,9 @@ from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
     from gateway.newcell.answers import Answer, CellAnswers, GivenAnswer, OpenQuestion
+    from gateway.newcell.cell_text import Left
     from gateway.newcell.interview import Draft
     from gateway.newcell.questions import CellQuestion
-    from gateway.newcell.text import Left
     from gateway.preflight.rules import CheckItem
 
 FILE = click.Path(path_type=Path, dir_okay=False)
@@ -110,9 +110,9 @@ def cell_new(
     Nothing is written to a drive and nothing moves.
     """
     from gateway.newcell.answers import CellAnswers, read_answers
+    from gateway.newcell.cell_text import left_over
     from gateway.newcell.interview import interview
     from gateway.newcell.reading import BusEyes
-    from gateway.newcell.text import left_over
 
     session, kept = session_of(), output.with_suffix(".answers.toml")
     given = {} if answers is None else read_answers(answers)
@@ -140,7 +140,7 @@ def cell_new(
     _show(output, said, left, items)
     if json_out:
         write_json(json_out, _as_json(output, said, left, items))
-    from gateway.preflight.look_over import require_passed
+    from gateway.preflight.drive_check import require_passed
 
     require_passed(items, f"{output} is written, and the drives do not pass")
 
@@ -160,8 +160,8 @@ def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnsw
 
 def _ask(asked: OpenQuestion) -> Answer | None:
     """Ask at the terminal until the answer has the right form; Enter takes what is offered."""
+    from gateway.newcell.cell_text import short
     from gateway.newcell.forms import typed
-    from gateway.newcell.text import short
 
     question, offer = asked.question, asked.offer
     most = f"question {asked.number} of {asked.most}" + (" at most" if asked.most > asked.number else "")
@@ -198,7 +198,7 @@ def _named_from(folder: Path) -> Callable[[str], str]:
 def _write(draft: Draft, output: Path) -> None:
     """Write the cell, once the strict reader has taken it."""
     from gateway.cell.config import parse_cell
-    from gateway.newcell.text import cell_text
+    from gateway.newcell.cell_text import cell_text
 
     text = cell_text(draft, _named_from(output.parent))
     try:

@@ -26,8 +26,8 @@ from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.opening import BusOverride, OpenArm, axis_setups, frame_log_watched
 from gateway.motion.stream import MoveOptions
 from gateway.pair.gap import instruments_on
+from gateway.preflight.drive_check import check_arm, judge_bus_load
 from gateway.preflight.limits import MOVE_HOME
-from gateway.preflight.look_over import check_arm, judge_bus_load
 from gateway.preflight.machine import judge_surroundings
 from gateway.preflight.rules import CheckItem
 

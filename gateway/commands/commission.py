@@ -38,7 +38,7 @@ from gateway.analyse.given import (
 )
 from gateway.cell.config import ArmConfig
 from gateway.commands.cell_context import CellContext
-from gateway.commands.moving import SLOW_PERCENT
+from gateway.commands.motion_options import SLOW_PERCENT
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.rest_pose import RestPose
@@ -54,7 +54,7 @@ from gateway.model.visits import pair_visits
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
-from gateway.preflight.look_over import require_passed
+from gateway.preflight.drive_check import require_passed
 from gateway.preflight.rules import CheckItem
 from gateway.result.result import Finding, Result
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.console import grid
-from gateway.commands.options import common, json_option, output_option, session_of, write_json
+from gateway.commands.shared_options import common, json_option, output_option, session_of, write_json
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def compare(
     A change beyond the tolerance is exit 7.
     """
     from gateway.commands.pages import write_page
-    from gateway.report.compare import COLUMNS, cells, render_compare
+    from gateway.report.comparison_page import COLUMNS, cells, render_compare
     from gateway.result.compare import CHANGED, sentence
     from gateway.result.compare import compare as compared
     from gateway.result.result import read_result

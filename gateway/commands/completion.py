@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 from click.shell_completion import get_completion_class
 
-from gateway.commands.options import common, one_of
+from gateway.commands.shared_options import common, one_of
 from gateway.errors import ConfigError
 
 SHELLS = ("bash", "zsh", "fish")

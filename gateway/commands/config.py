@@ -14,7 +14,7 @@ import click
 from drives.files import replace_file
 from drives.objects import object_name
 from gateway.commands.console import grid
-from gateway.commands.options import (
+from gateway.commands.shared_options import (
     Function,
     bus_option,
     cell_argument,

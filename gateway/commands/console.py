@@ -22,7 +22,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drives.printable import without_controls
-from gateway.commands.outlet import Outlet
+from gateway.commands.output_queue import Outlet
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_degrees, with_interval
 

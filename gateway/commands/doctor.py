@@ -18,8 +18,8 @@ from typing import Any, Final, Literal
 import click
 
 from gateway.commands.console import findings_table
-from gateway.commands.options import common, json_option, session_of, write_json
 from gateway.commands.pages import find_browser
+from gateway.commands.shared_options import common, json_option, session_of, write_json
 
 #: Versions of Python that it is tried on.
 TRIED: Final = ((3, 11), (3, 13))

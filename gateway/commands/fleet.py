@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from drives.files import replace_file
-from gateway.commands.options import common, json_option, refuse_to_replace, session_of, write_json, writes
+from gateway.commands.shared_options import common, json_option, refuse_to_replace, session_of, write_json, writes
 from gateway.errors import InputError
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def _moment(text: str | None) -> datetime:
 
 def _show(found: FleetHealth) -> None:
     from gateway.commands.console import grid
-    from gateway.report.fleet import headline
+    from gateway.report.fleet_page import headline
 
     session = session_of()
     asking = [line for line in found.robots if line.state != "healthy"][:NAMED]
@@ -149,7 +149,7 @@ def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json
     """Pages of the last analysis: one of the fleet and one of every robot; they open offline and print on paper."""
     from gateway.fleet.analyse import FLEET_FILE
     from gateway.fleet.store import open_store
-    from gateway.report.fleet import render_fleet, render_robot
+    from gateway.report.fleet_page import render_fleet, render_robot
     from gateway.result.fleet import read_fleet, read_robot
 
     opened, session = open_store(store), session_of()

@@ -12,10 +12,11 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import Session, findings_table
-from gateway.commands.goto import announce, go_with_progress
 from gateway.commands.measure import arm_option, show_plan
-from gateway.commands.moving import MoveChoice, move_options, stoppable
-from gateway.commands.options import (
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
+from gateway.commands.move import announce, go_with_progress
+from gateway.commands.result_output import fail_on_findings, show_result, write_junit
+from gateway.commands.shared_options import (
     accept_options,
     bus_option,
     cell_argument,
@@ -27,7 +28,6 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
-from gateway.commands.outcome import fail_on_findings, show_result, write_junit
 from gateway.commands.thermal import thermal_choice, thermal_option, warm_up_option
 from gateway.commands.until import PoseByPose, until_option
 from gateway.data.labels import BARE_LABEL

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from gateway.commands.options import bus_option, cell_argument, common, session_of
+from gateway.commands.shared_options import bus_option, cell_argument, common, session_of
 
 
 @click.command()

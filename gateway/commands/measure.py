@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.console import axis_names, axis_table, grid
-from gateway.commands.moving import MoveChoice, move_options, stoppable
-from gateway.commands.options import (
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
+from gateway.commands.plan_moving import MovingChoice, moving_plan_options, plan_moving
+from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
@@ -26,7 +27,6 @@ from gateway.commands.options import (
     unit_option,
     write_json,
 )
-from gateway.commands.plan_moving import MovingChoice, moving_plan_options, plan_moving
 from gateway.commands.until import PoseByPose, UntilChoice, as_json, pose_by_pose, reference_options
 from gateway.errors import InputError
 

@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.console import grid, number
-from gateway.commands.moving import MoveChoice, move_options, stoppable
-from gateway.commands.options import (
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
+from gateway.commands.pages import write_page
+from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
@@ -21,7 +22,6 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
-from gateway.commands.pages import write_page
 
 if TYPE_CHECKING:
     from gateway.commands.cell_context import CellContext
@@ -262,7 +262,7 @@ def _function_row(one: FunctionOrigin) -> list[str]:
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:
     """One HTML page: force or gap along the path for every embodiment that was run, learning points, convergence."""
     from gateway.errors import DataUnusable
-    from gateway.report.pair import FORCE, GAP, Limited, render_pair
+    from gateway.report.pair_page import FORCE, GAP, Limited, render_pair
     from gateway.result.origin import Origin, files_of, in_words, software
 
     pair, kept = _open(cell, None, store)

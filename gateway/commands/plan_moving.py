@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.console import axis_names, axis_table, grid
-from gateway.commands.options import Function, note_remarks, session_of, write_json
 from gateway.commands.pages import write_page
+from gateway.commands.shared_options import Function, note_remarks, session_of, write_json
 
 if TYPE_CHECKING:
     from gateway.excite.excitation import Excitation, MovingPlan

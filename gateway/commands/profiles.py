@@ -10,7 +10,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.bus import DEFAULT_BUS
-from gateway.commands.options import (
+from gateway.commands.shared_options import (
     common,
     json_option,
     key_values,

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.console import grid
-from gateway.commands.moving import MoveChoice, stoppable
-from gateway.commands.options import session_of, write_json
+from gateway.commands.motion_options import MoveChoice, stoppable
+from gateway.commands.shared_options import session_of, write_json
 from gateway.errors import InputError
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from gateway.commands.options import KNOWN_FORM, KNOWN_HELP, Function
+from gateway.commands.shared_options import KNOWN_FORM, KNOWN_HELP, Function
 from gateway.result.interval import SAID
 
 if TYPE_CHECKING:

@@ -20,9 +20,9 @@ from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.log_map import LogColumn, LogMap
 from gateway.formats.preview import PreviewColumn, preview
+from gateway.formats.rest_detection import Stretch, standing
 from gateway.formats.ros_bag import SUFFIXES, read_bag
 from gateway.formats.smooth import SmoothedMotion, clock_of, motion_of
-from gateway.formats.standing import Stretch, standing
 from gateway.formats.text_log import read_text_log
 from gateway.formats.units import NEEDS, TIME_UNITS, UNITS, kind_of, pattern_of, unit_named
 

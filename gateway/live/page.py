@@ -21,7 +21,7 @@ from gateway.live.wire import Hello, pair_of_sockets, pieces
 #: Where the page is unless that is taken, and how many further ports are tried.
 PORT: Final = 8460
 FURTHER: Final = 20
-PROGRAM: Final = "gateway.live.process"
+PROGRAM: Final = "gateway.live.page_process"
 #: How long the process may take to end after the last word, before it is ended [s].
 PATIENCE_S: Final = 3.0
 

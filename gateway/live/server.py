@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from gateway.live.guard import Door
-from gateway.live.show import Show
+from gateway.live.page_content import Show
 from gateway.report.page import Head, page
 
 #: What a browser that does not read is behind before words are left out for it, in frames.

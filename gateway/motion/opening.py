@@ -29,7 +29,7 @@ from gateway.motion.drive_limits import motor_ranges_rad, motor_torques_nm, quic
 from gateway.motion.stops import StopKind, StopRequest, StopSource
 from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
-from gateway.preflight.look_over import Preflight, look_over, require_passed
+from gateway.preflight.drive_check import Preflight, look_over, require_passed
 from gateway.preflight.rules import CONFIRM_TORQUE, CheckItem, Readings
 
 

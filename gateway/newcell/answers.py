@@ -24,7 +24,7 @@ from gateway.model.load_bounds import NO_ARM
 from gateway.newcell import questions
 from gateway.newcell.forms import SOURCE, VALUE
 from gateway.newcell.questions import CellQuestion
-from gateway.newcell.slips import slips
+from gateway.newcell.unit_mistakes import slips
 
 ASSUMED: Final = "assumed"
 #: In the place of a URDF: the arm is described by Denavit-Hartenberg rows.

@@ -9,7 +9,7 @@ from typing import Final
 
 from markupsafe import Markup
 
-from gateway.report import words
+from gateway.report import notation
 from gateway.report.svg import Panel
 from gateway.result.certificate import EVALUATIONS
 from gateway.result.interval import PLUS_MINUS, SAID, half_width
@@ -44,7 +44,7 @@ class BudgetRow:
 
 def budgeted(result: Result) -> list[LoadResult]:
     """Loads whose uncertainty is told by source."""
-    return [load for load in result.loads if load.budget and words.known(load.mass_std_kg) and load.mass_std_kg > 0]
+    return [load for load in result.loads if load.budget and notation.known(load.mass_std_kg) and load.mass_std_kg > 0]
 
 
 def budget_figure(result: Result) -> Markup | None:
@@ -68,7 +68,7 @@ def _percent(budget: Mapping[str, float], name: str) -> str:
 
 
 def _bar(panel: Panel, load: LoadResult, top: float) -> None:
-    title = f"{words.load(load.label)}: {PLUS_MINUS} {_half(load.mass_std_kg)} kg ({SAID})"
+    title = f"{notation.load(load.label)}: {PLUS_MINUS} {_half(load.mass_std_kg)} kg ({SAID})"
     panel.text(_LEFT, top + 4.0, title, "tick name")
     start = 0.0
     for name in SOURCE_WORDS:
@@ -93,9 +93,9 @@ def budget_rows(result: Result) -> list[BudgetRow]:
                 (
                     name,
                     f"{100 * share:.0f}",
-                    words.plain(
+                    notation.plain(
                         half_width(math.sqrt(max(share, 0.0)) * load.mass_std_kg),
-                        words.decimals(half_width(load.mass_std_kg)),
+                        notation.decimals(half_width(load.mass_std_kg)),
                     ),
                 )
                 for name, share in ((key, load.budget.get(key, 0.0)) for key in SOURCE_WORDS)
@@ -107,7 +107,7 @@ def budget_rows(result: Result) -> list[BudgetRow]:
 
 def _half(std: float) -> str:
     half = half_width(std)
-    return words.plain(half, words.decimals(half))
+    return notation.plain(half, notation.decimals(half))
 
 
 def nuisance_rows(result: Result) -> list[tuple[str, list[str]]]:
@@ -115,14 +115,14 @@ def nuisance_rows(result: Result) -> list[tuple[str, list[str]]]:
     return [
         ("{} [{}]".format(*_said(key)[:2]), _cells(nuisance, _said(key)[2]))
         for key, nuisance in result.nuisance.items()
-        if any(map(words.known, nuisance.value))
+        if any(map(notation.known, nuisance.value))
     ]
 
 
 def _said(key: str) -> tuple[str, str, float]:
     if key in NUISANCE_WORDS:
         return NUISANCE_WORDS[key]
-    name, unit = words.parameter(key)
+    name, unit = notation.parameter(key)
     return name, unit, 1.0
 
 
@@ -131,13 +131,20 @@ def _cells(nuisance: NuisanceResult, factor: float) -> list[str]:
 
 
 def _cell(value: float, std: float, factor: float) -> str:
-    return with_interval(value, std, factor) if words.known(value) else words.plain(value)
+    return with_interval(value, std, factor) if notation.known(value) else notation.plain(value)
 
 
 def aside_rows(entries: Sequence[SetAside]) -> list[tuple[str, str, str, str, str, str]]:
     """What was set aside: run, load, pose or time, axis, friction bands, reason."""
     return [
-        (each.run, words.load(each.load), _where(each), words.axis(each.joint), words.plain(each.bands, 1), each.reason)
+        (
+            each.run,
+            notation.load(each.load),
+            _where(each),
+            notation.axis(each.joint),
+            notation.plain(each.bands, 1),
+            each.reason,
+        )
         for each in entries
     ]
 
@@ -145,4 +152,4 @@ def aside_rows(entries: Sequence[SetAside]) -> list[tuple[str, str, str, str, st
 def _where(entry: SetAside) -> str:
     if entry.pose is not None:
         return f"pose {entry.pose}"
-    return f"{words.plain(entry.from_s, 1)} to {words.plain(entry.to_s, 1)} s"
+    return f"{notation.plain(entry.from_s, 1)} to {notation.plain(entry.to_s, 1)} s"

@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from gateway.report import words
+from gateway.report import notation
+from gateway.report.axis_series import cell, measured_axes
 from gateway.report.quality import AxisQuality
-from gateway.report.rows import cell, measured_axes
 from gateway.report.svg import Panel, limits, tick_text
 from gateway.report.view import Candidate
 from gateway.result.drawn import Curve
@@ -23,7 +23,7 @@ LEFT = 34.0
 
 def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
     """Residual per axis, before and after, logarithmic: over the noise floor where it is known, else in Nm."""
-    rated = [axis for axis in axes if words.known(axis.ratio_after)]
+    rated = [axis for axis in axes if notation.known(axis.ratio_after)]
     shown = rated or [axis for axis in axes if axis.after > 0]
     if not shown:
         return None
@@ -45,11 +45,11 @@ def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
 
 def _dumbbell(panel: Panel, row: int, pair: tuple[float, float], axis: AxisQuality) -> None:
     low = panel.x_range[0]
-    before, after = (math.log10(max(value, 10**low)) if words.known(value) else math.nan for value in pair)
-    if words.known(before) and words.known(after) and axis.before != axis.after:
+    before, after = (math.log10(max(value, 10**low)) if notation.known(value) else math.nan for value in pair)
+    if notation.known(before) and notation.known(after) and axis.before != axis.after:
         panel.segment((before, row), (after, row), "move")
         panel.dot(before, row, "dot before", f"{axis.name} before: {axis.before:.3g} Nm", 5.5)
-    if words.known(after):
+    if notation.known(after):
         panel.dot(after, row, "dot after", f"{axis.name}: {axis.after:.3g} Nm", 5.5)
 
 
@@ -69,7 +69,7 @@ def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
         y = panel.y(row)
         panel.box((0.0, min(item.ratio, top)), (row - 0.32, row + 0.32), "bar chosen" if item.chosen else "bar")
         panel.text(192, y + 4, item.label, "name end strong" if item.chosen else "name end")
-        panel.text(panel.x(min(item.ratio, top)) + 6, y + 4, words.plain(item.ratio, 2), "tick")
+        panel.text(panel.x(min(item.ratio, top)) + 6, y + 4, notation.plain(item.ratio, 2), "tick")
     return panel.svg("Held-out error of every effect that was tried")
 
 
@@ -93,12 +93,12 @@ def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None
 
 def _per_pose(panel: Panel, load: LoadResult, names: Sequence[str], kind: str) -> None:
     mass, half = load.mass_kg, half_width(load.mass_std_kg)
-    if words.known(mass) and words.known(half):
+    if notation.known(mass) and notation.known(half):
         panel.box(panel.x_range, (mass - half, mass + half), f"between {kind}")
         panel.segment((panel.x_range[0], mass), (panel.x_range[1], mass), f"whisker {kind}")
     for place, name in enumerate(names):
         value = load.per_pose_mass_kg.get(name, math.nan)
-        if words.known(value):
+        if notation.known(value):
             panel.dot(place, value, f"dot {kind}", f"load {load.label}, pose {name}: {value:.2f} kg", 3.4)
 
 
@@ -129,13 +129,13 @@ def friction_figure(result: Result) -> Markup | None:
     )
     _log_axis(panel, "friction band: half the difference between the two approaches [Nm]")
     for row, (axis, values) in enumerate(bands.items()):
-        panel.text(LEFT - 8, panel.y(row) + 4, words.axis(axis + 1), "name end")
+        panel.text(LEFT - 8, panel.y(row) + 4, notation.axis(axis + 1), "name end")
         for value in values:
             panel.dot(math.log10(value), row, "dot faint", f"{value:.3g} Nm", 4.0)
         stated = cell((result.friction_band_nm,), 0, axis)
         middle = stated if stated > 0 else float(np.median(values))
         panel.segment((math.log10(middle), row - 0.3), (math.log10(middle), row + 0.3), "median")
-        panel.text(panel.width - 104, panel.y(row) + 4, f"{words.significant(middle)} Nm", "name")
+        panel.text(panel.width - 104, panel.y(row) + 4, f"{notation.significant(middle)} Nm", "name")
     return panel.svg("Friction band of every axis")
 
 
@@ -151,7 +151,7 @@ def curve_figure(curve: Curve) -> Markup:
     panel.polyline(list(zip(curve.x, curve.y, strict=True)), "curve")
     for x, y in zip(curve.points_x, curve.points_y, strict=True):
         panel.dot(x, y, "dot before", f"measured: {y:.3g} Nm", 3.6)
-    return panel.svg(f"{words.effect(curve.name)} as a curve")
+    return panel.svg(f"{notation.effect(curve.name)} as a curve")
 
 
 def _bands(rows: Rows, axis: int) -> list[float]:

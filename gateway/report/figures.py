@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup
 
-from gateway.report import words
-from gateway.report.rows import Layout, cell, layout, measured_axes
+from gateway.report import notation
+from gateway.report.axis_series import Layout, cell, layout, measured_axes
 from gateway.report.svg import Panel, limits
 from gateway.result.drawn import FRESH, Drawn
 from gateway.result.result import Result, Rows
@@ -22,7 +22,7 @@ def torque_figures(result: Result) -> list[tuple[str, Markup]]:
     if result.rows is None or not result.rows.tau_nm:
         return []
     plan, colours = _plan(result, result.rows), load_classes(result)
-    return [(words.axis(axis + 1), _torque(result.rows, plan, colours, axis)) for axis in measured_axes(result.rows)]
+    return [(notation.axis(axis + 1), _torque(result.rows, plan, colours, axis)) for axis in measured_axes(result.rows)]
 
 
 def residual_figures(result: Result) -> list[tuple[str, Markup]]:
@@ -38,7 +38,7 @@ def residual_figures(result: Result) -> list[tuple[str, Markup]]:
         before_nm = [cell(rows.tau_nm, row, axis) - cell(before, row, axis) for row in plan.order]
         if any(map(math.isfinite, after_nm)):
             floor = cell((result.noise_floor_nm,), 0, axis)
-            figures.append((words.axis(axis + 1), _residual(plan, (before_nm, after_nm), floor, axis)))
+            figures.append((notation.axis(axis + 1), _residual(plan, (before_nm, after_nm), floor, axis)))
     return figures
 
 
@@ -64,7 +64,7 @@ def _torque(rows: Rows, plan: Layout, colours: Mapping[str, str], axis: int) -> 
     spread = [value + side * half for value, half in zip(tau, band, strict=True) for side in (-1, 1)]
     panel = Panel(WIDTH, HEIGHT, plan.width, limits([*spread, *model]))
     _shade_fresh(panel, plan)
-    _frame(panel, plan, f"{words.axis(axis + 1)} torque [Nm]")
+    _frame(panel, plan, f"{notation.axis(axis + 1)} torque [Nm]")
     for place, row, value, half in zip(plan.place, plan.order, tau, band, strict=True):
         if not math.isfinite(value):
             continue
@@ -76,7 +76,7 @@ def _torque(rows: Rows, plan: Layout, colours: Mapping[str, str], axis: int) -> 
             panel.segment((place, value - half), (place, value + half), f"whisker {kind}")
         panel.dot(place, value, f"dot {kind}", _hint(rows, row, value), 3.2)
     _model_marks(panel, plan, model)
-    return panel.svg(f"Torque of {words.axis(axis + 1)}, measured and modelled, for every visit")
+    return panel.svg(f"Torque of {notation.axis(axis + 1)}, measured and modelled, for every visit")
 
 
 def _model_marks(panel: Panel, plan: Layout, model: Sequence[float]) -> None:
@@ -96,7 +96,7 @@ def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float,
     _shade_fresh(panel, plan)
     if half:
         panel.box(plan.width, (-half, half), "floor")
-    _frame(panel, plan, f"{words.axis(axis + 1)} residual [Nm]")
+    _frame(panel, plan, f"{notation.axis(axis + 1)} residual [Nm]")
     radius = 1.6 if plan.dense else 3.2
     small = " small" if plan.dense else ""
     for place, name, old, new in zip(plan.place, plan.names, before, after, strict=True):
@@ -107,7 +107,7 @@ def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float,
             panel.dot(place, old, f"dot before{small}", f"pose {name}: before {old:.3g} Nm" if name else "", radius)
         if math.isfinite(new):
             panel.dot(place, new, f"dot after{small}", f"pose {name}: {new:.3g} Nm" if name else "", radius)
-    return panel.svg(f"Residual of {words.axis(axis + 1)} for every visit")
+    return panel.svg(f"Residual of {notation.axis(axis + 1)} for every visit")
 
 
 def _shade_fresh(panel: Panel, plan: Layout) -> None:
@@ -129,7 +129,7 @@ def _frame(panel: Panel, plan: Layout, label: str) -> None:
             f'<line class="group" x1="{panel.x(start - 0.4):.1f}" x2="{panel.x(end + 0.4):.1f}" '
             f'y1="{base + 18:.1f}" y2="{base + 18:.1f}"/>'
         )
-        title = words.load(name)
+        title = notation.load(name)
         panel.text(
             panel.x((start + end) / 2),
             base + 31,

@@ -8,8 +8,8 @@ from itertools import groupby
 
 from markupsafe import Markup
 
-from gateway.report import words
-from gateway.report.moving import DrawnPeriod, Floats, FrictionView
+from gateway.report import notation
+from gateway.report.moving_section import DrawnPeriod, Floats, FrictionView
 from gateway.report.svg import Panel, limits
 
 WIDTH, HEIGHT = 330.0, 170.0
@@ -23,7 +23,7 @@ def sliding_figure(view: FrictionView) -> tuple[str, Markup]:
     top = [value + more for value, more in zip(view.torque_nm, half, strict=True)]
     y_range = limits([*top, *(-value for value in top), *(y for _, y in view.points)], include=(0.0,))
     panel = Panel(WIDTH, 200.0, limits((-fastest, fastest, *(x for x, _ in view.points)), pad=0.03), y_range, left=LEFT)
-    name = words.axis(view.joint)
+    name = notation.axis(view.joint)
     panel.y_axis(f"{name} friction [Nm]")
     panel.x_axis("joint speed [rad/s]", 4)
     for x, y in view.points:
@@ -65,7 +65,7 @@ def _lines(panel: Panel, points: Sequence[tuple[float, float]], kind: str) -> No
 
 def _position(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     degrees = period.q_rad[:, axis] * (180.0 / math.pi)
-    name = words.axis(axis + 1)
+    name = notation.axis(axis + 1)
     panel = _panel(period, degrees.tolist(), f"{name} position [deg]")
     panel.polyline(_over(period, degrees), "curve")
     return "", panel.svg(f"Position of {name} over one period")
@@ -73,7 +73,7 @@ def _position(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
 
 def _torque(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     measured, model = period.tau_nm[:, axis], period.model_nm[:, axis]
-    name = words.axis(axis + 1)
+    name = notation.axis(axis + 1)
     panel = _panel(period, [*measured.tolist(), *model.tolist()], f"{name} torque [Nm]")
     for time_s, value in _over(period, measured):
         if math.isfinite(value):
@@ -84,7 +84,7 @@ def _torque(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
 
 def _residual(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     left = period.tau_nm[:, axis] - period.model_nm[:, axis]
-    name = words.axis(axis + 1)
+    name = notation.axis(axis + 1)
     panel = _panel(period, [*left.tolist(), 0.0], f"{name} residual [Nm]")
     _lines(panel, _over(period, left), "force")
     return "", panel.svg(f"Measured less modelled torque of {name} over one period")

@@ -10,7 +10,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from gateway.report import words
+from gateway.report import notation
 from gateway.result.numerals import with_degrees
 from gateway.result.origin import DriveOrigin, Origin
 
@@ -33,10 +33,10 @@ def drive_rows(drives: Sequence[DriveOrigin]) -> list[tuple[str, ...]]:
     """Drives in words, a row each; a dash for what a drive does not tell."""
     return [
         (
-            words.axis(drive.joint),
+            notation.axis(drive.joint),
             str(drive.node_id),
             *(
-                words.plain(None) if text is None else text
+                notation.plain(None) if text is None else text
                 for text in (
                     drive.name,
                     _codes(drive),
@@ -74,6 +74,8 @@ def page(template: str, head: Head, **values: Any) -> str:
         lstrip_blocks=True,
     )
     filters: dict[str, Any] = environment.filters
-    filters.update(significant=words.significant, rounded=words.rounded, known=words.known, degrees=with_degrees)
+    filters.update(
+        significant=notation.significant, rounded=notation.rounded, known=notation.known, degrees=with_degrees
+    )
     style = files("gateway.report").joinpath("report.css").read_text(encoding="utf-8")
     return environment.get_template(template).render(head=head, css=Markup(style), **values)

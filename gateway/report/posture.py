@@ -9,9 +9,9 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from gateway.report import words
+from gateway.report import notation
+from gateway.report.axis_series import DENSE, cell, measured_axes
 from gateway.report.centre import centre, earlier
-from gateway.report.rows import DENSE, cell, measured_axes
 from gateway.report.svg import Panel, limits
 from gateway.result.drawn import Drawn
 from gateway.result.interval import half_width
@@ -48,7 +48,7 @@ def posture_figures(result: Result) -> list[tuple[str, Markup]]:
         joint = _joint(q, before or after, axis)
         shown = [[(side, values[:, axis]) for side, values in series] for series in (before, after)]
         floor = cell((result.noise_floor_nm,), 0, axis)
-        figures.append((words.axis(axis + 1), _figure(q[:, joint], shown, (axis, joint), floor)))
+        figures.append((notation.axis(axis + 1), _figure(q[:, joint], shown, (axis, joint), floor)))
     return figures
 
 
@@ -98,7 +98,7 @@ def _figure(
     if half:
         panel.box(panel.x_range, (-half, half), "floor")
     panel.x_axis(f"q{joint + 1} [rad]")
-    panel.y_axis(f"{words.axis(axis + 1)} residual [Nm]")
+    panel.y_axis(f"{notation.axis(axis + 1)} residual [Nm]")
     dense = len(angle) > DENSE
     least = 5e-3 * (panel.y_range[1] - panel.y_range[0])
     final = dict(shown[1])
@@ -110,7 +110,7 @@ def _figure(
             for x, y in zip(angle[moved].tolist(), left[moved].tolist(), strict=True):
                 if math.isfinite(x) and math.isfinite(y):
                     _mark(panel, (x, y), side, f"{kind} small" if dense else kind)
-    return panel.svg(f"Residual of {words.axis(axis + 1)} against posture and direction")
+    return panel.svg(f"Residual of {notation.axis(axis + 1)} against posture and direction")
 
 
 def _mark(panel: Panel, place: tuple[float, float], side: int, kind: str) -> None:
@@ -162,8 +162,8 @@ def _changes(
             continue
         scale = half_width(std)
         half = old_std / std if math.isfinite(old_std) else 0.0
-        digits = words.decimals(factor * scale)
-        text = f"{words.plain(factor * old, digits)} → {words.plain(factor * value, digits)} {unit}"
+        digits = notation.decimals(factor * scale)
+        text = f"{notation.plain(factor * old, digits)} → {notation.plain(factor * value, digits)} {unit}"
         entries.append((f"{label} {name}".strip(), (old - value) / scale, half, text))
     return entries
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from markupsafe import Markup
 
-from gateway.report import budget, evidence, figures, moving, moving_figures, posture, space, words
+from gateway.report import budget, evidence, figures, moving_figures, moving_section, notation, posture, space
 from gateway.report.centre import centre, earlier
 from gateway.report.page import Head, drive_rows, page
 from gateway.report.view import View, view
@@ -32,7 +32,7 @@ def render(result: Result) -> str:
         result=result,
         data=data,
         view=shown,
-        residual_known=any(words.known(axis.fit) or words.known(axis.after) for axis in shown.axes),
+        residual_known=any(notation.known(axis.fit) or notation.known(axis.after) for axis in shown.axes),
         residual_rows=_residual_rows(shown),
         posed=_posed,
         cellular=_cellular,
@@ -60,9 +60,9 @@ def _certified(quantity: CertifiedQuantity) -> tuple[str, str, str, str, str]:
     unit, factor = quantity.unit.replace("m2", "m\N{SUPERSCRIPT TWO}"), 1.0
     if unit == "m":
         unit, factor = "mm", 1000.0
-    if not words.known(quantity.value):
+    if not notation.known(quantity.value):
         return quantity.name, unit, "not determined", "", ""
-    value, expanded = words.plus_minus(factor * quantity.value, factor * quantity.expanded)
+    value, expanded = notation.plus_minus(factor * quantity.value, factor * quantity.expanded)
     return quantity.name, unit, value, expanded, f"{COVERAGE_FACTOR:g}"
 
 
@@ -77,7 +77,7 @@ def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
     classes = figures.load_classes(result)
     drawn = space.pose_figures(data.poses, classes)
     com, curves = _com(result), _curves(result.effects, data.curves)
-    period = moving.period_of(result)
+    period = moving_section.period_of(result)
     measured = dict.fromkeys(() if result.rows is None else result.rows.load)
     return {
         "quality": evidence.quality_figure(shown.axes),
@@ -90,10 +90,10 @@ def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
         "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),
         "curves": curves,
         "first_curve": next(iter(curves.values()), None),
-        "friction_curves": [moving_figures.sliding_figure(one) for one in moving.friction_views(result)],
+        "friction_curves": [moving_figures.sliding_figure(one) for one in moving_section.friction_views(result)],
         "period": period,
         "period_panels": [] if period is None else moving_figures.period_figures(period),
-        "load_words": words.load,
+        "load_words": notation.load,
         "torque": figures.torque_figures(result),
         "residual": figures.residual_figures(result),
         "arms": drawn,
@@ -102,7 +102,7 @@ def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
         "side_views": {label: pictures[0][1] for label, pictures in com},
         "flange": any(load.com_flange_m for load in result.loads),
         "swatches": {label: _swatch(kind) for label, kind in classes.items()},
-        "legend": [(words.load(label), _swatch(classes[label])) for label in measured],
+        "legend": [(notation.load(label), _swatch(classes[label])) for label in measured],
     }
 
 
@@ -145,7 +145,7 @@ def _tables(result: Result, data: Drawn) -> dict[str, Any]:
         "set_aside": budget.aside_rows(result.set_aside),
         "fresh": FRESH in data.role,
         "open_question": result.verdict == "undecided",
-        "has_floor": any(map(words.known, result.noise_floor_nm)),
+        "has_floor": any(map(notation.known, result.noise_floor_nm)),
         "has_before_rows": bool(data.model_before_nm),
     }
 
@@ -155,13 +155,13 @@ def _residual_rows(shown: View) -> list[tuple[str, list[str]]]:
     after = "after, held out" if shown.has_before else "held out" if shown.held_out else "residual"
     rows = [("before, held out", "before")] if shown.has_before else []
     rows += [(after, "after"), ("in the fit", "fit"), ("noise floor", "floor"), ("friction band", "band")]
-    return [(said, [words.significant(getattr(axis, name)) for axis in shown.axes]) for said, name in rows]
+    return [(said, [notation.significant(getattr(axis, name)) for axis in shown.axes]) for said, name in rows]
 
 
 def _posed(poses_rad: Matrix) -> list[tuple[str, list[str]]]:
     """Poses in degrees."""
     return [
-        (f"pose {number}", [words.plain(math.degrees(q), 1) for q in pose])
+        (f"pose {number}", [notation.plain(math.degrees(q), 1) for q in pose])
         for number, pose in enumerate(poses_rad, start=1)
     ]
 
@@ -190,7 +190,9 @@ def _cellular(value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, float):
         # a count stays a count
-        return words.plain(value, 0) if value.is_integer() and abs(value) < _COUNTS else words.significant(value, 5)
+        return (
+            notation.plain(value, 0) if value.is_integer() and abs(value) < _COUNTS else notation.significant(value, 5)
+        )
     if isinstance(value, list | tuple):
         return ", ".join(_cellular(item) for item in value) or "none"
     return "" if value is None else str(value)

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 
 from markupsafe import Markup, escape
 
-from gateway.report import words
+from gateway.report import notation
+from gateway.report.axis_series import cell
 from gateway.report.centre import Centre
-from gateway.report.rows import cell
 from gateway.report.svg import Panel, Scale
 from gateway.result.drawn import FRESH, DrawnPose
 
@@ -165,7 +165,7 @@ def _com_mark(panel: Panel, item: Centre, pair: tuple[int, int], kind: str) -> N
     if outline:
         points = " ".join(f"{panel.x(x + dx):.1f},{panel.y(y + dy):.1f}" for dx, dy in outline)
         panel.add(f'<polygon class="ellipse {kind}" points="{points}"/>')
-    panel.dot(x, y, f"dot {kind}", f"{kind}: {words.plain(x, 1)}, {words.plain(y, 1)} mm", 3.6)
+    panel.dot(x, y, f"dot {kind}", f"{kind}: {notation.plain(x, 1)}, {notation.plain(y, 1)} mm", 3.6)
 
 
 def _ellipse(item: Centre, pair: tuple[int, int]) -> list[tuple[float, float]]:

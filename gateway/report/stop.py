@@ -7,9 +7,9 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gateway.data.blackbox.box import ArmBox, BlackBox
-from gateway.data.blackbox.story import BoxDrive, Told, drives_of, sample_times_s, story
+from gateway.data.blackbox.frame_decoder import BoxDrive, Told, drives_of, sample_times_s, story
 from gateway.data.sample import following_error_rad
-from gateway.report import stop_figures, words
+from gateway.report import notation, stop_figures
 from gateway.report.page import Head, page
 from gateway.report.stop_figures import Floats, StopCurves
 
@@ -33,11 +33,11 @@ def render_stop(box: BlackBox) -> str:
         "stop.html.j2",
         Head(f"Stop: {box.recording}", "Before the stop", about),
         reason=box.reason,
-        span_s=words.plain(float(np.ptp(time_s)) if len(time_s) else 0.0, 1),
+        span_s=notation.plain(float(np.ptp(time_s)) if len(time_s) else 0.0, 1),
         drawn_s=f"{DRAWN_S:g}",
         states=stop_figures.states_figure(box, drives, DRAWN_S) if drives else None,
         arms=[(_name(curve, len(curves)), _last(curve), stop_figures.axis_figures(curve)) for curve in curves],
-        columns=[[words.axis(axis + 1) for axis in range(curve.q_rad.shape[1])] for curve in curves],
+        columns=[[notation.axis(axis + 1) for axis in range(curve.q_rad.shape[1])] for curve in curves],
         before=[_line(each, drives, len(curves)) for each in before],
         after=[_line(each, drives, len(curves)) for each in after],
         left_out=left_out,
@@ -93,23 +93,23 @@ def _last(curves: StopCurves) -> list[tuple[str, list[str]]]:
     rows = (
         ("position [rad]", curves.q_rad, _place),
         ("position [deg]", DEGREES * curves.q_rad, _place),
-        ("speed [rad/s]", curves.speed_rad_s, words.rounded),
-        ("speed [deg/s]", DEGREES * curves.speed_rad_s, words.rounded),
-        ("following error [mrad]", MRAD * curves.error_rad, words.rounded),
-        ("following error [deg]", DEGREES * curves.error_rad, words.rounded),
-        ("torque [Nm]", curves.torque_nm, words.rounded),
-        ("model [Nm]", curves.model_nm, words.rounded),
+        ("speed [rad/s]", curves.speed_rad_s, notation.rounded),
+        ("speed [deg/s]", DEGREES * curves.speed_rad_s, notation.rounded),
+        ("following error [mrad]", MRAD * curves.error_rad, notation.rounded),
+        ("following error [deg]", DEGREES * curves.error_rad, notation.rounded),
+        ("torque [Nm]", curves.torque_nm, notation.rounded),
+        ("model [Nm]", curves.model_nm, notation.rounded),
     )
     return [(said, [_known_last(column, text) for column in values.T]) for said, values, text in rows]
 
 
 def _place(angle: float) -> str:
-    return words.plain(angle, 3)
+    return notation.plain(angle, 3)
 
 
 def _known_last(values: Floats, text: Callable[[float], str]) -> str:
     known = values[np.isfinite(values)]
-    return text(float(known[-1])) if len(known) else words.plain(None)
+    return text(float(known[-1])) if len(known) else notation.plain(None)
 
 
 def _lines(told: Sequence[Told]) -> tuple[list[Told], list[Told], int]:
@@ -123,12 +123,12 @@ def _lines(told: Sequence[Told]) -> tuple[list[Told], list[Told], int]:
 def _line(told: Told, drives: dict[int, BoxDrive], arms: int) -> tuple[str, str, str]:
     """Time, who, what."""
     time_s = f"{told.time_s:+.3f}".replace("-", "\N{MINUS SIGN}")
-    return time_s, words.listing([_who(node, drives, arms) for node in told.nodes]), told.what
+    return time_s, notation.listing([_who(node, drives, arms) for node in told.nodes]), told.what
 
 
 def _who(node: int, drives: dict[int, BoxDrive], arms: int) -> str:
     drive = drives.get(node)
     if drive is None:
         return f"node {node}" if node else "every node"
-    name = f"{words.axis(drive.joint)} (node {node})"
+    name = f"{notation.axis(drive.joint)} (node {node})"
     return f"{drive.arm} {name}" if arms > 1 else name

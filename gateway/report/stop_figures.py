@@ -9,8 +9,8 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from gateway.data.blackbox.box import BlackBox
-from gateway.data.blackbox.story import BoxDrive, state_spans
-from gateway.report import words
+from gateway.data.blackbox.frame_decoder import BoxDrive, state_spans
+from gateway.report import notation
 from gateway.report.svg import Panel, Point, limits
 
 Floats = NDArray[np.float64]
@@ -46,7 +46,7 @@ def axis_figures(curves: StopCurves) -> list[list[tuple[str, Markup]]]:
     """Of every axis: torque with the model, following error, speed."""
     rows = []
     for axis in range(curves.q_rad.shape[1] if len(curves.time_s) else 0):
-        name = words.axis(axis + 1)
+        name = notation.axis(axis + 1)
         torque, model = curves.torque_nm[:, axis], curves.model_nm[:, axis]
         drawn = (
             (f"{name} torque [Nm]", [(model, "model-line"), (torque, "force")], LEAST_NM),
@@ -101,7 +101,7 @@ def states_figure(box: BlackBox, drives: dict[int, BoxDrive], drawn_s: float) ->
     panel.x_axis(TIME, 8)
     several = len({drive.arm for drive in drives.values()}) > 1
     for row, (node, drive) in enumerate(drives.items()):
-        who = f"{drive.arm} {words.axis(drive.joint)}" if several else words.axis(drive.joint)
+        who = f"{drive.arm} {notation.axis(drive.joint)}" if several else notation.axis(drive.joint)
         panel.text(panel.left - 8, panel.y(row) + 4, f"{who} (node {node})", "name end")
         for span in spans[node]:
             if span.end_s >= x_range[0] and span.begin_s <= x_range[1]:

@@ -6,9 +6,9 @@ import math
 from dataclasses import dataclass
 from itertools import zip_longest
 
-from gateway.report import sentences, words
+from gateway.report import notation, summary_text
 from gateway.report.centre import Centre, centre, earlier
-from gateway.report.moving import InertiaView, axis_rows, inertia_view
+from gateway.report.moving_section import InertiaView, axis_rows, inertia_view
 from gateway.report.quality import AxisQuality
 from gateway.result.interval import half_width
 from gateway.result.names import INERTIA_PARTS, INERTIA_WHOLE
@@ -92,16 +92,16 @@ def view(result: Result) -> View:
     """Read a result into the values that the page shows."""
     axes = _axes(result)
     return View(
-        status=sentences.status(result),
-        headline=sentences.headline(result),
-        verdict=sentences.verdict_sentence(result),
-        quality=sentences.quality_sentence(axes, result),
-        acceptance=tuple(sentences.acceptance_sentences(result)),
+        status=summary_text.status(result),
+        headline=summary_text.headline(result),
+        verdict=summary_text.verdict_sentence(result),
+        quality=summary_text.quality_sentence(axes, result),
+        acceptance=tuple(summary_text.acceptance_sentences(result)),
         loads=tuple(_load(result, load) for load in result.loads),
         axes=axes,
         effects=tuple(_effect(effect) for effect in result.effects),
         candidates=_candidates(result),
-        held_out=sentences.HELD_OUT.get(result.holdout_kind or "", ""),
+        held_out=summary_text.HELD_OUT.get(result.holdout_kind or "", ""),
         has_before=bool(result.effects),
         motion=tuple(axis_rows(result.motion, len(axes))),
     )
@@ -110,21 +110,23 @@ def view(result: Result) -> View:
 def _axes(result: Result) -> tuple[AxisQuality, ...]:
     before, after = result.before, result.after
     shown = (before.rms_nm, after.rms_nm)
-    if sentences.held_out_known(result):
+    if summary_text.held_out_known(result):
         shown = (before.holdout_rms_nm, after.holdout_rms_nm)
     columns = zip_longest(result.noise_floor_nm, *shown, result.friction_band_nm, after.rms_nm, fillvalue=math.nan)
-    return tuple(AxisQuality(words.axis(joint), *column) for joint, column in enumerate(columns, start=1))
+    return tuple(AxisQuality(notation.axis(joint), *column) for joint, column in enumerate(columns, start=1))
 
 
 def _load(result: Result, load: LoadResult) -> LoadView:
     before = earlier(result, load)
-    mass, half = sentences.mass(load)
-    was = sentences.mass(before) if before is not None and words.known(before.mass_kg) else ("", "")
+    mass, half = summary_text.mass(load)
+    was = summary_text.mass(before) if before is not None and notation.known(before.mass_kg) else ("", "")
     spread = half_width(load.mass_std_kg)
     interval = ""
-    if words.known(load.mass_kg) and words.known(spread):
-        digits = words.decimals(spread)
-        interval = f"{words.plain(load.mass_kg - spread, digits)} to {words.plain(load.mass_kg + spread, digits)} kg"
+    if notation.known(load.mass_kg) and notation.known(spread):
+        digits = notation.decimals(spread)
+        interval = (
+            f"{notation.plain(load.mass_kg - spread, digits)} to {notation.plain(load.mass_kg + spread, digits)} kg"
+        )
     shown = centre(load, result)
     return LoadView(
         label=load.label,
@@ -145,24 +147,24 @@ def _components(shown: Centre, before: Centre | None) -> tuple[ComponentView, ..
     views = []
     old_m = UNKNOWN_THREE if before is None else before.com_m
     for name, value, std, old in zip("xyz", shown.com_m, shown.std_m, old_m, strict=True):
-        text, half = words.plus_minus(1000 * value, 1000 * half_width(std))
-        views.append(ComponentView(name, text, half, words.plain(1000 * old, 1) if words.known(old) else ""))
+        text, half = notation.plus_minus(1000 * value, 1000 * half_width(std))
+        views.append(ComponentView(name, text, half, notation.plain(1000 * old, 1) if notation.known(old) else ""))
     return tuple(views)
 
 
 def _effect(effect: EffectResult) -> EffectView:
     parameters = []
     for key, value in effect.parameters.items():
-        name, unit = words.parameter_of(effect.name, key)
+        name, unit = notation.parameter_of(effect.name, key)
         std = effect.std.get(key)
-        text, half = words.significant(value, 4), ""
-        if std is not None and words.known(std):
-            text, half = words.plus_minus(value, half_width(std))
+        text, half = notation.significant(value, 4), ""
+        if std is not None and notation.known(std):
+            text, half = notation.plus_minus(value, half_width(std))
         parameters.append((name, text, half, unit))
     return EffectView(
         name=effect.name,
         joints=effect.joints,
-        words=words.effect_on(effect.name, effect.joints),
+        words=notation.effect_on(effect.name, effect.joints),
         parameters=tuple(parameters),
         evidence=_evidence(effect.evidence),
     )
@@ -170,24 +172,25 @@ def _effect(effect: EffectResult) -> EffectView:
 
 def _evidence(evidence: Evidence) -> tuple[str, ...]:
     lines = []
-    if words.known(evidence.holdout_rms_ratio):
+    if notation.known(evidence.holdout_rms_ratio):
         verb = "falls to" if evidence.holdout_rms_ratio < 1 else "is"
         lines.append(f"held-out error {verb} {100 * evidence.holdout_rms_ratio:.0f} % of what it was")
-    if words.known(evidence.p_value):
-        lines.append(f"chance of that without the effect: p = {words.significant(evidence.p_value, 2)}")
+    if notation.known(evidence.p_value):
+        lines.append(f"chance of that without the effect: p = {notation.significant(evidence.p_value, 2)}")
     if evidence.runner_up:
-        against = f", odds {words.significant(evidence.odds, 2)} to 1" if words.known(evidence.odds) else ""
-        lines.append(f"next best explanation: {words.effect(evidence.runner_up)}{against}")
+        against = f", odds {notation.significant(evidence.odds, 2)} to 1" if notation.known(evidence.odds) else ""
+        lines.append(f"next best explanation: {notation.effect(evidence.runner_up)}{against}")
     return tuple(lines)
 
 
 def _candidates(result: Result) -> tuple[Candidate, ...]:
     found = [
-        Candidate(words.short(item.name, item.joints), item.evidence.holdout_rms_ratio, chosen=True)
+        Candidate(notation.short(item.name, item.joints), item.evidence.holdout_rms_ratio, chosen=True)
         for item in result.effects
     ]
     found += [
-        Candidate(words.short(item.name, item.joints), item.holdout_rms_ratio, chosen=False) for item in result.rejected
+        Candidate(notation.short(item.name, item.joints), item.holdout_rms_ratio, chosen=False)
+        for item in result.rejected
     ]
-    known = [item for item in found if words.known(item.ratio)]
+    known = [item for item in found if notation.known(item.ratio)]
     return tuple(sorted(known, key=lambda item: (not item.chosen, item.ratio)))

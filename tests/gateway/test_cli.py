@@ -14,7 +14,7 @@ from drives.errors import BusError
 from gateway import cli
 from gateway.cli import main, paragraph
 from gateway.commands.console import Session
-from gateway.commands.moving import MoveChoice, stoppable
+from gateway.commands.motion_options import MoveChoice, stoppable
 from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
 from gateway.motion.stops import StoppedByPerson
 

@@ -21,7 +21,7 @@ from gateway.data.rows import concatenate
 from gateway.data.table import Table, read_csv
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
-from gateway.report.words import short
+from gateway.report.notation import short
 from gateway.result.result import Result
 
 RUNS: Final = ("kr300/run_A.csv", "tx40/run_1_first.csv", "ur10/run_1_first.csv")

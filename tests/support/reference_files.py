@@ -7,8 +7,8 @@ import textwrap
 from drives.errors import DriveError
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
 from gateway.data.blackbox.part import FIELDS
-from gateway.data.blackbox.ring import KEPT_S
-from gateway.data.blackbox.shelf import MOST_BOXES
+from gateway.data.blackbox.ring_buffer import KEPT_S
+from gateway.data.blackbox.spool import MOST_BOXES
 from gateway.data.csv_text import BLANK_ALLOWED, COLUMNS, PERIOD_COLUMNS, Column
 from gateway.data.period import KINDS, LEAST_PER_HARMONIC
 from gateway.data.periodic import CUTOFF_HZ

@@ -8,7 +8,7 @@ import pytest
 
 from gateway.data.blackbox.box import read_box
 from gateway.data.blackbox.part import RECEIVED
-from gateway.data.blackbox.ring import box_of, folder_of
+from gateway.data.blackbox.ring_buffer import box_of, folder_of
 
 pytestmark = pytest.mark.system
 

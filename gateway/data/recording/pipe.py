@@ -11,7 +11,7 @@ from gateway.data.recording.recorded import Recording
 from gateway.data.recording.writer import ArmHeader, RecordingHeader, Write
 from gateway.data.visit import Visit
 
-PROGRAM = "gateway.data.recording.process"
+PROGRAM = "gateway.data.recording.writer_process"
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from drives.profile_file import load_profile, parse_profile
 from drives.values import Identity
 from gateway.cell.config import load_cell
 from gateway.check.proofs import first_motion_pending, keep_proof, note_motion, proven_on
-from gateway.preflight.look_over import addresses
+from gateway.preflight.drive_check import addresses
 
 LOADED = load_cell(Path(__file__).parents[3] / "examples" / "small" / "cell.toml")
 PROFILE = load_profile("generic-cia402")

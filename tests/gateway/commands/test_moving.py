@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from gateway.commands.moving import MoveChoice, move_options
+from gateway.commands.motion_options import MoveChoice, move_options
 from gateway.motion.stops import StoppedByPerson
 
 MOVE: dict[str, Any] = {"override": 50, "hold_to_run": False, "yes": True, "pacing": None, "live": False}

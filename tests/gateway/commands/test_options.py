@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 import pytest
 
-from gateway.commands.options import key_values
+from gateway.commands.shared_options import key_values
 
 
 def test_keys_and_values_are_taken_apart_once():

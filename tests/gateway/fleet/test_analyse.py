@@ -20,7 +20,7 @@ from gateway.fleet.columns import SCHEMA_KEY
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import one_by_one
-from gateway.report.fleet import headline, render_fleet, render_robot
+from gateway.report.fleet_page import headline, render_fleet, render_robot
 from gateway.result.fleet import FleetHealth, RobotLine, read_fleet, read_robot
 from gateway.result.seal import sealed
 from tests.fleets import FIRST, checks, write_table

@@ -12,8 +12,8 @@ from starlette.websockets import WebSocketDisconnect
 
 from gateway.live.drawing import stage_of
 from gateway.live.guard import Door
+from gateway.live.page_content import Show
 from gateway.live.server import BEHIND, STATIC, Pages, Viewer, live_app
-from gateway.live.show import Show
 from gateway.live.wire import Hello
 
 with warnings.catch_warnings():

@@ -12,7 +12,7 @@ import pytest
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, StateChanged, Stopped
 from gateway.live.drawing import stage_of
 from gateway.live.feed import PHASES
-from gateway.live.show import Show, _ArmPast
+from gateway.live.page_content import Show, _ArmPast
 from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen
 from gateway.model.kinematics import link_frames
 from gateway.motion.observer import RowTold

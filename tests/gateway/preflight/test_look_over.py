@@ -7,7 +7,7 @@ import pytest
 from drives.ledger import LedgerEntry, WriteLedger
 from drives.values import Identity
 from gateway.errors import FindingFailed
-from gateway.preflight.look_over import as_left, require_passed
+from gateway.preflight.drive_check import as_left, require_passed
 from gateway.preflight.rules import CheckItem
 
 DRIVE = Identity(3, 0x00020192, 2, 7, 0x10000, 55, "drive", "1", "2.3")

@@ -14,8 +14,8 @@ from gateway.acquire.planning import make_plan
 from gateway.cell.config import ArmConfig, BusConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.excite.planning import MovingRequest, make_moving_plan
+from gateway.preflight.drive_check import addresses, judge_bus_load, live_addresses
 from gateway.preflight.limits import judge_limits
-from gateway.preflight.look_over import addresses, judge_bus_load, live_addresses
 from gateway.preflight.rules import Axis, judge_axis, judge_identity, judge_settings, judge_state
 
 PROFILE = load_profile("generic-cia402")

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from gateway.commands.console import Session
-from gateway.commands.outcome import show_result
-from gateway.report.moving import axis_rows, friction_views, inertia_view, period_of
+from gateway.commands.result_output import show_result
 from gateway.report.moving_figures import period_figures, sliding_figure
+from gateway.report.moving_section import axis_rows, friction_views, inertia_view, period_of
 from gateway.report.render import render
 from gateway.report.view import view
 from gateway.result.result import AxisMotion, Result, from_json

@@ -8,9 +8,9 @@ from dataclasses import replace
 import pytest
 
 from gateway.commands.console import Session
-from gateway.commands.follow import _show
-from gateway.report.follow import figure_rows, headline, render_follow
-from gateway.report.pair import FORCE, Limited, render_pair
+from gateway.commands.follow_command import _show
+from gateway.report.follow_page import figure_rows, headline, render_follow
+from gateway.report.pair_page import FORCE, Limited, render_pair
 from gateway.report.render import render
 from gateway.result.origin import FileOrigin, Origin, drives_of
 from gateway.result.result import from_json

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
-from gateway.data.blackbox.ring import Ring, folder_of
-from gateway.data.blackbox.salvage import BOTH_KILLED
+from gateway.data.blackbox.recovery import BOTH_KILLED
+from gateway.data.blackbox.ring_buffer import Ring, folder_of
 from gateway.report.stop import curves_of, render_stop
 from gateway.report.stop_figures import PIECES, courses
 from tests.support.pages.stop import AXES, CELL, PERIOD_S, REASON, SYNCS, stopped

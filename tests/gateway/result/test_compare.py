@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gateway.errors import InputError
-from gateway.report.compare import render_compare
+from gateway.report.comparison_page import render_compare
 from gateway.result.compare import compare, parse_tolerance, sentence
 from gateway.result.result import from_json
 

@@ -19,7 +19,7 @@ from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.lesson import Lesson, read_lesson, taught_point
 from gateway.pair.storage import PairStore
 from gateway.pair.stored import transform_of
-from gateway.report.pair import FORCE, Limited, render_pair
+from gateway.report.pair_page import FORCE, Limited, render_pair
 from gateway.result.values import json_text
 from tests.support.fuzz.check_files import EXAMPLES, WORK, in_file
 from tests.support.fuzz.guard import bounded

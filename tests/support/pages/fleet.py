@@ -14,7 +14,7 @@ from gateway.fleet.analyse import FLEET_FILE, AsOf, analyse
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import open_or_make
 from gateway.fleet.workers import one_by_one
-from gateway.report.fleet import render_fleet, render_robot
+from gateway.report.fleet_page import render_fleet, render_robot
 from gateway.result.fleet import read_fleet, read_robot
 from tests.support.fleet.drifts import NOW
 from tests.support.fleet.plant import DAYS, Robot, draw, write

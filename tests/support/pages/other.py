@@ -2,7 +2,7 @@
 
 import math
 
-from gateway.report.pair import FORCE, GAP, Limited, render_pair
+from gateway.report.pair_page import FORCE, GAP, Limited, render_pair
 from gateway.result.follow import (
     AxisSources,
     ErrorCurve,

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from gateway.report.follow import render_follow
+from gateway.report.follow_page import render_follow
 from gateway.report.render import render
 from gateway.report.stop import render_stop
 from gateway.result.acceptance import Expected, Rating, accepted, not_hung

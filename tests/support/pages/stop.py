@@ -8,7 +8,7 @@ import numpy as np
 
 from gateway.data.blackbox.box import BlackBox, read_box, write_box
 from gateway.data.blackbox.part import FIELDS, FRAME, HEAD, RECEIVED, BoxHeader, pack, unpack, width_of
-from gateway.data.blackbox.ring import box_of
+from gateway.data.blackbox.ring_buffer import box_of
 
 ROOT = Path(__file__).parents[3]
 CELL = (ROOT / "examples/small/cell.toml").read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from markupsafe import Markup
 
-from gateway.report import words
+from gateway.report import notation
 from gateway.report.page import Head, page
 from gateway.report.svg import Panel, limits
 from gateway.result.fleet import (
@@ -56,7 +56,7 @@ def render_fleet(fleet: FleetHealth) -> str:
         tags=TAGS,
         gains=_gains(drawn) if drawn else None,
         more=max(0, len(fleet.robots) - DRAWN),
-        tolerance=words.significant(PERCENT * GAIN.tolerance),
+        tolerance=notation.significant(PERCENT * GAIN.tolerance),
     )
 
 
@@ -91,7 +91,7 @@ def _gains(lines: list[RobotLine]) -> Markup:
         colour = "c5" if line.state == "visit" else "c2"
         panel.segment((place, value - each), (place, value + each), f"whisker {colour}")
         drift = with_interval(line.gain_per_year, line.gain_std_per_year, PERCENT)
-        panel.dot(place, value, f"spot {colour}", f"{line.robot}, {words.axis(line.gain_joint)}: {drift} % a year")
+        panel.dot(place, value, f"spot {colour}", f"{line.robot}, {notation.axis(line.gain_joint)}: {drift} % a year")
     base = panel.height - panel.bottom
     step = max(1, math.ceil(len(lines) / 20))
     for place in range(1, len(lines) + 1, step):
@@ -124,7 +124,7 @@ def _loads(robot: RobotHealth) -> list[tuple[str, ...]]:
             load.program,
             with_interval(load.first_kg, load.first_std_kg),
             with_interval(load.last_kg, load.last_std_kg),
-            load.last_seen or words.plain(None),
+            load.last_seen or notation.plain(None),
             str(load.checks),
             load.outcome,
             load.why,
@@ -144,7 +144,7 @@ def _quantities(robot: RobotHealth) -> Iterator[tuple[str, list[tuple[str, ...]]
 
 
 def _place(joint: int, program: str) -> str:
-    return words.axis(joint) if joint else program
+    return notation.axis(joint) if joint else program
 
 
 def _row(trend: FleetTrend) -> tuple[str, ...]:
@@ -160,11 +160,13 @@ def _row(trend: FleetTrend) -> tuple[str, ...]:
         _place(trend.joint, trend.program),
         f"{level} \N{PLUS-MINUS SIGN} {half} {kind.unit}".strip() if half else level,
         f"{with_interval(value, std, factor)} {unit}" if math.isfinite(value) else "too few checks",
-        words.plain(trend.sigmas, 1),
-        words.plain(trend.needed_sigmas, 1),
-        trend.found_on or words.plain(None),
-        f"{words.significant(factor * least, 2)} {unit}" if math.isfinite(least) else words.plain(None),
-        f"{words.significant(trend.per_k, 2)} {kind.unit or 1}/K" if math.isfinite(trend.per_k) else words.plain(None),
+        notation.plain(trend.sigmas, 1),
+        notation.plain(trend.needed_sigmas, 1),
+        trend.found_on or notation.plain(None),
+        f"{notation.significant(factor * least, 2)} {unit}" if math.isfinite(least) else notation.plain(None),
+        f"{notation.significant(trend.per_k, 2)} {kind.unit or 1}/K"
+        if math.isfinite(trend.per_k)
+        else notation.plain(None),
         str(trend.checks),
     )
 

@@ -11,7 +11,8 @@ import click
 
 from gateway.cell.axes import MOST_AXES
 from gateway.commands.measure import arm_option
-from gateway.commands.options import (
+from gateway.commands.result_output import fail_on_findings, show_result, write_junit
+from gateway.commands.shared_options import (
     accept_options,
     common,
     data_argument,
@@ -22,7 +23,6 @@ from gateway.commands.options import (
     session_of,
     write_json,
 )
-from gateway.commands.outcome import fail_on_findings, show_result, write_junit
 
 if TYPE_CHECKING:
     import numpy as np

@@ -14,7 +14,6 @@ import pytest
 
 from drives.frame_log import LoggedFrame, read_frames, write_blf
 from gateway.data.blackbox.box import read_box, write_box
-from gateway.data.blackbox.keeper import BoxKeeper
 from gateway.data.blackbox.part import (
     ERROR,
     EXTENDED,
@@ -28,9 +27,10 @@ from gateway.data.blackbox.part import (
     unpack,
     width_of,
 )
-from gateway.data.blackbox.process import KILLED
-from gateway.data.blackbox.ring import HEADER, KEPT_S, MOST_WALL_S, Ring, box_of, folder_of, parts_in
-from gateway.data.blackbox.salvage import BOTH_KILLED, salvage
+from gateway.data.blackbox.recorder import BoxKeeper
+from gateway.data.blackbox.recorder_process import KILLED
+from gateway.data.blackbox.recovery import BOTH_KILLED, salvage
+from gateway.data.blackbox.ring_buffer import HEADER, KEPT_S, MOST_WALL_S, Ring, box_of, folder_of, parts_in
 from gateway.errors import InputError
 
 ROOT = Path(__file__).parents[4]
@@ -39,7 +39,7 @@ LOOP = """
 import sys, time
 from pathlib import Path
 from types import SimpleNamespace
-from gateway.data.blackbox.keeper import BoxKeeper
+from gateway.data.blackbox.recorder import BoxKeeper
 from gateway.data.blackbox.part import BoxHeader
 
 keeper = BoxKeeper(BoxHeader(Path(sys.argv[1]), (("main", 2),), "cell", "now", "test"))
@@ -237,7 +237,7 @@ def test_the_loop_never_waits_for_a_process_that_stands_still(tmp_path):
 
 
 def test_a_process_that_is_late_goes_on_and_its_box_comes(tmp_path, monkeypatch):
-    monkeypatch.setattr("gateway.data.blackbox.keeper.CLOSING_S", 0.05)
+    monkeypatch.setattr("gateway.data.blackbox.recorder.CLOSING_S", 0.05)
     keeper = BoxKeeper(header(tmp_path / "run.h5"))
     keeper.wait_until_kept()
     keeper.row(0.01, 1)[:] = 1.0

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.measure import arm_option
-from gateway.commands.moving import MoveChoice, slow_move_options, stoppable
-from gateway.commands.options import (
+from gateway.commands.motion_options import MoveChoice, slow_move_options, stoppable
+from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,

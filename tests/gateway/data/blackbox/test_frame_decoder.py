@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from drives.cia402 import State
+from gateway.data.blackbox.frame_decoder import drives_of, frame_times_s, state_spans, story
 from gateway.data.blackbox.part import ERROR, FRAME_TYPE
-from gateway.data.blackbox.story import drives_of, frame_times_s, state_spans, story
 from tests.support.pages.stop import FAULTED, PERIOD_S, SILENT, SLOW, stopped
 
 

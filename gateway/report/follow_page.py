@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from markupsafe import Markup
 
-from gateway.report import words
+from gateway.report import notation
 from gateway.report.page import Head, drive_rows, made, page
 from gateway.report.svg import Panel, limits
 from gateway.result.follow import IDENTIFIED, MAXIMUM, OFF, ErrorCurve, FollowResult, TorqueCurve, TrendCloud
@@ -42,7 +42,7 @@ def render_follow(result: FollowResult) -> str:
         status="bad" if any(item.severity == "fail" for item in result.findings) else "good",
         headline=headline(result),
         figures=figure_rows(result),
-        axis_names=[words.axis(axis + 1) for axis in _axes(result)],
+        axis_names=[notation.axis(axis + 1) for axis in _axes(result)],
         fed=_fed(result),
         sources=_sources(result),
         drive_rows=[] if result.origin is None else drive_rows(result.origin.drives),
@@ -61,7 +61,8 @@ def headline(result: FollowResult) -> str:
         return "Following error"
     shown = [setting for name in NAMES if (setting := result.setting(name)) is not None]
     parts = [
-        f"{words.axis(axis + 1)} {' > '.join(words.rounded(MRAD * setting.peak_rad[axis]) for setting in shown)} mrad"
+        f"{notation.axis(axis + 1)} "
+        f"{' > '.join(notation.rounded(MRAD * setting.peak_rad[axis]) for setting in shown)} mrad"
         for axis in HEADLINE_AXES
     ]
     return "Peak following error: " + "; ".join(parts)
@@ -82,7 +83,7 @@ def figure_rows(result: FollowResult) -> list[tuple[str, list[tuple[str, str, li
 
 
 def _numbers(values: Sequence[float], factor: float) -> list[str]:
-    return [words.rounded(factor * value) for value in values]
+    return [notation.rounded(factor * value) for value in values]
 
 
 def _fed(result: FollowResult) -> list[tuple[str, ...]]:
@@ -91,23 +92,23 @@ def _fed(result: FollowResult) -> list[tuple[str, ...]]:
     for setting in result.settings:
         load = setting.load
         if load is None:
-            rows.append((setting.name, words.plain(None), words.plain(None), "no offsets", words.plain(None)))
+            rows.append((setting.name, notation.plain(None), notation.plain(None), "no offsets", notation.plain(None)))
             continue
         mass = interval_of(load.mass_kg, load.mass_std_kg)
-        com = " ".join(words.rounded(MRAD * value) for value in load.com_m)
+        com = " ".join(notation.rounded(MRAD * value) for value in load.com_m)
         rows.append((setting.name, mass, com, load.source, load.inertia_source))
     return rows
 
 
 def interval_of(value: float, std: float) -> str:
     """A number with its 95 % interval, where it has one."""
-    return f"{with_interval(value, std)} ({SAID})" if std > 0 else words.rounded(value)
+    return f"{with_interval(value, std)} ({SAID})" if std > 0 else notation.rounded(value)
 
 
 def _sources(result: FollowResult) -> list[tuple[str, ...]]:
     """Where the terms of each axis come from."""
     return [
-        (words.axis(joint), axis.rotor_inertia, axis.gear_losses, axis.coulomb, axis.viscous, axis.velocity_share)
+        (notation.axis(joint), axis.rotor_inertia, axis.gear_losses, axis.coulomb, axis.viscous, axis.velocity_share)
         for joint, axis in enumerate(result.model.axes, start=1)
     ]
 
@@ -120,7 +121,7 @@ def _bars(result: FollowResult) -> Markup:
     """Peak of each axis under each setting, on a scale of powers of ten."""
     axes, count = _axes(result), len(result.settings)
     logs = [
-        [math.log10(max(MRAD * value, 1e-6)) if words.known(value) else math.nan for value in setting.peak_rad]
+        [math.log10(max(MRAD * value, 1e-6)) if notation.known(value) else math.nan for value in setting.peak_rad]
         for setting in result.settings
     ]
     low_log, high_log = limits([value for row in logs for value in row], pad=0.0)
@@ -132,7 +133,7 @@ def _bars(result: FollowResult) -> Markup:
         panel.text(panel.left - 6, panel.y(power) + 3.5, f"{10.0**power:g}", "tick end")
     panel.y_label("peak following error [mrad]")
     for axis in axes:
-        panel.text(panel.x(axis + 1.0), panel.height - panel.bottom + 16, words.axis(axis + 1), "tick mid")
+        panel.text(panel.x(axis + 1.0), panel.height - panel.bottom + 16, notation.axis(axis + 1), "tick mid")
         for place, (setting, row) in enumerate(zip(result.settings, logs, strict=True)):
             x = axis + 1.0 + 0.2 * (place - (count - 1) / 2)
             if math.isfinite(row[axis]):
@@ -148,7 +149,7 @@ def _curves(result: FollowResult) -> list[list[tuple[str, Markup]]]:
         scale = limits(_errors(list(error.values()), axis))
         rows.append(
             [
-                (f"{words.axis(axis + 1)}, {NAMES.get(name, name)}", _error_panel({name: curve}, axis, scale))
+                (f"{notation.axis(axis + 1)}, {NAMES.get(name, name)}", _error_panel({name: curve}, axis, scale))
                 for name, curve in error.items()
             ]
         )
@@ -170,7 +171,7 @@ def _errors(curves: Sequence[ErrorCurve], axis: int) -> list[float]:
 
 def _error_panel(curves: dict[str, ErrorCurve], axis: int, scale: tuple[float, float]) -> Markup:
     panel = Panel(WIDTH, HEIGHT, (0.0, max(curve.time_s[-1] for curve in curves.values())), scale)
-    panel.y_axis(f"{words.axis(axis + 1)} error [mrad]")
+    panel.y_axis(f"{notation.axis(axis + 1)} error [mrad]")
     panel.x_axis("time [s]")
     for name, curve in curves.items():
         panel.polyline(list(zip(curve.time_s, _errors([curve], axis), strict=True)), f"trace {name}")
@@ -184,7 +185,7 @@ def _torque(curve: TorqueCurve) -> tuple[str, Markup]:
     panel.x_axis("time [s]")
     for values, kind in ((curve.measured_nm, "model-line"), (curve.offset_nm, "trace identified")):
         panel.polyline(list(zip(curve.time_s, values, strict=True)), kind)
-    name = words.axis(curve.axis)
+    name = notation.axis(curve.axis)
     return name, panel.svg(f"Torque of {name}: measured, and the offset that was fed")
 
 
@@ -197,5 +198,5 @@ def _cloud(cloud: TrendCloud, slope: float) -> tuple[str, Markup]:
         panel.dot(load, residual, "cloud", radius=2.2)
     low, high = min(cloud.load_nm), max(cloud.load_nm)
     panel.segment((low, slope * low), (high, slope * high), "trend-line")
-    name = words.axis(cloud.axis)
+    name = notation.axis(cloud.axis)
     return name, panel.svg(f"Torque residual of {name} over the torque of the load as fed, with the trend")

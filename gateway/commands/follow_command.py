@@ -10,8 +10,10 @@ import click
 
 from gateway.commands.console import Session, axis_names, findings_table, grid
 from gateway.commands.measure import arm_option
-from gateway.commands.moving import MoveChoice, move_options, stoppable
-from gateway.commands.options import (
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable
+from gateway.commands.pages import write_page
+from gateway.commands.result_output import fail_on_findings
+from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
@@ -22,8 +24,6 @@ from gateway.commands.options import (
     trace_option,
     write_json,
 )
-from gateway.commands.outcome import fail_on_findings
-from gateway.commands.pages import write_page
 from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def follow(
     from gateway.follow.job import FollowRequest, drive, prepare
     from gateway.model.arm_model import arm_named
     from gateway.motion.opening import open_arm
-    from gateway.report.follow import render_follow
+    from gateway.report.follow_page import render_follow
     from gateway.result.origin import Origin, drives_of, files_of, in_words, software
     from gateway.result.values import plain_values
 
@@ -137,7 +137,7 @@ def _announce(prepared: Prepared, session: Session) -> None:
 
 
 def _show(result: FollowResult, session: Session) -> None:
-    from gateway.report.follow import figure_rows
+    from gateway.report.follow_page import figure_rows
 
     for title, settings in figure_rows(result):
         rows = [[name, *cells] for name, _, cells in settings]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from gateway.commands.options import Function, confirm, one_of, session_of
+from gateway.commands.shared_options import Function, confirm, one_of, session_of
 from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 
 if TYPE_CHECKING:

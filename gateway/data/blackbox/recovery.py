@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from drives.file_lock import lock_file
-from gateway.data.blackbox.ring import HEADER, box_of, folder_of, header_in, parts_in, remove
+from gateway.data.blackbox.ring_buffer import HEADER, box_of, folder_of, header_in, parts_in, remove
 
 BOTH_KILLED: Final = (
     "the program that moved the arm was killed, and what keeps its last seconds too: this is what was kept until then"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from gateway.report import words
+from gateway.report import notation
 from gateway.report.quality import AxisQuality
 from gateway.result.acceptance import CANNOT_TELL, FAIL, IN_WORDS, asked_for, measured, open_findings
 from gateway.result.interval import SAID, half_width, holds_zero
@@ -37,7 +37,7 @@ def status(result: Result) -> str:
 def headline(result: Result) -> str:
     """What hangs on the flange, in one line."""
     loads = result.loads
-    good = [load for load in loads if words.known(load.mass_kg)]
+    good = [load for load in loads if notation.known(load.mass_kg)]
     if not good:
         if loads:
             return "The load was refused" if any(load.refused for load in loads) else "No load could be found"
@@ -45,17 +45,17 @@ def headline(result: Result) -> str:
     hung = [_sized(load, loads) for load in good if not not_felt(load)]
     missed = [_sized(load, loads) for load in good if not_felt(load)]
     refused = [load.label for load in loads if load.refused]
-    parts = [f"{words.listing(hung)} on the flange"] if hung else []
+    parts = [f"{notation.listing(hung)} on the flange"] if hung else []
     asked = "Is it mounted?" if len(missed) == 1 else "Is each mounted?"
-    parts += [f"{words.listing(missed)}: no load detected. {asked}"] if missed else []
-    parts += [f"{words.listing(refused)} refused"] if refused else []
+    parts += [f"{notation.listing(missed)}: no load detected. {asked}"] if missed else []
+    parts += [f"{notation.listing(refused)} refused"] if refused else []
     return "; ".join(parts)
 
 
 def _sized(load: LoadResult, loads: Sequence[LoadResult]) -> str:
     value, half = mass(load)
     size = f"{value} ± {half} kg ({SAID})" if half else f"{value} kg"
-    return f"{size} of {words.load(load.label)}" if len(loads) > 1 else size
+    return f"{size} of {notation.load(load.label)}" if len(loads) > 1 else size
 
 
 def not_felt(load: LoadResult) -> bool:
@@ -70,7 +70,7 @@ def acceptance_sentences(result: Result) -> list[tuple[str, str, str]]:
         (
             tags.get(row.outcome, "pass"),
             IN_WORDS[row.outcome],
-            f"{words.load(row.load)}: {row.what} {measured(row)} ({SAID}), allowed {asked_for(row)}.",
+            f"{notation.load(row.load)}: {row.what} {measured(row)} ({SAID}), allowed {asked_for(row)}.",
         )
         for row in result.acceptance
     ]
@@ -78,8 +78,8 @@ def acceptance_sentences(result: Result) -> list[tuple[str, str, str]]:
 
 def verdict_sentence(result: Result) -> str:
     """What was wrong with the model, and how that is known."""
-    found = words.effects_on([(item.name, item.joints) for item in result.effects])
-    names = words.listing(found)
+    found = notation.effects_on([(item.name, item.joints) for item in result.effects])
+    names = notation.listing(found)
     held_out = HELD_OUT.get(result.holdout_kind or "", "data kept out of the fit")
     verdict = result.verdict
     if verdict == "none_needed" and any(map(not_felt, result.loads)):
@@ -94,8 +94,8 @@ def verdict_sentence(result: Result) -> str:
         return "The model lacks something that no known effect explains; the residual below shows where."
     if verdict == "undecided":
         if found:
-            each = [words.effect_on(item.name, item.joints) for item in result.effects]
-            between = words.listing(each if len(each) > 1 else [*each, "nothing at all"], "and")
+            each = [notation.effect_on(item.name, item.joints) for item in result.effects]
+            between = notation.listing(each if len(each) > 1 else [*each, "nothing at all"], "and")
             return f"The data cannot decide between {between}; what to measure next is given below."
         return "There is too little data to say whether the model lacks anything; what to measure next is given below."
     return "The load was estimated with the model as it stands; no diagnosis of the residual was asked for."
@@ -103,13 +103,13 @@ def verdict_sentence(result: Result) -> str:
 
 def quality_sentence(axes: Sequence[AxisQuality], result: Result) -> str:
     """How far the model is from the noise, on its worst axis."""
-    rated = [(axis.ratio_after, axis) for axis in axes if words.known(axis.ratio_after)]
+    rated = [(axis.ratio_after, axis) for axis in axes if notation.known(axis.ratio_after)]
     if not rated:
-        measured = [axis for axis in axes if words.known(axis.after)]
+        measured = [axis for axis in axes if notation.known(axis.after)]
         if not measured:
             return "No residual is known."
         worst = max(measured, key=lambda axis: axis.after)
-        size = f"{words.significant(worst.after)} Nm on {worst.name}"
+        size = f"{notation.significant(worst.after)} Nm on {worst.name}"
         return f"The noise floor is not known; the largest residual is {size}."
     ratio, worst = max(rated, key=lambda pair: pair[0])
     place = "" if held_out_known(result) else " in the fit itself"
@@ -121,15 +121,15 @@ def quality_sentence(axes: Sequence[AxisQuality], result: Result) -> str:
         judged = "What is left is within what so few readings scatter"
     return (
         f"{judged}: the residual{place} is {ratio:.1f} times the noise floor on the worst axis, {worst.name} "
-        f"({words.significant(worst.after)} Nm against {words.significant(worst.floor)} Nm)."
+        f"({notation.significant(worst.after)} Nm against {notation.significant(worst.floor)} Nm)."
     )
 
 
 def held_out_known(result: Result) -> bool:
     """Whether a residual on held-out data is given."""
-    return any(map(words.known, result.after.holdout_rms_nm))
+    return any(map(notation.known, result.after.holdout_rms_nm))
 
 
 def mass(load: LoadResult) -> tuple[str, str]:
     """Mass and half width of its 95 % interval, kg, as text."""
-    return words.plus_minus(load.mass_kg, half_width(load.mass_std_kg))
+    return notation.plus_minus(load.mass_kg, half_width(load.mass_std_kg))

@@ -1,4 +1,4 @@
-"""The process that writes a recording: `python -m gateway.data.recording.process`, started by `VisitQueue` alone.
+"""Process that writes a recording (`python -m gateway.data.recording.writer_process`), started by `VisitQueue`.
 
 HDF5 holds Python's lock while a file is built and a disk may take seconds to sync; neither may hold up the motion
 loop. Visits come in on standard input, what is on disk is said on standard output. When the input ends, in whatever

@@ -1,4 +1,4 @@
-"""The process of the page: `python -m gateway.live.process CHANNEL LISTENER`, started by `LivePage` alone.
+"""The process of the page: `python -m gateway.live.page_process CHANNEL LISTENER`, started by `LivePage` alone.
 
 It looks at the channel at the pace of a screen, not with every SYNC, and at a lower priority than what moves. When the
 other end is gone, in whatever way, it says so to every open page and ends.
@@ -18,9 +18,9 @@ from starlette.types import ASGIApp
 
 from drives.realtime import leave_real_time
 from gateway.live.guard import Door
-from gateway.live.punctual import MOST_WAITING, REQUEST_S, PunctualProtocol, most_connections
+from gateway.live.idle_connections import MOST_WAITING, REQUEST_S, PunctualProtocol, most_connections
+from gateway.live.page_content import Show
 from gateway.live.server import Pages, live_app
-from gateway.live.show import Show
 from gateway.live.wire import MOST_BYTES, STOP, Hello, Unpacker
 
 #: Between two frames of the page [s].

@@ -11,7 +11,7 @@ from gateway.acquire.events import (
     VisitDone,
 )
 from gateway.live.wire import Heard
-from gateway.report import words
+from gateway.report import notation
 
 #: A line that is told in passing, one that calls for a look, and one that says why the arms stand.
 PLAIN, WARN, FAIL = "plain", "warn", "fail"
@@ -20,9 +20,9 @@ PLAIN, WARN, FAIL = "plain", "warn", "fail"
 def saying(event: object) -> tuple[str, str] | None:
     """How grave an event is, and its words; None for what the page shows otherwise: why arms were stopped is one."""
     if isinstance(event, Started):
-        return PLAIN, f"{words.load(event.load)}: {event.visits} to be measured" if event.visits else "on its way"
+        return PLAIN, f"{notation.load(event.load)}: {event.visits} to be measured" if event.visits else "on its way"
     if isinstance(event, SampleRepeated):
-        axes = ", ".join(words.axis(axis) for axis in event.axes)
+        axes = ", ".join(notation.axis(axis) for axis in event.axes)
         return WARN, f"SYNC {event.sync_index} was not answered by {axes}; sampled again"
     if isinstance(event, VisitDone):
         side = "from below" if event.direction > 0 else "from above"
@@ -38,7 +38,7 @@ def _of_motion(event: object) -> tuple[str, str] | None:
         what = f"'{event.name}', period {event.period}"
         return (WARN, f"{what}: {lost} SYNCs were not answered") if lost else (PLAIN, f"{what}: done")
     if isinstance(event, Narrowed):
-        return PLAIN, f"{words.load(event.load)}, {event.text}"
+        return PLAIN, f"{notation.load(event.load)}, {event.text}"
     if isinstance(event, Heard):
         return event.grave, event.text
     return None

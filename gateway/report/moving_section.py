@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.report import words
+from gateway.report import notation
 from gateway.result.inertia import COLUMN, ROW, tensor_of
 from gateway.result.interval import half_width
 from gateway.result.numerals import interval_text, with_interval
@@ -67,11 +67,11 @@ class DrawnPeriod:
 
 def inertia_view(load: LoadResult) -> InertiaView | None:
     """Table of the inertia; None where nothing of it is known."""
-    if load.inertia_kg_m2 is None or not any(map(words.known, load.inertia_kg_m2)):
+    if load.inertia_kg_m2 is None or not any(map(notation.known, load.inertia_kg_m2)):
         return None
     value = np.array(load.inertia_kg_m2)
     std = np.array(load.inertia_std_kg_m2 or (math.nan,) * len(PARTS))
-    shown = [words.plus_minus(*both) for both in zip(value.tolist(), half_width_of(std).tolist(), strict=True)]
+    shown = [notation.plus_minus(*both) for both in zip(value.tolist(), half_width_of(std).tolist(), strict=True)]
     parts = tuple((name, text, half) for name, (text, half) in zip(PARTS, shown, strict=True))
     return InertiaView(load.frame, parts, _principal(value, std))
 
@@ -119,13 +119,13 @@ def axis_rows(motion: Sequence[AxisMotion], axes: int) -> list[tuple[str, list[s
     rows = []
     for said, of, factor in QUANTITIES:
         pairs = [of(told.get(joint, AxisMotion(joint))) for joint in range(1, axes + 1)]
-        if any(words.known(value) for value, _ in pairs):
+        if any(notation.known(value) for value, _ in pairs):
             rows.append((said, [_text(factor * value, factor * std) for value, std in pairs]))
     return rows
 
 
 def _text(value: float, std: float) -> str:
-    return interval_text(value, half_width(std)) if words.known(value) else words.plain(None)
+    return interval_text(value, half_width(std)) if notation.known(value) else notation.plain(None)
 
 
 def friction_nm(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
@@ -134,7 +134,7 @@ def friction_nm(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
 
 
 def _known(value: float) -> float:
-    return value if words.known(value) else 0.0
+    return value if notation.known(value) else 0.0
 
 
 def _rise(axis: AxisMotion) -> float:
@@ -143,7 +143,7 @@ def _rise(axis: AxisMotion) -> float:
 
 def _onset(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
     """What is left of the friction at the onset of motion (n,), between 1 and 0."""
-    if not axis.stribeck_rad_s > 0.0 or not words.known(axis.breakaway_nm):
+    if not axis.stribeck_rad_s > 0.0 or not notation.known(axis.breakaway_nm):
         return np.zeros_like(speed_rad_s)
     return np.exp(-((speed_rad_s / axis.stribeck_rad_s) ** 2))
 
@@ -154,7 +154,7 @@ def friction_views(result: Result) -> list[FrictionView]:
     views = []
     for axis in sorted(result.motion, key=lambda one: one.joint):
         fastest = _fastest(axis, measured)
-        if words.known(axis.coulomb_nm) and fastest > 0.0:
+        if notation.known(axis.coulomb_nm) and fastest > 0.0:
             views.append(_friction(axis, fastest, measured))
     return views
 
@@ -228,7 +228,7 @@ def _moving_runs(rows: Rows | None) -> list[DrawnPeriod]:
     runs, loads = rows.run or ("",) * len(pose), rows.load or ("none",) * len(pose)
     places: dict[tuple[str, str], list[int]] = {}
     for row, (run, load) in enumerate(zip(runs, loads, strict=True)):
-        if pose[row] < 0 and words.known(rows.time_s[row]):
+        if pose[row] < 0 and notation.known(rows.time_s[row]):
             places.setdefault((run, load), []).append(row)
     found = []
     for (run, load), chosen in places.items():

@@ -10,7 +10,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.measure import arm_option
-from gateway.commands.options import common, json_option, one_of, output_option, session_of, write_json
+from gateway.commands.shared_options import common, json_option, one_of, output_option, session_of, write_json
 from gateway.result.names import CERTIFICATE_FORMAT, EXPORT_FORMATS, RECORDING_FORMATS, TABLE_FORMAT
 
 if TYPE_CHECKING:
@@ -50,8 +50,8 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     """The page on what the black box beside a recording holds."""
     from gateway.commands.pages import write_page
     from gateway.data.blackbox.box import read_box
-    from gateway.data.blackbox.ring import box_of
-    from gateway.data.blackbox.salvage import salvage
+    from gateway.data.blackbox.recovery import salvage
+    from gateway.data.blackbox.ring_buffer import box_of
     from gateway.errors import InputError
     from gateway.report.stop import render_stop
 

@@ -9,12 +9,12 @@ from typing import Any, Final, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.blackbox.messages import BoxEnd, BoxReady, BoxVerdict
 from gateway.data.blackbox.part import ERROR, EXTENDED, FRAME, HEAD, RECEIVED, REMOTE, BoxHeader, pack, width_of
-from gateway.data.blackbox.ring import box_of
-from gateway.data.blackbox.words import BoxEnd, BoxReady, BoxVerdict
+from gateway.data.blackbox.ring_buffer import box_of
 from gateway.data.piping import WriterProcess, framed
 
-PROGRAM: Final = "gateway.data.blackbox.process"
+PROGRAM: Final = "gateway.data.blackbox.recorder_process"
 #: Between two parts [s]: half of what a kill may cost.
 PART_S: Final = 0.5
 #: Rows until a part is handed on in any case.

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
-from gateway.report import words
+from gateway.report import notation
 from gateway.report.page import Head, made, page
 from gateway.report.svg import Panel, Point, limits
 from gateway.result.origin import Origin
@@ -162,7 +162,7 @@ def _view(run: PairRunResult, what: Quantity) -> RunView:
 def _headline(views: Sequence[RunView], bound: Limited) -> str:
     """The way of running it that ends with the least."""
     best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
-    size = f"{words.plain(best.largest[-1], bound.what.digits)} {bound.what.unit}"
+    size = f"{notation.plain(best.largest[-1], bound.what.digits)} {bound.what.unit}"
     return f"{best.run.name}: largest {bound.what.error} {size} in the last cycle"
 
 
@@ -175,8 +175,8 @@ def _columns(what: Quantity) -> list[str]:
 def _row(view: RunView, bound: Limited) -> list[str]:
     """Texts of the table: name, words, and numbers."""
     run, what = view.run, bound.what
-    sizes = [words.plain(value, what.digits) for value in (view.largest[0], view.largest[-1])]
-    moment = [words.plain(run.cycles[-1].moment_nm, 1)] if what is FORCE else []
+    sizes = [notation.plain(value, what.digits) for value in (view.largest[0], view.largest[-1])]
+    moment = [notation.plain(run.cycles[-1].moment_nm, 1)] if what is FORCE else []
     kept = "yes" if view.largest[-1] < bound.limit else "no"
     return [
         run.name,
@@ -194,7 +194,7 @@ def _caption(view: RunView, bound: Limited) -> Markup:
     run, what = view.run, bound.what
     figure = FIGURES.get(run.name)
     named = f" ({figure} of the patent)" if figure else ""
-    worst = f"{words.plain(view.largest[-1], what.digits)} {what.unit}"
+    worst = f"{notation.plain(view.largest[-1], what.digits)} {what.unit}"
     return Markup("<b>{}</b> {}{}, speed {:g}: largest {} {}").format(
         run.name, run.text, named, run.speed, what.error, worst
     )

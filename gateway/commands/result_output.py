@@ -24,7 +24,7 @@ ACCEPTANCE_COLUMNS = ("load", "measured", "allowed", "outcome")
 
 def show_result(result: Result, session: Session) -> None:
     """Loads, residuals, verdict, what to measure next, findings."""
-    from gateway.report.sentences import verdict_sentence
+    from gateway.report.summary_text import verdict_sentence
 
     if result.loads:
         session.show(load_table(result))
@@ -54,7 +54,7 @@ def _show_load(load: LoadResult, session: Session) -> None:
 
 def _show_motion(result: Result, session: Session) -> None:
     """Inertia of the loads, friction and rotors of the axes, where motion told them."""
-    from gateway.report.moving import PARTS, axis_rows, inertia_view
+    from gateway.report.moving_section import PARTS, axis_rows, inertia_view
 
     found = [(load.label, inertia) for load in result.loads if (inertia := inertia_view(load)) is not None]
     if found:

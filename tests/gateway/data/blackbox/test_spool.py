@@ -6,9 +6,9 @@ import numpy as np
 
 from gateway.data.blackbox.box import read_box
 from gateway.data.blackbox.part import BoxHeader, pack, width_of
-from gateway.data.blackbox.ring import Ring, box_of, folder_of, recording_of
-from gateway.data.blackbox.salvage import BOTH_KILLED
-from gateway.data.blackbox.shelf import MOST_BOXES, place_in
+from gateway.data.blackbox.recovery import BOTH_KILLED
+from gateway.data.blackbox.ring_buffer import Ring, box_of, folder_of, recording_of
+from gateway.data.blackbox.spool import MOST_BOXES, place_in
 
 NOW = datetime(2026, 11, 23, 4, 5, 6, tzinfo=UTC)
 

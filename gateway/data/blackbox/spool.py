@@ -6,8 +6,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from gateway.data.blackbox.ring import BOX_SUFFIX, recording_of
-from gateway.data.blackbox.salvage import salvage
+from gateway.data.blackbox.recovery import salvage
+from gateway.data.blackbox.ring_buffer import BOX_SUFFIX, recording_of
 
 #: Boxes of one arm that stay: each holds half a minute, some megabytes.
 MOST_BOXES: Final = 10

@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 from drives.cia402 import State, decode_state, describe
 from gateway.acquire.events import Progress
 from gateway.data.sample import following_error_rad
+from gateway.live.event_text import FAIL, saying
 from gateway.live.feed import PHASES
-from gateway.live.sayings import FAIL, saying
 from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen, ShownArm, ShownCell
 from gateway.model.kinematics import link_frames
 from gateway.model.robot import reach_m
 from gateway.motion.observer import RowTold
 from gateway.motion.state import Phase
-from gateway.report import words
+from gateway.report import notation
 
 Floats = NDArray[np.float64]
 Json = dict[str, Any]
@@ -208,7 +208,7 @@ class Show:
         residual_nm = np.array(done.gravity_nm) - seen.modelled_nm if modelled else None
         pose = {
             "pose": done.pose,
-            "load": words.load(done.load),
+            "load": notation.load(done.load),
             "band_nm": _plain(np.array(done.friction_band_nm)),
             "residual_nm": None if residual_nm is None else _plain(residual_nm),
         }

@@ -1,4 +1,6 @@
-"""The process that keeps the last seconds on disk: `python -m gateway.data.blackbox.process`, started by `BoxKeeper`.
+"""Process that stores the last seconds on disk (`python -m gateway.data.blackbox.recorder_process`).
+
+Started by `BoxKeeper`.
 
 Parts come in on standard input and are on disk at once. When the run ends badly, or the process that feeds this one
 is gone without a word, they become the black box; when it ends well they are removed.
@@ -7,10 +9,10 @@ is gone without a word, they become the black box; when it ends well they are re
 from __future__ import annotations
 
 from drives.realtime import leave_real_time
+from gateway.data.blackbox.messages import BoxEnd, BoxReady, BoxVerdict
 from gateway.data.blackbox.part import BoxHeader, unpack
-from gateway.data.blackbox.ring import Ring, box_of, folder_of, parts_in, remove
-from gateway.data.blackbox.salvage import salvage
-from gateway.data.blackbox.words import BoxEnd, BoxReady, BoxVerdict
+from gateway.data.blackbox.recovery import salvage
+from gateway.data.blackbox.ring_buffer import Ring, box_of, folder_of, parts_in, remove
 from gateway.data.piping import PipeEnd
 
 KILLED = "the program that moved the arm was killed, or ended without a word: this is what was kept until then"
