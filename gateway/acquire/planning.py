@@ -12,8 +12,11 @@ from gateway.acquire.poses import PoseRequest, RestPose, choose_poses, read_pose
 from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
+from gateway.identify.load_estimate import load_directions
+from gateway.identify.nuisance import gain_stds
+from gateway.identify.solve import Prior, identifiable_stds, solve
 from gateway.model.arm_model import arm_named, arm_robot
-from gateway.model.information import axis_information, expected_std, information_under_gains
+from gateway.model.regressor import load_regressor
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
 from gateway.motion.places import angles
 from gateway.motion.workspace import Workspace, workspace_of
@@ -22,6 +25,8 @@ from gateway.preflight.limits import refuse_beyond_counts
 #: Other choices that are tried if no path leads to some chosen pose.
 CHOICES = 5
 SEED_STEP = 1000
+#: Relative size of a singular value below which poses do not determine its direction.
+TOLERANCE = 1e-5
 
 
 def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None = None, arm: str | None = None) -> Plan:
@@ -162,20 +167,43 @@ def expectation(
         The poses do not tell mass and centre of gravity apart.
     """
     q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, workspace.robot.axes)
-    each = axis_information(workspace.robot, q_rad, noise_nm, workspace.gravity_m_s2)
     mass_kg, com_m = reference_load(workspace, q_rad)
-    information = information_under_gains(each, mass_kg * np.append(1.0, com_m), gain_std)
-    mass_std_kg, com_std_m = expected_std(information, mass_kg, com_m)
-    if not np.isfinite([mass_std_kg, *com_std_m]).all():
+    std = expected_stds(workspace, q_rad, mass_kg * np.append(1.0, com_m), (noise_nm, gain_std))
+    if not np.isfinite(std).all():
         raise PlanRefused(
             "these poses do not tell mass and centre of gravity apart: gravity must come from directions that differ "
             "by more than 30 degrees in the frame of the flange; turn the wrist further between poses"
         )
     return Expectation(
-        mass_std_kg=mass_std_kg,
-        com_std_m=(float(com_std_m[0]), float(com_std_m[1]), float(com_std_m[2])),
+        mass_std_kg=float(std[0]),
+        com_std_m=(float(std[1]), float(std[2]), float(std[3])),
         reference_load_kg=mass_kg,
         noise_nm=tuple(noise_nm.tolist()),
         noise_source=noise_source,
         gain_std=tuple(gain_std),
     )
+
+
+def expected_stds(
+    workspace: Workspace, q_rad: np.ndarray, moment: np.ndarray, errors: tuple[np.ndarray, Sequence[float]]
+) -> np.ndarray:
+    """Return the standard deviations (4,) of mass and centre of gravity; NaN where the poses do not determine them.
+
+    Parameters
+    ----------
+    workspace : Workspace
+    q_rad : array of shape (n, N)
+        Poses at which the arm is measured without and with the load: the difference has twice the variance.
+    moment : array of shape (4,)
+        [m, hx, hy, hz] of the load.
+    errors : (N,) and (N,)
+        Standard deviation of a two-sided torque [Nm], and relative standard deviation of the torque constants.
+    """
+    noise_nm, gain_std = errors
+    axes = workspace.robot.axes
+    load = load_regressor(workspace.robot, q_rad, workspace.gravity_m_s2)
+    columns = np.concatenate([load, (load @ moment)[:, :, None] * np.eye(axes)], axis=2).reshape(-1, 4 + axes)
+    prior = Prior.free(4 + axes).with_std(4 + np.arange(axes), gain_stds(gain_std, axes))
+    weight = np.tile(np.sqrt(0.5) / noise_nm, len(q_rad))
+    found = solve(columns, np.zeros(len(columns)), weight, prior, TOLERANCE)
+    return identifiable_stds(found, np.pad(load_directions(moment), ((0, 0), (0, axes))))

@@ -21,7 +21,7 @@ from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.load_estimate import load_directions
 from gateway.identify.motion.friction import FRICTION, friction_columns
 from gateway.identify.motion.prior import moving_prior
-from gateway.identify.solve import ByGroup, Prior, determined, solve
+from gateway.identify.solve import ByGroup, Prior, identifiable_stds, solve
 from gateway.model.base import moving_base
 from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
@@ -123,13 +123,12 @@ def expected_stds(asked: AskedNumbers, rows: Floats, motions: int) -> Floats:
     return np.sqrt(np.einsum("mkp,mpq,mkq->mk", turn, np.linalg.inv(total), turn))
 
 
-def identifiable_stds(asked: AskedNumbers, rows: Floats) -> Floats:
+def stds_of_all(asked: AskedNumbers, rows: Floats) -> Floats:
     """Return standard deviations (k,) by all weighted rows (n, N, p); NaN for what they do not determine."""
     count, axes, width = rows.shape
     design = ByGroup.of(rows.reshape(-1, width), np.tile(np.arange(axes), count))
     found = solve(design, np.zeros(count * axes), np.ones(count * axes), asked.prior, _TOLERANCE)
-    std = np.sqrt(np.einsum("kp,pq,kq->k", asked.turn, found.covariance, asked.turn))
-    return np.where(determined(found, asked.turn), std, np.nan)
+    return identifiable_stds(found, asked.turn)
 
 
 def _usual_prior(links: tuple[Floats, Floats], first: int, gain_std: Floats) -> Prior:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.excite.excitation import Excitation
-from gateway.excite.expected import AskedNumbers, LoadAsked, Purpose, arm_rows, identifiable_stds
+from gateway.excite.expected import AskedNumbers, LoadAsked, Purpose, arm_rows, stds_of_all
 from gateway.excite.limits import KINDS, LOAD_ACCELERATION, MovingLimits, states_of
 from gateway.feedforward.load import FeedLoad
 from gateway.result.values import plain_values
@@ -81,7 +81,7 @@ def _shares(limits: MovingLimits, share: Floats) -> dict[str, Any]:
 
 def _stds(name: Purpose, asked: AskedNumbers, rows: Floats, load: FeedLoad) -> dict[str, Any]:
     """Return the standard deviations of one purpose under the names of a result."""
-    std = identifiable_stds(asked, rows)
+    std = stds_of_all(asked, rows)
     if isinstance(asked, LoadAsked):
         about = {"mass_kg": load.mass_kg, "com_m": load.com_m, "source": load.source}
         about["inertia_kg_m2"] = load.inertia_kg_m2[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]

@@ -370,6 +370,12 @@ class WithNull(Protocol):
         ...
 
 
+def identifiable_stds(solution: Solution, directions: Floats) -> Floats:
+    """Return the standard deviations (k,) of linear functions (k, p) of the parameters; NaN where not determined."""
+    std = np.sqrt(np.einsum("kp,pq,kq->k", directions, solution.covariance, directions))
+    return np.where(determined(solution, directions), std, np.nan)
+
+
 def determined(solution: WithNull, directions: Floats, tolerance: float = 1e-5) -> NDArray[np.bool_]:
     """Which linear functions (k, p) of the parameters the rows and priors determine: shape (k,)."""
     moved = np.abs(directions @ solution.null).max(axis=1, initial=0.0)

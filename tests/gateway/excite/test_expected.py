@@ -14,7 +14,7 @@ from gateway.excite.expected import (
     TorqueNoise,
     arm_rows,
     expected_stds,
-    identifiable_stds,
+    stds_of_all,
 )
 from gateway.excite.family import Family
 from gateway.excite.limits import States, point_acceleration_m_s2
@@ -83,7 +83,7 @@ def test_expected_load_stds_are_those_of_least_squares_on_drawn_noise(
         found.append([mass, *com, *np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2]])
     asked = LoadAsked(workspace, noise, LOAD, link_parameters(workspace.robot))
     weighted = asked.rows(states, arm_rows(workspace, states), 1, PERIODS * PERIOD_S)
-    expected = identifiable_stds(asked, weighted)
+    expected = stds_of_all(asked, weighted)
     assert expected == pytest.approx(np.std(found, axis=0), rel=0.15)
     assert expected_stds(asked, weighted, 1)[0] == pytest.approx(expected, rel=1e-3)
 
@@ -108,7 +108,7 @@ def test_gains_that_are_not_known_bound_the_mass_and_leave_its_place(workspace, 
 
     def expected(gain: float) -> np.ndarray:
         asked = LoadAsked(workspace, replace(noise, gain_std=np.full(6, gain)), LOAD, link_parameters(workspace.robot))
-        return identifiable_stds(asked, asked.rows(states, rigid, 1, 24.0))
+        return stds_of_all(asked, asked.rows(states, rigid, 1, 24.0))
 
     assert expected(0.05)[0] > 3 * expected(1e-9)[0]
     assert 0.01 * LOAD.mass_kg < expected(0.05)[0] < 0.05 * LOAD.mass_kg
@@ -121,7 +121,7 @@ def test_a_load_is_not_identifiable_where_only_the_last_joint_moves(workspace, n
     posture = still + [0.0, 0.2, -0.3, 0.4, 0.8, 0.5]
     alone = States(posture, last * states.qd_rad_s, last * states.qdd_rad_s2, still)
     asked = LoadAsked(workspace, noise, LOAD, link_parameters(workspace.robot))
-    expected = identifiable_stds(asked, asked.rows(alone, arm_rows(workspace, alone), 1, 24.0))
+    expected = stds_of_all(asked, asked.rows(alone, arm_rows(workspace, alone), 1, 24.0))
     assert np.isnan(expected[:4]).all()
 
 
@@ -135,7 +135,7 @@ def test_coulomb_friction_at_one_speed_is_not_separable_from_viscous(workspace, 
     def expected(*speeds: float) -> np.ndarray:
         each = [States(steady, factor * speed, 0 * speed, 0 * speed) for factor in speeds]
         rows = [asked.rows(at, arm_rows(workspace, at), 1, 20.0) for at in each]
-        return identifiable_stds(asked, np.concatenate(rows))
+        return stds_of_all(asked, np.concatenate(rows))
 
     assert np.isnan(expected(1.0)[[3, 9]]).all()
     assert np.isfinite(expected(1.0, 0.25)[[3, 9]]).all()
