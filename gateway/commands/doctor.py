@@ -11,15 +11,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import click
 
 from gateway.commands.console import findings_table
 from gateway.commands.pages import find_browser
 from gateway.commands.shared_options import common, json_option, session_of, write_json
+from gateway.preflight.rules import CheckItem
 
 #: Versions of Python that it is tried on.
 TRIED: Final = ((3, 11), (3, 13))
@@ -36,16 +36,6 @@ FAST_CLOCKS: Final = frozenset({"tsc", "arch_sys_counter", "kvm-clock", "hyperv_
 BRING_UP: Final = "sudo ip link set {name} txqueuelen 1000 up type can bitrate 1000000"
 
 
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One thing of this computer: its state, and what to type; `severity` as in a pre-flight check."""
-
-    severity: Literal["ok", "warn", "fail"]
-    where: str
-    what: str
-    advice: str = ""
-
-
 @click.command()
 @json_option
 @common
@@ -60,15 +50,12 @@ def doctor(json_out: str | None) -> None:
     session_of().show(findings_table(checks, "this computer"))
 
 
-def as_json(checks: list[Check]) -> dict[str, Any]:
+def as_json(checks: list[CheckItem]) -> dict[str, Any]:
     """The checks as plain values."""
-    rows = [
-        {"severity": each.severity, "where": each.where, "what": each.what, "advice": each.advice} for each in checks
-    ]
-    return {"schema": 1, "checks": rows}
+    return {"schema": 1, "checks": [each.as_json() for each in checks]}
 
 
-def look(root: Path, folder: Path) -> Iterator[Check]:
+def look(root: Path, folder: Path) -> Iterator[CheckItem]:
     """Look at this computer.
 
     Parameters
@@ -87,23 +74,23 @@ def look(root: Path, folder: Path) -> Iterator[Check]:
     yield _disk(folder)
 
 
-def _python() -> Check:
+def _python() -> CheckItem:
     now = sys.version_info[:2]
     what = f"{platform.python_version()} ({sys.executable})"
     if TRIED[0] <= now <= TRIED[1]:
-        return Check("ok", "Python", what)
+        return CheckItem("ok", "Python", what)
     low, high = (".".join(map(str, each)) for each in TRIED)
-    return Check("warn", "Python", f"{what}: tried with {low} to {high}", f"python{low} -m venv .venv")
+    return CheckItem("warn", "Python", f"{what}: tried with {low} to {high}", f"python{low} -m venv .venv")
 
 
-def _system() -> Check:
+def _system() -> CheckItem:
     what = f"{platform.system()} {platform.release()}"
     if sys.platform == "linux":
-        return Check("ok", "system", what)
-    return Check("warn", "system", f"{what}: reads data here, moves arms on Linux only", "use Linux for the bus")
+        return CheckItem("ok", "system", what)
+    return CheckItem("warn", "system", f"{what}: reads data here, moves arms on Linux only", "use Linux for the bus")
 
 
-def _real_time() -> Iterator[Check]:
+def _real_time() -> Iterator[CheckItem]:
     from drives.realtime import available
 
     status = available()
@@ -113,7 +100,7 @@ def _real_time() -> Iterator[Check]:
         ("real-time scheduler", status.fifo, "not permitted (RLIMIT_RTPRIO): the loop may be late under load"),
         ("locked memory", status.locked, "not permitted (RLIMIT_MEMLOCK): the loop may wait for the disk"),
     ):
-        yield Check("ok", name, "permitted") if given else Check("warn", name, missing, advice)
+        yield CheckItem("ok", name, "permitted") if given else CheckItem("warn", name, missing, advice)
 
 
 def kernel_has_can() -> bool:
@@ -127,10 +114,10 @@ def kernel_has_can() -> bool:
     return True
 
 
-def can_interfaces(root: Path, kernel: bool) -> Iterator[Check]:
+def can_interfaces(root: Path, kernel: bool) -> Iterator[CheckItem]:
     """CAN interfaces of the system: driver, state and bit rate of each."""
     if not kernel:
-        yield Check(
+        yield CheckItem(
             "warn",
             "CAN",
             "this kernel has no SocketCAN",
@@ -142,25 +129,25 @@ def can_interfaces(root: Path, kernel: bool) -> Iterator[Check]:
     if not found:
         serial = sorted(each.name for each in (root / "dev").glob("ttyACM*"))
         slcan = f"; a serial adapter: sudo slcand -o -s8 /dev/{serial[0]} can0" if serial else ""
-        yield Check("warn", "CAN", "no CAN interface", f"plug in an adapter, and see `dmesg | tail`{slcan}")
+        yield CheckItem("warn", "CAN", "no CAN interface", f"plug in an adapter, and see `dmesg | tail`{slcan}")
     for each in found:
         yield _interface(each)
 
 
-def _interface(place: Path) -> Check:
+def _interface(place: Path) -> CheckItem:
     driver = (place / "device/driver").resolve().name if (place / "device/driver").exists() else "virtual"
     state, rate = _text(place / "operstate"), _bitrate(place.name)
     said = f"driver {driver}, {state or 'state unknown'}" + (f", {rate} bit/s" if rate else "")
     if driver == "virtual":
-        return Check("ok", place.name, f"{said}: no wire behind it")
+        return CheckItem("ok", place.name, f"{said}: no wire behind it")
     bring_up = BRING_UP.format(name=place.name)
     if state == "down":
-        return Check("warn", place.name, said, bring_up)
+        return CheckItem("warn", place.name, said, bring_up)
     if rate and rate not in BITRATES:
-        return Check(
+        return CheckItem(
             "warn", place.name, f"{said}: not a bit rate of CiA 301", f"sudo ip link set {place.name} down; {bring_up}"
         )
-    return Check("ok", place.name, said)
+    return CheckItem("ok", place.name, said)
 
 
 def _bitrate(name: str) -> int | None:
@@ -177,32 +164,34 @@ def _bitrate(name: str) -> int | None:
     return rate if isinstance(rate, int) else None
 
 
-def _clock(root: Path) -> Iterator[Check]:
+def _clock(root: Path) -> Iterator[CheckItem]:
     source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source and source not in FAST_CLOCKS:
-        yield Check("warn", "clock", f"clock source {source} is slow to read", "boot with clocksource=tsc")
+        yield CheckItem("warn", "clock", f"clock source {source} is slow to read", "boot with clocksource=tsc")
     else:
         resolution_s = time.get_clock_info("monotonic").resolution
-        yield Check("ok", "clock", f"{source or 'monotonic'}, resolution {1e9 * resolution_s:.0f} ns")
+        yield CheckItem("ok", "clock", f"{source or 'monotonic'}, resolution {1e9 * resolution_s:.0f} ns")
     if time.time() < CLOCK_SET_S:
-        yield Check("warn", "time of day", "is not set: files carry a wrong date", "sudo timedatectl set-ntp true")
+        yield CheckItem("warn", "time of day", "is not set: files carry a wrong date", "sudo timedatectl set-ntp true")
 
 
-def _browser() -> Check:
+def _browser() -> CheckItem:
     found = find_browser()
     if found is None:
-        return Check("warn", "browser", "none that prints PDF", "sudo apt-get install chromium; reports are HTML else")
-    return Check("ok", "browser", found)
+        return CheckItem(
+            "warn", "browser", "none that prints PDF", "sudo apt-get install chromium; reports are HTML else"
+        )
+    return CheckItem("ok", "browser", found)
 
 
-def _disk(folder: Path) -> Check:
+def _disk(folder: Path) -> CheckItem:
     free_gb = shutil.disk_usage(folder).free / 1e9
     what = f"{free_gb:.1f} GB free in {folder}"
     if not os.access(folder, os.W_OK):
-        return Check("warn", "disk", f"{folder} cannot be written", "cd to a folder of your own")
+        return CheckItem("warn", "disk", f"{folder} cannot be written", "cd to a folder of your own")
     if free_gb < LEAST_GB:
-        return Check("warn", "disk", what, "free some space, or record elsewhere: -o /other/disk/run.h5")
-    return Check("ok", "disk", what)
+        return CheckItem("warn", "disk", what, "free some space, or record elsewhere: -o /other/disk/run.h5")
+    return CheckItem("ok", "disk", what)
 
 
 def _text(path: Path) -> str:

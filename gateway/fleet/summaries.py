@@ -16,7 +16,7 @@ from typing import IO, Any, Final
 import numpy as np
 
 from gateway.cell.axes import FEWEST_AXES, MOST_AXES
-from gateway.data.regular import regular_size
+from gateway.data.regular_file import regular_size
 from gateway.errors import InputError
 from gateway.fleet.checks import AHEAD_S, EARLIEST
 from gateway.fleet.columns import SUMMARY, TEMPERATURE, columns

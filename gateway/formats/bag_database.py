@@ -14,7 +14,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
-from gateway.data.regular import regular_size
+from gateway.data.regular_file import regular_size
 from gateway.errors import InputError
 
 #: Steps of SQLite's engine between two looks at the clock and at signals.

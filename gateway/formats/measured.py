@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gateway.cell.plausible import LARGEST_ANGLE_RAD
 from gateway.data.csv_text import text_cells
 from gateway.data.labels import BARE_LABEL, label_refused
-from gateway.data.regular import regular_size
+from gateway.data.regular_file import regular_size
 from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.log_map import LogColumn, LogMap

@@ -11,7 +11,7 @@ from typing import IO, Any, Final
 import numpy as np
 
 from gateway.data.extras import needed
-from gateway.data.regular import regular_size
+from gateway.data.regular_file import regular_size
 from gateway.errors import GatewayError, InputError
 from gateway.formats.bag_database import BagDatabase, open_bag
 from gateway.formats.log import Log

@@ -39,6 +39,13 @@ UNITS: Final[Mapping[str, Mapping[str, tuple[float, float]]]] = {
     "temperature": {"C": (1.0, 0.0), "K": (1.0, -273.15), "F": (5 / 9, -160 / 9)},
     "number": {"1": (1.0, 0.0)},
 }
+
+
+def factors(kind: str, *units: str) -> dict[str, float]:
+    """Return the factors to SI of some units of one quantity."""
+    return {unit: UNITS[kind][unit][0] for unit in units}
+
+
 TIME_UNITS: Final[Mapping[str, float]] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _KIND_OF_UNIT: Final = {
     "rad": "angle",

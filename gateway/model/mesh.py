@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gateway.data.bounded import read_bounded
+from gateway.data.regular_file import read_bounded
 
 Floats = NDArray[np.float64]
 

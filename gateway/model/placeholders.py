@@ -7,10 +7,9 @@ from typing import Final
 
 import numpy as np
 
+from gateway.cell.plausible import LARGEST_TORQUE_NM
 from gateway.model.robot import Robot
 
-#: No joint of a six-axis arm has more: the largest palletizers have about 20 kNm at J2 [Nm].
-LARGEST_EFFORT_NM: Final = 50_000.0
 #: What rounding in a file may take from the triangle inequality of principal moments.
 _ROUNDED: Final = 1e-6
 
@@ -29,7 +28,7 @@ def placeholders(robot: Robot) -> Iterator[str]:
 def effort_placeholder(robot: Robot) -> str:
     """Why the efforts of a URDF are not limits of this arm; empty where they may be."""
     stated = robot.effort_nm[np.isfinite(robot.effort_nm)].tolist()
-    absurd = [effort for effort in stated if not 0.0 < effort <= LARGEST_EFFORT_NM]
+    absurd = [effort for effort in stated if not 0.0 < effort <= LARGEST_TORQUE_NM]
     if absurd:
         return f"the URDF states an effort of {absurd[0]:g} Nm"
     if len(stated) > 2 and len(set(stated)) == 1:

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 from xml.parsers import expat
 
-from gateway.data.bounded import read_bounded
+from gateway.data.regular_file import read_bounded
 from gateway.errors import ConfigError
 
 MOST_BYTES: Final = 20_000_000

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, cast
 
 from drives.toml_text import parse_toml
+from gateway.formats.units import factors
 
 #: What is in the value's place of an answer file that says where a constant comes from.
 VALUE, SOURCE = "value", "source"
@@ -140,9 +141,9 @@ class FormRule:
 
 
 #: Units that an answer may carry, and their factors.
-ANGLES: Final = {"rad": 1.0, "deg": math.pi / 180, "mrad": 1e-3}
-SPEEDS: Final = {"rad/s": 1.0, "deg/s": math.pi / 180, "rpm": math.pi / 30}
-TORQUES: Final = {"Nm": 1.0, "mNm": 1e-3, "kNm": 1e3}
+ANGLES: Final = factors("angle", "rad", "deg", "mrad")
+SPEEDS: Final = factors("speed", "rad/s", "deg/s", "rpm")
+TORQUES: Final = factors("torque", "Nm", "mNm", "kNm")
 CONSTANTS: Final = {"Nm/A": 1.0, "mNm/A": 1e-3}
 MASSES: Final = {"kg": 1.0, "g": 1e-3, "t": 1e3}
 LENGTHS: Final = {"m": 1.0, "mm": 1e-3, "cm": 1e-2}

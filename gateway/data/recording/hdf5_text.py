@@ -17,7 +17,7 @@ from typing import Any
 import h5py
 import numpy as np
 
-from gateway.data.regular import regular_size
+from gateway.data.regular_file import regular_size
 from gateway.errors import InputError
 
 DAMAGE = (

@@ -60,7 +60,7 @@ def test_a_pipe_a_device_a_folder_and_a_huge_file_are_refused_at_once(tmp_path: 
     with huge.open("wb") as stream:
         stream.truncate(MOST_BYTES + 1)
     link.symlink_to("/dev/zero")
-    for path, says in ((pipe, "a pipe"), (huge, "limit"), (link, "a device"), (tmp_path, "a folder")):
+    for path, says in ((pipe, "pipe or socket"), (huge, "limit"), (link, "a device"), (tmp_path, "a folder")):
         with pytest.raises(ConfigError, match=says):
             read_urdf(path)
     with pytest.raises(ConfigError, match=r"absent: cannot be read: No such file.*name the URDF"):
