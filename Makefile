@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
 
 venv: $(STAMP)
 
@@ -124,6 +124,16 @@ pair-clock: venv
 # Every report page in a headless Chromium, wide, narrow and on paper; apt-get install chromium chromium-driver poppler-utils.
 pages: venv
 	$(BIN)/python -m benchmarks.pages --out out/pages
+
+# The wheel, built twice; installed by hashes into an environment of its own; CycloneDX and licences; two minutes.
+package sbom: venv
+	$(INSTALL) -e ".[package]"
+	$(BIN)/python -m benchmarks.package --out out/package
+
+# Pinned packages with their hashes, for `pip install --require-hashes -r requirements.txt`: after a change of a pin.
+requirements.txt: pyproject.toml constraints.txt
+	$(INSTALL) -e ".[package]"
+	$(BIN)/uv pip compile --quiet pyproject.toml -c constraints.txt --generate-hashes --universal --no-header --no-annotate -o $@
 
 clean:
 	rm -rf $(VENV) out

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Generator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -40,12 +42,9 @@ def serve(
     unbuffered: bool,
 ) -> None:
     """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
-    try:
+    with _installed():
         from sim.serve import ServeOptions, SimulationBusError
         from sim.serve import serve as run
-    except ModuleNotFoundError as error:
-        print(f"servo-sim: {error.name} is not installed: pip install 'servo-gateway[sim]'", file=sys.stderr)
-        sys.exit(FILE_ERROR)
 
     if undeclared is not None and seed is not None:
         raise click.UsageError("--undeclared and --seed exclude each other.")
@@ -57,6 +56,25 @@ def serve(
         sys.exit(BUS_ERROR)
     except (ValueError, OSError) as error:
         print(f"servo-sim: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(FILE_ERROR)
+
+
+@main.command(add_help_option=False, context_settings={"ignore_unknown_options": True})
+@click.argument("options", nargs=-1, type=click.UNPROCESSED)
+def demo(options: tuple[str, ...]) -> None:
+    """Commission a simulated cell that hides something: `servo-sim demo --out FOLDER`."""
+    with _installed():
+        from sim.demo import main as run
+    run.main(list(options), prog_name="servo-sim demo")
+
+
+@contextmanager
+def _installed() -> Generator[None]:
+    """End with what to type where a package of the extra `sim` is not installed."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        print(f"servo-sim: {error.name} is not installed: pip install 'servo-gateway[sim]'", file=sys.stderr)
         sys.exit(FILE_ERROR)
 
 

@@ -24,7 +24,7 @@ from sim.cellfile import read_payloads
 from sim.serve import command, free_bus, wait_until_ready
 from sim.simulation import ServeOptions
 
-EXAMPLE = Path(__file__).resolve().parent.parent / "examples" / "large"
+EXAMPLE = Path(__file__).parent / "example"
 HANG = re.compile(r"HANG LOAD (\S+)")
 FAILED_FINDING = 7
 #: Both programs wait for each other instead of the clock: the whole job in a fraction of its time.
