@@ -83,7 +83,7 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
         profile = read_strict(text, DriveProfile)
     except Unfit as error:
         advice = "see docs/how-to/drive-profiles.md, or `servo-gateway profiles schema`"
-        raise ProfileError.of(error.told(where, _table), advice) from error
+        raise ProfileError.of(error.messages(where, _table), advice) from error
     object.__setattr__(profile, "_text", text)
     object.__setattr__(profile, "_folder", folder)
     if profile.eds_path is not None:

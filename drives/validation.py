@@ -69,7 +69,7 @@ class Unfit(ValueError):  # noqa: N818 - reads as what the file is
         self.problems = tuple(sorted(problems, key=lambda problem: problem.line))
         super().__init__("; ".join(f"line {problem.line}: {problem.what}" for problem in self.problems))
 
-    def told(self, where: str, place: Callable[[KeyPath], str] = lambda path: "") -> tuple[str, ...]:
+    def messages(self, where: str, place: Callable[[KeyPath], str] = lambda path: "") -> tuple[str, ...]:
         """A line of text per problem, ten at most: `cell.toml line 31, J1: what`; the last holds what is left.
 
         Parameters

@@ -99,7 +99,7 @@ def draw_arm(rng: np.random.Generator) -> DrawnArm:
         known = {"tool": (tool.mass_kg, x, y, z)}
     return DrawnArm(
         chain=chain,
-        urdf=_believed(chain, std, rng),
+        urdf=_stated(chain, std, rng),
         prior_std=std,
         plant=plant,
         loads=loads,
@@ -126,7 +126,7 @@ def prior_std(chain: SimChain) -> Array:
     return std
 
 
-def _believed(chain: SimChain, std: Array, rng: np.random.Generator) -> str:
+def _stated(chain: SimChain, std: Array, rng: np.random.Generator) -> str:
     bodies = []
     for link, body in enumerate(chain.bodies):
         if body is None:

@@ -13,7 +13,7 @@ from typing import Any
 
 from sim.cellfile import AxisSpec
 from sim.quirks import Quirks
-from sim.words import DriveUnits, Word
+from sim.scaled_objects import DriveUnits, Word
 
 Make = Callable[[AxisSpec, DriveUnits], DriveUnits]
 

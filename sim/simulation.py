@@ -85,7 +85,7 @@ class Simulation:
         self._options = options
         faults = read_faults(options.fault) if options.fault else ()
         units = self._units(pair or PairOptions(options.seed))
-        told: list[Any] = [unit.world.told_nobody for unit in list[Any](units.values()) if isinstance(unit, PairUnit)]
+        told: list[Any] = [unit.world.undeclared for unit in list[Any](units.values()) if isinstance(unit, PairUnit)]
         self._pair_truth = {"pair": told[0]} if told else {}
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []

@@ -12,7 +12,7 @@ from typing import Any
 
 from sim.cellfile import AxisSpec, CellFileError
 from sim.makes import as_its_make_counts
-from sim.words import Address, DriveUnits, Word
+from sim.scaled_objects import Address, DriveUnits, Word
 
 Table = Mapping[str, Any]
 

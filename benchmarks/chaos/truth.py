@@ -72,7 +72,7 @@ def many(answers: int, seed: int = 1) -> Verdict:
     with rig(short_period) as made:
         setups = axis_setups(made.loaded, made.loaded.cell.arm[0])
         # Whether values are true is the question here, not when the arm is stopped.
-        options = GroupOptions(gap_timeout_s=GAP_S, answer_timeout_s=0.02, silent_syncs=10_000)
+        options = GroupOptions(gap_timeout_s=GAP_S, answer_timeout_s=0.02, unanswered_syncs=10_000)
         with open_bus(BusSpec.parse(made.bus)) as bus, DriveGroup(bus, setups, PERIOD_S, options=options) as group:
             group.connect()
             group.configure()

@@ -21,7 +21,7 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.data.recording.seal import SEAL_BYTES, sealed
-from gateway.fleet.analyse import AsOf, analyse
+from gateway.fleet.analysis import AsOf, run_analysis
 from gateway.fleet.checks import estimated_rows
 from gateway.fleet.columns import ESTIMATE
 from gateway.fleet.ingest import ingest
@@ -121,7 +121,7 @@ def scaling(base: Path, folder: Path, count: int) -> dict[str, dict]:
             with workers(None, size) as spread:
                 list(spread(_warm, [str(base)] * (4 * size)))
                 started = time.perf_counter()
-                found = analyse(store, spread, AsOf(FIRST))
+                found = run_analysis(store, spread, AsOf(FIRST))
                 took[size] = time.perf_counter() - started
             assert not found.failed, found.failed
             assert estimated(store) == count

@@ -16,7 +16,7 @@ from gateway.live.feed import Feed
 from gateway.live.wire import MOST_BYTES, ShownCell, pair_of_sockets
 from gateway.model.arm_model import arm_robot
 from gateway.motion.observer import Observers
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from gateway.motion.stops import StopDesk
 from gateway.motion.workspace import workspace_of
 
@@ -32,7 +32,7 @@ def figures(cell: Path = SMALL / "cell.toml") -> dict[str, dict]:
     now_s = 0.0
     with here, there:
         feed = Feed(here, lambda: now_s)
-        feed.show(ShownCell((shown_arm("main", workspace),), PERIOD_S), StateKeeper("main", lambda _state: None))
+        feed.show(ShownCell((shown_arm("main", workspace),), PERIOD_S), StateTracker("main", lambda _state: None))
         observers, desk = Observers(feed), StopDesk(feed.pressed)
         q_rad, torque_nm = np.zeros(6), np.ones(6)
         spent_us = []

@@ -16,9 +16,9 @@ import numpy as np
 from drives.errors import DriveError
 from gateway.motion.power import powered
 from gateway.motion.stream import MoveOptions, Stream
-from gateway.pair.cell import PairCell, load_pair
-from gateway.pair.function import function_of_knots
 from gateway.pair.link import PairLink, open_link
+from gateway.pair.pair_cell import PairCell, load_pair
+from gateway.pair.transform_function import function_of_knots
 from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.serve import free_bus

@@ -80,7 +80,7 @@ def read_answers(path: Path) -> ProfileAnswers:
     except OSError as error:
         raise ProfileError(f"answer file {path} cannot be read: {error}", advice="check its path") from error
     except Unfit as error:
-        raise ProfileError.of(error.told(str(path)), ADVICE) from error
+        raise ProfileError.of(error.messages(str(path)), ADVICE) from error
 
 
 def with_answers(answers: ProfileAnswers, more: dict[str, str]) -> ProfileAnswers:
@@ -94,7 +94,7 @@ def with_answers(answers: ProfileAnswers, more: dict[str, str]) -> ProfileAnswer
     try:
         return fitted(ProfileAnswers, answers.model_dump(exclude_none=True) | more)
     except Unfit as error:
-        raise ProfileError.of(error.told("answer"), ADVICE) from error
+        raise ProfileError.of(error.messages("answer"), ADVICE) from error
 
 
 def address_of(text: str) -> tuple[int, int]:

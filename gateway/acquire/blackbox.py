@@ -13,7 +13,7 @@ from gateway.data.blackbox.part import FIELDS, BoxHeader
 from gateway.data.blackbox.recorder import BoxKeeper
 from gateway.data.blackbox.ring_buffer import box_of
 from gateway.data.blackbox.spool import place_in
-from gateway.motion.flat import fill
+from gateway.motion.observed_fields import fill
 from gateway.motion.observer import Observed, Observers, Scene
 from gateway.motion.opening import OpenArm
 from gateway.result.origin import software
@@ -54,7 +54,7 @@ class BlackBoxWatch:
         sample = observed.samples[self._place]
         fill(self._keeper.row(sample.time_s, sample.sync_index), 0, observed, self._place, KEPT)
 
-    def told(self, event: object) -> None:
+    def reported(self, event: object) -> None:
         """Nothing of it is kept."""
 
     def ended(self, failure: BaseException | None) -> None:

@@ -15,8 +15,8 @@ from gateway.acquire.run import Shelf, VisitStation
 from gateway.acquire.runner import run_way
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
+from gateway.motion.joint_path import angles
 from gateway.motion.opening import OpenArm
-from gateway.motion.places import angles
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
 

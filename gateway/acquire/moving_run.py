@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from gateway.acquire.events import PeriodDone, Progress, Started
-from gateway.acquire.passes import Pass, PeriodsWay, check_pass, free_torque_nm, slowed
+from gateway.acquire.passes import Pass, PeriodicSetpoints, check_pass, free_torque_nm, slowed
 from gateway.acquire.plan import (
     MoveInwards,
     MoveTo,
@@ -25,7 +25,7 @@ from gateway.acquire.run import VisitStation, refuse_sunk
 from gateway.cell.config import ArmConfig
 from gateway.data.period import Period, PeriodLog
 from gateway.data.sample import ArmSample
-from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.state import Phase, StateTracker
 from gateway.motion.stops import StopKind, StopRequest
 from gateway.motion.stream import FIRST_SHARE, Stream
 from gateway.motion.trajectory import MotionLimits, straight
@@ -83,7 +83,7 @@ class MovingRun:
     legs : tuple of DrivenLeg
         From where the arm stands.
     load : str
-    state : StateKeeper
+    state : StateTracker
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class MovingRun:
         Excitation and number of the periods that lack a SYNC though they were driven twice.
     """
 
-    def __init__(self, station: VisitStation, legs: Sequence[DrivenLeg], load: str, state: StateKeeper) -> None:
+    def __init__(self, station: VisitStation, legs: Sequence[DrivenLeg], load: str, state: StateTracker) -> None:
         self.broken: Period | None = None
         self.missed: tuple[tuple[str, int], ...] = ()
         self.state = state
@@ -207,7 +207,7 @@ class MovingRun:
         self._next()
         self._stream.stand(REST_S, "rest before it moves")
         self._next()
-        way = PeriodsWay(self._stream.q_rad[0], driven.motion, len(periods), leg.modelled_nm, taken)
+        way = PeriodicSetpoints(self._stream.q_rad[0], driven.motion, len(periods), leg.modelled_nm, taken)
         try:
             self._stream.drive(way, what)
         except BaseException:

@@ -20,8 +20,8 @@ from gateway.feedforward.parameters import drawn_parameters
 from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
 from gateway.motion.own_torque import watched
+from gateway.motion.setpoints import MotionSetpoints, PerArm
 from gateway.motion.trajectory import Motion
-from gateway.motion.way import MotionWay, PerArm
 from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
@@ -163,7 +163,7 @@ def free_torque_nm(
 Taken = Callable[[int, int, ArmSample, np.ndarray], None]
 
 
-class PeriodsWay(MotionWay):
+class PeriodicSetpoints(MotionSetpoints):
     """One period of an arm's motion, so many times without a stop; every SYNC at full rate is handed over.
 
     Parameters
@@ -186,7 +186,7 @@ class PeriodsWay(MotionWay):
         self._period_rows, self._modelled, self._taken = len(motion), modelled_nm, taken
 
     def modelled(self, at: float) -> PerArm | None:
-        """As `Way.modelled`."""
+        """As `SetpointSource.modelled`."""
         return None if self._modelled is None else (self._modelled[max(int(at), 0) % self._period_rows],)
 
     def take(self, at: float, rate: float, samples: Sequence[ArmSample]) -> None:

@@ -15,7 +15,7 @@ from gateway.acquire.route import Leg, Route, find_route, way_to
 from gateway.acquire.standing import inside_from
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused, WrongPlace
-from gateway.motion.places import angles
+from gateway.motion.joint_path import angles
 from gateway.motion.trajectory import MotionLimits, straight
 from gateway.motion.workspace import Workspace
 
@@ -163,7 +163,7 @@ def _route(
     known_rad: np.ndarray | None,
 ) -> Route:
     """Route with room beside the ways, else one that only keeps clear."""
-    route = find_route(workspace.roomy(), poses, start_rad, offset_rad, known_rad)
+    route = find_route(workspace.with_clearance(), poses, start_rad, offset_rad, known_rad)
     return find_route(workspace, poses, start_rad, offset_rad, known_rad) if route.unreachable else route
 
 
@@ -350,7 +350,7 @@ def _check_limits(plan: Plan, workspace: Workspace) -> None:
 
 
 def _check_inwards(workspace: Workspace, step: MoveInwards, start: np.ndarray | None, where: str) -> np.ndarray:
-    inside = None if start is None else workspace.inward_way(start)
+    inside = None if start is None else workspace.path_into_range(start)
     if inside is None or np.abs(inside - step.q_rad).max() > SAME_RAD:
         raise PlanRefused(f"{where}: is not the way of an arm outside its joint range straight back into it")
     return inside

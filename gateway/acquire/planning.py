@@ -18,7 +18,7 @@ from gateway.identify.solve import Prior, identifiable_stds, solve
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.model.regressor import load_regressor
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
-from gateway.motion.places import angles
+from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.preflight.limits import refuse_beyond_counts
 
@@ -69,7 +69,7 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
     joined = np.empty((0, workspace.robot.axes))
     for choice in range(CHOICES):
         seeded = replace(request, seed=request.seed + choice * SEED_STEP)
-        chosen = choose_poses(workspace.roomy(), seeded, assumed_noise_nm(workspace), joined)
+        chosen = choose_poses(workspace.with_clearance(), seeded, assumed_noise_nm(workspace), joined)
         plan, unreachable = plan_poses(config.name, workspace, chosen, visit_settings(loaded, config), joined)
         if not unreachable:
             check_plan(plan, workspace)

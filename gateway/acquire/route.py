@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 from gateway.acquire.roadmap import find_ways, via_points
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused
-from gateway.motion.places import angles
+from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace
 
 #: Postures that a way may pass; the larger number is drawn where a pose was not reached over the smaller.

@@ -38,7 +38,7 @@ from gateway.data.visit import Visit, VisitLabel, visit_from_samples
 from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
 from gateway.motion.arm import Arm
 from gateway.motion.reactions import ARM_RULES
-from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.state import Phase, StateTracker
 from gateway.motion.stops import StopKind, StopRequest, guarded
 from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
 from gateway.motion.trajectory import straight
@@ -145,7 +145,7 @@ class VisitStation:
         """
         for listener in self.listeners:
             guarded(listener, self.options.desk)(event)
-        self.options.observers.told(event)
+        self.options.observers.reported(event)
 
 
 class Run:
@@ -157,10 +157,10 @@ class Run:
     plan : Plan
         From where the arm stands.
     load : str
-    state : StateKeeper
+    state : StateTracker
     """
 
-    def __init__(self, station: VisitStation, plan: Plan, load: str, state: StateKeeper) -> None:
+    def __init__(self, station: VisitStation, plan: Plan, load: str, state: StateTracker) -> None:
         self.plan = plan
         self.broken: Visit | None = None
         self.state = state

@@ -14,7 +14,7 @@ from gateway.data.visit import Visit
 from gateway.errors import GatewayError
 from gateway.motion.arms import Arms
 from gateway.motion.power import powered
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from gateway.motion.stops import StopRequest
 from gateway.motion.stream import MoveOptions, Station, Stream
 
@@ -93,9 +93,9 @@ def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, 
     under_power(station, run, Powered(plan.arm, plan.settings.period_s, station.options), lambda on: drive(run, on))
 
 
-def state_told(station: VisitStation, arm: str) -> StateKeeper:
+def state_told(station: VisitStation, arm: str) -> StateTracker:
     """State of a run; whoever listens to the station is told."""
-    return StateKeeper(arm, lambda new: station.tell(StateChanged(new)))
+    return StateTracker(arm, lambda new: station.tell(StateChanged(new)))
 
 
 class PoweredRun(Protocol):
@@ -107,7 +107,7 @@ class PoweredRun(Protocol):
         ...
 
     @property
-    def state(self) -> StateKeeper:
+    def state(self) -> StateTracker:
         """Kept as it goes."""
         ...
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from gateway.errors import PlanRefused, WrongPlace
-from gateway.motion.places import angles
+from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace
 
 #: A way out is looked for in turns of one joint, by steps of the first and up to the second [rad].
@@ -28,7 +28,7 @@ def inside_from(workspace: Workspace, q_rad: np.ndarray, arm: str) -> np.ndarray
     """
     where = f"arm '{arm}' stands at {angles(q_rad)}"
     try:
-        inside = workspace.inward_way(q_rad)
+        inside = workspace.path_into_range(q_rad)
     except PlanRefused as refused:
         raise PlanRefused(f"{where}: {refused}") from refused
     begin_rad = q_rad if inside is None else inside

@@ -120,7 +120,7 @@ def parse_calibration(text: str, where: str) -> CalibrationFile | None:
     try:
         return read_strict(text, CalibrationFile)
     except Unfit as error:
-        raise ConfigError.of(error.told(where)) from error
+        raise ConfigError.of(error.messages(where)) from error
 
 
 def calibration_toml(file: CalibrationFile, cell: str) -> str:

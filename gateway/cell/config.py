@@ -576,7 +576,7 @@ def parse_cell(text: str, where: str) -> Cell:
     try:
         return read_strict(text, Cell)
     except Unfit as error:
-        raise ConfigError.of(error.told(where, partial(_place, text))) from error
+        raise ConfigError.of(error.messages(where, partial(_place, text))) from error
 
 
 def _place(text: str, path: KeyPath) -> str:

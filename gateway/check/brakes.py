@@ -21,7 +21,7 @@ from gateway.check.stop import motion_station
 from gateway.data.sample import ArmSample
 from gateway.errors import LimitExceeded
 from gateway.motion.opening import OpenArm
-from gateway.motion.power import SAG_RAD, powered
+from gateway.motion.power import BRAKE_DROP_RAD, powered
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.preflight.rules import CheckItem
@@ -120,7 +120,7 @@ def _after(opened: OpenArm, error: DriveError, found: list[CheckItem]) -> list[C
         return [replace(found[0], what=f"{found[0].what}; then: {error}")]
     # an axis that goes on sinking once all are disabled is no standstill
     sags = opened.arm.brake_drop_rad()
-    if sags.max() <= SAG_RAD:
+    if sags.max() <= BRAKE_DROP_RAD:
         raise error
     axis = int(np.argmax(sags))
     where = f"J{axis + 1} node {opened.config.axis[axis].node_id}"
@@ -166,7 +166,7 @@ def _watched(trial: _Trial, found: list[CheckItem]) -> CheckItem:
         moved_rad = test.moved_rad * trial.joint_per_motor
         fell_rad = test.farthest_rad * trial.joint_per_motor
         how = f"within {test.released_syncs * trial.stream.station.period_s:.2f} s, and is held by its drive again"
-        if test.beyond_limit or moved_rad > SAG_RAD:
+        if test.beyond_limit or moved_rad > BRAKE_DROP_RAD:
             found.append(_failed(trial.where, fell_rad, how))
         elif moved_rad > STEP_RAD and number < len(WATCH_S) - 1:
             found.append(_failed(trial.where, fell_rad, how, STEP_RAD))
@@ -183,7 +183,7 @@ def _watched(trial: _Trial, found: list[CheckItem]) -> CheckItem:
     return CheckItem("ok", trial.where, f"its brake held it for {WATCH_S[-1]:g} s: it moved by {moved_rad:.4f} rad")
 
 
-def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = SAG_RAD) -> CheckItem:
+def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = BRAKE_DROP_RAD) -> CheckItem:
     what = f"sank by {moved_rad:.4f} rad in its brake {how}; {allowed_rad} rad are allowed"
     return CheckItem("fail", where, what, "this brake does not hold: do not power this arm before it is repaired")
 
@@ -199,7 +199,7 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
             break
         stream.hold("come to rest", 0, 1)
     stream.excuse(0, trial.turns > 0.0)
-    test = group.release(trial.axis, SAG_RAD / trial.joint_per_motor, disables_voltage)
+    test = group.release(trial.axis, BRAKE_DROP_RAD / trial.joint_per_motor, disables_voltage)
     rows = math.ceil(seconds / period_s)
     stopped: BaseException | None = None
     try:

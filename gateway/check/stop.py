@@ -23,10 +23,10 @@ from gateway.errors import PlanRefused
 from gateway.motion.arms import Arms
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
-from gateway.motion.state import StateKeeper
+from gateway.motion.setpoints import MotionSetpoints
+from gateway.motion.state import StateTracker
 from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import Motion, straight
-from gateway.motion.way import MotionWay
 from gateway.motion.workspace import Workspace
 from gateway.preflight.rules import CheckItem
 
@@ -167,12 +167,12 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     test, _ = _stopped_slowly(opened, options, opened.group.try_quick_stop, goes_on=False)
     stopped = test.traces()
     proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
-    if opened.workspace.inward_way(start_rad) is None:
+    if opened.workspace.path_into_range(start_rad) is None:
         go_slowly(opened, options, start_rad)
     return proof
 
 
-class _SlowWay(MotionWay):
+class _SlowMotion(MotionSetpoints):
     """A slow motion on which a test begins once the arm has reached its speed.
 
     Parameters
@@ -222,7 +222,7 @@ def _stopped_slowly(
     motion = _slowly_from(opened, opened.arm.where())
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
-        way = _SlowWay(opened, stream, motion, begin, goes_on)
+        way = _SlowMotion(opened, stream, motion, begin, goes_on)
         stream.drive(way, "move slowly")
         test = way.test
         if test is None:
@@ -285,7 +285,7 @@ def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
         arms=Arms((arm,), timing.pacing),
         workspaces=(opened.workspace,),
         period_s=timing.period_s,
-        state=StateKeeper(arm.name, lambda _state: None),
+        state=StateTracker(arm.name, lambda _state: None),
         options=replace(options, override=1.0, first_done=None),
     )
 

@@ -92,7 +92,7 @@ def fleet_analyse(
 
     A cluster has to see STORE under the same path. What was done is kept: after an interruption the rest is done.
     """
-    from gateway.fleet.analyse import AsOf, analyse
+    from gateway.fleet.analysis import AsOf, run_analysis
     from gateway.fleet.store import open_store
     from gateway.fleet.workers import Certificates, workers
     from gateway.result.values import plain_values
@@ -107,7 +107,7 @@ def fleet_analyse(
         session.note(UNAUTHENTICATED)
     security = Certificates(*certificates) if certificates else None
     with workers(scheduler, count, security) as spread, session.working("analysis"):
-        found = analyse(opened, spread, asked)
+        found = run_analysis(opened, spread, asked)
     _show(found)
     if json_out:
         write_json(json_out, plain_values(found))
@@ -147,7 +147,7 @@ def _show(found: FleetHealth) -> None:
 @common
 def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json_out: str | None) -> None:
     """Pages of the last analysis: one of the fleet and one of every robot; they open offline and print on paper."""
-    from gateway.fleet.analyse import FLEET_FILE
+    from gateway.fleet.analysis import FLEET_FILE
     from gateway.fleet.store import open_store
     from gateway.report.fleet_page import render_fleet, render_robot
     from gateway.result.fleet import read_fleet, read_robot

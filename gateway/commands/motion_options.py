@@ -127,7 +127,7 @@ class _Power:
     def sampled(self, _observed: object) -> None:
         """One SYNC."""
 
-    def told(self, _event: object) -> None:
+    def reported(self, _event: object) -> None:
         """An event of the run."""
 
     def ended(self, failure: BaseException | None) -> None:

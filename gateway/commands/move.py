@@ -86,7 +86,7 @@ def move(
 def announce(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
     """Say where the arm stands, where it goes, over what, and how long that takes."""
     from gateway.acquire.goto import remarks
-    from gateway.motion.places import angles
+    from gateway.motion.joint_path import angles
 
     lasts_s = plan.duration_s / options.override
     session.note(

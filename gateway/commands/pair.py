@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from gateway.commands.cell_context import CellContext
     from gateway.commands.console import Session
     from gateway.motion.stream import MoveOptions
-    from gateway.pair.cell import PairCell
     from gateway.pair.link import PairLink
-    from gateway.pair.storage import PairStore
+    from gateway.pair.pair_cell import PairCell
+    from gateway.pair.pair_store import PairStore
     from gateway.result.pair import CycleSummary, FunctionOrigin, LinkStatistics, StoredFunction
 
 store_option = click.option(
@@ -43,8 +43,8 @@ store_option = click.option(
 def _open(
     cell: Path, bus_spec: str | None, folder: Path | None, pacing: str | None = None
 ) -> tuple[PairCell, PairStore]:
-    from gateway.pair.cell import load_pair
-    from gateway.pair.storage import PairStore
+    from gateway.pair.pair_cell import load_pair
+    from gateway.pair.pair_store import PairStore
 
     pair = load_pair(cell, bus_spec, pacing)
     return pair, PairStore(pair, folder or cell.with_suffix(".pair"))
@@ -98,13 +98,13 @@ def teach(
 ) -> None:
     """Teach the first function of CELL: both arms go from point to point, the force is adjusted away at each."""
     from gateway.pair.link import open_link
-    from gateway.pair.motion import PairMotionOptions
-    from gateway.pair.session import open_lesson, teach_pair
+    from gateway.pair.pair_motion import PairMotionOptions
+    from gateway.pair.session import open_taught_path, teach_pair
     from gateway.result.pair import TeachResult
     from gateway.result.values import plain_values
 
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
-    lesson = open_lesson(pair, kept, resume)
+    lesson = open_taught_path(pair, kept, resume)
     session = session_of()
     _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
@@ -156,7 +156,7 @@ def run_pair(
 ) -> None:
     """Carry the part along the path of CELL and back; Ctrl-C stops both arms along it and keeps what was learned."""
     from gateway.pair.link import open_link
-    from gateway.pair.motion import PairMotionOptions
+    from gateway.pair.pair_motion import PairMotionOptions
     from gateway.pair.session import PairRunRequest, embodiment_of, first_function
     from gateway.pair.session import run_pair as run
     from gateway.result.pair import SCHEMA

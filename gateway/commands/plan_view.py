@@ -33,7 +33,7 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
     """HTML text of a page with poses, ways and boxes."""
     from gateway.acquire.plan import Approach, MoveTo
     from gateway.model.kinematics import flange_frames
-    from gateway.motion.places import fine_places, postures_at
+    from gateway.motion.joint_path import path_positions, postures_at
     from gateway.report.plan import plan_page
     from gateway.result.drawn import DrawnPose
 
@@ -48,7 +48,7 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
         for row, pose in enumerate(plan.poses)
     ]
     corners = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
-    way = flange_frames(workspace.robot, postures_at(corners, fine_places(corners)))[:, :3, 3]
+    way = flange_frames(workspace.robot, postures_at(corners, path_positions(corners)))[:, :3, 3]
     return plan_page(plan.arm, poses, way.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))
 
 

@@ -15,7 +15,7 @@ from gateway.feedforward.load import FeedLoad
 from gateway.model.kinematics import joint_axes_origins, link_frames
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
-from gateway.motion.torque_need import dry_friction_nm, links_with_loads, loads_that_may_hang
+from gateway.motion.torque_need import dry_friction_nm, links_with_loads, possible_loads
 from gateway.motion.workspace import TORQUE_SHARE, TORQUE_SHARE_BARE, Workspace
 
 Floats = NDArray[np.float64]
@@ -177,7 +177,7 @@ def moving_limits(
     Of the torque limit `TORQUE_SHARE` may be taken where a load is known to the cell or stated, else
     `TORQUE_SHARE_BARE`: the rest is left to an unknown load, as at rest.
     """
-    loads = loads_that_may_hang(workspace, arm) if load is None else (load,)
+    loads = possible_loads(workspace, arm) if load is None else (load,)
     bodies = links_with_loads(workspace, arm, loads)
     unchecked = () if bodies is not None else ("torque: mass, centre of mass or inertia of a link is not known",)
     rotors = [axis.rotor_kg_m2 for axis in known]

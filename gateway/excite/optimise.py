@@ -16,12 +16,12 @@ from gateway.excite.design import Members, rows_of
 from gateway.excite.expected import AskedNumbers, mean_log_std
 from gateway.excite.family import Family
 from gateway.excite.limits import MovingLimits
-from gateway.motion.clearance import CLOSE_M, ROOM_M
+from gateway.motion.clearance import CLOSE_M, PLANNING_CLEARANCE_M
 
 Floats = NDArray[np.float64]
 
 #: Distance below which a penalty acts [m]: there distances are exact and continuous.
-PENALTY_M = CLOSE_M - ROOM_M
+PENALTY_M = CLOSE_M - PLANNING_CLEARANCE_M
 #: Weights of the squared excess over a limit, and of the squared relative shortfall below `PENALTY_M`, per instant.
 LIMIT_WEIGHT, TOUCH_WEIGHT = 100.0, 3.0
 #: Share of the torque allowed at rest that the start of a motion may need.

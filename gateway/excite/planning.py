@@ -32,7 +32,7 @@ from gateway.feedforward.load import FeedLoad, assumed_load
 from gateway.identify.links import parse_inertials
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
-from gateway.motion.places import angles
+from gateway.motion.joint_path import angles
 from gateway.motion.torque_need import links_with_loads
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.preflight.limits import refuse_beyond_counts
@@ -114,7 +114,7 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     robot = arm_robot(loaded, config)
     workspace = workspace_of(config, robot)
     known = axis_constants(config, read_identified(loaded, config, robot))
-    limits = moving_limits(config, workspace.roomy(), known, PLANNED, request.load)
+    limits = moving_limits(config, workspace.with_clearance(), known, PLANNED, request.load)
     random = np.random.default_rng(request.seed)
     anchors = _anchors(config, limits.workspace)
     starts = start_postures(limits, anchors, random)

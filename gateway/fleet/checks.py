@@ -28,7 +28,7 @@ EARLIEST: Final = datetime(2000, 1, 1, tzinfo=UTC)
 AHEAD_S: Final = 86400.0
 _ZERO_OFFSET: Final = "joint_zero_offset"
 #: Standard deviation of a gain over that of its constant, below which the data have told something.
-_TOLD: Final = 0.9
+_INFORMED_SHARE: Final = 0.9
 #: A result does not say how well the constants were known: a gain is taken as assumed where its standard deviation is
 #: nearly that of the axis that is known worst, and its value nearly none.
 _LIKE_ASSUMED: Final = 0.9
@@ -158,8 +158,10 @@ def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
             row[column] = plain_values([values.get(joint, math.nan) for joint in range(1, axes + 1)])
     offsets = {each.joints[0]: each for each in result.effects if each.name == _ZERO_OFFSET and each.joints}
     for column, part in (("zero_offset_rad", "parameters"), ("zero_offset_std_rad", "std")):
-        told_by = {joint: float(getattr(each, part).get("offset_rad", math.nan)) for joint, each in offsets.items()}
-        row[column] = plain_values([told_by.get(joint, math.nan) for joint in range(1, axes + 1)])
+        offsets_by_joint = {
+            joint: float(getattr(each, part).get("offset_rad", math.nan)) for joint, each in offsets.items()
+        }
+        row[column] = plain_values([offsets_by_joint.get(joint, math.nan) for joint in range(1, axes + 1)])
     return row
 
 
@@ -169,7 +171,7 @@ def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> 
         return gain
     value, std = np.array(gain.value), np.array(gain.std)
     if gain_std is not None:
-        told = std < _TOLD * np.asarray(gain_std)
+        told = std < _INFORMED_SHARE * np.asarray(gain_std)
     else:
         told = (std < _LIKE_ASSUMED * np.nanmax(std)) | (np.abs(value) > _UNMOVED * std)
     return NuisanceResult(tuple(np.where(told, value, np.nan).tolist()), tuple(np.where(told, std, np.nan).tolist()))

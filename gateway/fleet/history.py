@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 _YEAR_S: Final = 365.25 * 86400.0
 #: A check further off its neighbours than so many of their median deviations is gross, and in no line.
-_GROSS: Final = 8.0
+_OUTLIER_BANDS: Final = 8.0
 _NEIGHBOURS: Final = 5
 #: A temperature that so few checks have is left out, rather than the other checks.
 _LEAST_SHARE: Final = 0.5
@@ -127,7 +127,7 @@ def _series(rows: Any, per_axis: dict[str, Floats], axes: int) -> CheckSeries:
         parts.append((MASS, 0, program, value, std, mean, np.zeros(count)))
     parts = [part for part in parts if np.isfinite(part[3]).any()]
     values = np.stack([part[3] for part in parts], axis=1) if parts else np.zeros((count, 0))
-    kept, aside = _without_gross(values)
+    kept, aside = _without_outliers(values)
     return CheckSeries(
         quantities=tuple(part[0] for part in parts),
         joints=tuple(part[1] for part in parts),
@@ -181,7 +181,7 @@ def program_masses(rows: Any) -> dict[str, tuple[Floats, Floats]]:
     return found
 
 
-def _without_gross(values: Floats) -> tuple[Floats, Floats]:
+def _without_outliers(values: Floats) -> tuple[Floats, Floats]:
     """Values (n, M) with gross checks taken out, and how many these are (M,)."""
     count, series = values.shape
     if count < 2 * _NEIGHBOURS + 1 or not series:
@@ -192,5 +192,5 @@ def _without_gross(values: Floats) -> tuple[Floats, Floats]:
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * _NEIGHBOURS + 1, axis=0)
     away = np.abs(filled - np.median(around, axis=2))
     spread = np.nanmedian(np.where(np.isfinite(values), away, np.nan), axis=0) / _MAD
-    gross = np.isfinite(values) & (away > _GROSS * spread) & (spread > 0.0)
+    gross = np.isfinite(values) & (away > _OUTLIER_BANDS * spread) & (spread > 0.0)
     return np.where(gross, np.nan, values), gross.sum(axis=0).astype(float)

@@ -138,7 +138,7 @@ class Store:
             else:
                 merged = rows
             added += rows.num_rows
-            ready.append((_written_aside(place, merged), place))
+            ready.append((_unreadable_copy(place, merged), place))
             places.append((robot, month))
             parts.append(merged)
         if ready:
@@ -230,7 +230,7 @@ def _unknown(rows: Any, known: Any) -> Any:
     return rows if all(new) else rows.filter(library("pyarrow").array(new))
 
 
-def _written_aside(place: Path, table: Any) -> Path:
+def _unreadable_copy(place: Path, table: Any) -> Path:
     def write(descriptor: int) -> None:
         with os.fdopen(os.dup(descriptor), "wb") as stream:
             library("pyarrow.parquet").write_table(table, stream, **_WRITING)

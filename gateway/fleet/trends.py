@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.fleet.history import CheckSeries
-from gateway.fleet.told import (
+from gateway.fleet.correlated_noise import SHAPES, FittedLines, Sums, lines, sums
+from gateway.fleet.drift_detection import (
     DRIFT,
     FEWEST_CHECKS,
     FEWEST_DAYS,
@@ -22,7 +22,7 @@ from gateway.fleet.told import (
     sigmas,
     weights,
 )
-from gateway.fleet.wander import SHAPES, FittedLines, Sums, lines, sums
+from gateway.fleet.history import CheckSeries
 from gateway.result.fleet import MASS, FleetTrend, TrendCurve
 from gateway.result.interval import half_width
 from gateway.result.values import NAN
@@ -42,7 +42,7 @@ _PRIOR_SERIES: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Wanders:
+class NoiseShapes:
     """How often each shape of wander is seen in the fleet, by quantity: logarithms, one per shape."""
 
     log_share: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
@@ -132,7 +132,7 @@ def _tolerance(series: CheckSeries, line: FittedLines) -> Floats:
     return np.where(named > 0.0, named, np.sqrt(line.square[0]))
 
 
-def wanders_of(seen: Sequence[Mapping[str, Sequence[Floats]]]) -> Wanders:
+def noise_shapes_of(seen: Sequence[Mapping[str, Sequence[Floats]]]) -> NoiseShapes:
     """How often each shape is seen: the shares under which the series of the fleet are most likely (EM)."""
     keys = {key for each in seen for key in each}
     shares: dict[str, tuple[float, ...]] = {}
@@ -145,21 +145,21 @@ def wanders_of(seen: Sequence[Mapping[str, Sequence[Floats]]]) -> Wanders:
             part /= part.sum(axis=1, keepdims=True)
             share = (part.sum(axis=0) + _PRIOR_SERIES / len(SHAPES)) / (len(log) + _PRIOR_SERIES)
         shares[key] = tuple(np.log(share).tolist())
-    return Wanders(shares)
+    return NoiseShapes(shares)
 
 
 # -- trends ------------------------------------------------------------------------------------------------------------
 
 
 def trends_of(
-    series: CheckSeries, wanders: Wanders, first: datetime
+    series: CheckSeries, noise_shapes: NoiseShapes, first: datetime
 ) -> tuple[tuple[FleetTrend, ...], tuple[TrendCurve, ...]]:
     """Trend and curve of every series.
 
     Parameters
     ----------
     series : CheckSeries
-    wanders : Wanders
+    noise_shapes : NoiseShapes
         How the fleet wanders.
     first : datetime
         Of the first check.
@@ -167,7 +167,7 @@ def trends_of(
     looks = looks_of(series)
     if not looks:
         return (), ()
-    active, log_prior = active_columns(series), wanders.of(series)
+    active, log_prior = active_columns(series), noise_shapes.of(series)
     seen = np.isfinite(series.value).sum(axis=0)
     needed = needed_sigmas(int((seen >= FEWEST_CHECKS).sum()))
     found: dict[int, float] = {}
@@ -181,8 +181,8 @@ def trends_of(
     size = _long_enough(series, looks[-1], sigmas(told, log_prior, tolerance))
     mean, covariance = mixed(told, weights(told, log_prior))
     both = zip(mean, covariance, strict=True)
-    told_of = [_trend(series, index, line, active[index], float(size[index])) for index, line in enumerate(both)]
-    least = detectable(np.array([trend.drift_std_per_year for trend in told_of]), tolerance, needed)
+    detected = [_trend(series, index, line, active[index], float(size[index])) for index, line in enumerate(both)]
+    least = detectable(np.array([trend.drift_std_per_year for trend in detected]), tolerance, needed)
     trends = tuple(
         replace(
             trend,
@@ -190,7 +190,7 @@ def trends_of(
             found_on=_day(first, found.get(index)),
             detectable_per_year=float(least[index]),
         )
-        for index, trend in enumerate(told_of)
+        for index, trend in enumerate(detected)
     )
     curves = tuple(_curve(series, index, mean[index], covariance[index]) for index in range(len(series.quantities)))
     return trends, curves

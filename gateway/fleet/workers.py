@@ -89,7 +89,7 @@ def workers(
         try:
             client = distributed.Client(cluster or scheduler, timeout=PATIENCE_S, set_as_default=False, **options)
         except (OSError, ValueError) as error:
-            raise ConfigError(_nobody(str(scheduler))) from error
+            raise ConfigError(_no_answer(str(scheduler))) from error
         yield _Dask(client, scheduler or "the workers of this machine")
     finally:
         with suppress(OSError, TimeoutError):
@@ -126,10 +126,10 @@ def _reach(scheduler: str) -> None:
     try:
         socket.create_connection((host.strip("[]"), int(port)), timeout=PATIENCE_S).close()
     except (OSError, ValueError, OverflowError) as error:
-        raise ConfigError(_nobody(scheduler)) from error
+        raise ConfigError(_no_answer(scheduler)) from error
 
 
-def _nobody(scheduler: str) -> str:
+def _no_answer(scheduler: str) -> str:
     return (
         f"--scheduler {scheduler}: nobody answers there; start one (dask scheduler), or leave --scheduler out to work"
         " on this machine"

@@ -26,7 +26,7 @@ from scipy.interpolate import make_interp_spline
 from drives.validation import Strict, Unfit, read_strict
 from gateway.data.csv_text import read_path_columns
 from gateway.errors import InputError, PlanRefused
-from gateway.motion.places import angles
+from gateway.motion.joint_path import angles
 from gateway.motion.trajectory import Motion, MotionLimits, straight
 from gateway.motion.workspace import Workspace
 
@@ -130,7 +130,7 @@ def _read_toml(text: str, file: Path) -> _Waypoints:
     try:
         return read_strict(text, _Waypoints)
     except Unfit as error:
-        raise InputError.of(error.told(str(file))) from error
+        raise InputError.of(error.messages(str(file))) from error
 
 
 def _read_csv(file: Path) -> tuple[np.ndarray | None, np.ndarray]:

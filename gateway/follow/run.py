@@ -20,7 +20,7 @@ from gateway.follow.track import Recorder, Track
 from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
 from gateway.motion.power import powered
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
@@ -105,7 +105,7 @@ class _Run:
             arms=Arms((self._arm,), station.pacing),
             workspaces=(station.workspace,),
             period_s=path.period_s,
-            state=StateKeeper(station.arm.name, lambda _state: None),
+            state=StateTracker(station.arm.name, lambda _state: None),
             options=station.options,
             report=self._progress,
         )

@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 #: After a SYNC that was not answered in full, as many rows are left out: answers may come one SYNC late.
 DOUBTFUL_ROWS = 2
-#: Way of the target between two SYNCs [rad] on which an arm whose readings all stay the same was not read anew.
+#: Target movement between two SYNCs [rad]: an arm whose readings stay the same over more was not read again.
 STALE_WAY_RAD = 1e-3
 #: Speed of the target below which an axis counts as standing [rad/s].
 STILL_RAD_S = 1e-6

@@ -238,7 +238,7 @@ def read_map(path: Path, changes: Mapping[str, Any] | None = None) -> LogMap:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from error
     except Unfit as error:
-        raise ConfigError.of(error.told(str(path))) from error
+        raise ConfigError.of(error.messages(str(path))) from error
 
 
 def map_schema() -> dict[str, Any]:

@@ -16,9 +16,9 @@ from gateway.acquire.events import PoseDone, Progress
 from gateway.errors import PlanRefused
 from gateway.live.drawing import stage_of
 from gateway.live.wire import HEAD, PER_AXIS, ROW, SHOWN, CommandOver, Ended, Happened, PoseSeen, ShownCell, pieces
-from gateway.motion.flat import fill
-from gateway.motion.observer import Observed, RowTold, Scene
-from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.observed_fields import fill
+from gateway.motion.observer import MotionProgress, Observed, Scene
+from gateway.motion.state import Phase, StateTracker
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
 
 #: Shortest time between two rows [s]: no screen shows more, and a loop of 1 kHz need not be asked so often.
@@ -60,7 +60,7 @@ class Feed:
         self._channel, self._clock = channel, clock
         self._waiting: deque[list[bytes]] = deque()
         self._row = np.zeros(HEAD)
-        self._state: StateKeeper | None = None
+        self._state: StateTracker | None = None
         self._modelled: tuple[np.ndarray, ...] = ()
         self._followed: tuple[np.ndarray, ...] = ()
         self._unanswered = 0
@@ -73,7 +73,7 @@ class Feed:
         """Arms are about to be powered."""
         self.show(stage_of(scene), scene.state)
 
-    def show(self, stage: ShownCell, state: StateKeeper) -> None:
+    def show(self, stage: ShownCell, state: StateTracker) -> None:
         """What is seen from now on, and who knows what it does."""
         self._state = state
         self._row = np.zeros(HEAD + PER_AXIS * sum(arm.axes for arm in stage.arms))
@@ -103,10 +103,10 @@ class Feed:
             at = fill(row, at, shown, arm, SHOWN)
         self._send(ROW + row.tobytes())
 
-    def told(self, event: object) -> None:
+    def reported(self, event: object) -> None:
         """Something was told; what only says how far it is, not more often than can be read."""
         now_s = self._clock()
-        if isinstance(event, RowTold):
+        if isinstance(event, MotionProgress):
             if now_s - self._told_s < WORD_S:
                 return
             self._told_s = now_s

@@ -20,7 +20,7 @@ from gateway.live.feed import PHASES
 from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen, ShownArm, ShownCell
 from gateway.model.kinematics import link_frames
 from gateway.model.robot import reach_m
-from gateway.motion.observer import RowTold
+from gateway.motion.observer import MotionProgress
 from gateway.motion.state import Phase
 from gateway.report import notation
 
@@ -194,7 +194,7 @@ class Show:
         self._changed = True
 
     def _happened(self, event: object) -> None:
-        if isinstance(event, RowTold):
+        if isinstance(event, MotionProgress):
             self._standing["what"] = event.what
         elif isinstance(event, Progress):
             self._standing |= {"what": event.what, "left_s": round(event.remaining_s, 1)}

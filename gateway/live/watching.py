@@ -29,7 +29,7 @@ from gateway.model.regressor import gravity_regressor
 from gateway.motion.arm import JointSide
 from gateway.motion.observer import Observed
 from gateway.motion.opening import axis_setups
-from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.state import Phase, StateTracker
 from gateway.motion.workspace import Workspace, workspace_of
 
 Floats = NDArray[np.float64]
@@ -121,7 +121,7 @@ class Watching:
         self, arms: Sequence[WatchedArm], feed: Feed, period_s: float, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self._arms, self._feed, self._clock = arms, feed, clock
-        self._state = StateKeeper(arms[0].name, lambda _state: None)
+        self._state = StateTracker(arms[0].name, lambda _state: None)
         self._heard_s = clock()
         self._silent = False
         self._untold = {arm.name for arm in arms}
@@ -137,7 +137,7 @@ class Watching:
             self._hand_on()
         elif not self._silent and self._clock() - self._heard_s > SILENT_S:
             self._silent = True
-            self._feed.told(Heard("warn", "no SYNC is heard: nobody moves these drives at the moment"))
+            self._feed.reported(Heard("warn", "no SYNC is heard: nobody moves these drives at the moment"))
             self._state.enter(Phase.IN_BRAKES)
 
     def _hand_on(self) -> None:
@@ -145,7 +145,7 @@ class Watching:
             if arm.overheard.unknown and arm.name in self._untold:
                 self._untold.discard(arm.name)
                 nodes = ", ".join(map(str, arm.overheard.unknown))
-                self._feed.told(Heard("warn", f"arm '{arm.name}': the constants of nodes {nodes} {UNKNOWN}"))
+                self._feed.reported(Heard("warn", f"arm '{arm.name}': the constants of nodes {nodes} {UNKNOWN}"))
         samples = tuple(arm.sample for arm in self._arms if arm.sample is not None)
         if len(samples) < len(self._arms):
             return
@@ -160,7 +160,7 @@ class Watching:
     def _tell_emergencies(self, arm: WatchedArm) -> None:
         while arm.overheard.emergencies:
             emergency = arm.overheard.emergencies.popleft()
-            self._feed.told(Heard("plain" if emergency.is_reset else "fail", str(emergency)))
+            self._feed.reported(Heard("plain" if emergency.is_reset else "fail", str(emergency)))
 
 
 def stored_constants(path: Path, arm: ArmConfig) -> tuple[Constants, ...]:

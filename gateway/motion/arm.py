@@ -69,8 +69,8 @@ class ArmDrives(Protocol):
         """How far each motor has turned since the drives were disabled."""
         ...
 
-    def when_stopping(self, tell: Callable[[], None], /) -> None:
-        """Have `tell` called before the drives are stopped because of an error of theirs."""
+    def when_stopping(self, report: Callable[[], None], /) -> None:
+        """Have `report` called before the drives are stopped because of an error of theirs."""
         ...
 
     def align(self, at_s: float, /) -> None:

@@ -102,7 +102,7 @@ class Body:
         return lever
 
 
-def standing_and_moving(robot: Robot, q_rad: Floats) -> Floats:
+def base_and_link_frames(robot: Robot, q_rad: Floats) -> Floats:
     """Frames (n, N + 1, 4, 4) of the base and of every link in the base frame [m], at postures (n, N)."""
     base = np.broadcast_to(np.eye(4), (len(q_rad), 1, 4, 4))
     return np.concatenate([base, link_frames(robot, q_rad)], axis=1)

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from gateway.cell.config import ArmConfig
 from gateway.model.robot import Robot, reach_m
-from gateway.motion.body import BASE, LOAD, Body, body_of_parts, moving_parts, standing_and_moving
-from gateway.motion.distances import segment_box_distance, segment_segment_distance
-from gateway.motion.exact import TOLERANCE_M, Exact
+from gateway.motion.body import BASE, LOAD, Body, base_and_link_frames, body_of_parts, moving_parts
+from gateway.motion.convex_distance import TOLERANCE_M, Exact
+from gateway.motion.segment_distance import segment_box_distance, segment_segment_distance
 from gateway.motion.surroundings import Plane, surroundings_of
 
 Floats = NDArray[np.float64]
@@ -32,7 +32,7 @@ PATH_RESOLUTION_M = 0.002
 #: Bodies whose capsules are farther apart than this are not looked at closer: it is cheaper to halve the stretch.
 CLOSE_M = 0.03
 #: What is planned keeps apart by this in addition, where two bodies are ever farther apart than that.
-ROOM_M = 0.005
+PLANNING_CLEARANCE_M = 0.005
 #: Postures at which two bodies are looked at that may touch wherever the joints stand.
 SAMPLES = 200
 #: Share of those at which assumed bodies touch that are then taken to be too thick to tell anything.
@@ -56,7 +56,7 @@ class Pairs:
         Row of the body that moves; row of the other body, box or plane.
     lever_m : array of shape (p, N)
         Farthest that a point of the first may lie from each joint axis that moves it against the other.
-    room_m : array of shape (p,)
+    clearance_m : array of shape (p,)
         What is taken off each distance.
     """
 
@@ -64,11 +64,11 @@ class Pairs:
     first: Rows
     other: Rows
     lever_m: Floats
-    room_m: Floats
+    clearance_m: Floats
 
     def only(self, rows: NDArray[np.bool_]) -> Pairs:
         """Some of the rows."""
-        return Pairs(self.kind[rows], self.first[rows], self.other[rows], self.lever_m[rows], self.room_m[rows])
+        return Pairs(self.kind[rows], self.first[rows], self.other[rows], self.lever_m[rows], self.clearance_m[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +84,7 @@ class Space:
     planes : tuple of Plane
     pairs : Pairs
     narrow : bool array of shape (p,)
-        Pairs that are never farther apart than `ROOM_M`.
+        Pairs that are never farther apart than `PLANNING_CLEARANCE_M`.
     unchecked : tuple of str
         What is not kept apart since it touches wherever the joints stand.
     exact : Exact
@@ -100,9 +100,9 @@ class Space:
     unchecked: tuple[str, ...]
     exact: Exact
 
-    def roomy(self) -> Space:
-        """The same with `ROOM_M` to be left between what can be that far apart."""
-        return replace(self, pairs=replace(self.pairs, room_m=np.where(self.narrow, 0.0, ROOM_M)))
+    def with_clearance(self) -> Space:
+        """The same with `PLANNING_CLEARANCE_M` to be left between what can be that far apart."""
+        return replace(self, pairs=replace(self.pairs, clearance_m=np.where(self.narrow, 0.0, PLANNING_CLEARANCE_M)))
 
     def gaps_m(self, q_rad: Floats, posture: Rows, pair: Rows, enough_m: Floats) -> Floats:
         """Distances (m,) [m] of pairs at postures, less the room to be left; 0 or less where they touch.
@@ -115,16 +115,16 @@ class Space:
         enough_m : array of shape (m,)
             Where a lower bound is above this, or above `CLOSE_M`, the bound is given.
         """
-        frames = standing_and_moving(self.robot, q_rad)
+        frames = base_and_link_frames(self.robot, q_rad)
         segments = self.body.segments_m(frames)
         out = np.empty(len(pair))
         for kind, distance in ((SOLID, self._solids), (BOX, self._boxes), (PLANE, self._planes)):
             rows = np.flatnonzero(self.pairs.kind[pair] == kind)
             if len(rows):
                 which = pair[rows]
-                room = self.pairs.room_m[which]
-                at = _Items(posture[rows], self.pairs.first[which], self.pairs.other[which], enough_m[rows] + room)
-                out[rows] = distance(frames, segments, at) - room
+                clearance = self.pairs.clearance_m[which]
+                at = _Items(posture[rows], self.pairs.first[which], self.pairs.other[which], enough_m[rows] + clearance)
+                out[rows] = distance(frames, segments, at) - clearance
         return out
 
     def _solids(self, frames: Floats, segments: Floats, at: _Items) -> Floats:
@@ -237,32 +237,36 @@ class Space:
         found = np.full(len(start_rad), np.nan)
         turn = end_rad - start_rad
         path = np.abs(turn) @ self.pairs.lever_m.T
-        way, pair = (index.ravel() for index in np.indices(path.shape))
-        low, high = np.zeros(len(way)), np.ones(len(way))
+        segment, pair = (index.ravel() for index in np.indices(path.shape))
+        low, high = np.zeros(len(segment)), np.ones(len(segment))
 
         def gaps(todo: tuple[Rows, Rows], at: Floats, enough_m: Floats) -> Floats:
             places, posture = np.unique(todo[0] + 0.5 * at, return_inverse=True)
-            of_way = places.astype(np.intp)
-            q_rad = start_rad[of_way] + (2.0 * (places - of_way))[:, None] * turn[of_way]
+            segment = places.astype(np.intp)
+            q_rad = start_rad[segment] + (2.0 * (places - segment))[:, None] * turn[segment]
             return self.gaps_m(q_rad, posture, todo[1], enough_m)
 
-        step = path[way, pair]
-        before, after = gaps((way, pair), low, step / 2), gaps((way, pair), high, step / 2)
-        found[way[after <= 0.0]] = 1.0
-        found[way[before <= 0.0]] = 0.0
+        step = path[segment, pair]
+        before, after = gaps((segment, pair), low, step / 2), gaps((segment, pair), high, step / 2)
+        found[segment[after <= 0.0]] = 1.0
+        found[segment[before <= 0.0]] = 0.0
         while True:
             doubtful = before + after <= step
             stuck = doubtful & (step <= PATH_RESOLUTION_M)
-            found[way[stuck]] = low[stuck]
-            left = np.flatnonzero(doubtful & np.isnan(found[way]))
+            found[segment[stuck]] = low[stuck]
+            left = np.flatnonzero(doubtful & np.isnan(found[segment]))
             if not len(left):
                 return found
-            way, pair, step = way[left], pair[left], step[left]
+            segment, pair, step = segment[left], pair[left], step[left]
             low, high, before, after = low[left], high[left], before[left], after[left]
             middle = (low + high) / 2
-            between = gaps((way, pair), middle, step / 2)
-            found[way[between <= 0.0]] = middle[between <= 0.0]
-            way, pair, step = np.concatenate([way, way]), np.concatenate([pair, pair]), np.concatenate([step, step]) / 2
+            between = gaps((segment, pair), middle, step / 2)
+            found[segment[between <= 0.0]] = middle[between <= 0.0]
+            segment, pair, step = (
+                np.concatenate([segment, segment]),
+                np.concatenate([pair, pair]),
+                np.concatenate([step, step]) / 2,
+            )
             low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
             before, after = np.concatenate([before, between]), np.concatenate([between, after])
 
@@ -295,7 +299,7 @@ def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats)
     what it turns in. Planes and boxes are never left out for a link beyond the first.
     """
     around = surroundings_of(arm, robot)
-    body = body_of_parts([*around.standing, *moving_parts(arm, robot)])
+    body = body_of_parts([*around.fixed_parts, *moving_parts(arm, robot)])
     return space_between(robot, body, around.boxes_m, around.planes, (lower_rad, upper_rad))
 
 
@@ -309,7 +313,7 @@ def space_between(
     always = _always(space, *range_rad)
     names = dict.fromkeys(space.name_of(int(row)) for row in np.flatnonzero(always))
     space = replace(space, pairs=everything.only(~always), narrow=space.narrow[~always], unchecked=tuple(names))
-    return replace(space, narrow=_always(space.roomy(), *range_rad))
+    return replace(space, narrow=_always(space.with_clearance(), *range_rad))
 
 
 def _all_pairs(body: Body, robot: Robot, boxes: int, planes: int) -> Pairs:
@@ -331,7 +335,7 @@ def _all_pairs(body: Body, robot: Robot, boxes: int, planes: int) -> Pairs:
         first=np.array([row[1] for row in rows], dtype=np.intp),
         other=np.array([row[2] for row in rows], dtype=np.intp),
         lever_m=np.array([row[3] for row in rows]).reshape(-1, robot.axes),
-        room_m=np.zeros(len(rows)),
+        clearance_m=np.zeros(len(rows)),
     )
 
 

@@ -25,7 +25,7 @@ IN_A_ROW = ARM_RULES["contact"].count
 #: Time constant of the recent mean.
 MEMORY_S = 0.5
 #: A SYNC that goes out late makes the drives wait and start again: no contact is looked for until that has faded.
-LATE_GRACE_S = ARM_RULES["late_sync"].limit
+DELAY_GRACE_S = ARM_RULES["late_sync"].limit
 #: After the brakes open, the drives take over the torque that the brakes have carried; nothing moves yet.
 TAKE_OVER_S = 0.3
 #: Commanded way over which a joint has to move along, and the share of it that it has to go; one that lags at speed and
@@ -57,7 +57,7 @@ class Contact:
         self._reversal = 1.0 / workspace.efficiency - workspace.efficiency
         self._mean = np.zeros_like(self._limit)
         self._take_over_syncs = self._taking_over = int(np.ceil(TAKE_OVER_S / period_s))
-        self._grace_syncs = int(np.ceil(LATE_GRACE_S / period_s))
+        self._grace_syncs = int(np.ceil(DELAY_GRACE_S / period_s))
         self._grace = 0
         self._count = np.zeros(len(self._limit), dtype=int)
         self._side = np.zeros_like(self._limit)
@@ -71,7 +71,7 @@ class Contact:
             self._taking_over = self._take_over_syncs
         self.excused = joints
 
-    def sync_was_late(self) -> None:
+    def note_delayed_sync(self) -> None:
         """The next SYNCs show a shaken arm."""
         self._grace = self._grace_syncs
 
@@ -130,17 +130,17 @@ class Contact:
             self._from = (q_rad.copy(), target_rad.copy())
             return
         start_q, start_target = self._from
-        asked = target_rad - start_target
-        far = np.abs(asked) > FOLLOW_RAD
+        commanded = target_rad - start_target
+        far = np.abs(commanded) > FOLLOW_RAD
         if not far.any():
             return
-        done = (q_rad - start_q) * np.sign(asked)
+        done = (q_rad - start_q) * np.sign(commanded)
         now = np.abs(target_rad - q_rad) > (1.0 - FOLLOW_SHARE) * FOLLOW_RAD
-        behind = far & now & (done < FOLLOW_SHARE * np.abs(asked))
+        behind = far & now & (done < FOLLOW_SHARE * np.abs(commanded))
         if behind.any():
             joint = int(np.argmax(behind))
             raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} was told to move by {asked[joint]:.3f} rad and has moved by "
+                f"arm '{self._arm}', joint {joint + 1} was told to move by {commanded[joint]:.3f} rad and has moved by "
                 f"{q_rad[joint] - start_q[joint]:.3f} rad: "
                 f"{ARM_RULES['stays_behind'].advice}",
                 joint=joint + 1,

@@ -15,7 +15,7 @@ import numpy as np
 
 from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from gateway.motion.workspace import Workspace
 
 
@@ -31,14 +31,14 @@ class Scene:
         One per arm: its robot, limits and links.
     period_s : float
         SYNC period.
-    state : StateKeeper
+    state : StateTracker
         Whose `state` says at any time what the arms do.
     """
 
     arms: Arms
     workspaces: tuple[Workspace, ...]
     period_s: float
-    state: StateKeeper
+    state: StateTracker
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,8 +71,8 @@ class Observer(Protocol):
         """One SYNC was answered; also the one that ends the motion, before anything is stopped."""
         ...
 
-    def told(self, event: object, /) -> None:
-        """Whoever runs the job told something: an event of `gateway.acquire.events`, or a `RowTold`."""
+    def reported(self, event: object, /) -> None:
+        """Whoever runs the job told something: an event of `gateway.acquire.events`, or a `MotionProgress`."""
         ...
 
     def ended(self, failure: BaseException | None, /) -> None:
@@ -81,7 +81,7 @@ class Observer(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class RowTold:
+class MotionProgress:
     """Where a motion stands: what is done, the row and the number of rows."""
 
     what: str
@@ -122,9 +122,9 @@ class Observers:
             observed = Observed(samples, targets_rad, modelled_nm)
             self._each(lambda observer: observer.sampled(observed))
 
-    def told(self, event: object) -> None:
+    def reported(self, event: object) -> None:
         """Something was told."""
-        self._each(lambda observer: observer.told(event))
+        self._each(lambda observer: observer.reported(event))
 
     def ended(self, failure: BaseException | None) -> None:
         """The arms are no longer under power."""

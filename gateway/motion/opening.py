@@ -119,9 +119,9 @@ class _GroupDrives:
         """How far each motor has turned since it was disabled."""
         return self._group.brake_drop_rad or (0.0,) * len(self._group.drives)
 
-    def when_stopping(self, tell: Callable[[], None]) -> None:
-        """Have `tell` called before the drives are stopped because of an error of theirs."""
-        self._group.on_stop = tell
+    def when_stopping(self, report: Callable[[], None]) -> None:
+        """Have `report` called before the drives are stopped because of an error of theirs."""
+        self._group.on_stop = report
 
     def align(self, at_s: float) -> None:
         """By the clock: the next SYNC is due at a monotonic time."""

@@ -50,9 +50,9 @@ class OwnTorque:
         self._links = _dynamics(workspace)
         peak = np.fmax(self._coulomb, [axis.breakaway_nm for axis in known])
         weight = np.abs(axes.coupling)
-        whole = ~(weight[~used] > 0.0).any(axis=0)
-        self.turning_nm = np.where(whole, 2.0 * peak @ weight, np.nan)
-        self._whole = whole
+        identified = ~(weight[~used] > 0.0).any(axis=0)
+        self.turning_nm = np.where(identified, 2.0 * peak @ weight, np.nan)
+        self._identified = identified
         self._at: Floats | None = None
         self._rate = self._sense = np.zeros_like(self._rotor)
         self._change = np.zeros_like(self._rotor)
@@ -60,10 +60,10 @@ class OwnTorque:
     def take(self, target_rad: Floats) -> None:
         """The set points (N,) [rad] of one more SYNC."""
         before = target_rad if self._at is None else self._at
-        way = self._coupling @ (target_rad - before)
+        displacement = self._coupling @ (target_rad - before)
         rate = (target_rad - before) / self._period_s
         self._at, self._rate, self._change = target_rad, rate, (rate - self._rate) / self._period_s
-        self._sense = np.clip(self._sense + way / TURN_ROUND_RAD, -1.0, 1.0)
+        self._sense = np.clip(self._sense + displacement / TURN_ROUND_RAD, -1.0, 1.0)
 
     @property
     def friction_nm(self) -> Floats:
@@ -73,12 +73,12 @@ class OwnTorque:
     @property
     def inertia_nm(self) -> Floats:
         """Torque (N,) of rotors and links at the joints, of those that were identified."""
-        if self._at is None or not self._whole.any():
+        if self._at is None or not self._identified.any():
             return np.zeros_like(self._rate)
         rotors = (self._rotor * (self._coupling @ self._change)) @ self._coupling
         if self._links is not None:
             rotors = rotors + self._links.torque(self._at.tolist(), self._rate.tolist(), self._change.tolist())
-        return np.where(self._whole, rotors, 0.0)
+        return np.where(self._identified, rotors, 0.0)
 
 
 def own_torque(arm: Arm, workspace: Workspace, period_s: float) -> OwnTorque | None:

@@ -14,7 +14,7 @@ from gateway.motion.state import Phase
 from gateway.motion.stream import Stream
 
 #: A joint that moves farther once its brake has closed is reported [rad].
-SAG_RAD: Final = 0.005
+BRAKE_DROP_RAD: Final = 0.005
 
 
 @contextmanager
@@ -62,7 +62,7 @@ def powered(stream: Stream) -> Generator[Stream]:
                 raise
             finally:
                 desk.under_power = False
-                _tell_the_end(stream, failure)
+                _report_end(stream, failure)
                 observers.ended(failure)
             if stream.first_moved and station.options.first_done is not None:
                 station.options.first_done()
@@ -90,21 +90,21 @@ def _attempt(action: Callable[[], None], failure: BaseException | None) -> None:
         failure.add_note(f"while stopping: {error}")
 
 
-def _tell_the_end(stream: Stream, failure: BaseException | None) -> None:
+def _report_end(stream: Stream, failure: BaseException | None) -> None:
     state = stream.station.state
     state.enter(Phase.STOPPING, stream.sync_index)
     since = state.state
-    sag = _sag(stream)
+    drop_text = _brake_drop_text(stream)
     if failure is None:
-        state.enter(Phase.IN_BRAKES, stream.sync_index, sag)
+        state.enter(Phase.IN_BRAKES, stream.sync_index, drop_text)
         return
-    if sag:
-        failure.add_note(sag)
+    if drop_text:
+        failure.add_note(drop_text)
     failure.add_note(f"It happened at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
     state.enter(Phase.STOPPED, stream.sync_index, str(failure) or type(failure).__name__)
 
 
-def _sag(stream: Stream) -> str:
+def _brake_drop_text(stream: Stream) -> str:
     """Joints that have sunk in their brakes, in words."""
     found = []
     for arm in stream.station.arms.members:
@@ -112,6 +112,6 @@ def _sag(stream: Stream) -> str:
         found += [
             f"arm '{arm.name}', joint {joint} sank by {value:.4f} rad in its brake"
             for joint, value in enumerate(brake_drop_rad.tolist(), start=1)
-            if value > SAG_RAD
+            if value > BRAKE_DROP_RAD
         ]
     return "; ".join(found) + ("; check its brake and the brake's delay" if found else "")

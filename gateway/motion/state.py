@@ -54,22 +54,22 @@ class CellState:
         return f"arm '{self.arm}' is {self.phase} {when}" + (f": {self.reason}" if self.reason else "")
 
 
-class StateKeeper:
+class StateTracker:
     """Keeps the state of one arm and tells when it changes.
 
     Parameters
     ----------
     arm : str
-    tell : callable
+    report : callable
         Takes every new state.
     """
 
-    def __init__(self, arm: str, tell: Callable[[CellState], None]) -> None:
+    def __init__(self, arm: str, report: Callable[[CellState], None]) -> None:
         self.state = CellState(arm, Phase.IN_BRAKES, datetime.now(UTC))
-        self._tell = tell
+        self._report = report
 
     def enter(self, phase: Phase, sync_index: int = 0, reason: str = "") -> None:
         """The arm is in this phase from now on; nothing happens if it is already."""
         if phase is not self.state.phase:
             self.state = CellState(self.state.arm, phase, datetime.now(UTC), sync_index, reason)
-            self._tell(self.state)
+            self._report(self.state)

@@ -113,16 +113,16 @@ def signals_ask(desk: StopDesk) -> Generator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    heard = 0
+    received = 0
 
     def on_signal(number: int, _frame: Any) -> None:
-        nonlocal heard
+        nonlocal received
         cause = StoppedByPerson(f"stopped by {signal.Signals(number).name}")
-        late_wish = heard == 1
-        if not desk.under_power and not late_wish:
+        second_after_stop = received == 1
+        if not desk.under_power and not second_after_stop:
             raise cause
-        heard += 1
-        desk.ask(cause, StopKind.ALONG_PATH if heard == 1 else StopKind.QUICK_STOP)
+        received += 1
+        desk.ask(cause, StopKind.ALONG_PATH if received == 1 else StopKind.QUICK_STOP)
 
     before = {number: signal.signal(number, on_signal) for number in ENDING_SIGNALS}
     try:
@@ -174,12 +174,12 @@ def output_closed(error: BaseException) -> bool:
     return isinstance(error, BrokenPipeError)
 
 
-def guarded(tell: Callable[..., None], desk: StopDesk) -> Callable[..., None]:
+def guarded(listener: Callable[..., None], desk: StopDesk) -> Callable[..., None]:
     """A listener that cannot break the loop: what it raises becomes a wish to stop along the path."""
 
-    def safely(*told: Any) -> None:
+    def safely(*arguments: Any) -> None:
         try:
-            tell(*told)
+            listener(*arguments)
         except BaseException as error:
             desk.ask(StoppedByPerson(CLOSED) if output_closed(error) else error)
 

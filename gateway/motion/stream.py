@@ -16,14 +16,14 @@ from drives.realtime import leave_real_time
 from gateway.data.sample import ArmSample
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.observer import Observers, RowTold, Scene
+from gateway.motion.observer import MotionProgress, Observers, Scene
 from gateway.motion.own_torque import own_torque
 from gateway.motion.pathclock import PathClock
-from gateway.motion.state import StateKeeper
+from gateway.motion.setpoints import MotionSetpoints, PerArm, SetpointSource
+from gateway.motion.state import StateTracker
 from gateway.motion.stops import StopDesk, StopKind, guarded
 from gateway.motion.trajectory import Motion
 from gateway.motion.watch import Watch
-from gateway.motion.way import MotionWay, PerArm, Way
 from gateway.motion.workspace import Workspace
 
 #: Called with what is done, the row and the number of rows, now and then.
@@ -89,7 +89,7 @@ class Station:
         One per arm.
     period_s : float
         SYNC period.
-    state : StateKeeper
+    state : StateTracker
     options : MoveOptions
     report : Report
     """
@@ -97,7 +97,7 @@ class Station:
     arms: Arms
     workspaces: tuple[Workspace, ...]
     period_s: float
-    state: StateKeeper
+    state: StateTracker
     options: MoveOptions
     report: Report = _nothing
 
@@ -177,9 +177,9 @@ class Stream:
     def move(self, motions: Sequence[Motion], what: str) -> None:
         """Stream one prepared motion per arm, from the last set points to rest; raises as `drive`."""
         if len(motions[0]):
-            self.drive(MotionWay(self.q_rad, motions), what)
+            self.drive(MotionSetpoints(self.q_rad, motions), what)
 
-    def drive(self, way: Way, what: str) -> None:
+    def drive(self, source: SetpointSource, what: str) -> None:
         """Stream a way to its end, or to where a stop along it comes to rest.
 
         Raises
@@ -197,21 +197,21 @@ class Stream:
             share = min(FIRST_SHARE, share)
         if self._arms.real:  # what was computed meanwhile must not pass for a stall of the motion
             self.hold(what, 0, 1)
-        clock = PathClock(way.count, self._period_s, self._acceleration, self._jerk, share)
-        self.moving = way.count > 0
+        clock = PathClock(source.count, self._period_s, self._acceleration, self._jerk, share)
+        self.moving = source.count > 0
         row = 0
         while not clock.done:
             if self._asked_to_stop():
                 clock.stop()
-            at = clock.advance(*way.rates(clock.at))
+            at = clock.advance(*source.rates(clock.at))
             if clock.done and not clock.arrived:
                 break
             if row % self._every == 0:
-                self._report(what, int(at), way.count)
+                self._report(what, int(at), source.count)
             row += 1
-            self._send(way, at, clock.rate)
+            self._send(source, at, clock.rate)
         if not clock.arrived:
-            self._come_to_rest(way, clock.at)
+            self._come_to_rest(source, clock.at)
         self.moving = False
         self._model()
         self.first_moved |= first_done is not None and clock.arrived
@@ -229,29 +229,29 @@ class Stream:
             raise wish.cause
         return True
 
-    def _come_to_rest(self, way: Way, at: float) -> None:
+    def _come_to_rest(self, source: SetpointSource, at: float) -> None:
         """Set points stand still: the servos make up for what the joints lag behind before anything is disabled."""
         span = max(REST_SYNCS, round(REST_S / self._period_s))
         seen: deque[np.ndarray] = deque(maxlen=span + 1)
         for _ in range(round(REST_LONGEST_S / self._period_s)):
             self._asked_to_stop()
-            self._send(way, at, 0.0)
+            self._send(source, at, 0.0)
             seen.append(np.concatenate([sample.q_rad for sample in self.samples]))
             if len(seen) > span and np.ptp(np.array(seen), axis=0).max() <= REST_RAD:
                 return
 
-    def _send(self, way: Way, at: float, rate: float) -> None:
-        targets = way.targets(at, rate)
-        ahead, offsets = way.ahead(at, rate), way.offsets()
+    def _send(self, source: SetpointSource, at: float, rate: float) -> None:
+        targets = source.targets(at, rate)
+        ahead, offsets = source.ahead(at, rate), source.offsets()
         commands = [
             arm.command(q, None if ahead is None else ahead[index], None if offsets is None else offsets[index])
             for index, (arm, q) in enumerate(zip(self._arms.members, targets, strict=True))
         ]
         samples = self.samples = self._arms.exchange(commands)
         self.q_rad = targets
-        modelled = way.modelled(at)
+        modelled = source.modelled(at)
         self._look(samples, self._moved() if modelled is None else modelled)
-        way.take(at, rate, samples)
+        source.take(at, rate, samples)
 
     def hold(self, what: str, row: int, rows: int, *, heed: bool = True) -> tuple[ArmSample, ...]:
         """One SYNC of the standing arms; raises as `drive`. Without `heed` requests to stop are left for later."""
@@ -308,7 +308,7 @@ class Stream:
 
     def _report(self, what: str, row: int, rows: int) -> None:
         self._tell(what, row, rows)
-        self._observers.told(RowTold(what, row, rows))
+        self._observers.reported(MotionProgress(what, row, rows))
 
     def _heed(self) -> None:
         """The arms stand: whoever wants them to stop is answered at once."""

@@ -20,10 +20,10 @@ Floats = NDArray[np.float64]
 #: A base that leans farther than this from upright is bolted to a wall or a ceiling.
 WALL_ANGLE_RAD = np.pi / 4
 #: One that leans farther than this hangs: a floor at the height of its base would leave no room for the arm.
-HANGING_ANGLE_RAD = np.radians(100.0)
+INVERTED_MOUNT_ANGLE_RAD = np.radians(100.0)
 #: Room that is left below the shoulder's axis, in radii of a link, where floor, wall or column are assumed: a link as
 #: thick as assumed may then lie level, and 30 degrees lower.
-SHOULDER_ROOM = 2.0
+SHOULDER_CLEARANCE = 2.0
 #: A shoulder that lies off the base's origin by less, as a share of the reach, does not tell which way the arm points.
 LEAST_SHARE = 0.01
 #: Radius of a column that nothing is known of, as a share of the reach: bases of the 10 kg class (reach 1.3 m) are 0.25
@@ -60,7 +60,7 @@ class Surroundings:
 
     planes: tuple[Plane, ...]
     boxes_m: Floats
-    standing: tuple[Part, ...]
+    fixed_parts: tuple[Part, ...]
 
 
 def surroundings_of(arm: ArmConfig, robot: Robot) -> Surroundings:
@@ -70,7 +70,7 @@ def surroundings_of(arm: ArmConfig, robot: Robot) -> Surroundings:
     return Surroundings(
         planes=planes,
         boxes_m=np.array([(box.min_m, box.max_m) for box in arm.keep_out]).reshape(-1, 2, 3),
-        standing=tuple(_standing(arm, robot, floor)),
+        fixed_parts=tuple(_fixed_parts(arm, robot, floor)),
     )
 
 
@@ -85,8 +85,8 @@ def outward(robot: Robot) -> Floats:
     """Unit vector (3,) along axis 1, from the base to the arm."""
     axis = robot.placement[0, :3, :3] @ robot.axis[0]
     heights = link_frames(robot, np.zeros((1, robot.axes)))[0, 1:, :3, 3] @ axis
-    told_by = heights[0] if abs(heights[0]) > LEAST_SHARE * reach_m(robot) else heights[np.argmax(np.abs(heights))]
-    return -axis if told_by < 0.0 else axis
+    determining = heights[0] if abs(heights[0]) > LEAST_SHARE * reach_m(robot) else heights[np.argmax(np.abs(heights))]
+    return -axis if determining < 0.0 else axis
 
 
 def _lean_rad(arm: ArmConfig, robot: Robot) -> float:
@@ -102,13 +102,13 @@ def _shoulder_m(robot: Robot, direction: Floats) -> float:
 
 def _assumed_height_m(arm: ArmConfig, robot: Robot, direction: Floats) -> float:
     """0, the base's origin, or lower where the shoulder needs room."""
-    room = SHOULDER_ROOM * stated_radius_m(arm, robot, 1)[0]
-    return min(0.0, _shoulder_m(robot, direction) - room)
+    clearance = SHOULDER_CLEARANCE * stated_radius_m(arm, robot, 1)[0]
+    return min(0.0, _shoulder_m(robot, direction) - clearance)
 
 
 def _planes(arm: ArmConfig, robot: Robot) -> Iterator[Plane]:
     up, out, lean = upward(arm, robot), outward(robot), _lean_rad(arm, robot)
-    if arm.floor_m is None and lean > HANGING_ANGLE_RAD:
+    if arm.floor_m is None and lean > INVERTED_MOUNT_ANGLE_RAD:
         height = -reach_m(robot)
         yield _plane("floor", up, height, f"{height:.3f} m, assumed: a reach below a base that hangs; give arm.floor_m")
     elif arm.floor_m is None:
@@ -125,7 +125,7 @@ def _plane(name: str, normal: Floats, height_m: float, source: str) -> Plane:
     return Plane(name, (float(normal[0]), float(normal[1]), float(normal[2])), height_m, source)
 
 
-def _standing(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterator[Part]:
+def _fixed_parts(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterator[Part]:
     """The base's own geometry and the column that carries the arm."""
     solids, unusable = solids_of(robot.base_shapes, robot.source)
     if solids:
@@ -140,7 +140,7 @@ def _standing(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterator[P
         words = f"radius {radius:.3f} m, assumed; give arm.column_radius_m, or false where there is none"
     else:
         radius, words = float(arm.column_radius_m), f"radius {arm.column_radius_m:g} m, arm.column_radius_m"
-    shoulder = _shoulder_m(robot, out) - SHOULDER_ROOM * stated_radius_m(arm, robot, 1)[0]
+    shoulder = _shoulder_m(robot, out) - SHOULDER_CLEARANCE * stated_radius_m(arm, robot, 1)[0]
     top = min(0.0, shoulder) if solids and arm.column_radius_m is None else shoulder
     if top - bottom > 1e-3:
         yield Part("column", BASE, (_upright(out, bottom, top, radius),), words, known=arm.column_radius_m is not None)

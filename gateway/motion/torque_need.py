@@ -50,7 +50,7 @@ def needed_torque_nm(
     array of shape (N,) or None
         None where the links, a rotor's inertia or the load that the arm may carry are not known.
     """
-    loads = loads_that_may_hang(workspace, arm)
+    loads = possible_loads(workspace, arm)
     bodies = links_with_loads(workspace, arm, loads) if loads else None
     known = known or axis_constants(arm, None)
     rotors = [axis.rotor_kg_m2 for axis in known]
@@ -107,7 +107,7 @@ def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedL
     return np.column_stack(carried)
 
 
-def loads_that_may_hang(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]:
+def possible_loads(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]:
     """The rated and the heaviest load, as far as given: solid bodies with their centre of gravity in the last link."""
     loads = [] if arm.rated_load_kg is None else [rated_load(arm, workspace.robot)]
     if workspace.max_load is not None:

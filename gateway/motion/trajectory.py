@@ -68,13 +68,13 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     PlanRefused
         A limit that is not positive and finite, or a position that is not finite.
     """
-    way = target_rad - start_rad
-    length = float(np.abs(way).max())
+    displacement = target_rad - start_rad
+    length = float(np.abs(displacement).max())
     if not np.isfinite(length):
         raise PlanRefused("a motion needs finite joint angles at both ends")
     if length <= STILL:
-        return _standing(len(way), period_s)
-    line = way / length
+        return _at_rest(len(displacement), period_s)
+    line = displacement / length
     request = _along(line, limits)
     request.target_position = [length]
     motion = _sample(request, start_rad, line, period_s)
@@ -83,7 +83,7 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     return motion
 
 
-def _standing(axes: int, period_s: float) -> Motion:
+def _at_rest(axes: int, period_s: float) -> Motion:
     return Motion(np.empty((0, axes)), np.empty((0, axes)), np.empty((0, axes)), period_s)
 
 
@@ -105,9 +105,9 @@ def _along(line: np.ndarray, limits: MotionLimits) -> Any:
 
 def straight_duration_s(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits) -> float:
     """Duration of the fastest motion between two postures that differ, as `straight` but not rounded to SYNCs."""
-    way = target_rad - start_rad
-    length = float(np.abs(way).max())
-    request = _along(way / length, limits)
+    displacement = target_rad - start_rad
+    length = float(np.abs(displacement).max())
+    request = _along(displacement / length, limits)
     request.target_position = [length]
     return float(_calculated(request).duration)
 
@@ -127,5 +127,5 @@ def _sample(request: Any, start_rad: np.ndarray, line: np.ndarray, period_s: flo
     trajectory = _calculated(request)
     count = max(1, int(np.ceil(trajectory.duration / period_s - 1e-9)))
     rows = [trajectory.at_time(min(step * period_s, trajectory.duration)) for step in range(1, count + 1)]
-    way, speed, acceleration = (np.array([row[part][0] for row in rows])[:, None] for part in range(3))
-    return Motion(start_rad + way * line, speed * line, acceleration * line, period_s)
+    displacement, speed, acceleration = (np.array([row[part][0] for row in rows])[:, None] for part in range(3))
+    return Motion(start_rad + displacement * line, speed * line, acceleration * line, period_s)

@@ -23,7 +23,7 @@ SPEED_TOLERANCE = 1.2
 #: Shortest span over which speed is measured.
 SPEED_SPAN_S = 0.02
 #: By the clock: a SYNC is late from this share of a period on, and so many of them are looked at.
-LATE_SHARE = 0.5
+DELAYED_SHARE = 0.5
 RHYTHM_S = 2.0
 
 KINDS = ("is {value:.3f} rad off its target", "turns with {value:.3f} rad/s", "needs {value:.0f} Nm")
@@ -41,7 +41,7 @@ class Watch:
     workspace : Workspace
     period_s : float
         SYNC period.
-    late_syncs : float
+    delay_syncs : float
         SYNCs by which a drive may take its set points over late, beside what its servo lags.
     own : OwnTorque, optional
         Torque that the arm takes for its own motion.
@@ -52,7 +52,7 @@ class Watch:
         arm: str,
         workspace: Workspace,
         period_s: float,
-        late_syncs: float = 0.0,
+        delay_syncs: float = 0.0,
         own: OwnTorque | None = None,
     ) -> None:
         self._arm = arm
@@ -66,11 +66,11 @@ class Watch:
         self._count = np.zeros(self._limits.shape, dtype=int)
         self._counting = False
         self._target: np.ndarray | None = None
-        self._late_syncs = late_syncs
+        self._delay_syncs = delay_syncs
         self._own = own
         self._contact = Contact(arm, workspace, period_s, None if own is None else own.turning_nm)
         self._sent: tuple[int, float] | None = None
-        self._late: deque[bool] = deque(maxlen=max(20, round(RHYTHM_S / period_s)))
+        self._delayed: deque[bool] = deque(maxlen=max(20, round(RHYTHM_S / period_s)))
         self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
 
     def start(self, q_rad: np.ndarray) -> None:
@@ -134,9 +134,9 @@ class Watch:
             expected = np.where(excused, q_rad, expected)
             speed_rad_s, torque_nm = np.where(excused, 0.0, (speed_rad_s, torque_nm))
         off_rad = q_rad - expected
-        if self._late_syncs:
-            late_rad = self._late_syncs * np.abs(target_rad - expected)
-            off_rad = np.sign(off_rad) * np.maximum(np.abs(off_rad) - late_rad, 0.0)
+        if self._delay_syncs:
+            delay_rad = self._delay_syncs * np.abs(target_rad - expected)
+            off_rad = np.sign(off_rad) * np.maximum(np.abs(off_rad) - delay_rad, 0.0)
         values = np.array([off_rad, speed_rad_s, torque_nm, q_rad - self._middle])
         over = np.abs(values) > self._limits
         if over.any():
@@ -161,14 +161,14 @@ class Watch:
         before, self._sent = self._sent, (sample.sync_index, sample.time_s)
         if before is None:
             return
-        on_time_s = before[1] + (sample.sync_index - before[0] + LATE_SHARE) * self._period_s
-        self._late.append(sample.time_s > on_time_s)
-        if not self._late[-1]:
+        on_time_s = before[1] + (sample.sync_index - before[0] + DELAYED_SHARE) * self._period_s
+        self._delayed.append(sample.time_s > on_time_s)
+        if not self._delayed[-1]:
             return
-        self._contact.sync_was_late()
-        late, rule = sum(self._late), ARM_RULES["rhythm"]
-        if late > rule.limit * (self._late.maxlen or 1):
-            raise rule.raised(f"arm '{self._arm}': {late} of the last {len(self._late)} SYNCs went out late")
+        self._contact.note_delayed_sync()
+        late, rule = sum(self._delayed), ARM_RULES["rhythm"]
+        if late > rule.limit * (self._delayed.maxlen or 1):
+            raise rule.raised(f"arm '{self._arm}': {late} of the last {len(self._delayed)} SYNCs went out late")
 
     def _refuse(self, values: np.ndarray, q_rad: np.ndarray) -> None:
         if self._count[RANGE].any():

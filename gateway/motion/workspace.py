@@ -11,7 +11,7 @@ from gateway.errors import ConfigError, PlanRefused
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.model.robot import Robot
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_of
-from gateway.motion.places import angles, fine_places, path_points, postures_at
+from gateway.motion.joint_path import angles, path_points, path_positions, postures_at
 
 #: Share of each torque limit that holding the arm may take; bare at rest poses, the rest is left to an unknown load.
 TORQUE_SHARE = 0.9
@@ -92,9 +92,9 @@ class Workspace:
         """Share of the torque limits that rest poses may use."""
         return TORQUE_SHARE_BARE if self.max_load is None else TORQUE_SHARE
 
-    def roomy(self) -> Workspace:
+    def with_clearance(self) -> Workspace:
         """The same with some room to be left between what may touch: what is planned, not what is refused."""
-        return replace(self, space=self.space.roomy())
+        return replace(self, space=self.space.with_clearance())
 
     def draw(self, random: np.random.Generator, count: int) -> np.ndarray:
         """Random postures (count, N) [rad] inside the joint limits, no joint more than half a turn off its middle."""
@@ -187,43 +187,43 @@ class Workspace:
     def _refuse_torque(self, clear: np.ndarray, start_rad: np.ndarray, end_rad: np.ndarray) -> None:
         """Take off `clear` (n,) the motions that need too much torque somewhere."""
         rows = np.flatnonzero(clear)
-        ways = [path_points(start_rad[row], end_rad[row]) for row in rows]
-        owner = np.repeat(rows, [len(way) for way in ways])
-        q_rad = np.concatenate([np.empty((0, self.robot.axes)), *ways])
+        paths = [path_points(start_rad[row], end_rad[row]) for row in rows]
+        owner = np.repeat(rows, [len(path) for path in paths])
+        q_rad = np.concatenate([np.empty((0, self.robot.axes)), *paths])
         for first in range(0, len(q_rad), BLOCK):
             torque = self.holding_torque(q_rad[first : first + BLOCK])
             if torque is not None:
                 over = (torque > TORQUE_SHARE * self.torque_nm).any(axis=1)
                 clear[owner[first : first + BLOCK][over]] = False
 
-    def refused_on(self, way_rad: np.ndarray) -> Refusal | None:
+    def refused_on(self, path_rad: np.ndarray) -> Refusal | None:
         """First thing that stands against a way of postures (n, N) with straight joint motions between them.
 
         What may touch and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
         """
-        broken = ~np.isfinite(way_rad).all(axis=1)
+        broken = ~np.isfinite(path_rad).all(axis=1)
         if broken.any():
             row = int(np.argmax(broken))
-            return Refusal(row, way_rad[row], "a joint angle is no finite number")
-        outside = self._out_of_range(way_rad)
+            return Refusal(row, path_rad[row], "a joint angle is no finite number")
+        outside = self._out_of_range(path_rad)
         if outside.any():  # joint ranges hold between two rows where they hold at both
             row = int(np.argmax(outside))
-            return Refusal(row, way_rad[row], self.why_not(way_rad[row]) or TOO_CLOSE)
-        places = fine_places(way_rad)
+            return Refusal(row, path_rad[row], self.why_not(path_rad[row]) or TOO_CLOSE)
+        places = path_positions(path_rad)
         first = np.inf
         for begin in range(0, len(places), BLOCK):
-            bad = ~self.feasible(postures_at(way_rad, places[begin : begin + BLOCK]))
+            bad = ~self.feasible(postures_at(path_rad, places[begin : begin + BLOCK]))
             if bad.any():
                 first = float(places[begin + int(np.argmax(bad))])
                 break
-        last = int(min(np.ceil(first), len(way_rad) - 1))
-        meets = self.space.blocked_at(way_rad[:last], way_rad[1 : last + 1])
+        last = int(min(np.ceil(first), len(path_rad) - 1))
+        meets = self.space.blocked_at(path_rad[:last], path_rad[1 : last + 1])
         if not np.isnan(meets).all():
             row = int(np.argmax(~np.isnan(meets)))
             first = min(first, row + float(meets[row]))
         if not np.isfinite(first):
             return None
-        q_rad = postures_at(way_rad, np.array([first]))[0]
+        q_rad = postures_at(path_rad, np.array([first]))[0]
         return Refusal(first, q_rad, self.why_not(q_rad) or TOO_CLOSE)
 
     def why_not_path(self, q_rad: np.ndarray) -> str | None:
@@ -231,7 +231,7 @@ class Workspace:
         refusal = self.refused_on(q_rad)
         return None if refusal is None else f"at {angles(refusal.q_rad)}: {refusal.reason}"
 
-    def inward_way(self, q_rad: np.ndarray) -> np.ndarray | None:
+    def path_into_range(self, q_rad: np.ndarray) -> np.ndarray | None:
         """Nearest posture (N,) inside the joint range, for an arm that stands outside; None = it stands inside.
 
         Joints outside move in, by `INWARD_MARGIN_RAD`, the others stand; the straight way there is checked.

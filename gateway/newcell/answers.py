@@ -263,7 +263,7 @@ def read_answers(path: Path) -> dict[str, GivenAnswer]:
     try:
         table = parse_toml(text)
     except tomllib.TOMLDecodeError as error:
-        raise ConfigError.of(not_toml(text, error).told(str(path))) from error
+        raise ConfigError.of(not_toml(text, error).messages(str(path))) from error
     known = questions.KEYS
     lines = key_lines(text)
     strange = [f"{path} line {lines[key,]}: {key} answers no question" for key in table if key not in known]

@@ -1,9 +1,9 @@
-"""Force inside the part from the torques of both arms together, each joint weighed by what its friction may hide.
+"""Estimate the internal force in the part from the joint torques of both arms, weighted by friction uncertainty.
 
-`e = A h + C c + v`: the torques e of all J joints of both arms that free motions with the cell's constants and the
-part's weight do not need are those of the internal wrench h, of constants c that are off (`doubt`), and of what neither
-explains. A joint that turns round, or has not turned yet, rubs either way and is hardly listened to; the others tell
-the force. Where all stand still, the interval says so.
+`e = A h + C c + v`. The residual torques e of all J joints of both arms are what remains after a free motion with the
+constants of the cell file and the weight of the part. They consist of the internal wrench h, errors c of the constants
+(`model_uncertainty`) and an unexplained rest v. A joint that reverses or has not moved yet has unknown friction and
+gets a low weight. Where all joints are at rest, the interval of the estimate is wide.
 """
 
 from __future__ import annotations
@@ -14,10 +14,17 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from gateway.pair.calibration import PathWrenches
-from gateway.pair.doubt import OF_MOTION, DoubtColumns, Doubts, columns_of, constants_of, part_doubts
-from gateway.pair.follow import ExternalTorque, Shown
-from gateway.pair.inside import AVERAGED_S, Inside
-from gateway.pair.learning import led
+from gateway.pair.internal_force import AVERAGED_S, InternalForce
+from gateway.pair.joint_targets import ExternalTorque, Shown
+from gateway.pair.learning_update import led
+from gateway.pair.model_uncertainty import (
+    OF_MOTION,
+    ModelUncertainty,
+    UncertaintyColumns,
+    columns_of,
+    constants_of,
+    part_uncertainty,
+)
 from gateway.pair.transform import Floats
 
 #: Force inside the part that is expected at rest, standard deviation, and by the speed of the hand, as servos lag
@@ -32,10 +39,10 @@ SAMPLE_SHARE = 0.002
 UNFOLLOWED_S2_M2 = 0.003
 #: Hands do not yield to what joints that have not turned yet may feign of a force, so many standard deviations of it:
 #: where nothing is between them they would squeeze the part by what they yield.
-DOUBT_STD = 2.0
+CERTAIN_STD = 2.0
 #: What is out of balance on a way, as the square of what is expected there: above it something beside the part and what
 #: is unsure of the arms has pulled at them.
-STRANGE = 4.0
+UNEXPLAINED_RATIO = 4.0
 
 
 class ForceBalance:
@@ -51,8 +58,8 @@ class ForceBalance:
     Attributes
     ----------
     count : commands of the way
-    late : how many commands before the last one the arms are
-    doubts : Doubts
+    delay : how many commands before the last one the arms are
+    uncertainty : ModelUncertainty
     wrench, covariance : array of shape (6,), None before the first, and its covariance (6, 6)
     fresh : bool
         The last SYNC has told it.
@@ -67,20 +74,22 @@ class ForceBalance:
         #: SYNCs over which a way that is over is averaged.
         self._size = max(1, round(AVERAGED_S / dt_s)) | 1
         self._low_pass = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
-        self.count = len(arms[0].late)
-        where = np.round(arms[0].late).astype(int)
-        self.late = self.count - 1 - int(where[-1])
+        self.count = len(arms[0].delay)
+        where = np.round(arms[0].delay).astype(int)
+        self.delay = self.count - 1 - int(where[-1])
         force, share, part = [], [], []
         both = zip((1.0, -1.0), arms, maps.from_centre, maps.share, maps.share_per_kg, strict=True)
         for sign, arm, from_centre, weight, per_kg in both:
             at_tip = np.swapaxes(arm.jacobian, 1, 2) @ from_centre[where]
             force.append(sign * at_tip)
             share.append(-np.einsum("nij,nj->ni", at_tip, weight[where]))
-            part.append(-at_tip @ part_doubts(per_kg[where], maps.part_mass_kg))
+            part.append(-at_tip @ part_uncertainty(per_kg[where], maps.part_mass_kg))
         #: Joint torque (M, J, 6) per wrench inside the part, and of the part's weight and inertia (M, J).
         self._force, self._share = np.concatenate(force, axis=1), np.concatenate(share, axis=1)
         motions = tuple((arm.q_rad, arm.speed_rad_s, arm.acceleration_rad_s2) for arm in arms)
-        self.columns: DoubtColumns = columns_of((arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1))
+        self.columns: UncertaintyColumns = columns_of(
+            (arms[0].arm, arms[1].arm), motions, dt_s, np.concatenate(part, axis=1)
+        )
         hand = np.einsum("nij,nj->ni", arms[0].jacobian[:, :3], arms[0].speed_rad_s)
         speed = np.linalg.norm(hand, axis=1)
         usual = USUAL_N + USUAL_N_S_M * speed
@@ -90,14 +99,14 @@ class ForceBalance:
         self._coulomb_nm = np.concatenate([arm.arm.coulomb_nm for arm in arms])
         nominal = np.hstack([arm.speed_rad_s for arm in arms]), np.hstack([arm.acceleration_rad_s2 for arm in arms])
         self._nominal = self.columns.of(np.sign(nominal[0]), *nominal)
-        self._strange = False
-        self.begin(Doubts(constants_of(len(limit_nm))))
+        self._unexplained = False
+        self.begin(ModelUncertainty(constants_of(len(limit_nm))))
 
-    def begin(self, doubts: Doubts) -> None:
+    def begin(self, uncertainty: ModelUncertainty) -> None:
         """Forget the way before, and take the arms' constants as they are known by now."""
-        self.doubts = doubts
-        self._unsure = self._nominal @ doubts.covariance @ np.swapaxes(self._nominal, 1, 2)
-        self._value = doubts.value.copy()
+        self.uncertainty = uncertainty
+        self._unsure = self._nominal @ uncertainty.covariance @ np.swapaxes(self._nominal, 1, 2)
+        self._value = uncertainty.value.copy()
         self.wrench: Floats | None = None
         self.fresh = self.pulled = False
         self._seen = np.full((4, *self._share.shape), np.nan)
@@ -132,63 +141,65 @@ class ForceBalance:
         """Wrenches (6,) on both fingertips, base axes [N, Nm], that hold the part and the force beyond doubt."""
         if self.wrench is None:
             return None
-        maps, sure = self._maps, self._beyond_doubt(self.wrench)
+        maps, certain = self._maps, self._certain_force(self.wrench)
         return (
-            maps.from_centre[0][m] @ (maps.share[0][m] - sure),
-            maps.from_centre[1][m] @ (maps.share[1][m] + sure),
+            maps.from_centre[0][m] @ (maps.share[0][m] - certain),
+            maps.from_centre[1][m] @ (maps.share[1][m] + certain),
         )
 
-    def _beyond_doubt(self, wrench: Floats) -> Floats:
+    def _certain_force(self, wrench: Floats) -> Floats:
         """Force and moment (6,), each less what joints that have not turned yet may feign of it."""
-        sure = wrench.copy()
+        certain = wrench.copy()
         for part in (slice(0, 3), slice(3, 6)):
             size = float(np.linalg.norm(wrench[part]))
             along = wrench[part] / size if size > 0.0 else wrench[part]
             std = math.sqrt(along @ self._feigned[part, part] @ along)
-            sure[part] = max(0.0, size - DOUBT_STD * std) * along
-        return sure
+            certain[part] = max(0.0, size - CERTAIN_STD * std) * along
+        return certain
 
     def mean_to_and_fro(self) -> Floats:
         """Wrench (6,) of the mean torque of a way that goes to and fro, so that friction cancels."""
         torque, turned, speed, acceleration = np.nanmean(self._seen, axis=1)
         left = torque - self._share[0] - self.columns.torque(0, self._value, turned, speed, acceleration)
         beside = OF_MOTION * len(torque)
-        columns, unsure = self.columns.along[0], self.doubts.covariance[beside:, beside:]
+        columns, unsure = self.columns.along[0], self.uncertainty.covariance[beside:, beside:]
         return self._solved(0, left, columns @ unsure @ columns.T + np.diag(self._sample_nm**2))[0]
 
     # -- a way that is over ------------------------------------------------------------------------------------------
 
     def learn(self) -> None:
         """Let the way tell the arms' constants, unless something has pulled at the arms on this way alone."""
-        strange = self._out_of_balance() > STRANGE
-        self.pulled, self._strange = strange and not self._strange, strange
+        unexplained = self._out_of_balance() > UNEXPLAINED_RATIO
+        self.pulled, self._unexplained = unexplained and not self._unexplained, unexplained
         if self.pulled:
             return
         there = ~np.isnan(self._seen[0]).any(axis=1)
         left, columns, hidden = self._averaged()
         std = np.sqrt(hidden**2 + self._sample_nm**2)
-        self.doubts.learn(columns[there], left[there], self._force[there], std[there])
+        self.uncertainty.learn(columns[there], left[there], self._force[there], std[there])
 
     def _out_of_balance(self) -> float:
         """Mean square along the way of what no force inside the part explains, over what is expected of it."""
-        left, weight, told = self._weighed()
-        pulled = np.einsum("nij,nj->ni", told, left)
-        explained = np.einsum("ni,ni->n", pulled, np.linalg.solve(told @ self._force, pulled[..., None])[..., 0])
+        left, weight, information = self._weighed()
+        pulled = np.einsum("nij,nj->ni", information, left)
+        explained = np.einsum("ni,ni->n", pulled, np.linalg.solve(information @ self._force, pulled[..., None])[..., 0])
         square = np.einsum("ni,nij,nj->n", left, weight, left) - explained
         return float(np.mean(square)) / (left.shape[1] - self._force.shape[2])
 
-    def inside(self) -> Inside:
+    def internal_force(self) -> InternalForce:
         """Wrench along the way with all that is known at its end: averaged to both sides, so never late."""
-        left, _, told = self._weighed()
-        covariance = np.linalg.inv(told @ self._force + self._usual)
-        wrench = np.einsum("nij,njk,nk->ni", covariance, told, left)
-        return Inside(led(wrench, self.late), led(np.asarray(covariance, dtype=np.float64), self.late), self.pulled)
+        left, _, information = self._weighed()
+        covariance = np.linalg.inv(information @ self._force + self._usual)
+        wrench = np.einsum("nij,njk,nk->ni", covariance, information, left)
+        return InternalForce(
+            led(wrench, self.delay), led(np.asarray(covariance, dtype=np.float64), self.delay), self.pulled
+        )
 
     def _weighed(self) -> tuple[Floats, Floats, Floats]:
         """Averaged torques (M, J) that the constants leave, their weights (M, J, J), and those by wrench (M, 6, J)."""
         left, columns, hidden = self._averaged()
-        left = left - columns @ self.doubts.value
-        unsure = columns @ self.doubts.covariance @ np.swapaxes(columns, 1, 2)
+        left = left - columns @ self.uncertainty.value
+        unsure = columns @ self.uncertainty.covariance @ np.swapaxes(columns, 1, 2)
         own = hidden**2 + self._sample_nm**2 / self._size + self._unfollowed_nm**2
         weight = np.asarray(np.linalg.inv(unsure + own[:, :, None] * np.eye(len(self._sample_nm))), dtype=np.float64)
         return left, weight, np.swapaxes(self._force, 1, 2) @ weight
@@ -215,9 +226,9 @@ class ForceBalance:
     def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats, Floats]:
         """Wrench (6,), its covariance, wrench per torque (6, J), from torques (J,) off by `unsure` (J, J)."""
         force = self._force[at]
-        told = np.linalg.solve(unsure, force).T
-        covariance = np.linalg.inv(told @ force + self._usual[at])
-        gain = covariance @ told
+        information = np.linalg.solve(unsure, force).T
+        covariance = np.linalg.inv(information @ force + self._usual[at])
+        gain = covariance @ information
         return gain @ left, covariance, gain
 
 

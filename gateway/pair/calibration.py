@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.errors import ConfigError
 from gateway.pair.force import GRAVITY_M_S2, share_of_part, to_centre
-from gateway.pair.learning import Bases
+from gateway.pair.learning_update import Bases
 from gateway.pair.path import PairPath
 from gateway.pair.transform import Floats, inverse
 

@@ -19,7 +19,7 @@ from gateway.pair.transform import Floats, cross_matrix
 #: Compliance of a joint that is expected before any was seen, standard deviation [rad/Nm].
 USUAL_RAD_NM = 5e-5
 #: What servos and gears do otherwise from one cycle to the next, turns by `LEVER_M` [m]; SYNCs over which it is alike.
-UNLIKE_M, ALIKE_SYNCS = 5e-5, 10
+DISTANCE_REPEAT_M, CORRELATED_SYNCS = 5e-5, 10
 #: By which turns count into ways [m].
 LEVER_M = 0.25
 
@@ -54,18 +54,18 @@ class GearChain:
         lever = (tips[1] - tips[0]) @ bases[1][:3, :3]
         one = np.concatenate([turn @ first.jacobian[:, :3], turn @ first.jacobian[:, 3:]], axis=1)
         one[:, :3] -= cross_matrix(lever) @ one[:, 3:]
-        self._ways = np.concatenate([one, second.jacobian], axis=2)
+        self._displacements = np.concatenate([one, second.jacobian], axis=2)
         self._plain = 1.0 / stiffness
         self._weight = np.repeat([1.0, LEVER_M], 3)
-        joints = self._ways.shape[2]
-        self._told, self._sum = np.zeros((joints, joints)), np.zeros(joints)
+        joints = self._displacements.shape[2]
+        self._information, self._sum = np.zeros((joints, joints)), np.zeros(joints)
         self._last: tuple[Floats, Floats] | None = None
         self.joints_rad_nm = np.zeros(joints)
 
     def move(self, wrench: Floats) -> Floats:
         """What the slave's hand has to move (M, 6) [m, rad] for wrenches (M, 6) at its fingertip, base axes."""
-        along = np.einsum("nij,ni->nj", self._ways, wrench) * self.joints_rad_nm
-        return wrench * self._plain + np.einsum("nij,nj->ni", self._ways, along)
+        along = np.einsum("nij,ni->nj", self._displacements, wrench) * self.joints_rad_nm
+        return wrench * self._plain + np.einsum("nij,nj->ni", self._displacements, along)
 
     def take(self, command: Floats, wrench: Floats) -> None:
         """Take in a cycle.
@@ -81,11 +81,11 @@ class GearChain:
         if last is None:
             return
         moved, fallen = command - last[0], last[1] - wrench
-        along = np.einsum("nij,ni->nj", self._ways, fallen)
-        columns = (self._ways * along[:, None]) * self._weight[:, None]
+        along = np.einsum("nij,ni->nj", self._displacements, fallen)
+        columns = (self._displacements * along[:, None]) * self._weight[:, None]
         left = (moved - fallen * self._plain) * self._weight
-        self._told += np.tensordot(columns, columns, ((0, 1), (0, 1)))
+        self._information += np.tensordot(columns, columns, ((0, 1), (0, 1)))
         self._sum += np.tensordot(columns, left, ((0, 1), (0, 1)))
-        scale = 1.0 / (UNLIKE_M**2 * ALIKE_SYNCS)
-        root = np.linalg.cholesky(self._told * scale + np.eye(len(self._sum)) / USUAL_RAD_NM**2)
+        scale = 1.0 / (DISTANCE_REPEAT_M**2 * CORRELATED_SYNCS)
+        root = np.linalg.cholesky(self._information * scale + np.eye(len(self._sum)) / USUAL_RAD_NM**2)
         self.joints_rad_nm = nnls(root.T, np.linalg.solve(root, self._sum * scale))[0]

@@ -16,19 +16,19 @@ from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.chain import GearChain
 from gateway.pair.embodiments import Embodiment
 from gateway.pair.force import dead_band
-from gateway.pair.function import TransformFunction
 from gateway.pair.impedance import Admittance, lag_of_correction_s, refuse_unstable
-from gateway.pair.inside import AVERAGED_S, Inside
-from gateway.pair.learner import Cycle, Learned, Learner
-from gateway.pair.learning import led, smoothed
+from gateway.pair.internal_force import AVERAGED_S, InternalForce
+from gateway.pair.iterative_learning import Cycle, IterativeLearning, Learned
+from gateway.pair.learning_update import led, smoothed
 from gateway.pair.path import PairPath
 from gateway.pair.transform import Floats, apply_correction, corrected_pose, correction_between, inverse
+from gateway.pair.transform_function import TransformFunction
 from gateway.result.pair import CycleSummary
 
-WAY_TOLERANCE = 1e-4
+LENGTH_TOLERANCE = 1e-4
 #: Force that a taught function leaves at rest, and by how much the servos of two arms lag unlike each other, standard
 #: deviations [N], [s].
-TAUGHT_N, UNLIKE_LAG_S = 8.0, 0.002
+TAUGHT_N, LAG_DIFFERENCE_STD_S = 8.0, 0.002
 #: How much later than at its command a gap is read that is left there, by the loop time: hands that answer it meanwhile
 #: are ahead of the loop. From 0 to 1 learning settled, at 1.5 it built up from cycle to cycle (example cell).
 GAP_LEAD = 0.5
@@ -76,7 +76,7 @@ class PairController:
         first_function: TransformFunction,
         chain: GearChain | None = None,
     ) -> None:
-        if first_function.s_m[-1] > path.length_m * (1.0 + WAY_TOLERANCE):
+        if first_function.s_m[-1] > path.length_m * (1.0 + LENGTH_TOLERANCE):
             raise InputError(
                 f"the function's last knot lies at {first_function.s_m[-1]:.4g} m, the path is only"
                 f" {path.length_m:.4g} m long: the function belongs to another path"
@@ -107,8 +107,10 @@ class PairController:
             estimate = lag_of_correction_s(config.gains, stiffness, calibration.loop_time_s)
             self._lead_s = estimate if rule.lead_s is None else rule.lead_s
         self._first = first_function
-        self._learner = (
-            None if rule is None else Learner(rule, path, calibration, first_function, round(self._lead_s / path.dt_s))
+        self._learning = (
+            None
+            if rule is None
+            else IterativeLearning(rule, path, calibration, first_function, round(self._lead_s / path.dt_s))
         )
         self._cycle, self._frozen, self._running = 0, False, False
 
@@ -127,8 +129,8 @@ class PairController:
                 admittance.reset()
         self._function = self.function
         self._relations = self._function.many(self._path.s_m)
-        if self._learner is not None and self._learner.master_offset.any():
-            commands = apply_correction(commands, self._learner.master_offset)
+        if self._learning is not None and self._learning.master_offset.any():
+            commands = apply_correction(commands, self._learning.master_offset)
         self._master_base = commands
         self._slave_base = self._shared @ commands @ self._relations
         self._corrections = np.zeros((count, 2, 6))
@@ -170,18 +172,18 @@ class PairController:
         """
         if not self._running:
             raise PlanRefused("the pair has no cycle running: start one before commanding")
-        felt = wrench_2 if self._distance else self._wrenches.internal(m, wrench_1, wrench_2)
-        if felt is not None:
-            self._force[m] = felt
+        wrench = wrench_2 if self._distance else self._wrenches.internal(m, wrench_1, wrench_2)
+        if wrench is not None:
+            self._force[m] = wrench
         elif self._hands and self._blind < 0:
             self._blind = m
         master, slave = self._master_base[m], self._slave_base[m]
         if self._hands[0] is not None:
-            master = corrected_pose(master, self._yield(0, m, felt))
+            master = corrected_pose(master, self._yield(0, m, wrench))
             if self._figure == 14:
                 slave = self._shared @ master @ self._relations[m]
         if self._hands[1] is not None:
-            slave = corrected_pose(slave, self._yield(1, m, felt))
+            slave = corrected_pose(slave, self._yield(1, m, wrench))
         if m < len(self._begun):
             slave = corrected_pose(slave, self._begun[m])
             self._corrections[m, 1] = self._corrections[m, 1] + self._begun[m]
@@ -190,13 +192,13 @@ class PairController:
             self._measured[m] = measured
         return master, slave
 
-    def _yield(self, arm: int, m: int, felt: Floats | None) -> Floats:
+    def _yield(self, arm: int, m: int, wrench: Floats | None) -> Floats:
         """Correction of a hand after one more cycle; without a force it stays as it is."""
         admittance = self._hands[arm]
         if admittance is None:
             return self._corrections[m, arm]
-        if felt is not None:
-            wrench = felt if self._distance else self._wrenches.at_tip(arm, m, felt if arm else -felt)
+        if wrench is not None:
+            wrench = wrench if self._distance else self._wrenches.at_tip(arm, m, wrench if arm else -wrench)
             correction = admittance.step(dead_band(wrench, self._band) if self._banded else wrench)
         else:
             correction = admittance.correction
@@ -208,32 +210,37 @@ class PairController:
         plain = self._shared @ self._path.commands[0] @ self.function.at(float(self._path.s_m[0]))
         return correction_between(slave, plain)
 
-    def end_cycle(self, complete: bool, inside: Inside | None = None) -> CycleSummary:
+    def end_cycle(self, complete: bool, internal_force: InternalForce | None = None) -> CycleSummary:
         """Finish a cycle; learns from it if it was complete and learning is on.
 
         Parameters
         ----------
         complete : bool
             False when an epoch was incomplete or the arms were stopped.
-        inside : Inside, optional
+        internal_force : InternalForce, optional
             The force of the whole way, if it is known better now than on it.
         """
         self._running = False
-        whole = complete and bool(self._visited.all())
-        reason = self._reason(complete, inside)
+        all_visited = complete and bool(self._visited.all())
+        reason = self._reason(complete, internal_force)
         learned = Learned(False, len(self._function))
-        force = self._force if inside is None else inside.wrench
-        if not reason and self._learner is not None:
+        force = self._force if internal_force is None else internal_force.wrench
+        if not reason and self._learning is not None:
             cycle = Cycle(
-                self._master_base, self._slave_base, self._to_learn(), force, self._left(inside), self._trust(inside)
+                self._master_base,
+                self._slave_base,
+                self._to_learn(),
+                force,
+                self._left(internal_force),
+                self._trust(internal_force),
             )
-            learned = self._learner.learn(cycle)
+            learned = self._learning.learn(cycle)
         size = np.linalg.norm(force[:, :3], axis=1)
         known = bool(size.any()) and not self._distance
         correction = np.linalg.norm(self._corrections[:, 1].reshape(-1, 2, 3), axis=2).max(axis=0)
         return CycleSummary(
             cycle=self._cycle,
-            complete=whole,
+            complete=all_visited,
             learned=learned.updated,
             reason=reason,
             function="first" if self._function is self._first else "second",
@@ -247,7 +254,7 @@ class PairController:
             change_rad=learned.change_rad if learned.updated else float("nan"),
         )
 
-    def _reason(self, complete: bool, inside: Inside | None) -> str:
+    def _reason(self, complete: bool, internal_force: InternalForce | None) -> str:
         """Why a cycle is not learned from; "" when it is, or when nothing is ever learned."""
         rule = self._config.learning
         if rule is None:
@@ -263,7 +270,7 @@ class PairController:
             return f"no {what} could be told at command {self._blind + 1}"
         if rule.source != "command" and np.isnan(self._measured).any():
             return "present positions are missing"
-        if inside is not None and inside.pulled:
+        if internal_force is not None and internal_force.pulled:
             return "the torques of both arms do not fit together: something beside the part pulled at them"
         return ""
 
@@ -277,35 +284,35 @@ class PairController:
             corrections[:, 1] = correction_between(self._measured[:, 1], self._slave_base)
         return corrections
 
-    def _left(self, inside: Inside | None) -> Floats | None:
+    def _left(self, internal_force: InternalForce | None) -> Floats | None:
         """What the slave's hand would still have to move (M, 6) [m, rad], at the commands that it belongs to."""
         rule = self._config.learning
         if rule is None or rule.source != "command" or self._hands[1] is None:
             return None
         if self._distance:
             return led(self._force, round(GAP_LEAD * self._calibration.loop_time_s / self._path.dt_s))
-        if inside is None:
+        if internal_force is None:
             return None
-        at_tip = np.einsum("nij,nj->ni", self._wrenches.from_centre[1], inside.wrench)
+        at_tip = np.einsum("nij,nj->ni", self._wrenches.from_centre[1], internal_force.wrench)
         if self._chain is None or self._hands[0] is not None:
             return at_tip / np.diag(self._calibration.chain_stiffness)
         moved = correction_between(apply_correction(self._slave_base, self._corrections[:, 1]), self._plain_slave)
         self._chain.take(smoothed(moved, round(0.5 * AVERAGED_S / self._path.dt_s)), at_tip)
         return self._chain.move(at_tip)
 
-    def _trust(self, inside: Inside | None) -> Floats | None:
+    def _trust(self, internal_force: InternalForce | None) -> Floats | None:
         """How much of what was learned is believed (M,), against a first function that was taught at rest.
 
         What is hidden by friction at rest was taught there; what is taught at rest is wrong on the way by what the
         servos of both arms lag unlike each other.
         """
-        if inside is None or self._config.first != "taught":
+        if internal_force is None or self._config.first != "taught":
             return None
         straight = float(self._calibration.chain_stiffness[0, 0])
         speed = np.linalg.norm(np.gradient(self._path.commands[:, :3, 3], self._path.dt_s, axis=0), axis=1)
-        taught = (TAUGHT_N + straight * UNLIKE_LAG_S * speed) ** 2
-        told = np.linalg.eigvalsh(inside.covariance[:, :3, :3])[:, -1]
-        return taught / (taught + told)
+        taught = (TAUGHT_N + straight * LAG_DIFFERENCE_STD_S * speed) ** 2
+        variance = np.linalg.eigvalsh(internal_force.covariance[:, :3, :3])[:, -1]
+        return taught / (taught + variance)
 
     def freeze(self) -> None:
         """Learning off: functions stay as they are, to the last bit."""
@@ -317,13 +324,13 @@ class PairController:
 
     def reset(self) -> None:
         """Forget all that was learned; from the next cycle on the first function is used."""
-        if self._learner is not None:
-            self._learner.reset()
+        if self._learning is not None:
+            self._learning.reset()
 
     @property
     def function(self) -> TransformFunction:
         """The function of the next cycle."""
-        return self._first if self._learner is None else self._learner.in_use
+        return self._first if self._learning is None else self._learning.in_use
 
     @property
     def needs_measured(self) -> bool:
@@ -332,14 +339,14 @@ class PairController:
 
     def state(self) -> ControllerState:
         """What is held between two cycles."""
-        learner = self._learner
+        learning = self._learning
         return ControllerState(
             cycle=self._cycle,
             frozen=self._frozen,
             first=self._first,
-            second=None if learner is None else learner.second,
+            second=None if learning is None else learning.second,
             in_use="first" if self.function is self._first else "second",
-            points=self._path.nearest(self._first.s_m) if learner is None else learner.points,
+            points=self._path.nearest(self._first.s_m) if learning is None else learning.points,
             margin=self._margin,
             lead_s=self._lead_s,
         )

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from gateway.pair.impedance import Gains
-from gateway.pair.learning import Forgetting, LearningRule
-from gateway.pair.selection import Feature, Selection
+from gateway.pair.learning_points import Feature, Selection
+from gateway.pair.learning_update import Forgetting, LearningRule
 
 #: Twice the damping at which a chain of 1.6e5 N/m, 3.6e3 Nm/rad with a loop time of 35 ms oscillates.
 DEFAULT_GAINS = Gains(damping=(7.2e3, 160.0))

@@ -20,8 +20,8 @@ GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
 
 def dead_band(value: ArrayLike, band: ArrayLike) -> Floats:
     """Value (..., 6) without what lies inside the band (6,); continuous at its edge."""
-    given = np.asarray(value, dtype=float)
-    return np.sign(given) * np.maximum(np.abs(given) - np.asarray(band), 0.0)
+    values = np.asarray(value, dtype=float)
+    return np.sign(values) * np.maximum(np.abs(values) - np.asarray(band), 0.0)
 
 
 def to_centre(w_r_b: ArrayLike, lever_m: ArrayLike) -> Floats:

@@ -14,7 +14,7 @@ from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import Floats, inverse
 
 #: By how much sensors may be off what the hands' motion asks for: share of it, and at least [m]; for so many SYNCs.
-UNLIKE, LEAST_MOVED_M, UNLIKE_SYNCS = 0.3, 1.5e-4, 2
+SENSOR_MISMATCH, LEAST_MOVED_M, SENSOR_MISMATCH_SYNCS = 0.3, 1.5e-4, 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,8 +118,10 @@ class SensorCheck:
             return ""
         moved, expected = readings_m - self._began[0], expected - self._began[1]
         size = float(np.linalg.norm(expected))
-        self._off = self._off + 1 if np.linalg.norm(moved - expected) > max(UNLIKE * size, LEAST_MOVED_M) else 0
-        return self._named(moved, expected) if self._off > UNLIKE_SYNCS else ""
+        self._off = (
+            self._off + 1 if np.linalg.norm(moved - expected) > max(SENSOR_MISMATCH * size, LEAST_MOVED_M) else 0
+        )
+        return self._named(moved, expected) if self._off > SENSOR_MISMATCH_SYNCS else ""
 
     def _named(self, moved: Floats, expected: Floats) -> str:
         number = [one.subindex for one in self._layout.config.channel]

@@ -10,10 +10,10 @@ import numpy as np
 
 from gateway.motion.arms import Arms
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from gateway.motion.stream import MoveOptions, Station
-from gateway.pair.cell import PairCell
 from gateway.pair.gap import instruments_on
+from gateway.pair.pair_cell import PairCell
 from gateway.result.pair import LinkStatistics, Skew
 
 
@@ -35,7 +35,7 @@ class PairLink:
             arms=self.together,
             workspaces=tuple(each.workspace for each in self.opened),
             period_s=cell.sync_period_s,
-            state=StateKeeper(" and ".join(each.config.name for each in self.opened), lambda _state: None),
+            state=StateTracker(" and ".join(each.config.name for each in self.opened), lambda _state: None),
             options=options,
         )
 

@@ -35,7 +35,7 @@ class PairPath:
         `B1_T_E1`, one per control cycle [m].
     dt_s : control cycle.
     s_m : array of shape (M,)
-        Way along the path, never falling, 0 at the start.
+        Arc length along the path, never falling, 0 at the start.
     rho_m : lever by which a turn counts into the way.
     hash : SHA-256 of the program (hexadecimal).
     speed : speed setting, 1 = as the program says.
@@ -58,14 +58,14 @@ class PairPath:
 
     @property
     def length_m(self) -> float:
-        """Way at the end [m]."""
+        """Return the arc length at the end [m]."""
         return float(self.s_m[-1])
 
     def nearest(self, s_m: ArrayLike) -> np.ndarray:
         """Index of the command nearest to each way (n,) [m]; of equal ones the first."""
-        way = np.atleast_1d(np.asarray(s_m, dtype=float))
-        right = np.clip(np.searchsorted(self.s_m, way), 1, len(self.s_m) - 1)
-        return np.where(way - self.s_m[right - 1] <= self.s_m[right] - way, right - 1, right)
+        arc_m = np.atleast_1d(np.asarray(s_m, dtype=float))
+        right = np.clip(np.searchsorted(self.s_m, arc_m), 1, len(self.s_m) - 1)
+        return np.where(arc_m - self.s_m[right - 1] <= self.s_m[right] - arc_m, right - 1, right)
 
     def uniform(self, count: int) -> np.ndarray:
         """Indices of `count` learning points, evenly spread over the way, start and end among them."""
@@ -89,10 +89,10 @@ class PathProgram:
     rho_m: float = RHO_M
 
     def __post_init__(self) -> None:
-        given = np.asarray(self.poses, dtype=float)
-        if given.ndim != 3 or given.shape[1:] != (4, 4) or len(given) < 3:
-            raise InputError(f"a path needs at least three poses (M, 4, 4), got {given.shape}")
-        if not np.isfinite(given).all():
+        values = np.asarray(self.poses, dtype=float)
+        if values.ndim != 3 or values.shape[1:] != (4, 4) or len(values) < 3:
+            raise InputError(f"a path needs at least three poses (M, 4, 4), got {values.shape}")
+        if not np.isfinite(values).all():
             raise InputError("a path has a pose that is not finite")
         if not self.dt_s > 0.0:
             raise InputError(f"the control cycle of a path must be positive, got {self.dt_s} s")
@@ -126,19 +126,19 @@ class PathProgram:
         at = np.minimum(np.arange(count) * (speed * sync_s), time[-1])
         if time[-1] - at[-1] > 1e-9 * time[-1]:
             at = np.append(at, time[-1])
-        way = arc_length(poses, self.rho_m)
+        arc_m = arc_length(poses, self.rho_m)
         if abs(speed * sync_s - self.dt_s) < 1e-12 and len(at) == len(poses):
-            return PairPath(poses, sync_s, way, self.rho_m, self.hash, speed)
+            return PairPath(poses, sync_s, arc_m, self.rho_m, self.hash, speed)
         turn = RotationSpline(time, Rotation.from_matrix(poses[:, :3, :3]))(at).as_matrix()
         commands = pose(turn, CubicSpline(time, poses[:, :3, 3])(at))
-        return PairPath(commands, sync_s, np.interp(at, time, way), self.rho_m, self.hash, speed)
+        return PairPath(commands, sync_s, np.interp(at, time, arc_m), self.rho_m, self.hash, speed)
 
 
 def arc_length(poses: ArrayLike, rho_m: float = RHO_M) -> Floats:
-    """Way (M,) along poses (M, 4, 4), turning included [m]."""
-    given = np.asarray(poses, dtype=float)
-    step = np.linalg.norm(np.diff(given[:, :3, 3], axis=0), axis=1)
-    turn = np.linalg.norm(log_rotation(np.swapaxes(given[:-1, :3, :3], -1, -2) @ given[1:, :3, :3]), axis=1)
+    """Return the arc length (M,) along poses (M, 4, 4), turning included [m]."""
+    values = np.asarray(poses, dtype=float)
+    step = np.linalg.norm(np.diff(values[:, :3, 3], axis=0), axis=1)
+    turn = np.linalg.norm(log_rotation(np.swapaxes(values[:-1, :3, :3], -1, -2) @ values[1:, :3, :3]), axis=1)
     return np.concatenate([[0.0], np.cumsum(np.hypot(step, rho_m * turn))])
 
 

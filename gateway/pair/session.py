@@ -12,19 +12,19 @@ from gateway.errors import ConfigError, InputError
 from gateway.motion.power import powered
 from gateway.motion.stops import guarded
 from gateway.motion.stream import Stream
-from gateway.pair.cell import PairCell
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS, Embodiment, with_gains
-from gateway.pair.function import TransformFunction, constant_function, sampled
+from gateway.pair.function_file import read_stored, refuse_foreign, transform_of
 from gateway.pair.impedance import Gains
-from gateway.pair.lesson import AFRESH, Lesson, read_lesson
 from gateway.pair.link import PairLink
-from gateway.pair.motion import PairMotion, PairMotionOptions, refuse_elsewhere
-from gateway.pair.run import PairCycle, PairRun
-from gateway.pair.speed import SpeedTable
-from gateway.pair.storage import PairStore, run_result
-from gateway.pair.stored import read_stored, refuse_foreign, transform_of
+from gateway.pair.pair_cell import PairCell
+from gateway.pair.pair_motion import PairMotion, PairMotionOptions, refuse_elsewhere
+from gateway.pair.pair_run import PairCycle, PairRun
+from gateway.pair.pair_store import PairStore, run_result
+from gateway.pair.speed_table import SpeedTable
+from gateway.pair.taught_path import AFRESH, TaughtPath, read_taught_path
 from gateway.pair.teach import Teacher, TeachRule
 from gateway.pair.transform import Floats
+from gateway.pair.transform_function import TransformFunction, constant_function, sampled
 from gateway.result.pair import PairRunResult, TaughtPoint
 
 #: What can be run without the simulator's truth.
@@ -43,8 +43,8 @@ def cell_gains(cell: PairCell) -> Gains:
     """Impedance of the cell file."""
     distance = cell.config.distance
     if distance is not None:
-        given = distance.damping_s
-        return DISTANCE_GAINS if given is None else Gains((given.straight, given.turned))
+        damping = distance.damping_s
+        return DISTANCE_GAINS if damping is None else Gains((damping.straight, damping.turned))
     force = cell.config.force
     spring = (0.0, 0.0) if force.spring is None else (force.spring.straight, force.spring.turned)
     return Gains((force.damping.straight, force.damping.turned), spring)
@@ -76,7 +76,7 @@ def embodiment_of(cell: PairCell, name: str) -> Embodiment:
     return with_gains(row, cell_gains(cell))
 
 
-def open_lesson(cell: PairCell, store: PairStore, resume: bool) -> Lesson:
+def open_taught_path(cell: PairCell, store: PairStore, resume: bool) -> TaughtPath:
     """Taught points to go on with, or an empty lesson.
 
     Raises
@@ -92,27 +92,27 @@ def open_lesson(cell: PairCell, store: PairStore, resume: bool) -> Lesson:
             " to be taught by force; use run-pair --embodiment E5"
         )
     if not store.points.exists():
-        return Lesson(store.path_hash, store.cell_hash)
+        return TaughtPath(store.path_hash, store.cell_hash)
     if not resume:
         raise InputError(
             f"{store.points}: holds taught points; go on with --resume, or delete the file to teach afresh"
         )
-    return read_lesson(store.points, store.path_hash, store.cell_hash)
+    return read_taught_path(store.points, store.path_hash, store.cell_hash)
 
 
 def teach_pair(
     link: PairLink,
     cell: PairCell,
     store: PairStore,
-    lesson: Lesson,
-    told: Callable[[TaughtPoint, int, int], None],
+    taught_path: TaughtPath,
+    report: Callable[[TaughtPoint, int, int], None],
     options: PairMotionOptions | None = None,
 ) -> TransformFunction:
     """Teach what the lesson lacks and store the first function.
 
     Parameters
     ----------
-    told : callable
+    report : callable
         Called with each new point, its number and how many there will be.
     """
     options = options or PairMotionOptions()
@@ -121,17 +121,17 @@ def teach_pair(
     stream = Stream(link.station(cell, replace(options.moves, override=1.0)))
     motion = PairMotion(cell, stream, options)
     plain, share = TeachRule(), options.moves.override
-    rule = replace(plain, way_m_s=share * plain.way_m_s, sweep_s=plain.sweep_s / share)
+    rule = replace(plain, path_speed_m_s=share * plain.path_speed_m_s, sweep_s=plain.sweep_s / share)
     teacher = Teacher(motion, cell_gains(cell), rule)
     indices = cell.path(1.0).uniform(cell.config.knots)
 
-    def save(present: Lesson, point: TaughtPoint) -> None:
+    def save(present: TaughtPath, point: TaughtPoint) -> None:
         motion.prepare(lambda: store.write("points.json", present.to_json()))
-        guarded(told, options.moves.desk)(point, len(present.points), len(indices))
+        guarded(report, options.moves.desk)(point, len(present.points), len(indices))
 
     with powered(stream):
-        teacher.run(lesson, indices, save)
-    function = lesson.function(cell.nominal_relation)
+        teacher.run(taught_path, indices, save)
+    function = taught_path.function(cell.nominal_relation)
     store.save("first", function, learn_source="taught", speed=0.0, embodiment="C1")
     return function
 
@@ -169,7 +169,7 @@ def servo_laws(cell: PairCell, store: PairStore, row: Embodiment) -> Floats | No
     """
     if row.first == "fixed" or not store.points.exists():
         return None
-    laws_s = read_lesson(store.points, store.path_hash, store.cell_hash).laws_s
+    laws_s = read_taught_path(store.points, store.path_hash, store.cell_hash).laws_s
     joints = sum(arm.axes for arm in cell.arms)
     if laws_s is not None and len(laws_s) != joints:
         raise InputError(f"{store.points}: servo_law_s has {len(laws_s)} entries for {joints} joints; {AFRESH}")
@@ -222,7 +222,7 @@ def run_pair(
     cell: PairCell,
     store: PairStore,
     request: PairRunRequest,
-    told: Callable[[PairCycle], None],
+    report: Callable[[PairCycle], None],
     options: PairMotionOptions | None = None,
 ) -> PairRunResult:
     """Run cycles of an embodiment, keep what was learned and what the report shows."""
@@ -253,7 +253,7 @@ def run_pair(
             for _ in range(request.cycles):
                 cycles.append(run.cycle())
                 run.motion.prepare(lambda: _keep(store, run, cycles))
-                guarded(told, moves.desk)(cycles[-1])
+                guarded(report, moves.desk)(cycles[-1])
                 if run.back():
                     run.motion.prepare(lambda: _keep_back(store, run, cycles))
     except BaseException:

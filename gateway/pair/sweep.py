@@ -10,8 +10,8 @@ from itertools import product
 
 import numpy as np
 
-from gateway.pair.cell import PairCell
 from gateway.pair.inverse import turns_at
+from gateway.pair.pair_cell import PairCell
 from gateway.pair.transform import Floats, cross_matrix, exp_rotation, inverse, pose
 
 #: A turn counts as a way at this lever [m].
@@ -57,12 +57,12 @@ def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats
     return twists[best], float(least[best])
 
 
-def swept(cell: PairCell, command: Floats, twist: Floats, ways_m: Floats) -> Floats:
+def swept(cell: PairCell, command: Floats, twist: Floats, offsets_m: Floats) -> Floats:
     """Master's commands (n, 4, 4) that take the part from a command along a twist by the ways (n,) [m]."""
     base = cell.arms[0].world_from_base
     centre = pose(np.eye(3), _centre(cell, command))
     back = inverse(base)
-    moved = [pose(exp_rotation(twist[3:] * way_m), twist[:3] * way_m) for way_m in ways_m]
+    moved = [pose(exp_rotation(twist[3:] * offset_m), twist[:3] * offset_m) for offset_m in offsets_m]
     return np.array([back @ centre @ each @ inverse(centre) @ base @ command for each in moved])
 
 

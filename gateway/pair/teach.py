@@ -13,16 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.impedance import Admittance, Gains
-from gateway.pair.lesson import Lesson, taught_point
-from gateway.pair.motion import PairMotion, PairStopped
-from gateway.pair.passage import Pair, Passage
+from gateway.pair.pair_motion import PairMotion, PairStopped
+from gateway.pair.pair_setpoints import smooth
 from gateway.pair.path import PairPath
+from gateway.pair.prepared_trajectory import Pair, PreparedTrajectory
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
+from gateway.pair.taught_path import TaughtPath, taught_point
 from gateway.pair.transform import Floats, apply_correction
-from gateway.pair.ways import smooth
+from gateway.pair.transform_function import TransformFunction, function_of_knots
 from gateway.result.pair import TaughtPoint
 
 #: Largest change of a correction in one step [m], [rad].
@@ -40,7 +40,7 @@ class TeachRule:
     share : of the correction that would take the whole force away if the stiffness were the cell's
     rounds : sweeps at one point at most
     largest_m, largest_rad : a larger correction is an error, not an adjustment
-    way_m_s : mean speed from point to point along the path
+    path_speed_m_s : mean speed from point to point along the path
     """
 
     force_n: float = 5.0
@@ -51,7 +51,7 @@ class TeachRule:
     rounds: int = 25
     largest_m: float = 20e-3
     largest_rad: float = 50e-3
-    way_m_s: float = 0.1
+    path_speed_m_s: float = 0.1
 
 
 class _Yielding:
@@ -108,14 +108,16 @@ class Teacher:
         stiffness = motion.cell.config.force.stiffness
         self._compliance = self._rule.share / np.repeat([stiffness.straight, stiffness.turned], 3)
         self._correction = np.zeros(6)
-        self._way_m = 0.0
+        self._arc_m = 0.0
 
-    def run(self, lesson: Lesson, indices: np.ndarray, save: Callable[[Lesson, TaughtPoint], None]) -> None:
+    def run(
+        self, taught_path: TaughtPath, indices: np.ndarray, save: Callable[[TaughtPath, TaughtPoint], None]
+    ) -> None:
         """Teach the commands `indices` that the lesson lacks, then go back to the start; both arms stay powered.
 
         Parameters
         ----------
-        lesson : Lesson
+        taught_path : TaughtPath
             Is added to.
         indices : array of int
         save : callable
@@ -127,34 +129,34 @@ class Teacher:
             A point cannot be adjusted; both arms were stopped, what was taught so far is saved.
         """
         self._motion.start()
-        done = {point.command - 1 for point in lesson.points}
+        done = {point.command - 1 for point in taught_path.points}
         for index in (int(value) for value in indices):
             if index not in done:
-                point = self._teach(lesson, index)
-                lesson.points.append(point)
-                lesson.hear(self._motion.following.each_s)
+                point = self._teach(taught_path, index)
+                taught_path.points.append(point)
+                taught_path.update_laws(self._motion.following.each_s)
                 self._correction = np.zeros(6)
-                save(lesson, point)
-        self._go(lesson, 0.0)
+                save(taught_path, point)
+        self._go(taught_path, 0.0)
 
     # -- one point ---------------------------------------------------------------------------------------------------
 
-    def _teach(self, lesson: Lesson, index: int) -> TaughtPoint:
+    def _teach(self, taught_path: TaughtPath, index: int) -> TaughtPoint:
         rule = self._rule
-        self._go(lesson, float(self._path.s_m[index]))
+        self._go(taught_path, float(self._path.s_m[index]))
         sweep = self._motion.prepare(lambda: self._sweep(index))
-        function = lesson.function(self._motion.cell.nominal_relation)
+        function = taught_path.function(self._motion.cell.nominal_relation)
         forces, moments = [], []
         yielding = _Yielding(self._compliance)
         for _ in range(rule.rounds):
             begin = self._commands(sweep, function)(0, None, None)
             self._motion.approach(sweep.targets(0, begin), 0.0)
-            felt = self._measure(sweep, function)
-            forces.append(float(np.linalg.norm(felt[:3])))
-            moments.append(float(np.linalg.norm(felt[3:])))
+            wrench = self._measure(sweep, function)
+            forces.append(float(np.linalg.norm(wrench[:3])))
+            moments.append(float(np.linalg.norm(wrench[3:])))
             if forces[-1] <= rule.force_n and moments[-1] <= rule.moment_nm:
                 return self._taught(index, function, (tuple(forces), tuple(moments)))
-            self._correction = self._correction + yielding.step(sweep.maps.at_tip(1, 0, felt))
+            self._correction = self._correction + yielding.step(sweep.maps.at_tip(1, 0, wrench))
             away_m, away_rad = np.linalg.norm(self._correction[:3]), np.linalg.norm(self._correction[3:])
             if away_m > rule.largest_m or away_rad > rule.largest_rad:
                 raise PairStopped(
@@ -177,59 +179,59 @@ class Teacher:
         together = relation(first.world_from_base, command, second.world_from_base, adjusted)
         return taught_point(index, s_m, together, self._correction, seen)
 
-    def _measure(self, sweep: Passage, function: TransformFunction) -> Floats:
+    def _measure(self, sweep: PreparedTrajectory, function: TransformFunction) -> Floats:
         """Mean internal wrench (6,) over one period of the sweep, friction cancelled."""
         self._motion.run(sweep, self._commands(sweep, function))
         return sweep.balance.mean_to_and_fro()
 
     # -- ways --------------------------------------------------------------------------------------------------------
 
-    def _commands(self, way: Passage, function: TransformFunction) -> Callable[[int, Any, Any], Pair]:
+    def _commands(self, trajectory: PreparedTrajectory, function: TransformFunction) -> Callable[[int, Any, Any], Pair]:
         """Both gripper commands of a way under a function and the present correction."""
         first, second = self._motion.cell.arms
-        relations = function.many(way.path.s_m)
-        slave = slave_command(first.world_from_base, way.path.commands, second.world_from_base, relations)
-        return lambda m, _one, _two: (way.path.commands[m], apply_correction(slave[m], self._correction))
+        relations = function.many(trajectory.path.s_m)
+        slave = slave_command(first.world_from_base, trajectory.path.commands, second.world_from_base, relations)
+        return lambda m, _one, _two: (trajectory.path.commands[m], apply_correction(slave[m], self._correction))
 
-    def _passage(self, commands: Floats, ways_m: Floats) -> Passage:
+    def _trajectory(self, commands: Floats, arcs_m: Floats) -> PreparedTrajectory:
         """The master's commands (n, 4, 4), one per control cycle, near the path at the ways (n,) [m]."""
         path, dt_s = self._path, self._motion.dt_s
-        near = int(path.nearest(ways_m[:1])[0])
-        along = replace(path, commands=commands, s_m=ways_m, dt_s=dt_s)
-        return self._motion.passage(along, (self._joints[0][near], self._joints[1][near]))
+        near = int(path.nearest(arcs_m[:1])[0])
+        along = replace(path, commands=commands, s_m=arcs_m, dt_s=dt_s)
+        return self._motion.prepare_trajectory(along, (self._joints[0][near], self._joints[1][near]))
 
-    def _sweep(self, index: int) -> Passage:
+    def _sweep(self, index: int) -> PreparedTrajectory:
         rule, dt_s, cell = self._rule, self._motion.dt_s, self._motion.cell
         command = self._path.commands[index]
         twist, _ = liveliest_twist(cell, command, (self._joints[0][index], self._joints[1][index]))
         phase = 2.0 * np.pi * np.arange(round(rule.sweep_s / dt_s) + 1) * dt_s / rule.sweep_s
         commands = swept(cell, command, twist, -rule.sweep_m * np.cos(phase))
-        return self._passage(commands, np.full(len(phase), self._path.s_m[index]))
+        return self._trajectory(commands, np.full(len(phase), self._path.s_m[index]))
 
-    def _go(self, lesson: Lesson, to_m: float) -> None:
+    def _go(self, taught_path: TaughtPath, to_m: float) -> None:
         """Along the path to a way [m], yielding to force; the correction is kept."""
-        function = lesson.function(self._motion.cell.nominal_relation)
-        length = abs(to_m - self._way_m)
-        count = max(10, round(max(0.5, length / self._rule.way_m_s) / self._motion.dt_s))
+        function = taught_path.function(self._motion.cell.nominal_relation)
+        length = abs(to_m - self._arc_m)
+        count = max(10, round(max(0.5, length / self._rule.path_speed_m_s) / self._motion.dt_s))
         share = smooth(np.arange(1, count + 1) / count)
-        ways_m = self._way_m + share * (to_m - self._way_m)
-        way = self._motion.prepare(lambda: self._passage(commands_at(self._path, ways_m), ways_m))
-        plain = self._commands(way, function)
+        arcs_m = self._arc_m + share * (to_m - self._arc_m)
+        trajectory = self._motion.prepare(lambda: self._trajectory(commands_at(self._path, arcs_m), arcs_m))
+        plain = self._commands(trajectory, function)
         began = self._correction
         admittance = Admittance(self._gains, self._motion.dt_s)
 
         def yielding(m: int, one: Floats | None, two: Floats | None) -> Pair:
-            felt = way.maps.internal(m, one, two)
-            if felt is not None:
-                self._correction = began + admittance.step(way.maps.at_tip(1, m, felt))
+            wrench = trajectory.maps.internal(m, one, two)
+            if wrench is not None:
+                self._correction = began + admittance.step(trajectory.maps.at_tip(1, m, wrench))
             return plain(m, one, two)
 
-        self._motion.run(way, yielding, fade=True)
-        self._way_m = to_m
+        self._motion.run(trajectory, yielding, fade=True)
+        self._arc_m = to_m
 
 
-def commands_at(path: PairPath, ways_m: Floats) -> Floats:
+def commands_at(path: PairPath, arcs_m: Floats) -> Floats:
     """Commands (n, 4, 4) of a path at the ways (n,) [m], between its own by a straight line and a turn."""
     ways, first = np.unique(path.s_m, return_index=True)
     function = function_of_knots(ways, path.commands[first])
-    return function.many(np.clip(ways_m, 0.0, path.length_m))
+    return function.many(np.clip(arcs_m, 0.0, path.length_m))

@@ -193,7 +193,7 @@ class TaughtPoint:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class LessonFile:
+class TaughtPathFile:
     """Points taught so far, for one path of one cell.
 
     Attributes

@@ -17,8 +17,8 @@ from sim.nature.effect import Mechanism, TableRows, rows_of
 from sim.nature.levels import CONDITIONS, levels_of
 from sim.nature.measuring import GrossVisit, measure
 from sim.nature.springs import SPRINGS, Maker
-from sim.nature.strange import STRANGE
 from sim.nature.strength import Absorbing, absorbing, strength
+from sim.nature.unmodelled import UNMODELLED
 from sim.nature.wiring import WIRING
 from sim.offline import PlannedVisit
 
@@ -109,7 +109,7 @@ def drawn_kind(seed: int) -> tuple[str, str]:
 def _mechanisms(kind: str, rng: np.random.Generator) -> list[Maker]:
     if kind == ORDINARY:
         return []
-    table = {"strange": STRANGE, "wiring": WIRING}.get(kind, NAMED)
+    table = {"strange": UNMODELLED, "wiring": WIRING}.get(kind, NAMED)
     names = [str(name) for name in rng.permutation(sorted(table))]
     wanted = int(rng.integers(2, 4)) if kind == "several" else 1
     chosen: list[str] = []

@@ -99,7 +99,7 @@ def pair_units(cell: CellSpec, options: PairOptions) -> dict[str, PairUnit]:
     real = any(cell.buses[arm.bus].pacing == "real" for arm in arms)
     plant = PLANTS[options.plant or ("light" if real else "bullet")]
     world = plant(truths, replace(settings, **(options.settings or {})))
-    world.told_nobody = _plain(asdict(errors))
+    world.undeclared = _plain(asdict(errors))
     units = {arm.name: PairUnit(arm, world, index, cell.buses[arm.bus]) for index, arm in enumerate(arms)}
     if apart:
         unit = next(units[arm.name] for arm in arms if arm.bus == pair["distance"]["bus"])

@@ -80,7 +80,7 @@ class TwoArms(ABC):
     record : one row a step of the plant while `recording`: time [s], force on gripper 2 (3) [N], moment about the
         part's centre (3) [Nm], the part's centre (3), fingertip 1 (3) [m]
     push : (J,) torque on the joints from outside [Nm], or None
-    told_nobody : drawn errors, for the truth file
+    undeclared : drawn errors, for the truth file
     before, after : called around every stretch of time with its milliseconds, and with the time [s]
     """
 
@@ -98,7 +98,7 @@ class TwoArms(ABC):
         self.record: list[tuple[float, ...]] = []
         self.recording = False
         self.push: Array | None = None
-        self.told_nobody: dict[str, Any] = {}
+        self.undeclared: dict[str, Any] = {}
         self.before: list[Callable[[float], None]] = []
         self.after: list[Callable[[float], None]] = []
         self.part = Workpiece((arms[0].geometry, arms[1].geometry), settings.stiffness)

@@ -105,7 +105,7 @@ def problems(*changes: tuple[str, str]) -> tuple[str, ...]:
         text = text.replace(old, new, 1)
     with pytest.raises(Unfit) as unfit:
         read_strict(text, File)
-    return unfit.value.told("f.toml", lambda path: f"J{path[1] + 1}" if len(path) > 1 else "")
+    return unfit.value.messages("f.toml", lambda path: f"J{path[1] + 1}" if len(path) > 1 else "")
 
 
 @pytest.mark.parametrize(

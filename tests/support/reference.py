@@ -27,7 +27,7 @@ from gateway.identify.thresholds import described
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
 from gateway.result.follow import FollowResult
-from gateway.result.pair import LearnStatus, LessonFile, PairRunResult, StoredFunction
+from gateway.result.pair import LearnStatus, PairRunResult, StoredFunction, TaughtPathFile
 from gateway.result.result import json_schema
 from gateway.result.values import json_text, schema_of
 from tests.support.reference_api import api_page
@@ -211,7 +211,7 @@ def thresholds_page() -> str:
 FILES: Final[Mapping[str, type]] = {
     "follow": FollowResult,
     "pair-run": PairRunResult,
-    "pair-points": LessonFile,
+    "pair-points": TaughtPathFile,
     "pair-function": StoredFunction,
     "pair-learn": LearnStatus,
 }

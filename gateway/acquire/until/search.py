@@ -122,7 +122,7 @@ def pool_of(workspace: Workspace, request: PoseRequest) -> Candidates:
     PlanRefused
         There are hardly any.
     """
-    q_rad = feasible_postures(workspace.roomy(), request, np.random.default_rng(request.seed))[:POOL]
+    q_rad = feasible_postures(workspace.with_clearance(), request, np.random.default_rng(request.seed))[:POOL]
     return Candidates(q_rad, gravity_regressor(workspace.robot, q_rad, workspace.gravity_m_s2))
 
 
@@ -209,7 +209,7 @@ def _choice(search: LoadSearch, at_rad: Floats, count: int) -> Candidates:
     size = random.uniform(_NEAREST_RAD, _FARTHEST_RAD, (NEAR_BY, 1))
     q_rad = at_rad + size * random.uniform(-1.0, 1.0, (NEAR_BY, len(at_rad)))
     request = PoseRequest(1, 0, search.settings.approach_offset_rad, search.seed)
-    q_rad = q_rad[can_be_measured(search.workspace.roomy(), request, q_rad)]
+    q_rad = q_rad[can_be_measured(search.workspace.with_clearance(), request, q_rad)]
     near_by = gravity_regressor(search.robot, q_rad, search.options.gravity_m_s2)
     return Candidates(np.vstack([search.pool.q_rad, q_rad]), np.concatenate([search.pool.regressor, near_by]))
 
@@ -235,7 +235,7 @@ def _plan(search: LoadSearch, at_rad: Floats, best_rad: Floats, named: tuple[int
         )
     settings = replace(search.settings, samples=samples)
     first = best_rad[:_STRAIGHT]
-    free = search.workspace.roomy().path_clear(
+    free = search.workspace.with_clearance().path_clear(
         np.repeat(at_rad[None], len(first), axis=0), first + settings.approach_offset_rad
     )
     chosen: Iterable[Floats] = first[free][:1] if free.any() else best_rad[:_AROUND]

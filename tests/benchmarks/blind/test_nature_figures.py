@@ -6,7 +6,7 @@ import pytest
 
 from gateway.model.effects import LIBRARY
 from sim.nature.cell import NAMED
-from sim.nature.strange import STRANGE
+from sim.nature.unmodelled import UNMODELLED
 from sim.nature.wiring import WIRING
 from tests.support.blind.mechanisms import MECHANISMS
 from tests.support.blind.nature_figures import effect_figures, gross_figures, ordinary_figures
@@ -35,11 +35,11 @@ def cell(kind: str = "ordinary", truth: tuple = (), found: tuple = (), verdict: 
 
 
 def test_every_mechanism_has_its_names_and_every_name_is_one_of_the_library():
-    assert set(MECHANISMS) == set(NAMED) | set(STRANGE) | set(WIRING)
+    assert set(MECHANISMS) == set(NAMED) | set(UNMODELLED) | set(WIRING)
     mistakes = {"sign_reversed", "axes_swapped", "current_rms_peak"}
     assert {name for names in MECHANISMS.values() for name in names} <= set(LIBRARY) | mistakes
     assert all(MECHANISMS[name] for name in NAMED | WIRING)
-    assert not any(MECHANISMS[name] for name in STRANGE)
+    assert not any(MECHANISMS[name] for name in UNMODELLED)
 
 
 def test_shares_and_medians_know_their_goals():

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from drives.errors import DriveFault, MasterStalled
-from gateway.pair.cell import load_pair
-from gateway.pair.guard import cause_of
-from gateway.pair.motion import PairStopped
+from gateway.pair.force_guard import cause_of
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_motion import PairStopped
 from sim.pair.light import LightWorld
 from tests.support.chaos.processes import PAIR_EXAMPLE
 from tests.support.pair.clock import CELL, GAP_CELL, PERIOD_S, Told, at_period, attempt, stepped

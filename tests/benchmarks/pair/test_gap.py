@@ -13,8 +13,8 @@ from click.testing import CliRunner, Result
 
 from drives.errors import ConfigurationRefused
 from gateway.cli import main
-from gateway.pair.cell import load_pair
-from gateway.pair.motion import PairStopped
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_motion import PairStopped
 from sim.states import PdsState
 from tests.support.pair.bus_gap import GapRig, gap_rig
 

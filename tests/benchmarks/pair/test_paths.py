@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.pair.cell import load_pair, read_path
+from gateway.pair.pair_cell import load_pair, read_path
 from tests.support.pair.bus_paths import MOST, drawn_cell
 from tests.support.pair.bus_rig import CELL
 

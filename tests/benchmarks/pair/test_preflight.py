@@ -7,8 +7,8 @@ import threading
 import pytest
 
 from gateway.errors import FindingFailed
-from gateway.pair.cell import load_pair
 from gateway.pair.link import open_link
+from gateway.pair.pair_cell import load_pair
 from sim.pair.cell import PairOptions
 from tests.support.pair.bus_rig import bus_spec, simulated
 

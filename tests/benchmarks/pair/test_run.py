@@ -12,12 +12,12 @@ from gateway.errors import PlanRefused
 from gateway.motion.power import powered
 from gateway.motion.stream import Stream
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
-from gateway.pair.function import constant_function
-from gateway.pair.lesson import Lesson, lesson_from_json
-from gateway.pair.motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
-from gateway.pair.run import PairRun
+from gateway.pair.pair_motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
+from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains
+from gateway.pair.taught_path import TaughtPath, taught_path_from_json
 from gateway.pair.teach import Teacher, TeachRule
+from gateway.pair.transform_function import constant_function
 from sim.fake_drive import FakeDrive
 from sim.states import PdsState
 from tests.support.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
@@ -164,14 +164,14 @@ def test_teaching_goes_on_where_it_ended() -> None:
     rule = TeachRule(force_n=40.0, moment_nm=10.0, sweep_s=0.2, way_m_s=0.6)
     with pair_rig(0) as rig:
         indices = rig.cell.path(1.0).uniform(2)
-        lesson, saved = Lesson("path", "cell"), []
+        lesson, saved = TaughtPath("path", "cell"), []
         for count in (1, 2):
             options = PairMotionOptions(force_limit_n=NO_LIMIT_N)
             stream = Stream(rig.link.station(rig.cell, options.moves))
             teacher = Teacher(PairMotion(rig.cell, stream, options), cell_gains(rig.cell), rule)
             with powered(stream):
                 teacher.run(lesson, indices[:count], lambda _lesson, point: saved.append(point.command - 1))
-            lesson = lesson_from_json(lesson.to_json(), "points.json")
+            lesson = taught_path_from_json(lesson.to_json(), "points.json")
     assert saved == indices.tolist()
     assert len(lesson.function(np.eye(4))) == 2
     assert all(point.force_n[-1] <= 40.0 for point in lesson.points)

@@ -21,14 +21,14 @@ import pytest
 from drives.errors import CommandRefused
 from gateway.data.blackbox.box import read_box
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
-from gateway.pair.cell import load_pair
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
-from gateway.pair.function import constant_function, function_of_knots
-from gateway.pair.motion import PairMotionOptions, PairStopped
-from gateway.pair.run import PairRun
-from gateway.pair.servolag import ServoLag
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_motion import PairMotionOptions, PairStopped
+from gateway.pair.pair_run import PairRun
+from gateway.pair.pair_store import PairStore
+from gateway.pair.servo_lag import ServoLag
 from gateway.pair.session import cell_gains
-from gateway.pair.storage import PairStore
+from gateway.pair.transform_function import constant_function, function_of_knots
 from sim.pair.cell import PairOptions
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation

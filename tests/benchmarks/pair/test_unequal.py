@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.pair.function import constant_function
+from gateway.pair.transform_function import constant_function
 from tests.support.pair.bus_rig import inline_rig
 from tests.support.pair.bus_rows import USUAL, Bench
 from tests.support.pair.unequal import CELLS, FOLDER, ROWS, cycles_until_inside, figures_of_cell

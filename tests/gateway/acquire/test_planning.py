@@ -34,7 +34,7 @@ from gateway.model.arm_model import robot_text
 from gateway.model.information import payload_information
 from gateway.model.kinematics import flange_frames
 from gateway.motion.assumed import assumed_noise_nm
-from gateway.motion.places import path_points
+from gateway.motion.joint_path import path_points
 from tests.around import among_boxes
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from gateway.check.brakes import SUPPORT_S, WATCH_S, try_brakes
 from gateway.motion.opening import OpenArm
-from gateway.motion.power import SAG_RAD
+from gateway.motion.power import BRAKE_DROP_RAD
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
 from tests.drives.conftest import Wire, on_its_clock
@@ -71,7 +71,7 @@ def test_an_axis_that_falls_is_held_again_at_the_first_sync_beyond_the_limit(arm
         assert f"sank by {slave.farthest_rad:.4f} rad" in items[0].what
         assert slave.farthest_rad <= 0.02
         # by the fall's own equation the limit is passed at t, seen at the SYNC after, and the next one holds the axis
-        passed_s = math.sqrt(2.0 * SAG_RAD / acceleration)
+        passed_s = math.sqrt(2.0 * BRAKE_DROP_RAD / acceleration)
         left = slave.states.index("switched on", slave.states.index("operation enabled"))
         again = slave.states.index("operation enabled", left)
         assert (again - left) * period_s <= min(passed_s, WATCH_S[0] + period_s) + 2.0 * period_s
@@ -223,7 +223,7 @@ def test_a_request_while_an_axis_moves_in_its_brake_is_answered_once_the_arm_is_
     assert len(person.asked) == 1
     assert person.states[1:] == [{"operation enabled"}] * (len(person.states) - 1)
     assert any("J1 node 1: sank by 0.0" in note for note in caught.value.__notes__)
-    assert slaves[0].farthest_rad < 4 * SAG_RAD
+    assert slaves[0].farthest_rad < 4 * BRAKE_DROP_RAD
     assert {slave.state for slave in slaves} == {"switch on disabled"}
 
 

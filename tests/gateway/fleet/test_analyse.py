@@ -15,7 +15,7 @@ from gateway.cli import main
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import InputError
 from gateway.fleet import workers as workers_module
-from gateway.fleet.analyse import AsOf, analyse
+from gateway.fleet.analysis import AsOf, run_analysis
 from gateway.fleet.columns import SCHEMA_KEY
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
@@ -34,7 +34,7 @@ def analysed(store: Store, tmp_path: Path, *robots: list[dict[str, object]]) -> 
     """An analysis of the robots of these rows, in this process."""
     for number, rows in enumerate(robots):
         ingest(store, [write_table(tmp_path / f"robot{number}.csv", rows)], NOW)
-    return analyse(store, one_by_one, AsOf(NOW))
+    return run_analysis(store, one_by_one, AsOf(NOW))
 
 
 @pytest.fixture
@@ -96,7 +96,7 @@ def test_store_of_two_schemas_names_the_file_and_judges_the_others(store: Store,
     (file,) = store.files(store.robots()[1])
     other = pq.read_table(file, partitioning=None).replace_schema_metadata({SCHEMA_KEY: b"2"})
     pq.write_table(other, file)
-    fleet = analyse(store, one_by_one, AsOf(NOW))
+    fleet = run_analysis(store, one_by_one, AsOf(NOW))
     assert len(fleet.failed) == 1
     assert "is of schema 2" in fleet.failed[0]
     assert [each.state for each in fleet.robots] == ["cannot tell", "healthy"]
@@ -111,8 +111,8 @@ def test_recordings_are_estimated_once_by_a_version(store: Store, tmp_path: Path
     writer.finish("main", "success", "", {})
     writer.close()
     ingest(store, [tmp_path / "run.h5"], NOW)
-    assert analyse(store, one_by_one, AsOf(NOW)).estimated == 1
-    assert analyse(store, one_by_one, AsOf(NOW)).estimated == 0
+    assert run_analysis(store, one_by_one, AsOf(NOW)).estimated == 1
+    assert run_analysis(store, one_by_one, AsOf(NOW)).estimated == 0
     (robot,) = store.robots()
     kinds = store.read(robot)["kind"].to_pylist()
     assert sorted(kinds) == ["estimate", "recording"]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
+from gateway.fleet.correlated_noise import SHAPES, FittedLines, lines, sums
+from gateway.fleet.drift_detection import detectable, needed_sigmas, sigmas
 from gateway.fleet.history import CheckSeries
-from gateway.fleet.told import detectable, needed_sigmas, sigmas
-from gateway.fleet.trends import Wanders, active_columns, looks_of, seen_likelihoods, trends_of, wanders_of
-from gateway.fleet.wander import SHAPES, FittedLines, lines, sums
+from gateway.fleet.trends import NoiseShapes, active_columns, looks_of, noise_shapes_of, seen_likelihoods, trends_of
 from gateway.result.fleet import GAIN
 
 FIRST = datetime(2026, 1, 1)
@@ -109,7 +109,7 @@ def test_no_drift_is_told_by_chance_more_often_than_promised() -> None:
     for _ in range(5):
         noise = series(rng.normal(0, 0.003, (365, 60)))
         looks, active = looks_of(noise), active_columns(noise)
-        prior = wanders_of([seen_likelihoods(noise)]).of(noise)
+        prior = noise_shapes_of([seen_likelihoods(noise)]).of(noise)
         most = np.zeros(60)
         for look in looks:
             most = np.fmax(most, np.abs(sigmas(lines(look.sums, active), prior, np.full(60, GAIN.tolerance))))
@@ -147,7 +147,7 @@ def test_drift_is_told_under_temperature_and_load_and_its_day_with_it() -> None:
     value = 0.01 + 0.0005 * warm + 0.0001 * load + rng.normal(0, 0.001, (300, 2))
     value[:, 1] += 0.02 * day[:, 0] / 365.25
     told = series(value, warm, load)
-    quiet, drifting = trends_of(told, wanders_of([seen_likelihoods(told)] * 20), FIRST)[0]
+    quiet, drifting = trends_of(told, noise_shapes_of([seen_likelihoods(told)] * 20), FIRST)[0]
     assert quiet.found_on is None
     assert abs(quiet.drift_per_year) < 3 * quiet.drift_std_per_year
     assert drifting.drift_per_year == pytest.approx(0.02, abs=3 * drifting.drift_std_per_year)
@@ -169,7 +169,7 @@ def test_what_does_not_change_is_no_column() -> None:
 @pytest.mark.parametrize("count", [10, 25])
 def test_nothing_is_told_of_few_checks(count: int) -> None:
     value = 0.1 * np.arange(count)[:, None]
-    (trend,), _ = trends_of(series(value), Wanders(), FIRST)
+    (trend,), _ = trends_of(series(value), NoiseShapes(), FIRST)
     assert np.isnan(trend.sigmas)
     assert np.isnan(trend.detectable_per_year)
     assert trend.found_on is None
@@ -177,7 +177,7 @@ def test_nothing_is_told_of_few_checks(count: int) -> None:
 
 def test_wander_of_the_fleet_is_learnt() -> None:
     rng = np.random.default_rng(5)
-    calm = wanders_of([seen_likelihoods(series(rng.normal(size=(200, 6)))) for _ in range(4)])
+    calm = noise_shapes_of([seen_likelihoods(series(rng.normal(size=(200, 6)))) for _ in range(4)])
     kept, moved = np.exp(-1 / 30), []
     for _ in range(4):
         steps = rng.normal(size=(200, 6))
@@ -186,6 +186,6 @@ def test_wander_of_the_fleet_is_learnt() -> None:
             wander[row] = kept * wander[row - 1] + np.sqrt(1 - kept**2) * steps[row]
         moved.append(seen_likelihoods(series(2.0 * wander + rng.normal(size=(200, 6)))))
     ratio = np.array([shape.ratio for shape in SHAPES])
-    shares = [np.exp(each.log_share["gain"]) @ ratio for each in (calm, wanders_of(moved))]
+    shares = [np.exp(each.log_share["gain"]) @ ratio for each in (calm, noise_shapes_of(moved))]
     assert shares[0] < 0.2
     assert shares[1] > 1.0

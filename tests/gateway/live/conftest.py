@@ -13,7 +13,7 @@ from gateway.live.feed import Feed
 from gateway.live.wire import MOST_BYTES, Unpacker, pair_of_sockets
 from gateway.motion.arms import Arms
 from gateway.motion.observer import Scene
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from tests.observed import PERIOD_S
 
 
@@ -54,4 +54,4 @@ def rig() -> Iterator[Rig]:
 
 @pytest.fixture
 def scene(arm, workspace) -> Scene:
-    return Scene(Arms((arm,), "lockstep"), (workspace,), PERIOD_S, StateKeeper("main", lambda state: None))
+    return Scene(Arms((arm,), "lockstep"), (workspace,), PERIOD_S, StateTracker("main", lambda state: None))

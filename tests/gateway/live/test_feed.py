@@ -8,7 +8,7 @@ import pytest
 from gateway.acquire.events import PoseDone, Progress
 from gateway.live.feed import ROW_S, WAITING
 from gateway.live.wire import HEAD, PER_AXIS, STOP, CommandOver, Ended, Happened, PoseSeen, ShownCell
-from gateway.motion.observer import Observers, RowTold
+from gateway.motion.observer import MotionProgress, Observers
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
 from tests.observed import ENABLED, PERIOD_S, observed
 
@@ -55,7 +55,7 @@ def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, scene):
     rig.feed.began(scene)
     for sync in range(1, 5001):
         rig.feed.sampled(observed(sync, Q_RAD))
-        rig.feed.told(RowTold("move", sync, 5000))
+        rig.feed.reported(MotionProgress("move", sync, 5000))
         rig.later(PERIOD_S)
     assert not rig.feed.gone
     assert rig.feed.dropped > 4000
@@ -72,7 +72,7 @@ def test_messages_that_found_no_room_come_later_and_in_order(rig, scene):
         rig.feed.sampled(observed(1, Q_RAD))
         rig.later(PERIOD_S)
     for number in range(WAITING + 5):
-        rig.feed.told(Progress(number, 9, "move", float(number), 1.0 + number))
+        rig.feed.reported(Progress(number, 9, "move", float(number), 1.0 + number))
         rig.later(1.0)
     rig.heard()
     rig.feed.sampled(observed(2, Q_RAD))
@@ -87,7 +87,7 @@ def test_a_page_that_is_gone_is_let_go(rig, scene):
     observers.sampled(*_parts(observed(1, Q_RAD)))
     assert rig.feed.gone
     observers.sampled(*_parts(observed(2, Q_RAD)))
-    observers.told(RowTold("move", 1, 2))
+    observers.reported(MotionProgress("move", 1, 2))
     observers.ended(None)
     assert observers.troubles == []
     wish = rig.feed.pressed()
@@ -117,7 +117,7 @@ def test_the_button_asks_for_a_stop_and_the_second_time_for_a_quick_one(rig):
 def test_a_pose_comes_with_what_the_model_asks_for_there(rig, scene):
     rig.feed.began(scene)
     rig.feed.sampled(observed(1, Q_RAD))
-    rig.feed.told(PoseDone(3, "none", (1.0,) * 6, (0.1,) * 6))
+    rig.feed.reported(PoseDone(3, "none", (1.0,) * 6, (0.1,) * 6))
     seen = rig.heard()[-1]
     assert isinstance(seen, PoseSeen)
     assert seen.done.pose == 3

@@ -18,7 +18,7 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.live.guard import HOST
 from gateway.live.page import PORT, LivePage, live_page
-from gateway.motion.observer import RowTold
+from gateway.motion.observer import MotionProgress
 from gateway.motion.stops import StopKind
 from tests.observed import observed
 
@@ -104,7 +104,7 @@ def test_a_page_that_is_killed_never_makes_the_loop_wait_and_stops_it_along_the_
     wait_for(lambda: page._process.poll() is not None)
     for sync in range(1, 4):
         feed.sampled(observed(sync, scene.workspaces[0].lower_rad * 0.0))
-        feed.told(RowTold("move", sync, 3))
+        feed.reported(MotionProgress("move", sync, 3))
     assert feed.gone
     assert feed.pressed().kind is StopKind.ALONG_PATH
 

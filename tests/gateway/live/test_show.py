@@ -15,7 +15,7 @@ from gateway.live.feed import PHASES
 from gateway.live.page_content import Show, _ArmPast
 from gateway.live.wire import HEAD, PER_AXIS, CommandOver, Ended, Happened, Hello, PoseSeen
 from gateway.model.kinematics import link_frames
-from gateway.motion.observer import RowTold
+from gateway.motion.observer import MotionProgress
 from gateway.motion.state import CellState, Phase
 from gateway.report.stop import curves_of
 
@@ -79,7 +79,7 @@ def test_a_drive_in_fault_is_grave(show):
 
 def test_events_progress_and_poses(show, workspace):
     show.take(Happened(Progress(1, 9, "move", 1.0, 63.24)))
-    show.take(Happened(RowTold("approach pose 2", 4, 9)))
+    show.take(Happened(MotionProgress("approach pose 2", 4, 9)))
     show.take(Happened(SampleRepeated(17, (2, 3))))
     show.take(Happened(StateChanged(CellState("main", Phase.MOVING, None))))  # type: ignore[arg-type]
     show.take(PoseSeen(PoseDone(2, "none", (5.0,) * 6, (0.5,) * 6), np.full(6, 4.0)))

@@ -10,9 +10,9 @@ from gateway.model.arm_model import arm_robot
 from gateway.model.capsule import Capsule
 from gateway.model.kinematics import link_frames
 from gateway.model.solid import solid_capsule
-from gateway.motion.body import Body, body_of_parts, standing_and_moving
+from gateway.motion.body import Body, base_and_link_frames, body_of_parts
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_between
-from gateway.motion.distances import segment_box_distance, segment_segment_distance
+from gateway.motion.segment_distance import segment_box_distance, segment_segment_distance
 from gateway.motion.workspace import workspace_of
 from tests.around import NO_BOX, among_boxes
 
@@ -147,7 +147,7 @@ def test_a_clearance_that_is_enough_is_never_above_the_true_one(workspace):
     assert near.any()
     assert not near.all()
     assert found[near] == pytest.approx(exact[near], abs=1e-12)
-    segments = body.segments_m(standing_and_moving(workspace.robot, q_rad))
+    segments = body.segments_m(base_and_link_frames(workspace.robot, q_rad))
     boxed = space.pairs.kind == 1
     for column in np.flatnonzero(boxed)[::7]:
         ends = segments[:, space.pairs.first[column]]
@@ -164,7 +164,7 @@ def test_no_point_of_the_arm_moves_farther_than_its_levers_say(workspace):
     body, robot = workspace.space.body, workspace.robot
     moving = body.link >= 0
     levers = body.levers_m(robot)[moving]
-    before, after = (body.segments_m(standing_and_moving(robot, q))[:, moving] for q in (q_rad, q_rad + step))
+    before, after = (body.segments_m(base_and_link_frames(robot, q))[:, moving] for q in (q_rad, q_rad + step))
     moved = np.linalg.norm(after - before, axis=3).max(axis=2)
     allowed = np.abs(step) @ levers.T
     assert (moved <= allowed * (1 + 1e-3)).all()

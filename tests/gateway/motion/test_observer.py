@@ -12,9 +12,9 @@ from gateway.errors import LimitExceeded
 from gateway.model.regressor import gravity_regressor
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
-from gateway.motion.observer import Observed, Observers, RowTold, Scene
+from gateway.motion.observer import MotionProgress, Observed, Observers, Scene
 from gateway.motion.power import powered
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import MotionLimits, straight
 
@@ -37,7 +37,7 @@ class Seen:
     def sampled(self, observed: Observed) -> None:
         self.rows.append(observed)
 
-    def told(self, event: object) -> None:
+    def reported(self, event: object) -> None:
         self.events.append(event)
 
     def ended(self, failure: BaseException | None) -> None:
@@ -57,7 +57,7 @@ def station_of(arm, workspace, *observers) -> Station:
         arms=Arms((arm,), "lockstep"),
         workspaces=(workspace,),
         period_s=PERIOD_S,
-        state=StateKeeper("main", lambda state: None),
+        state=StateTracker("main", lambda state: None),
         options=MoveOptions(observers=Observers(*observers)),
     )
 
@@ -82,7 +82,7 @@ def test_every_sync_is_handed_on_once_with_its_targets_and_model(arm, workspace,
     assert last.samples[0].q_rad == pytest.approx(TARGET, abs=1e-4)
     gravity_nm = gravity_regressor(workspace.robot, TARGET[None], workspace.gravity_m_s2) @ workspace.links
     assert last.modelled_nm[0] == pytest.approx(gravity_nm[0])
-    told = [event for event in seen.events if isinstance(event, RowTold)]
+    told = [event for event in seen.events if isinstance(event, MotionProgress)]
     assert {event.what for event in told} == {"open the brakes", "move"}
 
 

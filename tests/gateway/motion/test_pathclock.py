@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import make_interp_spline
 
 from gateway.motion.pathclock import PathClock
+from gateway.motion.setpoints import MotionSetpoints
 from gateway.motion.trajectory import Motion, MotionLimits, straight
-from gateway.motion.way import MotionWay
 
 PERIOD_S = 0.01
 LIMITS = MotionLimits(np.full(6, 0.5), np.linspace(0.6, 1.2, 6), np.linspace(3.0, 6.0, 6))
@@ -18,7 +18,7 @@ angles = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 def driven(motion: Motion, start: np.ndarray, stop_at: int | None, most: float = 1.0) -> np.ndarray:
     """Set points as they go out, from the start on; `stop_at` = SYNC at which a stop is asked for."""
-    way = MotionWay([start], [motion])
+    way = MotionSetpoints([start], [motion])
     clock = PathClock(way.count, PERIOD_S, LIMITS.acceleration_rad_s2, LIMITS.jerk_rad_s3, most)
     sent = [start]
     while not clock.done:
@@ -71,7 +71,7 @@ def test_a_stop_on_a_curve_stays_on_the_curve(stop_at):
     path = driven(motion, np.zeros(6), stop_at)
     assert len(path) < len(motion)
     assert (np.abs(accelerations(path)) <= LIMITS.acceleration_rad_s2 * 1.1).all()
-    fine = MotionWay([np.zeros(6)], [motion])
+    fine = MotionSetpoints([np.zeros(6)], [motion])
     places = np.array([fine.targets(at, 1.0)[0] for at in np.linspace(-1.0, fine.count - 1, 20 * fine.count)])
     off = np.array([np.abs(places - point).max(axis=1).min() for point in path])
     assert off.max() < 2e-4

@@ -7,8 +7,8 @@ import pytest
 
 from drives.errors import DriveFault
 from gateway.motion.arms import Arms
-from gateway.motion.power import SAG_RAD, powered
-from gateway.motion.state import Phase, StateKeeper
+from gateway.motion.power import BRAKE_DROP_RAD, powered
+from gateway.motion.state import Phase, StateTracker
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import FIRST_SHARE, MoveOptions, Station, Stream
 from gateway.motion.trajectory import MotionLimits, straight
@@ -28,7 +28,7 @@ def station(arm, workspace, told) -> Station:
         arms=Arms((arm,), "lockstep"),
         workspaces=(workspace,),
         period_s=PERIOD_S,
-        state=StateKeeper("main", lambda state: told.append(state.phase)),
+        state=StateTracker("main", lambda state: told.append(state.phase)),
         options=MoveOptions(),
     )
 
@@ -126,7 +126,7 @@ def test_who_listens_is_told_after_the_arm_is_safe_and_cannot_prevent_it(station
             raise BrokenPipeError(32, "Broken pipe")
 
     options = asked_at(fake, 40, StopKind.QUICK_STOP)
-    moved = replace(station, state=StateKeeper("main", listen), options=options)
+    moved = replace(station, state=StateTracker("main", listen), options=options)
     with pytest.raises(BrokenPipeError), powered(Stream(moved)) as stream:
         move(stream, workspace)
     assert (Phase.STOPPING, False) in log
@@ -167,7 +167,7 @@ def test_a_joint_that_sinks_in_its_brake_is_told(station, fake):
 @pytest.mark.parametrize(("sunk_rad", "said"), [(0.9, False), (1.1, True)])
 def test_a_joint_sinks_from_a_limit_on(station, fake, sunk_rad, said):
     sag = np.zeros(6)
-    sag[3] = sunk_rad * SAG_RAD
+    sag[3] = sunk_rad * BRAKE_DROP_RAD
     fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(sag)).tolist()
     with powered(Stream(station)):
         pass
@@ -187,7 +187,7 @@ def test_a_stop_that_fails_without_another_error_is_raised(station, fake):
 
 def test_a_sag_after_an_error_is_among_its_notes_with_time_and_sync(station, workspace, fake):
     fake.fault_at = 30
-    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(np.full(6, 2 * SAG_RAD))).tolist()
+    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(np.full(6, 2 * BRAKE_DROP_RAD))).tolist()
     with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
         move(stream, workspace)
     notes = " ".join(failed.value.__notes__)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from gateway.motion.state import SAFE, CellState, Phase, StateKeeper
+from gateway.motion.state import SAFE, CellState, Phase, StateTracker
 
 SINCE = datetime(2026, 3, 4, 5, 6, 7, tzinfo=UTC)
 
@@ -18,7 +18,7 @@ def test_a_state_says_since_when_and_after_a_stop_why():
 
 def test_a_change_is_told_once():
     told = []
-    keeper = StateKeeper("main", told.append)
+    keeper = StateTracker("main", told.append)
     assert keeper.state.phase in SAFE
     keeper.enter(Phase.MOVING, 3)
     keeper.enter(Phase.MOVING, 4)

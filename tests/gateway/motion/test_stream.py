@@ -13,7 +13,7 @@ from gateway.errors import LimitExceeded
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
 from gateway.motion.power import powered
-from gateway.motion.state import StateKeeper
+from gateway.motion.state import StateTracker
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_SYNCS, MoveOptions, Station, Stream
 from gateway.motion.trajectory import MotionLimits, straight
@@ -35,7 +35,7 @@ def make(arm, workspace, told) -> Callable[..., Stream]:
                 arms=Arms((arm,), pacing),  # type: ignore[arg-type]
                 workspaces=(workspace,),
                 period_s=PERIOD_S,
-                state=StateKeeper("main", lambda state: None),
+                state=StateTracker("main", lambda state: None),
                 options=MoveOptions(**options),
                 report=lambda what, row, rows: told.append((what, row, rows)),
             )

@@ -240,8 +240,8 @@ def test_the_base_of_the_urdf_is_in_the_way(small_cell):
     shape = '<link name="base_link"><collision><geometry><box size="1 1 0.2"/></geometry></collision>'
     text = robot_text(small_cell, arm).replace('<link name="base_link">', shape)
     around = surroundings_of(arm, robot_from_text(arm, text, "robot.urdf"))
-    assert [part.name for part in around.standing] == ["base"]
-    assert around.standing[0].solids[0].points_m == pytest.approx(CORNERS * [1, 1, 0.2])
+    assert [part.name for part in around.fixed_parts] == ["base"]
+    assert around.fixed_parts[0].solids[0].points_m == pytest.approx(CORNERS * [1, 1, 0.2])
 
 
 def test_an_example_without_boxes_is_planned_clear_of_floor_and_column(small_cell):

@@ -10,8 +10,8 @@ from gateway.cell.config import AxisConfig, KeepOut
 from gateway.errors import ConfigError, PlanRefused
 from gateway.model.arm_model import arm_named, arm_robot, robot_text
 from gateway.model.kinematics import flange_frames, link_frames
-from gateway.motion.body import standing_and_moving
-from gateway.motion.places import path_points
+from gateway.motion.body import base_and_link_frames
+from gateway.motion.joint_path import path_points
 from gateway.motion.workspace import INWARD_MARGIN_RAD, TORQUE_SHARE, workspace_of
 from tests.around import NO_BOX, among_boxes
 
@@ -43,7 +43,7 @@ def flange_m(workspace, q_rad: np.ndarray) -> np.ndarray:
 
 def test_capsules_stand_where_the_model_has_its_links(workspace, model, postures):
     body = workspace.space.body
-    segments = body.segments_m(standing_and_moving(workspace.robot, postures))
+    segments = body.segments_m(base_and_link_frames(workspace.robot, postures))
     names = [body.parts[part].name for part in body.part]
     data = model.createData()
     for row, q_rad in enumerate(postures):
@@ -148,13 +148,13 @@ def test_a_posture_that_is_no_number_is_not_feasible(workspace):
 
 
 def test_an_arm_inside_its_range_has_no_way_in(workspace):
-    assert workspace.inward_way(np.zeros(6)) is None
+    assert workspace.path_into_range(np.zeros(6)) is None
 
 
 def test_only_joints_outside_move_inwards(workspace):
     workspace = among_boxes(workspace, NO_BOX)
     q_rad = np.array([0.3, 0.0, workspace.upper_rad[2] + 0.2, 0.0, workspace.lower_rad[4] - 0.1, 0.0])
-    way = workspace.inward_way(q_rad)
+    way = workspace.path_into_range(q_rad)
     assert way == pytest.approx(
         [0.3, 0, workspace.upper_rad[2] - INWARD_MARGIN_RAD, 0, workspace.lower_rad[4] + INWARD_MARGIN_RAD, 0]
     )
@@ -167,23 +167,23 @@ def test_an_arm_far_outside_is_not_moved(workspace, beyond):
     q_rad = np.zeros(6)
     q_rad[3] = workspace.upper_rad[3] + beyond
     with pytest.raises(PlanRefused, match="joint 4 is .* rad outside .* zero_offset_rad"):
-        workspace.inward_way(q_rad)
+        workspace.path_into_range(q_rad)
 
 
 def test_a_box_on_the_way_in_refuses(workspace):
     """The box lies between both ends, where the flange passes."""
     q_rad = np.array([workspace.upper_rad[0] + 0.3, 0.9, 0.0, 0.0, 0.0, 0.0])
-    assert workspace.inward_way(q_rad) is not None
+    assert workspace.path_into_range(q_rad) is not None
     between = q_rad - [0.16, 0, 0, 0, 0, 0]
     centre = flange_m(workspace, between[None])[0]
     boxed = among_boxes(workspace, np.array([[centre - 0.005, centre + 0.005]]), radius_m=0.002)
     wide = replace(boxed, upper_rad=workspace.upper_rad + 1)
     assert wide.feasible(np.array([q_rad, q_rad - [0.32, 0, 0, 0, 0, 0]])).all()
     with pytest.raises(PlanRefused, match="way of joint 1 back into its range.*keep_out box 1"):
-        boxed.inward_way(q_rad)
+        boxed.path_into_range(q_rad)
     inside_a_box = among_boxes(workspace, np.array([[[-9.0] * 3, [9.0] * 3]]))
     with pytest.raises(PlanRefused, match="keep_out box 1"):
-        inside_a_box.inward_way(q_rad)
+        inside_a_box.path_into_range(q_rad)
 
 
 def test_the_first_bad_place_of_a_way_is_named(workspace):
@@ -314,4 +314,4 @@ def test_a_joint_of_a_narrow_range_moves_to_its_middle(workspace):
     narrow = replace(workspace, upper_rad=upper)
     q_rad = np.zeros(6)
     q_rad[4] = upper[4] + 0.1
-    assert narrow.inward_way(q_rad)[4] == pytest.approx(workspace.lower_rad[4] + 0.005)
+    assert narrow.path_into_range(q_rad)[4] == pytest.approx(workspace.lower_rad[4] + 0.005)

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 from gateway.data.sample import ArmSample
 from gateway.pair.balance import ForceBalance
 from gateway.pair.calibration import PathWrenches
-from gateway.pair.cell import load_pair
-from gateway.pair.doubt import COULOMB_SHARE, LATE_S, LINK_SHARE, Doubts, constants_of
-from gateway.pair.follow import ExternalTorque, JointFollower, Shown
-from gateway.pair.motion import calibration_of
+from gateway.pair.joint_targets import ExternalTorque, JointFollower, Shown
+from gateway.pair.model_uncertainty import COULOMB_SHARE, DELAY_STD_S, LINK_SHARE, ModelUncertainty, constants_of
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_motion import calibration_of
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 EXAMPLE = EXAMPLES / "pair" / "cell.toml"
@@ -74,14 +74,16 @@ class Bench:
         change = np.gradient(np.gradient(centre, self.path.dt_s, axis=0), self.path.dt_s, axis=0)
         return 0.5 * self.cell.config.part_mass_kg * (np.array([0.0, 0.0, -9.80665]) - change)
 
-    def run(self, force_n: np.ndarray, extra_nm=(0.0, 0.0), doubts: Doubts | None = None, off_s=0.0) -> Doubts:
+    def run(
+        self, force_n: np.ndarray, extra_nm=(0.0, 0.0), uncertainty: ModelUncertainty | None = None, off_s=0.0
+    ) -> ModelUncertainty:
         """A way with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, N) beside.
 
         Both grippers feel it about the part's middle, so that the part has no cause to turn. Positions are those of
         instants (M, 1) that are `off_s` beside what is told of them.
         """
         joints = sum(arm.axes for arm in self.cell.arms)
-        doubts = doubts or Doubts(constants_of(joints))
+        uncertainty = uncertainty or ModelUncertainty(constants_of(joints))
         part, centre = self.part_n(), self.centre()
         torque = []
         for arm, sign in ((0, -1.0), (1, 1.0)):
@@ -89,7 +91,7 @@ class Bench:
             moment = np.cross(arm_m, sign * force_n)
             torque.append(self.free[arm] + self.virtual_work_nm(arm, part + sign * force_n, moment) + extra_nm[arm])
         shown = [q + off_s * speed for q, speed in zip(self.q, self.speed, strict=True)]
-        self.balance.begin(doubts)
+        self.balance.begin(uncertainty)
         for m in range(len(self.path)):
             time_s = m * self.path.dt_s
             seen = [
@@ -97,7 +99,7 @@ class Bench:
                 for arm, q, nm in zip(self.arms, shown, torque, strict=True)
             ]
             self.balance.take(m, (seen[0], seen[1]), m - 1 if m else None)
-        return doubts
+        return uncertainty
 
     def turns(self, arm: int, joint: int) -> np.ndarray:
         """Direction (M,) in which a joint turns."""
@@ -124,7 +126,7 @@ def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(b
     """A force that nothing hides is known but for what is expected of it beforehand."""
     bench.run(pulled(bench, force_n))
     bench.balance.learn()
-    found = bench.balance.inside()
+    found = bench.balance.internal_force()
     wrong = np.linalg.norm(found.wrench[50:-50, :3] - force_n, axis=1)
     assert np.sqrt(np.mean(wrong**2)) < 2.5
     assert wrong.max() < 6.0
@@ -134,24 +136,24 @@ def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(b
 @pytest.mark.parametrize("force_n", [(30.0, 0.0, 0.0), (0.0, -20.0, 10.0)])
 def test_thirteen_torques_hold_the_same_six_numbers(thirteen, force_n):
     """By virtual work of both hands; what is left of thirteen rows tells of 5 constants a joint and 4 of the part."""
-    doubts = thirteen.run(pulled(thirteen, force_n))
+    uncertainty = thirteen.run(pulled(thirteen, force_n))
     thirteen.balance.learn()
-    found = thirteen.balance.inside()
+    found = thirteen.balance.internal_force()
     wrong = np.linalg.norm(found.wrench[50:-50, :3] - force_n, axis=1)
     assert np.sqrt(np.mean(wrong**2)) < 2.5
     assert wrong.max() < 6.0
     assert thirteen.balance.wrench[:3] == pytest.approx(force_n, abs=6.0)
-    assert doubts.value.shape == (5 * 13 + 4,)
+    assert uncertainty.value.shape == (5 * 13 + 4,)
 
 
 def test_friction_of_the_axis_that_an_arm_has_more_is_told_too(thirteen):
     """Joint 3 of the arm of seven rubs a quarter less than the cell says; its neighbours rub as it does."""
     extra = np.zeros((len(thirteen.path), 7))
     extra[:, 2] = -0.25 * thirteen.cell.arms[0].coulomb_nm[2] * thirteen.turns(0, 2)
-    doubts = thirteen.run(pulled(thirteen, (0.0, 0.0, 0.0)), (extra, 0.0))
+    uncertainty = thirteen.run(pulled(thirteen, (0.0, 0.0, 0.0)), (extra, 0.0))
     thirteen.balance.learn()
-    assert doubts.value[2] == pytest.approx(-0.25 / COULOMB_SHARE, abs=0.35)
-    assert np.abs(doubts.value[[0, 1, 3, 4, 5, 6, 7, 8]]).max() < 0.35
+    assert uncertainty.value[2] == pytest.approx(-0.25 / COULOMB_SHARE, abs=0.35)
+    assert np.abs(uncertainty.value[[0, 1, 3, 4, 5, 6, 7, 8]]).max() < 0.35
 
 
 def test_links_and_delays_of_an_arm_ask_for_torque_of_its_own_joints_alone(thirteen):
@@ -166,7 +168,7 @@ def test_links_and_delays_of_an_arm_ask_for_torque_of_its_own_joints_alone(thirt
         links = np.stack([each[row] for each in arm.arm.link_torques(*motion)], axis=1)
         assert columns[own, :axes] == pytest.approx(LINK_SHARE * links)
         before, after = (arm.arm.model_torque(*(each[at][None] for each in motion))[0] for at in (row - 1, row + 1))
-        late = LATE_S * (after - before) / (2 * thirteen.path.dt_s)
+        late = DELAY_STD_S * (after - before) / (2 * thirteen.path.dt_s)
         assert columns[own, axes:] == pytest.approx(np.diag(late))
 
 
@@ -186,7 +188,7 @@ def test_both_hands_are_told_what_holds_the_force_and_the_part(bench):
     bench.run(pulled(bench, (30.0, 0.0, 0.0)))
     one, two = bench.balance.inputs(700)
     again = bench.balance._maps.internal(700, one, two)
-    assert again == pytest.approx(bench.balance._beyond_doubt(bench.balance.wrench))
+    assert again == pytest.approx(bench.balance._certain_force(bench.balance.wrench))
     assert np.linalg.norm(again[:3]) > 10.0
 
 
@@ -194,48 +196,48 @@ def test_friction_of_another_day_is_told_by_the_part_that_both_carry(bench):
     """Joint 2 of the master rubs a quarter more than the cell says: 6.75 Nm."""
     extra = np.zeros((len(bench.path), 6))
     extra[:, 1] = 0.25 * bench.cell.arms[0].coulomb_nm[1] * bench.turns(0, 1)
-    doubts = bench.run(pulled(bench, (0.0, 0.0, 0.0)), (extra, 0.0))
-    before = np.abs(bench.balance.inside().wrench[50:-50, :3]).max()
+    uncertainty = bench.run(pulled(bench, (0.0, 0.0, 0.0)), (extra, 0.0))
+    before = np.abs(bench.balance.internal_force().wrench[50:-50, :3]).max()
     bench.balance.learn()
-    after = np.abs(bench.balance.inside().wrench[50:-50, :3]).max()
-    assert doubts.value[1] == pytest.approx(0.25 / COULOMB_SHARE, abs=0.35)
-    assert np.sqrt(doubts.covariance[1, 1]) < 0.4
+    after = np.abs(bench.balance.internal_force().wrench[50:-50, :3]).max()
+    assert uncertainty.value[1] == pytest.approx(0.25 / COULOMB_SHARE, abs=0.35)
+    assert np.sqrt(uncertainty.covariance[1, 1]) < 0.4
     assert after < 0.6 * before
 
 
 def test_instants_that_are_off_tell_no_inertia(bench):
     """30 us at 4 ms feign accelerations above the true ones: torques that nothing needs would be told as rotors'."""
     off_s = np.random.default_rng(1).normal(0.0, 30e-6, (len(bench.path), 1))
-    doubts = bench.run(np.zeros((len(bench.path), 3)), off_s=off_s)
+    uncertainty = bench.run(np.zeros((len(bench.path), 3)), off_s=off_s)
     bench.balance.learn()
-    assert np.abs(doubts.value).max() < 1.5
-    assert np.linalg.norm(bench.balance.inside().wrench[:, :3], axis=1).max() < 30.0
+    assert np.abs(uncertainty.value).max() < 1.5
+    assert np.linalg.norm(bench.balance.internal_force().wrench[:, :3], axis=1).max() < 30.0
 
 
 @pytest.mark.slow
 def test_what_a_cable_pulls_on_one_way_tells_nothing_of_the_arms(bench):
     """20 N at the slave's hand, across the bar: once they are a passing snag, twice in a row they are there to stay."""
     free = pulled(bench, (0.0, 0.0, 0.0))
-    doubts = Doubts(constants_of(12))
+    uncertainty = ModelUncertainty(constants_of(12))
     for _ in range(3):
-        bench.run(free, doubts=doubts)
+        bench.run(free, uncertainty=uncertainty)
         bench.balance.learn()
-        assert not bench.balance.inside().pulled
+        assert not bench.balance.internal_force().pulled
     cable = bench.virtual_work_nm(1, pulled(bench, (0.0, 20.0, 0.0)), free)
-    before = doubts.value.copy()
-    bench.run(free, (0.0, cable), doubts)
+    before = uncertainty.value.copy()
+    bench.run(free, (0.0, cable), uncertainty)
     bench.balance.learn()
-    assert bench.balance.inside().pulled
-    assert np.array_equal(doubts.value, before)
-    bench.run(free, (0.0, cable), doubts)
+    assert bench.balance.internal_force().pulled
+    assert np.array_equal(uncertainty.value, before)
+    bench.run(free, (0.0, cable), uncertainty)
     bench.balance.learn()
-    assert not bench.balance.inside().pulled
-    assert np.abs(doubts.value - before).max() > 0.3
-    bench.run(free, doubts=doubts)
+    assert not bench.balance.internal_force().pulled
+    assert np.abs(uncertainty.value - before).max() > 0.3
+    bench.run(free, uncertainty=uncertainty)
     bench.balance.learn()
-    bench.run(free, doubts=doubts)
+    bench.run(free, uncertainty=uncertainty)
     bench.balance.learn()
-    assert not bench.balance.inside().pulled
+    assert not bench.balance.internal_force().pulled
 
 
 def test_friction_of_another_day_is_no_cable(bench):
@@ -247,7 +249,7 @@ def test_friction_of_another_day_is_no_cable(bench):
         ]
         bench.run(pulled(bench, (0.0, 0.0, 0.0)), (extra[0], extra[1]))
         bench.balance.learn()
-        assert not bench.balance.inside().pulled
+        assert not bench.balance.internal_force().pulled
 
 
 def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
@@ -259,7 +261,7 @@ def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
     for settled in (1.0, 0.0):
         turned = np.ones((2, 6))
         turned[1, 2] = settled
-        bench.balance.begin(Doubts(constants_of(12)))
+        bench.balance.begin(ModelUncertainty(constants_of(12)))
         share = bench.balance._share[row].reshape(2, 6)
         one, two = (Shown(share[arm] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1))
         bench.balance.take(row + 1, (one, two), None)
@@ -275,7 +277,7 @@ def standing(bench: Bench, extra_nm: np.ndarray, turned: float) -> np.ndarray:
         Shown(nm, np.full(6, turned), np.zeros(6), np.zeros(6))
         for nm in np.split(bench.balance._share[0] + extra_nm, 2)
     ]
-    bench.balance.begin(Doubts(constants_of(12)))
+    bench.balance.begin(ModelUncertainty(constants_of(12)))
     for _ in range(12):
         bench.balance.take(0, (seen[0], seen[1]), None)
     return bench.balance._maps.internal(0, *bench.balance.inputs(0))[:3]
@@ -311,7 +313,7 @@ def test_hands_yield_to_a_force_at_rest_that_no_friction_explains(bench):
 
 def test_a_sync_of_which_one_arm_tells_nothing_leaves_the_force_as_it_is(bench):
     still = np.zeros(6)
-    bench.balance.begin(Doubts(constants_of(12)))
+    bench.balance.begin(ModelUncertainty(constants_of(12)))
     bench.balance.take(400, (None, Shown(still, still, still, still)), None)
     assert bench.balance.wrench is None
     assert bench.balance.inputs(400) is None
@@ -330,13 +332,13 @@ def test_intervals_hold_what_they_say_where_constants_are_drawn(bench):
             extra.append(off * turning + bench.balance._sample_nm[:6] * 0.3 * random.standard_normal(turning.shape))
         time = np.linspace(0.0, 6.0, len(bench.path))[:, None]
         force = 15.0 * random.standard_normal(3) * np.sin(time + random.uniform(0.0, 6.0, 3))
-        doubts = bench.run(force, (extra[0], extra[1]))
+        uncertainty = bench.run(force, (extra[0], extra[1]))
         bench.balance.learn()
-        found = bench.balance.inside()
-        late = bench.balance.late
-        wrong = found.wrench[40:-60, :3] - force[40 + late : late - 60]
+        found = bench.balance.internal_force()
+        delay = bench.balance.delay
+        wrong = found.wrench[40:-60, :3] - force[40 + delay : delay - 60]
         inside.append((np.abs(wrong) < 1.96 * found.std[40:-60, :3]).mean())
         half.append(np.median(1.96 * found.std[:, :3]))
-        assert doubts.covariance.shape == (64, 64)
+        assert uncertainty.covariance.shape == (64, 64)
     assert np.mean(inside) > 0.93
     assert np.median(half) < 10.0

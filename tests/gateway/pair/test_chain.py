@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from gateway.pair.cell import load_pair
 from gateway.pair.chain import GearChain, Hand
-from gateway.pair.follow import JointFollower
+from gateway.pair.joint_targets import JointFollower
+from gateway.pair.pair_cell import load_pair
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 STATED = np.repeat([4e5, 4e3], 3)

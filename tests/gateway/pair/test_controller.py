@@ -12,13 +12,13 @@ from gateway.errors import ConfigError, InputError, PlanRefused
 from gateway.pair.calibration import PairCalibration
 from gateway.pair.controller import PairController
 from gateway.pair.embodiments import DEFAULT_GAINS, EMBODIMENTS
-from gateway.pair.function import TransformFunction, function_of_knots
 from gateway.pair.impedance import Gains
-from gateway.pair.inside import Inside
-from gateway.pair.learning import LearningRule
+from gateway.pair.internal_force import InternalForce
+from gateway.pair.learning_update import LearningRule
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
 from gateway.pair.transform import apply_correction, correction_between, inverse, pose
+from gateway.pair.transform_function import TransformFunction, function_of_knots
 from gateway.result.pair import CycleSummary
 
 FIXED = pose(np.eye(3), [0.4, 0.0, 0.0])
@@ -69,13 +69,13 @@ class Spring:
     def cycle(self, controller: PairController, complete: bool = True) -> tuple[CycleSummary, float]:
         """One cycle; summary and the largest true force."""
         controller.start_cycle()
-        felt, largest, slave = [], 0.0, None
+        deviation, largest, slave = [], 0.0, None
         for m in range(len(self._path)):
-            given = felt[m - DELAY] if m >= DELAY else (np.zeros(6), np.zeros(6))
+            given = deviation[m - DELAY] if m >= DELAY else (np.zeros(6), np.zeros(6))
             stand = self._stand(m, slave) if controller.needs_measured else None
             master, slave = controller.step(m, *given, measured=stand)
-            felt.append(self.wrenches(m, master, slave))
-            largest = max(largest, float(np.linalg.norm(felt[-1][1][:3])))
+            deviation.append(self.wrenches(m, master, slave))
+            largest = max(largest, float(np.linalg.norm(deviation[-1][1][:3])))
         return controller.end_cycle(complete), largest
 
 
@@ -263,13 +263,13 @@ def test_one_command_and_one_learning_step_are_fast(path: PairPath, bare: PairCa
     """A generous multiple of what they take, so that a busy machine keeps it: 1 ms of a 4 ms cycle, 5 % of a pass."""
     controller, spring = controller_of("C8", path, bare), Spring(path, bare)
     controller.start_cycle()
-    felt = np.ones(6)
-    assert min(timeit.repeat(lambda: controller.step(5, felt, felt), number=50, repeat=10)) / 50 < 1e-3
+    deviation = np.ones(6)
+    assert min(timeit.repeat(lambda: controller.step(5, deviation, deviation), number=50, repeat=10)) / 50 < 1e-3
     for _ in range(2):
         spring.cycle(controller)
     controller.start_cycle()
     for m in range(len(path)):
-        controller.step(m, felt, felt)
+        controller.step(m, deviation, deviation)
     took = min(timeit.repeat(lambda: controller.end_cycle(complete=True), number=1, repeat=3))
     assert took < 0.05 * path.duration_s
 
@@ -291,9 +291,9 @@ def test_summary_tells_what_was_estimated(path: PairPath, bare: PairCalibration)
 # -- force that is known once a way is over ----------------------------------------------------------------------------
 
 
-def known(path: PairPath, wrench: np.ndarray, std_n: float = 1.0) -> Inside:
+def known(path: PairPath, wrench: np.ndarray, std_n: float = 1.0) -> InternalForce:
     covariance = np.tile(np.diag(np.repeat([std_n, 0.2 * std_n], 3) ** 2), (len(path), 1, 1))
-    return Inside(np.tile(wrench, (len(path), 1)), covariance)
+    return InternalForce(np.tile(wrench, (len(path), 1)), covariance)
 
 
 def commanded(controller: PairController, path: PairPath) -> np.ndarray:

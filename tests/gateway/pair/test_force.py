@@ -13,9 +13,9 @@ from gateway.pair.force import (
     share_of_part,
     split,
 )
-from gateway.pair.function import constant_function
 from gateway.pair.path import PairPath
 from gateway.pair.relation import slave_command
+from gateway.pair.transform_function import constant_function
 
 Q = np.array([0.1, 1.4, -3.0, 0.2, -1.3, 0.3])
 
@@ -49,8 +49,8 @@ def in_base(base: np.ndarray, force: np.ndarray, moment: np.ndarray) -> np.ndarr
 def test_part_at_rest_is_no_internal_force(path: PairPath, cell: PairCalibration) -> None:
     maps, _ = wrenches(replace(path, dt_s=10.0), cell)
     weight = np.array([0.0, 0.0, -5.0 * 9.80665 / 2.0])
-    felt = [in_base(base, weight, np.zeros(3)) for base in (cell.w_t_b1, cell.w_t_b2)]
-    for first, second in ((felt[0], felt[1]), (felt[0], None), (None, felt[1])):
+    deviation = [in_base(base, weight, np.zeros(3)) for base in (cell.w_t_b1, cell.w_t_b2)]
+    for first, second in ((deviation[0], deviation[1]), (deviation[0], None), (None, deviation[1])):
         internal = maps.internal(0, first, second)
         assert internal is not None
         assert np.allclose(internal, 0.0, atol=1e-4)

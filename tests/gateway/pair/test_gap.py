@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.pair.distance import DistanceSensors
-from gateway.pair.gap import UNLIKE_SYNCS, SensorCheck
+from gateway.pair.gap import SENSOR_MISMATCH_SYNCS, SensorCheck
 
 BEAM = np.array([[0.0, 0, 1]] * 3 + [[1.0, 0, 0]] * 2 + [[0.0, 1, 0]])
 ORIGIN = np.array(
@@ -32,7 +32,7 @@ def hands(shift_m: np.ndarray) -> np.ndarray:
     return pose
 
 
-def answers(change_m: np.ndarray, syncs: int = UNLIKE_SYNCS + 1) -> list[str]:
+def answers(change_m: np.ndarray, syncs: int = SENSOR_MISMATCH_SYNCS + 1) -> list[str]:
     """What is said when readings have changed by this while the hand went SHIFT_M."""
     found = check()
     assert found.take(np.full(6, GAP_M), hands(np.zeros(3))) == ""
@@ -50,7 +50,7 @@ def test_two_sensors_that_are_swapped_are_named(one, other):
     change[[one, other]] = change[[other, one]]
     number = (1, 2, 3, 4, 5, 8)
     said = answers(change)
-    assert said[:-1] == [""] * UNLIKE_SYNCS
+    assert said[:-1] == [""] * SENSOR_MISMATCH_SYNCS
     assert f"sensors {number[one]} and {number[other]} are swapped" in said[-1]
 
 
@@ -65,7 +65,7 @@ def test_a_sensor_that_stands_still_or_goes_the_wrong_way_is_named(factor, moved
 def test_a_sensor_that_is_alone_cannot_be_swapped():
     found = check(1)
     found.take(np.array([GAP_M]), hands(np.zeros(3)))
-    said = [found.take(np.array([GAP_M]), hands(SHIFT_M)) for _ in range(UNLIKE_SYNCS + 1)]
+    said = [found.take(np.array([GAP_M]), hands(SHIFT_M)) for _ in range(SENSOR_MISMATCH_SYNCS + 1)]
     assert "sensor 1 moved by 0.00 mm" in said[-1]
 
 
@@ -75,5 +75,5 @@ def test_one_odd_sync_and_none_at_all_say_nothing():
         assert found.take(None, hands(np.zeros(3))) == ""
     found.take(np.full(6, GAP_M), hands(np.zeros(3)))
     for _ in range(4):
-        for change in [np.full(6, 1e-3)] * UNLIKE_SYNCS + [-BEAM @ SHIFT_M]:
+        for change in [np.full(6, 1e-3)] * SENSOR_MISMATCH_SYNCS + [-BEAM @ SHIFT_M]:
             assert found.take(GAP_M + change, hands(SHIFT_M)) == ""

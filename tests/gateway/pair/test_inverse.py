@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.model.robot import Robot
-from gateway.pair.cell import PairArm, load_pair
 from gateway.pair.inverse import (
     ForwardChain,
     chain_of,
@@ -23,6 +22,7 @@ from gateway.pair.inverse import (
     solve,
     turns,
 )
+from gateway.pair.pair_cell import PairArm, load_pair
 
 
 @pytest.fixture(scope="module")

@@ -9,13 +9,13 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.pair.calibration import PairCalibration
-from gateway.pair.function import TransformFunction, function_of_knots
-from gateway.pair.learner import Cycle, Learner
-from gateway.pair.learning import Forgetting, LearningRule, from_local, led, local, raw_relation, smoothed
+from gateway.pair.iterative_learning import Cycle, IterativeLearning
+from gateway.pair.learning_points import Feature, Selection
+from gateway.pair.learning_update import Forgetting, LearningRule, from_local, led, local, raw_relation, smoothed
 from gateway.pair.path import PairPath
 from gateway.pair.relation import relation, slave_command
-from gateway.pair.selection import Feature, Selection
 from gateway.pair.transform import apply_correction, correction_between
+from gateway.pair.transform_function import TransformFunction, function_of_knots
 
 FIXED = np.eye(4)
 FIXED[0, 3] = 0.4
@@ -34,7 +34,9 @@ def true_commands(path: PairPath, cell: PairCalibration) -> np.ndarray:
     return apply_correction(nominal, off)
 
 
-def run_cycles(learner: Learner, path: PairPath, cell: PairCalibration, count: int, gain: float = 0.8) -> list[float]:
+def run_cycles(
+    learner: IterativeLearning, path: PairPath, cell: PairCalibration, count: int, gain: float = 0.8
+) -> list[float]:
     """Cycles in which the hand takes the share `gain` of every mismatch away; largest mismatch per cycle."""
     wanted, largest = true_commands(path, cell), []
     for _ in range(count):
@@ -46,8 +48,8 @@ def run_cycles(learner: Learner, path: PairPath, cell: PairCalibration, count: i
     return largest
 
 
-def learner_of(rule: LearningRule, path: PairPath, cell: PairCalibration, lead: int = 0) -> Learner:
-    return Learner(rule, path, cell, first_function(path), lead)
+def learner_of(rule: LearningRule, path: PairPath, cell: PairCalibration, lead: int = 0) -> IterativeLearning:
+    return IterativeLearning(rule, path, cell, first_function(path), lead)
 
 
 @pytest.mark.parametrize(
@@ -159,7 +161,7 @@ def test_phase_lead_finds_the_error_of_a_late_correction(path: PairPath, cell: P
     late, wanted = 5, true_commands(path, cell)
     after = []
     for lead in (0, late):
-        learner = Learner(LearningRule(smooth_s=0.0), path, cell, first_function(path, 40), lead)
+        learner = IterativeLearning(LearningRule(smooth_s=0.0), path, cell, first_function(path, 40), lead)
         base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
         mismatch = correction_between(wanted, base)
         delayed = mismatch[np.maximum(np.arange(len(path)) - late, 0)]

@@ -12,10 +12,10 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli import main
-from gateway.pair.cell import load_pair
-from gateway.pair.function import function_of_knots
-from gateway.pair.storage import PairStore
-from gateway.pair.stored import transform_of
+from gateway.pair.function_file import transform_of
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_store import PairStore
+from gateway.pair.transform_function import function_of_knots
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 

@@ -1,4 +1,4 @@
-"""Way along the path, speed settings and the hash."""
+"""Arc length of the path, speed settings and the hash."""
 
 from __future__ import annotations
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gateway.pair.function import function_of_knots
 from gateway.pair.relation import relation, slave_command
+from gateway.pair.transform_function import function_of_knots
 
 
 def random_poses(count: int, seed: int) -> np.ndarray:

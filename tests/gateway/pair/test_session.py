@@ -15,13 +15,13 @@ from gateway.motion.power import powered
 from gateway.motion.stops import StopDesk, StoppedByPerson
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.pair.balance import ForceBalance
-from gateway.pair.cell import load_pair
 from gateway.pair.embodiments import DISTANCE_GAINS, EMBODIMENTS
-from gateway.pair.function import constant_function
-from gateway.pair.lesson import Lesson
-from gateway.pair.motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
-from gateway.pair.run import PairRun
-from gateway.pair.servolag import made_alike
+from gateway.pair.function_file import transform_of
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_motion import PairMotion, PairMotionOptions, PairStopped, refuse_elsewhere
+from gateway.pair.pair_run import PairRun
+from gateway.pair.pair_store import PairStore
+from gateway.pair.servo_lag import equalised_targets
 from gateway.pair.session import (
     PairRunRequest,
     cell_gains,
@@ -29,16 +29,16 @@ from gateway.pair.session import (
     first_function,
     function_back,
     one_relation,
-    open_lesson,
+    open_taught_path,
     run_pair,
     servo_laws,
     speed_table,
     teach_pair,
 )
-from gateway.pair.storage import PairStore
-from gateway.pair.stored import transform_of
+from gateway.pair.taught_path import TaughtPath
 from gateway.pair.teach import Teacher, TeachRule
 from gateway.pair.transform import correction_between
+from gateway.pair.transform_function import constant_function
 from gateway.result.pair import LinkStatistics
 from gateway.result.values import plain_values
 from tests.gateway.pair.together import EXAMPLE, Together
@@ -81,8 +81,8 @@ def taught(tmp_path_factory):
     pair = Together(3 * AWAY)
     store = PairStore(pair.cell, tmp_path_factory.mktemp("taught"))
     told = []
-    lesson = open_lesson(pair.cell, store, resume=False)
-    function = teach_pair(pair.link, pair.cell, store, lesson, lambda *words: told.append(words), options())
+    taught_path = open_taught_path(pair.cell, store, resume=False)
+    function = teach_pair(pair.link, pair.cell, store, taught_path, lambda *words: told.append(words), options())
     yield store, told, function, pair
     pair.arms.close()
 
@@ -114,19 +114,19 @@ def test_what_was_taught_is_on_disk(taught):
     assert stored is not None
     assert (stored.learn_source, stored.speed, stored.embodiment) == ("taught", 0.0, "C1")
     assert transform_of(stored).at(0.01) == pytest.approx(function.at(0.01))
-    again = open_lesson(pair.cell, store, resume=True)
+    again = open_taught_path(pair.cell, store, resume=True)
     assert [point.command for point in again.points] == [point.command for point, _, _ in told]
     with pytest.raises(InputError, match="holds taught points.*--resume"):
-        open_lesson(pair.cell, store, resume=False)
+        open_taught_path(pair.cell, store, resume=False)
 
 
 def test_points_that_are_taught_are_not_taught_again(taught, pair, store):
     points = [point for point, _, _ in taught[1]]
-    lesson = Lesson(store.path_hash, store.cell_hash, list(points))
+    taught_path = TaughtPath(store.path_hash, store.cell_hash, list(points))
     told = []
-    teach_pair(pair.link, pair.cell, store, lesson, lambda *words: told.append(words), options())
+    teach_pair(pair.link, pair.cell, store, taught_path, lambda *words: told.append(words), options())
     assert told == []
-    assert lesson.points == points
+    assert taught_path.points == points
 
 
 @pytest.mark.slow
@@ -141,10 +141,10 @@ def test_points_that_are_taught_are_not_taught_again(taught, pair, store):
 def test_a_point_that_cannot_be_adjusted_stops_both(pair, store, rule, says):
     stream = Stream(pair.link.station(pair.cell, MoveOptions()))
     teacher = Teacher(PairMotion(pair.cell, stream, options()), cell_gains(pair.cell), rule)
-    lesson = open_lesson(pair.cell, store, resume=False)
+    taught_path = open_taught_path(pair.cell, store, resume=False)
     with pytest.raises(PairStopped, match=says), powered(stream):
-        teacher.run(lesson, np.array([0]), lambda *_: None)
-    assert lesson.points == []
+        teacher.run(taught_path, np.array([0]), lambda *_: None)
+    assert taught_path.points == []
     assert [drives.log for drives in pair.drives] == [["enable", "disable"]] * 2
 
 
@@ -309,7 +309,7 @@ def test_a_row_belongs_to_a_cell_that_feels_as_it_does(pair, distance_cell):
 
 def test_there_is_nothing_to_teach_where_a_gap_is_kept(distance_cell, tmp_path):
     with pytest.raises(ConfigError, match="no common part to be taught by force"):
-        open_lesson(distance_cell, PairStore(distance_cell, tmp_path), resume=False)
+        open_taught_path(distance_cell, PairStore(distance_cell, tmp_path), resume=False)
 
 
 def test_a_run_begins_with_what_its_row_says(pair, store):
@@ -334,11 +334,11 @@ def test_rows_that_begin_with_what_was_taught_know_how_the_servos_follow(pair, s
     rows = {name: embodiment_of(pair.cell, name) for name in ("B", "C8")}
     assert servo_laws(pair.cell, store, rows["C8"]) is None
     laws = np.tile((0.016, 0.08), (12, 1))
-    lesson = Lesson(store.path_hash, store.cell_hash, laws_s=laws)
-    store.write("points.json", lesson.to_json())
+    taught_path = TaughtPath(store.path_hash, store.cell_hash, laws_s=laws)
+    store.write("points.json", taught_path.to_json())
     assert servo_laws(pair.cell, store, rows["B"]) is None
     assert np.array_equal(servo_laws(pair.cell, store, rows["C8"]), laws)
-    store.write("points.json", replace(lesson, laws_s=laws[:7]).to_json())
+    store.write("points.json", replace(taught_path, laws_s=laws[:7]).to_json())
     with pytest.raises(InputError, match="servo_law_s has 7 entries for 12 joints; teach again"):
         servo_laws(pair.cell, store, rows["C8"])
 
@@ -387,7 +387,7 @@ def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, s
     stream = Stream(pair.link.station(pair.cell, MoveOptions()))
     going = PairRun(pair.cell, stream, row, constant_function(pair.cell.nominal_relation), options())
     monkeypatch.setattr(PairMotion, "prepare", prepare)
-    monkeypatch.setattr("gateway.pair.ways.made_alike", noted("ahead", made_alike))
+    monkeypatch.setattr("gateway.pair.pair_setpoints.equalised_targets", noted("ahead", equalised_targets))
     monkeypatch.setattr(ForceBalance, "begin", noted("begin", ForceBalance.begin))
     with powered(stream):
         going.start()

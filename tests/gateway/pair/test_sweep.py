@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.inverse import path_joint_angles
+from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.relation import slave_command
 from gateway.pair.sweep import LEVER_M, liveliest_twist, swept
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.pair.cell import load_pair
-from gateway.pair.motion import PairMotionOptions
-from gateway.pair.session import PairRunRequest, open_lesson, run_pair, teach_pair
-from gateway.pair.storage import PairStore
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_motion import PairMotionOptions
+from gateway.pair.pair_store import PairStore
+from gateway.pair.session import PairRunRequest, open_taught_path, run_pair, teach_pair
 from gateway.pair.transform import correction_between
 from tests.gateway.pair.together import Together
 
@@ -54,8 +54,8 @@ def test_a_relation_that_nobody_stated_is_taught_and_driven(pair: Together, tmp_
     """Taught to what 5 N and 1.5 Nm are on this part; the way and the way back under it stay far below the limit."""
     store = PairStore(pair.cell, tmp_path)
     options = PairMotionOptions(speed=1.0, force_limit_n=1e4)
-    lesson = open_lesson(pair.cell, store, resume=False)
-    function = teach_pair(pair.link, pair.cell, store, lesson, lambda *_told: None, options)
+    taught_path = open_taught_path(pair.cell, store, resume=False)
+    function = teach_pair(pair.link, pair.cell, store, taught_path, lambda *_told: None, options)
     begun = np.linalg.norm(correction_between(pair.cell.nominal_relation, pair.true)[:3])
     for s_m in (0.0, float(function.s_m[-1])):
         assert np.linalg.norm(correction_between(function.at(s_m), pair.true)[:3]) < 0.3 * begun
@@ -63,6 +63,6 @@ def test_a_relation_that_nobody_stated_is_taught_and_driven(pair: Together, tmp_
     run_pair(pair.link, pair.cell, store, PairRunRequest("C1i", 2), cycles.append, options)
     for cycle in cycles:
         assert cycle.summary.complete
-        assert np.linalg.norm(cycle.inside.wrench[:, :3], axis=1).max() < 0.5 * pair.cell.config.force_limit_n
+        assert np.linalg.norm(cycle.internal_force.wrench[:, :3], axis=1).max() < 0.5 * pair.cell.config.force_limit_n
     for arm, q in zip(pair.cell.arms, pair.part.q_rad, strict=True):
         assert q == pytest.approx(arm.start_rad, abs=5e-3)

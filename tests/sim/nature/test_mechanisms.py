@@ -11,8 +11,8 @@ from sim.nature.cell import NAMED, draw_cell, draw_effect_cell
 from sim.nature.effect import Mechanism, play, rows_of
 from sim.nature.measuring import equilibrium, quiet, reported_nm
 from sim.nature.springs import draw_linkage
-from sim.nature.strange import STRANGE, pulled
 from sim.nature.strength import absorbing, added, strength, strengths_beside
+from sim.nature.unmodelled import UNMODELLED, pulled
 from sim.nature.wiring import WIRING
 from sim.offline import gravity_columns, link_frames
 
@@ -22,10 +22,10 @@ def cell():
     return draw_cell(11, "base")
 
 
-@pytest.mark.parametrize("name", [*NAMED, *STRANGE])
+@pytest.mark.parametrize("name", [*NAMED, *UNMODELLED])
 def test_nothing_comes_of_size_nothing_and_something_of_the_largest(cell, name):
     rows = rows_of(cell.visits)
-    build, (least, most) = (NAMED | STRANGE)[name](cell.arm, rows, np.random.default_rng(5))
+    build, (least, most) = (NAMED | UNMODELLED)[name](cell.arm, rows, np.random.default_rng(5))
     nothing, much = added(cell.arm, rows, build(0.0)), added(cell.arm, rows, build(most))
     # the play behind the encoder is met in two steps where nothing winds up, in six where something may
     for half in (nothing.half_sum_nm, nothing.half_difference_nm):

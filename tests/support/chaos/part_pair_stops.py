@@ -17,10 +17,10 @@ import numpy as np
 from drives.errors import DriveError
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
-from gateway.pair.function import constant_function
-from gateway.pair.motion import PairMotionOptions
-from gateway.pair.run import PairRun
+from gateway.pair.pair_motion import PairMotionOptions
+from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains
+from gateway.pair.transform_function import constant_function
 from sim.fake_drive import FakeDrive
 from tests.support.figure import figure
 from tests.support.pair.bus_rig import NO_LIMIT_N, PairRig, inline_rig

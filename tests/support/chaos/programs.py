@@ -19,9 +19,9 @@ from typing import Any
 from gateway.excite.plan_file import plan_as_plain
 from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.model.arm_model import arm_robot
-from gateway.pair.cell import load_pair
-from gateway.pair.function import function_of_knots
-from gateway.pair.storage import PairStore
+from gateway.pair.pair_cell import load_pair
+from gateway.pair.pair_store import PairStore
+from gateway.pair.transform_function import function_of_knots
 from sim.serve import free_bus
 from tests.support.chaos.processes import Drives, drives, serve_pair
 from tests.support.chaos.rig import with_real_pacing

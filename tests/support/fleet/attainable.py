@@ -10,8 +10,8 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 from scipy.stats import norm
 
-from gateway.fleet.told import needed_sigmas, sigmas
-from gateway.fleet.wander import Sums, lines
+from gateway.fleet.correlated_noise import Sums, lines
+from gateway.fleet.drift_detection import needed_sigmas, sigmas
 from tests.support.fleet.bound import LOOKS_DAY
 from tests.support.fleet.plant import LIKE, WEAR, Robot, likeness
 
@@ -19,7 +19,7 @@ from tests.support.fleet.plant import LIKE, WEAR, Robot, likeness
 SIZES = 12
 
 
-def told_on(robot: Robot, unlike: float, series: int) -> float:
+def told_on(robot: Robot, lag_differences: float, series: int) -> float:
     """Day on which the wear of a robot is told; infinite = not in the year."""
     axis = robot.worn
     value = np.asarray(robot.columns[f"gain{axis + 1}"])
@@ -28,7 +28,7 @@ def told_on(robot: Robot, unlike: float, series: int) -> float:
     columns = np.column_stack(design)
     quantiles = (np.arange(SIZES) + 0.5) / SIZES
     products, log_spread = [], []
-    for size in LIKE * np.exp(unlike * norm.ppf(quantiles)):
+    for size in LIKE * np.exp(lag_differences * norm.ppf(quantiles)):
         factor = cholesky(size**2 * likeness(robot.day) + np.eye(len(value)), lower=True)
         white = solve_triangular(factor, columns, lower=True)
         products.append(np.cumsum(white[:, :, None] * white[:, None, :], axis=0))

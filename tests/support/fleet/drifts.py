@@ -12,7 +12,7 @@ from pathlib import Path
 import duckdb
 import numpy as np
 
-from gateway.fleet.analyse import AsOf, analyse
+from gateway.fleet.analysis import AsOf, run_analysis
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import workers
@@ -46,12 +46,12 @@ class Plant:
 
     seed: int
     robots: int
-    unlike: float = 0.0
+    lag_differences: float = 0.0
 
     def fleet(self) -> Iterator[Robot]:
         """Robots, one after another."""
         for number in range(self.robots):
-            yield draw(self.seed, number, int(number % ONE_WORN_IN == 0), self.unlike)
+            yield draw(self.seed, number, int(number % ONE_WORN_IN == 0), self.lag_differences)
 
 
 def filled(store: Path, plant: Plant, folder: Path) -> tuple[Store, dict[str, dict]]:
@@ -98,7 +98,7 @@ def drifts(store: Store, plant: Plant) -> dict[str, dict]:
     """Day on which drifts are told over the earliest possible, power, and false alarms."""
     started = time.perf_counter()
     with workers(None) as spread:
-        found = analyse(store, spread, AsOf(NOW))
+        found = run_analysis(store, spread, AsOf(NOW))
     took = time.perf_counter() - started
     assert not found.failed, found.failed
     named = {line.cell: line.robot for line in found.robots}
@@ -121,7 +121,7 @@ def drifts(store: Store, plant: Plant) -> dict[str, dict]:
             in_time.append(day <= 1.2 * possible)
             over.append(day / possible)
             if len(best) < BEST_OF:
-                best.append(told_on(robot, plant.unlike, len(health.trends)) <= 1.2 * possible)
+                best.append(told_on(robot, plant.lag_differences, len(health.trends)) <= 1.2 * possible)
     years = plant.robots * DAYS / 365.25
     spread_of = np.quantile(over, [0.05, 0.5, 0.95])
     return {

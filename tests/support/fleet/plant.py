@@ -53,7 +53,7 @@ class Robot:
     columns: dict[str, np.ndarray | list[str]]
 
 
-def draw(seed: int, number: int, worn_axes: int, unlike: float) -> Robot:
+def draw(seed: int, number: int, worn_axes: int, lag_differences: float) -> Robot:
     """A robot with a check a day; a few days are missing.
 
     Parameters
@@ -61,7 +61,7 @@ def draw(seed: int, number: int, worn_axes: int, unlike: float) -> Robot:
     seed, number : int
     worn_axes : int
         1: the gain of one axis drifts; 0: none does.
-    unlike : float
+    lag_differences : float
         Standard deviation of the logarithm of wander over noise: 0 = robots of one kind.
     """
     rng = np.random.default_rng([seed, number])
@@ -72,7 +72,7 @@ def draw(seed: int, number: int, worn_axes: int, unlike: float) -> Robot:
     masses = rng.uniform(1.0, 20.0, len(PROGRAMS))
     program = rng.integers(0, len(PROGRAMS), count)
     noise = 0.0015 * rng.lognormal(0.0, 0.3, AXES)
-    size_of = LIKE * noise * rng.lognormal(0.0, unlike, AXES)
+    size_of = LIKE * noise * rng.lognormal(0.0, lag_differences, AXES)
     wander = _waves(rng, day, size_of)
     axis = int(rng.integers(AXES)) if worn_axes else -1
     wear = np.ones((count, AXES))

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from drives.errors import BusError
 from gateway.errors import ConfigError, InputError
-from gateway.pair.cell import COLUMNS, PairCell, load_pair, read_path
-from gateway.pair.function import TransformFunction, function_of_knots
-from gateway.pair.lesson import Lesson, read_lesson, taught_point
-from gateway.pair.storage import PairStore
-from gateway.pair.stored import transform_of
+from gateway.pair.function_file import transform_of
+from gateway.pair.pair_cell import COLUMNS, PairCell, load_pair, read_path
+from gateway.pair.pair_store import PairStore
+from gateway.pair.taught_path import TaughtPath, read_taught_path, taught_point
+from gateway.pair.transform_function import TransformFunction, function_of_knots
 from gateway.report.pair_page import FORCE, Limited, render_pair
 from gateway.result.values import json_text
 from tests.support.fuzz.check_files import EXAMPLES, WORK, in_file
@@ -138,7 +138,7 @@ def lessons() -> st.SearchStrategy[bytes]:
         taught_point(number * 10, 0.2 * number, function.at(0.2 * number), np.full(6, 1e-4), ((9.0, 3.0), (1.0, 0.5)))
         for number in range(3)
     ]
-    return damaged([Lesson(store.path_hash, store.cell_hash, points).to_json().encode()])
+    return damaged([TaughtPath(store.path_hash, store.cell_hash, points).to_json().encode()])
 
 
 def check_lesson(data: bytes) -> None:
@@ -146,15 +146,15 @@ def check_lesson(data: bytes) -> None:
     store, start = _store(), _cell().nominal_relation
     path = in_file(data, "points.json")
 
-    def read() -> Lesson:
-        lesson = read_lesson(path, store.path_hash, store.cell_hash)
+    def read() -> TaughtPath:
+        lesson = read_taught_path(path, store.path_hash, store.cell_hash)
         assert np.isfinite(lesson.function(start).many([0.0, 0.1])).all()
         return lesson
 
     lesson = bounded(read, (InputError,), len(data))
     if lesson is not None:
         path.write_text(lesson.to_json(), encoding="utf-8")
-        assert read_lesson(path, store.path_hash, store.cell_hash).to_json() == lesson.to_json()
+        assert read_taught_path(path, store.path_hash, store.cell_hash).to_json() == lesson.to_json()
         assert all(isinstance(point.command, int) and point.command >= 1 for point in lesson.points)
 
 

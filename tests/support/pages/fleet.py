@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gateway.fleet.analyse import FLEET_FILE, AsOf, analyse
+from gateway.fleet.analysis import FLEET_FILE, AsOf, run_analysis
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import open_or_make
 from gateway.fleet.workers import one_by_one
@@ -32,7 +32,7 @@ def fleet_pages() -> Iterator[tuple[str, str]]:
         table = Path(name) / "checks.parquet"
         write([_robot(number) for number in range(ROBOTS)], table)
         ingest(store, [table], NOW + timedelta(days=1))
-        analyse(store, one_by_one, AsOf(NOW))
+        run_analysis(store, one_by_one, AsOf(NOW))
         found = read_fleet(store.analysis / FLEET_FILE)
         yield "fleet", render_fleet(found)
         worn = next(line for line in found.robots if any("gain" in said for said in line.why))

@@ -87,15 +87,15 @@ class Adjustment:
 
     def step(self, wrench: ArrayLike) -> Verdict:
         """Move on by one control cycle under the internal wrench (6,) [N, Nm] at the hand."""
-        rule, felt = self._rule, np.asarray(wrench, dtype=float)
+        rule, deviation = self._rule, np.asarray(wrench, dtype=float)
         self._cycles += 1
-        quiet = np.linalg.norm(felt[:3]) <= rule.force_n and np.linalg.norm(felt[3:]) <= rule.moment_nm
+        quiet = np.linalg.norm(deviation[:3]) <= rule.force_n and np.linalg.norm(deviation[3:]) <= rule.moment_nm
         self._quiet = self._quiet + 1 if quiet else 0
         if self._quiet >= rule.samples:
             return "done"
         if self._cycles * self._dt_s > rule.time_s:
             return "too_long"
-        change = self._gain * felt
+        change = self._gain * deviation
         for part, fastest in ((slice(0, 3), rule.speed_m_s), (slice(3, 6), rule.speed_rad_s)):
             size = float(np.linalg.norm(change[part]))
             change[part] *= min(1.0, fastest * self._dt_s / max(size, 1e-300))

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.motion.stream import Stream
-from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.link import PairLink, open_link
-from gateway.pair.motion import PairMotionOptions
-from gateway.pair.run import PairRun
+from gateway.pair.pair_cell import PairCell, load_pair
+from gateway.pair.pair_motion import PairMotionOptions
+from gateway.pair.pair_run import PairRun
 from gateway.pair.session import embodiment_of, one_relation
 from sim.measuring import FakeMeasuringDevice
 from sim.pair.cell import PairOptions

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from drives.errors import DriveError
 from gateway.errors import GatewayError
 from gateway.pair.embodiments import EMBODIMENTS, with_gains
-from gateway.pair.function import TransformFunction
-from gateway.pair.motion import PairMotionOptions
-from gateway.pair.run import PairRun
+from gateway.pair.pair_motion import PairMotionOptions
+from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains
+from gateway.pair.transform_function import TransformFunction
 from tests.support.pair.bus_gap import gap_rig
 from tests.support.pair.bus_rig import BACK_SPEED, PairRig, inline_rig
 

@@ -17,17 +17,17 @@ from scipy.spatial import cKDTree
 
 from gateway.motion.power import powered
 from gateway.motion.stream import Stream
-from gateway.pair.cell import PairCell, load_pair
 from gateway.pair.embodiments import Embodiment
-from gateway.pair.function import TransformFunction
-from gateway.pair.learning import led
-from gateway.pair.lesson import Lesson
+from gateway.pair.learning_update import led
 from gateway.pair.link import PairLink, open_link
-from gateway.pair.motion import PairMotion, PairMotionOptions
-from gateway.pair.run import PairCycle, PairRun
+from gateway.pair.pair_cell import PairCell, load_pair
+from gateway.pair.pair_motion import PairMotion, PairMotionOptions
+from gateway.pair.pair_run import PairCycle, PairRun
+from gateway.pair.pair_store import line_of_grippers
 from gateway.pair.session import cell_gains
-from gateway.pair.storage import line_of_grippers
+from gateway.pair.taught_path import TaughtPath
 from gateway.pair.teach import Teacher
+from gateway.pair.transform_function import TransformFunction
 from gateway.result.interval import TWO_SIDED_95
 from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
@@ -80,9 +80,9 @@ class PairRig:
     seed: int | None
     power: Power = field(default_factory=Power)
 
-    def teach(self, count: int) -> tuple[TransformFunction, Lesson]:
+    def teach(self, count: int) -> tuple[TransformFunction, TaughtPath]:
         """First function through `count` points."""
-        lesson = Lesson("", "")
+        lesson = TaughtPath("", "")
         options = PairMotionOptions(force_limit_n=NO_LIMIT_N)
         stream = Stream(self.link.station(self.cell, options.moves))
         teacher = Teacher(PairMotion(self.cell, stream, options), cell_gains(self.cell))
@@ -211,12 +211,12 @@ def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> 
 
 def told_of(run: PairRun, done: PairCycle, record: Array) -> dict[str, Any]:
     """Share of the commands at which the 95 % interval of each component holds the truth, and its median half width."""
-    if done.inside is None:
+    if done.internal_force is None:
         return {}
-    truth = led(record[PER_SYNC - 1 :: PER_SYNC, 1:7], run.late)[: len(run.path)]
-    half = TWO_SIDED_95 * done.inside.std
+    truth = led(record[PER_SYNC - 1 :: PER_SYNC, 1:7], run.delay)[: len(run.path)]
+    half = TWO_SIDED_95 * done.internal_force.std
     return {
-        "held": np.mean(np.abs(done.inside.wrench - truth) <= half, axis=0).tolist(),
+        "held": np.mean(np.abs(done.internal_force.wrench - truth) <= half, axis=0).tolist(),
         "half_n": float(np.median(half[:, :3])),
         "half_nm": float(np.median(half[:, 3:])),
     }

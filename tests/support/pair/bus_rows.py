@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from drives.errors import DriveError
 from gateway.errors import LimitExceeded, PlanRefused
 from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
-from gateway.pair.function import TransformFunction, constant_function
-from gateway.pair.motion import PairMotionOptions, PairStopped
-from gateway.pair.run import PairRun
+from gateway.pair.pair_motion import PairMotionOptions, PairStopped
+from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains
-from gateway.pair.speed import ExtrapolationWarning, SpeedTable
+from gateway.pair.speed_table import ExtrapolationWarning, SpeedTable
+from gateway.pair.transform_function import TransformFunction, constant_function
 from gateway.result.values import plain_values
 from sim.states import PdsState
 from tests.support.pair.bus_gap import gaps_in_the_cell

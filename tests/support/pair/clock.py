@@ -33,16 +33,16 @@ from gateway.data.sample import ArmSample
 from gateway.errors import GatewayError
 from gateway.motion.power import powered
 from gateway.motion.stream import Stream
-from gateway.pair.cell import PairCell, load_pair
-from gateway.pair.function import TransformFunction
-from gateway.pair.guard import LATE_SHARE, LATE_WORDS
-from gateway.pair.lesson import Lesson
+from gateway.pair.force_guard import DELAY_TEXT, DELAYED_SHARE
 from gateway.pair.link import PairLink, open_link
-from gateway.pair.motion import PairMotion, PairMotionOptions, PairStopped
-from gateway.pair.run import PairRun
+from gateway.pair.pair_cell import PairCell, load_pair
+from gateway.pair.pair_motion import PairMotion, PairMotionOptions, PairStopped
+from gateway.pair.pair_run import PairRun
 from gateway.pair.session import cell_gains, embodiment_of, one_relation
+from gateway.pair.taught_path import TaughtPath
 from gateway.pair.teach import Teacher
 from gateway.pair.transform import Floats
+from gateway.pair.transform_function import TransformFunction
 from sim.pair.cell import PairOptions
 from sim.pair.gap import GapSensors
 from sim.simulation import ServeOptions, Simulation
@@ -118,7 +118,7 @@ class Bench:
     #: By how much a SYNC of the last cycle was late, share of the period.
     late: float = 0.0
 
-    def teach(self, lesson: Lesson) -> TransformFunction:
+    def teach(self, lesson: TaughtPath) -> TransformFunction:
         """First function, by the points that the lesson has and those that it lacks."""
         options = PairMotionOptions()
         stream = Stream(self.link.station(self.cell, options.moves))
@@ -255,7 +255,7 @@ class Told:
     def cycles(self, unit: float, digits: int = 0) -> str:
         """What was measured of every cycle; those with a late SYNC have a star."""
         pairs = zip(self.most, self.sync_late, strict=True)
-        return " ".join(f"{unit * most:.{digits}f}{'*' * (late > LATE_SHARE)}" for most, late in pairs)
+        return " ".join(f"{unit * most:.{digits}f}{'*' * (late > DELAYED_SHARE)}" for most, late in pairs)
 
     @property
     def broken_off(self) -> str:
@@ -265,7 +265,7 @@ class Told:
     def calm(self, first: int) -> list[float]:
         """What was measured of the cycles without a late SYNC, from a number on."""
         pairs = zip(self.most[first:], self.sync_late[first:], strict=True)
-        return [most for most, late in pairs if late <= LATE_SHARE]
+        return [most for most, late in pairs if late <= DELAYED_SHARE]
 
 
 def attempt(told: Told, opened: Callable[[], AbstractContextManager[Bench]], do: Callable[[Bench], None]) -> None:
@@ -282,7 +282,7 @@ def attempt(told: Told, opened: Callable[[], AbstractContextManager[Bench]], do:
     except MasterStalled as error:
         told.stalled.append(str(error))
     except (DriveError, GatewayError) as error:
-        late = isinstance(error, PairStopped) and LATE_WORDS in str(error)
+        late = isinstance(error, PairStopped) and DELAY_TEXT in str(error)
         (told.late if late else told.stopped).append(f"{type(error).__name__}: {error}")
     if len(told.stalled) + len(told.late) > STALLS or len(told.stopped) > PATIENCE:
         raise RuntimeError(f"seed {told.seed} was stopped too often: {[*told.stalled, *told.late, *told.stopped][-1]}")
@@ -310,7 +310,7 @@ def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], told: Told, n
 
 def taught(seed: int, period_s: float) -> tuple[Told, float]:
     """First function, taught by the clock, and the largest force that its points were left with, as felt [N]."""
-    told, lesson = Told(seed, period_s), Lesson("", "")
+    told, lesson = Told(seed, period_s), TaughtPath("", "")
 
     def teach(bench: Bench) -> None:
         told.function = bench.teach(lesson)

@@ -13,9 +13,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gateway.pair.embodiments import EMBODIMENTS, Embodiment, with_gains
-from gateway.pair.function import TransformFunction
-from gateway.pair.learning import LearningRule
-from gateway.pair.speed import ExtrapolationWarning, SpeedTable
+from gateway.pair.learning_update import LearningRule
+from gateway.pair.speed_table import ExtrapolationWarning, SpeedTable
+from gateway.pair.transform_function import TransformFunction
 from sim.pair.errors import PairErrors, draw, ideal, without_lag
 from tests.support.pair.model_rig import BASES, Run, Track, controller, exact, fixed_function, run_all, teach, track
 from tests.support.pair.model_rows import cycle_rows

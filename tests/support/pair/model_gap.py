@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from gateway.pair.controller import PairController
 from gateway.pair.distance import COMPONENTS, DistanceEstimator, DistanceSensors
 from gateway.pair.embodiments import EMBODIMENTS
-from gateway.pair.function import constant_function, sampled
 from gateway.pair.relation import slave_command
+from gateway.pair.transform_function import constant_function, sampled
 from sim.pair.errors import PairErrors, draw
 from sim.pair.kinetostatic import KinetostaticPair
 from sim.pair.ranges import NOISE_M, Rig, ranges, six_sensors

@@ -14,12 +14,12 @@ from gateway.model.robot import Robot, robot_from_dh, with_flange
 from gateway.pair.calibration import PairCalibration, PathWrenches
 from gateway.pair.controller import PairController
 from gateway.pair.embodiments import Embodiment
-from gateway.pair.function import TransformFunction, constant_function, function_of_knots
 from gateway.pair.inverse import ForwardChain, chain_of, path_joint_angles, solve
-from gateway.pair.learning import at_points
+from gateway.pair.learning_update import at_points
 from gateway.pair.path import PairPath, PathProgram, master_commands
 from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import apply_correction, inverse
+from gateway.pair.transform_function import TransformFunction, constant_function, function_of_knots
 from gateway.result.pair import CycleSummary
 from sim.pair import geometry
 from sim.pair.errors import PairErrors, warmed
@@ -255,9 +255,9 @@ def teach(on: Track, errors: Sequence[PairErrors], points: NDArray[np.int64]) ->
     while running.any():
         for row in np.flatnonzero(running):
             m = int(index[row])
-            felt = wrenches.internal(m, reading.wrench[row, 0], reading.wrench[row, 1])
-            assert felt is not None
-            verdict = adjustments[row].step(wrenches.at_tip(1, m, felt))
+            deviation = wrenches.internal(m, reading.wrench[row, 0], reading.wrench[row, 1])
+            assert deviation is not None
+            verdict = adjustments[row].step(wrenches.at_tip(1, m, deviation))
             assert verdict in ("running", "done"), verdict
             running[row] = verdict == "running"
             corrections[row] = adjustments[row].correction

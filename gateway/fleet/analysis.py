@@ -1,0 +1,230 @@
+"""The analysis of a fleet: recordings estimated anew, trends, states; each done robot by robot and kept at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from drives.files import replace_file
+from gateway.errors import GatewayError, InputError
+from gateway.fleet.checks import Row, estimated_rows
+from gateway.fleet.columns import ESTIMATE, columns
+from gateway.fleet.history import history
+from gateway.fleet.libraries import library
+from gateway.fleet.robot_state import SILENT_DAYS, judged, program_loads
+from gateway.fleet.store import Store
+from gateway.fleet.trends import NoiseShapes, noise_shapes_of, seen_likelihoods, trends_of
+from gateway.fleet.workers import Spreading
+from gateway.result.fleet import STATES, FleetHealth, RobotHealth, RobotLine
+from gateway.result.origin import in_words, software
+from gateway.result.seal import sealed
+from gateway.result.values import json_text, plain_values
+
+#: Estimates that are held before they are written.
+_HELD: Final = 32
+#: Robots that the wander of the fleet is learnt from: more would not change it.
+_LEARNT_FROM: Final = 64
+#: Robots that a worker is given at a time.
+_TOGETHER: Final = 4
+FLEET_FILE: Final = "fleet.json"
+
+
+@dataclass(frozen=True, slots=True)
+class AsOf:
+    """What an analysis is asked for.
+
+    Attributes
+    ----------
+    as_of : the time at which nothing later was seen, UTC
+    silent_days : a robot without a check for longer is not seen
+    """
+
+    as_of: datetime
+    silent_days: float = SILENT_DAYS
+
+
+@dataclass(frozen=True, slots=True)
+class _AssessRobots:
+    """What a worker does for some robots."""
+
+    store: Store
+    noise_shapes: NoiseShapes
+    asked: AsOf
+
+    def __call__(self, robots: Sequence[str]) -> tuple[list[RobotLine], list[str]]:
+        lines, failed = [], []
+        for robot in robots:
+            try:
+                found = health_of(self.store, robot, self.noise_shapes, self.asked)
+            except InputError as error:
+                failed.append(str(error))
+                lines.append(_unreadable(self.store, robot, str(error)))
+                continue
+            _write(self.store.analysis / "robots" / f"{robot}.json", found)
+            lines.append(found.line)
+        return lines, failed
+
+
+@dataclass(frozen=True, slots=True)
+class _Estimate:
+    """What a worker does with a recording."""
+
+    now: datetime
+
+    def __call__(self, task: tuple[str, Path]) -> list[Row]:
+        return estimated_rows(task[1], task[1].stem, self.now)
+
+
+@dataclass(frozen=True, slots=True)
+class _Learn:
+    """What a worker reads of the wander of one robot."""
+
+    store: Store
+
+    def __call__(self, robot: str) -> dict[str, list[Any]]:
+        return seen_likelihoods(history(self.store.read(robot)).series)
+
+
+def run_analysis(
+    store: Store, spread: Spreading, asked: AsOf, tell: Callable[[str, int], None] = lambda *_: None
+) -> FleetHealth:
+    """Estimate what is not estimated by this version, and judge every robot.
+
+    Parameters
+    ----------
+    store : Store
+    spread : Spreading
+    asked : AsOf
+    tell : callable
+        Hears what was finished, and how many of it.
+
+    Returns
+    -------
+    FleetHealth
+        Also on disk, with a file per robot; `failed` names what could not be read.
+    """
+    failed: list[str] = []
+    estimated = _estimate(store, spread, failed, tell)
+    robots = store.robots()
+    noise_shapes = _learn(store, robots, spread)
+    lines: list[RobotLine] = []
+    for _, done in spread(_AssessRobots(store, noise_shapes, asked), _batches(robots)):
+        if isinstance(done, GatewayError):
+            failed.append(str(done))
+            continue
+        lines += done[0]
+        failed += done[1]
+        tell("robots", len(lines))
+    lines.sort(key=lambda line: (STATES.index(line.state), -line.urgency, line.robot))
+    fleet = FleetHealth(
+        as_of=in_words(asked.as_of),
+        software=software(),
+        robots=tuple(lines),
+        checks=sum(line.checks for line in lines),
+        estimated=estimated,
+        failed=tuple(failed),
+    )
+    _write(store.analysis / FLEET_FILE, fleet)
+    return fleet
+
+
+def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, asked: AsOf) -> RobotHealth:
+    """All that is said of one robot.
+
+    Raises
+    ------
+    InputError
+        A file of it cannot be read.
+    """
+    rows = store.read(robot)
+    past = history(rows)
+    first = past.rows["time_utc"][0].as_py() if past.rows.num_rows else asked.as_of
+    trends, curves = trends_of(past.series, noise_shapes, first)
+    loads = program_loads(past.rows, asked.as_of, asked.silent_days)
+    gross = int(past.series.set_aside.sum())
+    remarks = [*past.remarks, *([f"{gross} gross values were set aside"] if gross else [])]
+    return RobotHealth(
+        line=judged(robot, past, trends, loads, asked.as_of, asked.silent_days),
+        as_of=in_words(asked.as_of),
+        software=software(),
+        trends=trends,
+        loads=loads,
+        curves=curves,
+        remarks=tuple(remarks),
+        first_check=f"{first:%Y-%m-%d}",
+    )
+
+
+def _estimate(store: Store, spread: Spreading, failed: list[str], tell: Callable[[str, int], None]) -> int:
+    """Estimate recordings; what is done is written as it comes."""
+    now = datetime.now(UTC)
+    held: list[Row] = []
+    count = 0
+    try:
+        for task, done in spread(_Estimate(now), _not_estimated(store)):
+            if isinstance(done, GatewayError):
+                failed.append(f"{task[1]}: {done}" if str(task[1]) not in str(done) else str(done))
+                continue
+            held += done
+            count += 1
+            tell("recordings", count)
+            if len(held) >= _HELD:
+                failed += _add(store, held)
+                held = []
+    finally:
+        if held:
+            failed += _add(store, held)
+    return count
+
+
+def _not_estimated(store: Store) -> Iterator[tuple[str, Path]]:
+    """Recordings that this version has not estimated, one after another."""
+    known: tuple[str, set[str] | None] = ("", None)
+    for robot, path in store.recordings():
+        if robot != known[0]:
+            try:
+                known = (robot, _estimated(store, robot))
+            except InputError:  # named where the robot is judged; nothing can be added to its files
+                known = (robot, None)
+        if known[1] is not None and path.stem not in known[1]:
+            yield robot, path
+
+
+def _estimated(store: Store, robot: str) -> set[str]:
+    rows = store.read(robot)
+    told = zip(rows["kind"].to_pylist(), rows["software"].to_pylist(), rows["sha256"].to_pylist(), strict=True)
+    return {sha256 for kind, by, sha256 in told if kind == ESTIMATE and by == software()}
+
+
+def _add(store: Store, rows: list[Row]) -> tuple[str, ...]:
+    """Add rows; sentences on files that cannot take them."""
+    pa = library("pyarrow")
+    told = pa.schema([("robot", pa.string()), ("month", pa.string()), *columns()])
+    with store.writing():
+        return store.add(pa.Table.from_pylist(rows, schema=told)).refused
+
+
+def _learn(store: Store, robots: Sequence[str], spread: Spreading) -> NoiseShapes:
+    """How the fleet wanders, from robots spread evenly over the list."""
+    step = max(1, len(robots) // _LEARNT_FROM)
+    seen = [done for _, done in spread(_Learn(store), robots[::step][:_LEARNT_FROM])]
+    return noise_shapes_of([each for each in seen if not isinstance(each, GatewayError)])
+
+
+def _batches(robots: Sequence[str]) -> Iterator[tuple[str, ...]]:
+    left = iter(robots)
+    while batch := tuple(islice(left, _TOGETHER)):
+        yield batch
+
+
+def _unreadable(store: Store, robot: str, why: str) -> RobotLine:
+    (store.analysis / "robots" / f"{robot}.json").unlink(missing_ok=True)
+    return RobotLine(robot, "", "", "cannot tell", 10.0, (why,), 0, "", "")
+
+
+def _write(path: Path, health: FleetHealth | RobotHealth) -> None:
+    replace_file(path, json_text(sealed(plain_values(health))))

@@ -1,0 +1,230 @@
+"""From trends and loads to a state: who needs a visit, and what is not known. Missing data is never healthy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import numpy as np
+
+from gateway.fleet.history import History, program_masses
+from gateway.result.fleet import GAIN, MASS, FleetTrend, ProgramLoad, RobotLine, State, quantity
+from gateway.result.interval import half_width
+from gateway.result.numerals import plain
+from gateway.result.result import Outcome
+from gateway.result.values import NAN
+
+#: A robot without a check for so long is not seen [days].
+SILENT_DAYS: Final = 30.0
+#: Share of the tolerance a year from which on a drift that is told is worth a visit.
+_WORTH: Final = 0.5
+#: A load that is verified weighs what it weighed first, to this share.
+_SAME_MASS: Final = 0.05
+#: A finding that fails comes before any drift.
+_FAILING: Final = 100.0
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A sentence, the state that it asks for and how much."""
+
+    state: State
+    urgency: float
+    said: str
+
+
+def judged(
+    robot: str,
+    history: History,
+    trends: Sequence[FleetTrend],
+    loads: Sequence[ProgramLoad],
+    as_of: datetime,
+    silent_days: float,
+) -> RobotLine:
+    """The line of a robot whose rows are these."""
+    rows = history.rows
+    last = _last_seen(rows)
+    silent = list(_silent(last, as_of, silent_days))
+    if silent:
+        loads = [load for load in loads if load.outcome == "fail"]
+    reasons = sorted(
+        [
+            *_failing(rows),
+            *_drifting(trends),
+            *_changed(loads),
+            *silent,
+            *_untold(history, trends),
+        ],
+        key=lambda reason: (_ORDER[reason.state], -reason.urgency),
+    )
+    state: State = reasons[0].state if reasons else "healthy"
+    urgency = reasons[0].urgency if reasons else _nearest(trends)
+    first = rows["time_utc"][0].as_py() if rows.num_rows else None
+    gain = max((each for each in trends if _gain_detectable(each)), key=_sureness, default=None)
+    return RobotLine(
+        robot=robot,
+        cell=rows["cell"][0].as_py() if rows.num_rows else "",
+        arm=rows["arm"][0].as_py() if rows.num_rows else "",
+        state=state,
+        urgency=urgency,
+        why=tuple(reason.said for reason in reasons),
+        checks=rows.num_rows,
+        first_seen="" if first is None else f"{first:%Y-%m-%d}",
+        last_seen="" if last is None else f"{last:%Y-%m-%d}",
+        serial_numbers=tuple(rows["serial_numbers"][0].as_py() or ()) if rows.num_rows else (),
+        gain_joint=0 if gain is None else gain.joint,
+        gain_per_year=NAN if gain is None else gain.drift_per_year,
+        gain_std_per_year=NAN if gain is None else gain.drift_std_per_year,
+    )
+
+
+def _gain_detectable(trend: FleetTrend) -> bool:
+    return trend.quantity == GAIN.key and math.isfinite(trend.sigmas)
+
+
+def _sureness(trend: FleetTrend) -> tuple[float, float]:
+    """How sure a drift is; where the checks speak against any, how far it is from none."""
+    return abs(trend.sigmas), abs(trend.drift_per_year) / (trend.drift_std_per_year or math.inf)
+
+
+_ORDER: Final[dict[State, int]] = {"visit": 0, "not seen": 1, "cannot tell": 2, "healthy": 3}
+
+
+def _last_seen(rows: Any) -> datetime | None:
+    return rows["time_utc"][rows.num_rows - 1].as_py().replace(tzinfo=UTC) if rows.num_rows else None
+
+
+def _failing(rows: Any) -> Iterator[Reason]:
+    """Findings of the last check that fail."""
+    if rows.num_rows:
+        for said in rows["failing"][rows.num_rows - 1].as_py() or ():
+            yield Reason("visit", _FAILING, f"the last check fails: {said}")
+
+
+def _drifting(trends: Sequence[FleetTrend]) -> Iterator[Reason]:
+    for trend in trends:
+        kind = quantity(trend.quantity)
+        share = abs(trend.share_per_year) / kind.tolerance
+        if trend.found_on is None or not share >= _WORTH or math.isnan(trend.share_per_year):
+            continue
+        yield Reason("visit", share, f"{where_of(trend)}: {kind.words} drifts by {drift_in_words(trend)} a year, told"
+                     f" since {trend.found_on}")  # fmt: skip
+
+
+def where_of(trend: FleetTrend) -> str:
+    """Axis or load of a trend, in words."""
+    return f"load '{trend.program}'" if trend.quantity == MASS.key else f"J{trend.joint}"
+
+
+def drift_in_words(trend: FleetTrend) -> str:
+    """Drift with its 95 % interval: as a share, or in its unit."""
+    kind = quantity(trend.quantity)
+    if kind.relative or not kind.unit:
+        return f"{plain(100 * trend.share_per_year, 1)} ± {plain(100 * half_width(trend.share_std_per_year), 1)} %"
+    milli = 1000.0
+    half = half_width(trend.drift_std_per_year)
+    return f"{plain(milli * trend.drift_per_year, 2)} ± {plain(milli * half, 2)} m{kind.unit}"
+
+
+def _changed(loads: Sequence[ProgramLoad]) -> Iterator[Reason]:
+    for load in loads:
+        if load.outcome == "fail":
+            yield Reason("visit", _FAILING / 2, f"load '{load.program}': {load.why}")
+        elif load.outcome == "cannot tell":
+            yield Reason("cannot tell", 1.0, f"load '{load.program}': {load.why}")
+
+
+def _silent(last: datetime | None, as_of: datetime, silent_days: float) -> Iterator[Reason]:
+    if last is None:
+        yield Reason("not seen", _FAILING, "no check whose time can be")
+        return
+    days = (as_of - last).total_seconds() / 86400.0
+    if days > silent_days:
+        yield Reason("not seen", days / silent_days, f"not seen since {last:%Y-%m-%d}, {days:.0f} days")
+
+
+def _untold(history: History, trends: Sequence[FleetTrend]) -> Iterator[Reason]:
+    """Axes of which a drift of the gain would not be told yet, or whose gain nobody measures."""
+    gains = {trend.joint: trend for trend in trends if trend.quantity == GAIN.key}
+    missing = [f"J{joint}" for joint in range(1, history.axes + 1) if joint not in gains]
+    if not history.axes:
+        yield Reason("cannot tell", 3.0, "no check tells anything of any axis")
+    elif missing:
+        yield Reason("cannot tell", 2.0, f"the gain of {', '.join(missing)} was never measured")
+    young = [f"J{joint}" for joint, trend in sorted(gains.items()) if math.isnan(trend.detectable_per_year)]
+    if young:
+        yield Reason("cannot tell", 1.5, f"too few checks to tell a drift of {', '.join(young)}")
+    weak = {
+        joint: each.detectable_per_year for joint, each in gains.items() if each.detectable_per_year > GAIN.tolerance
+    }
+    if weak:
+        worst = max(weak.values())
+        named = ", ".join(f"J{joint}" for joint in sorted(weak))
+        yield Reason(
+            "cannot tell", 1.0,
+            f"a drift of the gain of {named} below {100 * worst:.1f} % a year would not be told yet",
+        )  # fmt: skip
+
+
+def _nearest(trends: Sequence[FleetTrend]) -> float:
+    """How near the nearest trend is to being told."""
+    near = [abs(trend.sigmas) / trend.needed_sigmas for trend in trends if math.isfinite(trend.sigmas)]
+    return max(near, default=0.0)
+
+
+# -- loads -------------------------------------------------------------------------------------------------------------
+
+
+def program_loads(rows: Any, as_of: datetime, silent_days: float) -> tuple[ProgramLoad, ...]:
+    """The load of every program, and whether it is verified."""
+    outcomes = _outcomes(rows)
+    return tuple(
+        _program(program, rows, mass, std, outcomes.get(program), (as_of, silent_days))
+        for program, (mass, std) in sorted(program_masses(rows).items())
+    )
+
+
+def _outcomes(rows: Any) -> dict[str, Outcome | None]:
+    """What the last check of every program said."""
+    return {each["program"]: each["outcome"] for loads in rows["loads"].to_pylist() for each in loads or ()}
+
+
+def _program(
+    program: str, rows: Any, mass: np.ndarray, std: np.ndarray, said: Outcome | None, when: tuple[datetime, float]
+) -> ProgramLoad:
+    known = np.flatnonzero(np.isfinite(mass))
+    if not len(known):
+        return ProgramLoad(program, 0, NAN, NAN, NAN, NAN, "", "cannot tell", "its mass was never identified")
+    first, last = int(known[0]), int(known[-1])
+    last_seen = rows["time_utc"][last].as_py().replace(tzinfo=UTC)
+    outcome, why = _verified(mass, std, (first, last), said)
+    days = (when[0] - last_seen).total_seconds() / 86400.0
+    if outcome == "pass" and days > when[1]:
+        outcome, why = "cannot tell", f"not seen since {last_seen:%Y-%m-%d}"
+    return ProgramLoad(
+        program, len(known), float(mass[first]), float(std[first]), float(mass[last]), float(std[last]),
+        f"{last_seen:%Y-%m-%d}", outcome, why,
+    )  # fmt: skip
+
+
+def _verified(mass: np.ndarray, std: np.ndarray, ends: tuple[int, int], said: Outcome | None) -> tuple[Outcome, str]:
+    first, last = ends
+    if said == "fail":
+        return "fail", "the last check did not accept it"
+    if said == "pass":
+        return "pass", "accepted by the last check"
+    if first == last:
+        return "cannot tell", "identified once, with nothing to hold it against"
+    change, half = float(mass[last] - mass[first]), half_width(float(np.hypot(std[first], std[last])))
+    allowed = _SAME_MASS * abs(float(mass[first]))
+    told = f"{plain(mass[last], 2)} kg, first {plain(mass[first], 2)} kg"
+    if not math.isfinite(half):
+        return "cannot tell", f"{told}, with no standard deviation"
+    if abs(change) + half <= allowed:
+        return "pass", f"{told}: the same"
+    if abs(change) - half > allowed:
+        return "fail", f"{told}: another load"
+    return "cannot tell", f"{told}: ± {plain(half, 2)} kg does not tell whether it is the same"

@@ -1,0 +1,189 @@
+"""How far both hands are off while a way is streamed: told by the force in the part, or by distance sensors."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Protocol
+
+import numpy as np
+
+from gateway.data.sample import ArmSample
+from gateway.pair.balance import ForceBalance
+from gateway.pair.force_guard import DELAY_MEMORY_S, ForceGuard, cause_of
+from gateway.pair.gap import GapWatch
+from gateway.pair.joint_targets import ExternalTorque
+from gateway.pair.transform import Floats
+
+Samples = tuple[ArmSample, ...]
+#: How far from the beginning of a way the torques that hold the arms there still tell the force [rad].
+NEAR_RAD = 5e-3
+
+
+class Deviation(Protocol):
+    """What a stream asks, cycle by cycle, and what it has gathered in the end (see `motion.Streamed`)."""
+
+    force: Floats
+    gaps_m: Floats
+
+    def listen(self, samples: Samples) -> None:
+        """Take in a cycle at standstill, before the way begins."""
+        ...
+
+    def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
+        """What the commander is told for command m."""
+        ...
+
+    def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
+        """Take in what was measured at the SYNC of command m; why both arms must stop, "" = they need not.
+
+        `rate` is how fast time passes along the path.
+        """
+        ...
+
+    def size_n(self, m: int) -> float:
+        """Force inside the part at command m [N]; 0 where nothing feels it."""
+        ...
+
+    def doubtful(self, m: int) -> bool:
+        """Whether what was felt at command m may be friction, where joints come to rest."""
+        ...
+
+
+class DeviationFromForce:
+    """Wrenches of both hands from the torques of both arms, and a limit for the force inside the part.
+
+    Parameters
+    ----------
+    arms : torques of both along the way
+    balance : ForceBalance of the way, begun
+    guard : ForceGuard
+    still : ForceGuard
+        On the way to the beginning, where no force is expected.
+    dt_s : control cycle
+    friction_uncertainty_n : a force that friction may feign [N]
+    """
+
+    def __init__(
+        self,
+        arms: tuple[ExternalTorque, ExternalTorque],
+        balance: ForceBalance,
+        guard: ForceGuard,
+        still: ForceGuard,
+        dt_s: float,
+        friction_uncertainty_n: float = 0.0,
+    ) -> None:
+        self.force = np.zeros((balance.count, 6))
+        self.gaps_m = np.zeros((balance.count, 0))
+        self._arms, self._balance = arms, balance
+        self._guard, self._still = guard, still
+        self._dt_s, self._friction_uncertainty_n = dt_s, friction_uncertainty_n
+        #: Numbers of the last SYNCs that were taken in, and when they were sent [s].
+        self._sent: deque[tuple[int, float]] = deque(maxlen=1 + math.ceil(DELAY_MEMORY_S / dt_s))
+
+    def _update(self, m: int, samples: Samples, rate: float, row: int | None) -> None:
+        self._sent.append((samples[0].sync_index, samples[0].time_s))
+        first, second = (arm.update(m, sample, rate) for arm, sample in zip(self._arms, samples, strict=True))
+        self._balance.take(m, (first, second), row)
+
+    def listen(self, samples: Samples) -> None:
+        """Torques become wrenches, so that a way begins with forces and not without."""
+        self._update(0, samples, 1.0, None)
+
+    def rest(self, samples: Samples) -> str:
+        """Take in a cycle on the way to the beginning; why both arms must stop, "" = they need not.
+
+        Only near the beginning: its weights are known.
+        """
+        away = [np.abs(sample.q_rad - arm.q_rad[0]).max() for arm, sample in zip(self._arms, samples, strict=True)]
+        if max(away) > NEAR_RAD:
+            return ""
+        self.listen(samples)
+        if self._balance.wrench is None:
+            return ""
+        force = self._balance.wrench[:3]
+        size_n = float(np.linalg.norm(force))
+        along = force / size_n if size_n > 0.0 else force
+        std_n = math.sqrt(along @ self._balance.covariance[:3, :3] @ along)
+        if not self._still.step(size_n - 2.0 * std_n):
+            return ""
+        return (
+            f"the force inside the part rose to {size_n:.0f} N on the way to the start, above"
+            f" {self._still.threshold_n:g} N: both arms stop; a part that is held is gripped elsewhere than the"
+            " function has it: open the grippers, check the grasp of both arms, then close them at the start"
+        )
+
+    def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
+        """Both wrenches (6,) [N, Nm], base axes."""
+        return self._balance.inputs(m) or (None, None)
+
+    def size_n(self, m: int) -> float:
+        """As `Deviation.size_n`."""
+        return float(np.linalg.norm(self.force[m, :3]))
+
+    def doubtful(self, m: int) -> bool:
+        """As `Deviation.doubtful`."""
+        return self.size_n(m) < self._friction_uncertainty_n
+
+    def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
+        """As `Deviation.take`."""
+        self._update(m, samples, rate, m - 1 if m else None)
+        if self._balance.wrench is None:
+            return ""
+        self.force[m] = self._balance.wrench
+        size_n = self.size_n(m)
+        # a SYNC that has told nothing is no evidence that a force lasts; who tells nothing for long is stopped for that
+        if not self._balance.fresh or not self._guard.step(size_n):
+            return ""
+        return (
+            f"the force inside the part was above {self._guard.threshold_n:.0f} N for more than"
+            f" {1e3 * self._guard.time_s:.0f} ms ({size_n:.0f} N at command {m + 1} of {self._balance.count}):"
+            f" both arms stop; release the part before moving on; {self._cause(m)}"
+        )
+
+    def _cause(self, m: int) -> str:
+        delay_s = float(np.ptp([sent_s - self._dt_s * index for index, sent_s in self._sent]))
+        force_n = np.linalg.norm(self.force[: m + 1, :3], axis=1)
+        return cause_of(force_n, self._guard.threshold_n, self._dt_s, delay_s)
+
+
+class DeviationFromDistance:
+    """What the slave's fingertip still has to move, from distance sensors; their limits are watched by the motion.
+
+    Parameters
+    ----------
+    watch : GapWatch
+        Already takes in every cycle.
+    slave : array of shape (M, 4, 4)
+        Nominal commands of the slave along the way.
+    """
+
+    def __init__(self, watch: GapWatch, slave: Floats) -> None:
+        count = len(slave)
+        self.force = np.zeros((count, 6))
+        self.gaps_m = np.full((count, len(watch.layout.estimator.demanded_m)), np.nan)
+        self._watch, self._slave = watch, slave
+
+    def listen(self, samples: Samples) -> None:
+        """Nothing to do: the watch has listened."""
+
+    def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
+        """None, and the move (6,) [m, rad] in the slave's base axes; None too where the last SYNC had no value."""
+        readings = self._watch.readings_m
+        if readings is None:
+            return None, None
+        return None, self._watch.layout.estimator.error_in_base(readings, self._slave[m])
+
+    def size_n(self, m: int) -> float:
+        """0: nothing is held in common."""
+        return 0.0
+
+    def doubtful(self, m: int) -> bool:
+        """Never: a distance is what it is, at rest too."""
+        return False
+
+    def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
+        """As `Deviation.take`."""
+        if self._watch.readings_m is not None:
+            self.gaps_m[m] = self._watch.readings_m - self._watch.layout.estimator.demanded_m
+        return ""

@@ -1,0 +1,156 @@
+"""From gripper commands to joint targets and from joint torques to wrenches, prepared for a whole path."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gateway.data.sample import ArmSample
+from gateway.errors import PlanRefused
+from gateway.pair.inverse import SINGULAR, turns
+from gateway.pair.pair_cell import PairArm
+from gateway.pair.presliding import Presliding
+from gateway.pair.transform import Floats, correction_between
+
+#: SYNCs that follow each other sooner than this share of a period do not tell an acceleration.
+SHORT_PERIODS = 0.5
+#: How far a command may lie from the prepared path; further away the prepared Jacobians no longer hold.
+LARGEST_OFFSET = 0.03
+
+
+class JointFollower:
+    """Joint targets of one arm for gripper commands close to a prepared path.
+
+    Parameters
+    ----------
+    arm : PairArm
+    q_rad : array of shape (M, N)
+        Joint angles of the prepared path.
+
+    Attributes
+    ----------
+    jacobian : array of shape (M, 6, N)
+    """
+
+    def __init__(self, arm: PairArm, q_rad: Floats) -> None:
+        self.arm = arm
+        self.q_rad = q_rad
+        self.poses, self.jacobian = arm.chain.poses(q_rad)
+        self._inverse = turns(self.jacobian, np.eye(6))
+
+    def joints(self, m: int, command: Floats) -> Floats:
+        """Joint angles (N,) [rad] for a command (4, 4) near pose m of the path: two Newton steps, exact to micrometres.
+
+        Raises
+        ------
+        PlanRefused
+            The command lies more than 30 mm or 30 mrad off the path.
+        """
+        away = correction_between(command, self.poses[m])
+        if np.abs(away).max() > LARGEST_OFFSET:
+            raise PlanRefused(
+                f"arm '{self.arm.config.name}', command {m + 1}: it lies {1e3 * np.abs(away).max():.0f} mm or mrad off"
+                " the nominal path; the function or a correction has run away"
+            )
+        q = self.q_rad[m] + self._inverse[m] @ away
+        rest = correction_between(command, self.arm.chain.poses(q[None])[0][0])
+        return q + self._inverse[m] @ rest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What one arm showed at one SYNC; arrays of shape (N,).
+
+    Attributes
+    ----------
+    external_nm : joint torque that a free motion with the cell's constants does not need
+    turned : direction of dry friction, from -1 to 1; between them it is not settled
+    speed_rad_s, acceleration_rad_s2 : of the joints, measured
+    """
+
+    external_nm: Floats
+    turned: Floats
+    speed_rad_s: Floats
+    acceleration_rad_s2: Floats
+
+
+class ExternalTorque:
+    """Joint torques of one arm that its own motion along a path does not need.
+
+    What the drives report belongs to where the arm was when it was sampled: one cycle and the servos' lag behind the
+    command. Friction is that of the measured motion.
+
+    Parameters
+    ----------
+    arm : PairArm
+    follower : JointFollower
+    dt_s : control cycle
+    lag_s : servo lag
+
+    Attributes
+    ----------
+    arm : PairArm
+    delay : array of shape (M,)
+        The command at which the arm is when command m is sent, not rounded.
+    q_rad, speed_rad_s, acceleration_rad_s2 : arrays of shape (M, N)
+        Of the nominal motion, that late.
+    jacobian : array of shape (M, 6, N)
+    """
+
+    def __init__(self, arm: PairArm, follower: JointFollower, dt_s: float, lag_s: float) -> None:
+        self.arm = arm
+        every = np.arange(len(follower.q_rad))
+        self.delay = np.maximum(every - (1.0 + lag_s / dt_s), 0.0)
+        self.q_rad = q = np.stack([np.interp(self.delay, every, column) for column in follower.q_rad.T], axis=1)
+        self.speed_rad_s = qd = np.gradient(q, dt_s, axis=0) * (self.delay > 0.0)[:, None]
+        self.acceleration_rad_s2 = np.gradient(qd, dt_s, axis=0)
+        still = np.zeros_like(q)
+        self._still = arm.model_torque(q, still, still)
+        self._product = arm.model_torque(q, qd, still) - self._still
+        self._dt_s = dt_s
+        self._mass = arm.mass_matrix(q)
+        self.jacobian = arm.chain.poses(q)[1]
+        least = np.linalg.svd(self.jacobian, compute_uv=False)[:, -1]
+        if least.min() < SINGULAR:
+            raise PlanRefused(
+                f"arm '{arm.config.name}', command {int(np.argmin(least)) + 1}: the force is not observable, smallest"
+                f" singular value {least.min():.3f}, at least {SINGULAR} is needed; move the path or the base"
+            )
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        self._last: ArmSample | None = None
+        self._before: ArmSample | None = None
+        self._presliding = Presliding(self.arm.axes, self._dt_s)
+
+    def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> Shown | None:
+        """Take in what was measured at the SYNC of command m; what the SYNC before it showed.
+
+        Only now the acceleration there is known from the encoders. With that of the commands in its place the loop
+        would answer the torque by which its own corrections move the arm. None for an incomplete sample, and for SYNCs
+        that were held up and then followed each other too soon.
+
+        `rate` is how fast time passes along the path.
+        """
+        before, last = self._before, self._last
+        self._before, self._last = (last, sample) if sample.complete else (None, None)
+        turned = self._presliding.turned
+        if not sample.complete:
+            return None
+        if last is not None:
+            self._presliding.move(sample.q_rad - last.q_rad)
+        if last is None or before is None:
+            return None
+        at = max(m - 1, 0)
+        # by the instants of the SYNCs: at 4 ms, one that is 0.1 ms off feigns an acceleration of six times the speed
+        first_s, second_s = last.time_s - before.time_s, sample.time_s - last.time_s
+        if min(first_s, second_s) < SHORT_PERIODS * self._dt_s:
+            return None
+        first, second = (last.q_rad - before.q_rad) / first_s, (sample.q_rad - last.q_rad) / second_s
+        speed = (sample.q_rad - before.q_rad) / (first_s + second_s)
+        acceleration = 2.0 * (second - first) / (first_s + second_s)
+        rubbing = self.arm.coulomb_nm * turned + self.arm.viscous_nm_s_rad * speed
+        free = self._still[at] + rate**2 * self._product[at] + self._mass[at] @ acceleration
+        return Shown(last.joint_torque_nm - free - rubbing, turned, speed, acceleration)

@@ -1,0 +1,397 @@
+"""Both arms along prepared ways: gripper commands in, set points for the motion loop out, forces and gaps watched.
+
+What a pair knows beyond its joints is judged here, and asks the motion loop for a stop: a force inside the part above
+twice the limit for more than 20 ms along the path, with the relation kept, and by quick stop if it goes on rising; a
+gap outside its range by quick stop, one without a value along the path. All else is seen by `gateway.motion`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+
+from gateway.data.sample import ArmSample
+from gateway.errors import LimitExceeded, PlanRefused, WrongPlace
+from gateway.motion.joint_path import angles
+from gateway.motion.setpoints import PerArm
+from gateway.motion.stops import StopKind
+from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.trajectory import Motion
+from gateway.motion.workspace import Workspace
+from gateway.pair.balance import ForceBalance
+from gateway.pair.calibration import PairCalibration, PathWrenches
+from gateway.pair.deviation import NEAR_RAD, Deviation, DeviationFromDistance, DeviationFromForce
+from gateway.pair.force_guard import ForceGuard
+from gateway.pair.gap import GapWatch, SensorCheck
+from gateway.pair.internal_force import InternalForce
+from gateway.pair.inverse import path_joint_angles
+from gateway.pair.joint_targets import ExternalTorque, JointFollower
+from gateway.pair.model_uncertainty import ModelUncertainty, constants_of
+from gateway.pair.pair_cell import PairCell
+from gateway.pair.pair_setpoints import Along, Settling, Watch, WatchedMotion, smooth
+from gateway.pair.path import PairPath
+from gateway.pair.prepared_trajectory import Commander, Pair, PreparedTrajectory, Streamed
+from gateway.pair.presliding import FrictionOffset
+from gateway.pair.relation import relation
+from gateway.pair.servo_lag import LagLaw
+from gateway.pair.transform import Floats, inverse
+
+#: How far an arm may stand from where the part is gripped when a run begins [rad].
+START_TOLERANCE_RAD = 0.02
+#: Speed at which an arm is moved to where the next motion begins, and the shortest time of such a move.
+APPROACH_RAD_S = 0.1
+APPROACH_S = 0.2
+#: The speed near the start where a part may be held already: a force that rises is seen before it is large [rad/s].
+HELD_RAD_S = 0.002
+#: Standing still before a way begins, so that the servos have settled [s].
+DWELL_S = 0.1
+#: Over which the end of one motion fades into the next [s].
+FADE_S = 0.4
+#: Standing still before a way, until torques have become wrenches.
+LISTEN_CYCLES = 12
+#: What is seen of servos is taken together over so long [s].
+TOGETHER_S = 0.4
+#: Share of the limit that may be in a part on the way to the start, beyond all doubt.
+AT_REST = 0.5
+#: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
+DOUBTFUL = 0.5
+
+Result = TypeVar("Result")
+Samples = tuple[ArmSample, ...]
+
+
+class PairStopped(PlanRefused):
+    """Both arms were stopped, or are about to be; the message says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class PairMotionOptions:
+    """How a pair is moved.
+
+    Attributes
+    ----------
+    speed : speed setting, the cell's if None
+    back_speed : of the way back, as forward if None
+    force_limit_n : twice this force inside the part stops both arms; None = the cell's limit
+    force_stop_s : after this time
+    laws_s : how each joint (J, 2) follows its set points, as in `TaughtPath`; None = all alike
+    moves : what holds for every motion, a single arm's too
+    """
+
+    speed: float | None = None
+    back_speed: float | None = None
+    force_limit_n: float | None = None
+    force_stop_s: float = 0.02
+    laws_s: Floats | None = None
+    moves: MoveOptions = field(default_factory=MoveOptions)
+
+
+def calibration_of(cell: PairCell) -> PairCalibration:
+    """What the controller must know of a cell."""
+    first, second = cell.arms
+    plain = PairCalibration(
+        first.world_from_base,
+        second.world_from_base,
+        inverse(first.part_from_tip),
+        loop_time_s=cell.config.loop_delay_s,
+    )
+    if cell.gap is not None:
+        return plain
+    stiffness = cell.config.force.stiffness
+    return replace(
+        plain,
+        part_mass_kg=cell.config.part_mass_kg,
+        force_limit_n=cell.config.force.limit_n,
+        chain_stiffness=np.diag([stiffness.straight] * 3 + [stiffness.turned] * 3),
+    )
+
+
+class PairMotion:
+    """Moves both arms of a pair.
+
+    Parameters
+    ----------
+    cell : PairCell
+    stream : Stream
+        Of both arms, not necessarily powered yet.
+    options : PairMotionOptions, optional
+
+    Attributes
+    ----------
+    samples : what both arms reported last
+    uncertainty : constants of both arms as the ways so far have told them
+    laws_s : how each joint (J, 2) follows its set points: every way makes up for what they are unlike
+    following : the same as all motions so far have told it
+    """
+
+    def __init__(self, cell: PairCell, stream: Stream, options: PairMotionOptions | None = None) -> None:
+        self.cell, self.stream = cell, stream
+        self.options = options or PairMotionOptions()
+        self.calibration = calibration_of(cell)
+        self.dt_s = cell.sync_period_s
+        self._desk = stream.station.options.desk
+        self._gap = None if cell.gap is None else GapWatch(cell.gap)
+        lag_s = cell.config.servo_lag_s
+        self._friction = [FrictionOffset(arm, self.dt_s, lag_s) for arm in cell.arms] if cell.gap else []
+        self.samples: Samples | None = None
+        joints = sum(arm.axes for arm in cell.arms)
+        self.uncertainty = ModelUncertainty(constants_of(joints))
+        self.following = LagLaw(self.dt_s, joints, round(TOGETHER_S / self.dt_s))
+        stated = self.options.laws_s
+        self.laws_s = np.full((joints, 2), np.nan) if stated is None else stated
+        self._complete = True
+
+    @property
+    def q_rad(self) -> Pair:
+        """Last targets (N,) of each arm."""
+        first, second = self.stream.q_rad
+        return first, second
+
+    @property
+    def present(self) -> Pair | None:
+        """Poses (4, 4) of both grippers in their bases by the encoders of the last SYNC; None if it brought not all."""
+        samples = self.samples
+        if samples is None or not all(sample.complete for sample in samples):
+            return None
+        first, second = (
+            arm.chain.poses(sample.q_rad[None])[0][0] for arm, sample in zip(self.cell.arms, samples, strict=True)
+        )
+        return first, second
+
+    def prepare_trajectory(self, path: PairPath, seeds_rad: Pair) -> PreparedTrajectory:
+        """Prepare a way of the master that begins near joint angles (N,) of each arm.
+
+        Raises
+        ------
+        PlanRefused
+            A pose out of reach, a singular posture (there the force is not observable), joints beyond the limits of
+            the cell, or a posture in a keep-out box.
+        """
+        cell = self.cell
+        slave = cell.nominal_slave(path)
+        targets = (path.commands, slave)
+        joints = [
+            path_joint_angles(arm.chain, to, seed)[0]
+            for arm, to, seed in zip(cell.arms, targets, seeds_rad, strict=True)
+        ]
+        for arm, workspace, q in zip(cell.arms, self.stream.station.workspaces, joints, strict=True):
+            refuse_unreachable(arm.config.name, workspace, q, path.dt_s)
+        followers = [JointFollower(arm, q) for arm, q in zip(cell.arms, joints, strict=True)]
+        rates = [np.gradient(q, path.dt_s, axis=0) for q in joints]
+        changes = [np.gradient(rate, path.dt_s, axis=0) for rate in rates]
+        free = [
+            arm.model_torque(q, rate, change)
+            for arm, q, rate, change in zip(cell.arms, joints, rates, changes, strict=True)
+        ]
+        first, second = (
+            ExternalTorque(arm, each, path.dt_s, cell.config.servo_lag_s)
+            for arm, each in zip(cell.arms, followers, strict=True)
+        )
+        maps = PathWrenches(self.calibration, path, slave)
+        return PreparedTrajectory(
+            path,
+            (joints[0], joints[1]),
+            (followers[0], followers[1]),
+            (first, second),
+            maps,
+            ForceBalance((first, second), maps, path.dt_s, cell.config.force_filter_hz),
+            np.hstack(rates),
+            np.hstack(changes),
+            (free[0], free[1]),
+        )
+
+    def start(self) -> None:
+        """Both arms are powered: stand until the drives carry what the brakes carried."""
+        self.see(self.stream.samples)
+        self.stream.take_over(self.see)
+
+    def stand(self, rows: int, what: str = "stand", listen: Callable[[Samples], None] | None = None) -> None:
+        """Stand for some SYNCs at the last targets."""
+
+        def pass_on(samples: Samples) -> None:
+            self.see(samples)
+            if listen is not None:
+                listen(samples)
+
+        self.stream.stand(rows * self.dt_s, what, pass_on)
+
+    def approach(self, goal: Pair, dwell_s: float = DWELL_S, held: PreparedTrajectory | None = None) -> None:
+        """Bring each arm to joint targets (N,) slowly, at the same time, then stand still.
+
+        With `held`, the way that begins there, the force in a part that they may hold already is watched.
+        """
+        deviation = None if held is None or self._gap is not None else self.prepare(lambda: self._force_deviation(held))
+        watch = None if deviation is None else self._asking(deviation.rest)
+        began = self.q_rad
+        most = max(float(np.abs(to - at).max()) for to, at in zip(goal, began, strict=True))
+        speed = APPROACH_RAD_S if watch is None or most > NEAR_RAD else HELD_RAD_S
+        count = max(1, round(max(APPROACH_S, most / speed) / self.dt_s))
+        share = np.arange(1, count + 1)[:, None] / count
+        time_s = count * self.dt_s
+        motions = [
+            Motion(
+                at + smooth(share) * (to - at),
+                6.0 * share * (1.0 - share) * (to - at) / time_s,
+                (6.0 - 12.0 * share) * (to - at) / time_s**2,
+                self.dt_s,
+            )
+            for at, to in zip(began, goal, strict=True)
+        ]
+        self.stream.drive(WatchedMotion(self, began, motions, watch), "approach")
+        self.stand(round(dwell_s / self.dt_s), listen=watch)
+
+    def _asking(self, look: Callable[[Samples], str]) -> Watch:
+        """Has both arms stopped once `look`, which takes in every SYNC, says why."""
+        asked = False
+
+        def watch(samples: Samples) -> None:
+            nonlocal asked
+            why = "" if asked else look(samples)
+            if why:
+                asked = True
+                self.ask(why)
+
+        return watch
+
+    def prepare(self, job: Callable[[], Result]) -> Result:
+        """Compute what takes longer than a cycle while both arms stand."""
+        return self.stream.hold_while(job, "compute")
+
+    def settle(self, trajectory: PreparedTrajectory, commander: Commander) -> None:
+        """Stand at the beginning of a way until the commander has nothing left to correct."""
+        watch = None if self._gap is None else self._asking(self._sensors_follow(self._gap))
+        deviation = self.prepare(lambda: self._deviation(trajectory))
+        self.stream.drive(Settling(self, trajectory, commander, deviation, watch), "settle")
+
+    def _sensors_follow(self, gap: GapWatch) -> Callable[[Samples], str]:
+        first, second = self.cell.arms
+        check = SensorCheck(gap.layout)
+
+        def look(_samples: Samples) -> str:
+            hands = self.present
+            if hands is None:
+                return ""
+            return check.take(
+                gap.readings_m, relation(first.world_from_base, hands[0], second.world_from_base, hands[1])
+            )
+
+        return look
+
+    def run(self, trajectory: PreparedTrajectory, commander: Commander, *, fade: bool = False) -> Streamed:
+        """Every command of a way; with `fade` what the arms stand off its beginning is faded out.
+
+        Raises
+        ------
+        PairStopped, DriveError, LimitExceeded, KeyboardInterrupt
+            Both arms stand, or are stopped when their power is taken away.
+        """
+        along = self.prepare(
+            lambda: Along(
+                self, trajectory, commander, self._deviation(trajectory), round(FADE_S / self.dt_s) if fade else 0
+            )
+        )
+        self.stand(LISTEN_CYCLES, listen=along.deviation.listen)
+        self._complete = True
+        self.stream.drive(along, "along the path")
+        internal_force = None if self._gap is not None else self.prepare(lambda: self._internal_force(trajectory))
+        return Streamed(
+            along.deviation.force,
+            internal_force,
+            along.deviation.gaps_m,
+            self._complete,
+            along.spent_s / len(trajectory.path),
+        )
+
+    def _internal_force(self, trajectory: PreparedTrajectory) -> InternalForce:
+        """What a way has shown of both arms and of the force, once it is over."""
+        if self._complete:
+            trajectory.balance.learn()
+        return trajectory.balance.internal_force()
+
+    def _deviation(self, trajectory: PreparedTrajectory) -> Deviation:
+        """What tells on this way how far the hands are off, from standing still on."""
+        if self._gap is not None:
+            return DeviationFromDistance(self._gap, self.cell.nominal_slave(trajectory.path))
+        return self._force_deviation(trajectory)
+
+    def _force_deviation(self, trajectory: PreparedTrajectory) -> DeviationFromForce:
+        usual_n = self.cell.config.force.limit_n
+        limit_n, stop_s = self.options.force_limit_n or usual_n, self.options.force_stop_s
+        guard, still = ForceGuard(limit_n, self.dt_s, stop_s), ForceGuard(AT_REST * limit_n, self.dt_s, stop_s, 1.0)
+        trajectory.balance.begin(self.uncertainty)
+        return DeviationFromForce(trajectory.torques, trajectory.balance, guard, still, self.dt_s, DOUBTFUL * usual_n)
+
+    def offsets(self, q: PerArm) -> PerArm | None:
+        """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""
+        if not self._friction:
+            return None
+        return tuple(each.at(target) for each, target in zip(self._friction, q, strict=True))
+
+    def see(self, samples: Samples) -> None:
+        """Take in a SYNC wherever the arms are powered, also on the way to the start."""
+        self.samples = samples
+        self.following.take(np.concatenate(self.q_rad), np.concatenate([sample.q_rad for sample in samples]))
+        if not all(sample.complete for sample in samples):
+            self._complete = False
+        trouble = None if self._gap is None else self._gap.take(samples)
+        if trouble is not None:
+            self.ask(trouble.why, StopKind.QUICK_STOP if trouble.urgent else StopKind.ALONG_PATH)
+
+    def ask(self, why: str, kind: StopKind = StopKind.ALONG_PATH) -> None:
+        """Have both arms stopped."""
+        self._desk.ask(PairStopped(why), kind)
+
+
+def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
+    """Make sure that both arms stand at the start of the path, where the part is gripped.
+
+    Parameters
+    ----------
+    cell : PairCell
+    where : joint positions (N,) of each arm in its brakes
+
+    Raises
+    ------
+    WrongPlace
+        An arm stands elsewhere.
+    """
+    for arm, q in zip(cell.arms, where, strict=True):
+        away = np.abs(q - arm.start_rad)
+        if away.max() > START_TOLERANCE_RAD:
+            joint = int(np.argmax(away))
+            raise WrongPlace(
+                f"arm '{arm.config.name}': joint {joint + 1} stands at {q[joint]:.4f} rad, the part is gripped at"
+                f" {arm.start_rad[joint]:.4f} rad; bring both arms to the start of the path first, without the part",
+                arm.config.name,
+                ",".join(f"{value:g}" for value in arm.start_rad),
+            )
+
+
+def refuse_unreachable(name: str, workspace: Workspace, q_rad: Floats, dt_s: float) -> None:
+    """Make sure that a way (M, N) [rad], one row per SYNC, keeps the limits of the cell, between its rows too.
+
+    The other arm and the part are no obstacles here.
+
+    Raises
+    ------
+    PlanRefused, LimitExceeded
+        A posture that is not allowed, or a joint that would turn faster than its limit.
+    """
+    refusal = workspace.refused_on(q_rad)
+    if refusal is not None:
+        raise PlanRefused(
+            f"arm '{name}', command {int(refusal.row) + 1} at {angles(refusal.q_rad)}: {refusal.reason}; move the path"
+            " or the base"
+        )
+    speed = np.abs(np.diff(q_rad, axis=0)).max(axis=0) / dt_s
+    fast = speed > workspace.speed_rad_s
+    if fast.any():
+        joint = int(np.argmax(fast))
+        raise LimitExceeded(
+            f"arm '{name}', joint {joint + 1} would turn with {speed[joint]:.3f} rad/s, its limit is"
+            f" {workspace.speed_rad_s[joint]:g} rad/s; lower the speed",
+            joint + 1,
+        )

@@ -1,0 +1,153 @@
+"""The relation between the grippers as a function of the way along the path (CN104379308 eqs. (5) to (16)).
+
+Between two knots the position goes straight and the rotation turns about a fixed axis: `P(rate) = P_k + dP_k rate`,
+`R(rate) = R_k Rot(k, a rate)` with `dR_k = R_k^T R_(k+1)`, which meets both knots exactly. (The printed pair, eq. (8)
+`dR = R_k inv(R_(k+1))` with eq. (15) `R_k dR`, misses the second one.) Before the first knot and behind the last one
+the function keeps its value.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gateway.errors import InputError
+from gateway.pair.transform import Floats, cross_matrix, log_rotation, pose
+
+LARGEST_TURN_RAD = math.pi - 1e-3
+ORTHONORMAL = 1e-6
+#: Largest number of a function: no way and no position is longer [m].
+LARGEST = 1e6
+
+
+class TransformFunction:
+    """Knots of the relation and what lies between them; immutable.
+
+    Parameters
+    ----------
+    s_m : array of shape (N,)
+        Arc length along the path at the knots [m], strictly rising.
+    position_m : array of shape (N, 3)
+    rotation : array of shape (N, 3, 3)
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, values that are not finite, knots out of order, matrices that are no rotations, or a turn of
+        half a revolution between two knots (its axis is not determined).
+    """
+
+    __slots__ = ("_angle", "_cross", "_double", "_knots", "_list", "_step", "position_m", "rotation", "s_m")
+
+    def __init__(self, s_m: ArrayLike, position_m: ArrayLike, rotation: ArrayLike) -> None:
+        self.s_m, self.position_m, self.rotation = _checked(s_m, position_m, rotation)
+        turn = log_rotation(np.swapaxes(self.rotation[:-1], -1, -2) @ self.rotation[1:])
+        self._angle = np.linalg.norm(turn, axis=1)
+        if np.any(self._angle > LARGEST_TURN_RAD):
+            worst = int(np.argmax(self._angle))
+            raise InputError(
+                f"knots {worst + 1} and {worst + 2} of the transform function differ by half a turn: teach points of"
+                " one gripped part differ by milliradians, so one of them is wrong"
+            )
+        cross = cross_matrix(turn / np.where(self._angle > 0.0, self._angle, 1.0)[:, None])
+        self._step = np.diff(self.position_m, axis=0)
+        self._cross = self.rotation[:-1] @ cross
+        self._double = self._cross @ cross
+        self._knots = pose(self.rotation, self.position_m)
+        self._list = self.s_m.tolist()
+
+    @property
+    def knots(self) -> Floats:
+        """Relation (N, 4, 4) at the knots [m]."""
+        return self._knots.copy()
+
+    def __len__(self) -> int:
+        return len(self._list)
+
+    def at(self, s_m: float) -> Floats:
+        """Relation (4, 4) at one way [m]; the scalar path that runs each SYNC."""
+        arc_m = self._list
+        segment = bisect_right(arc_m, s_m) - 1
+        result = self._knots[max(segment, 0)].copy()
+        if segment < 0 or segment >= len(arc_m) - 1:
+            return result
+        rate = (s_m - arc_m[segment]) / (arc_m[segment + 1] - arc_m[segment])
+        angle = rate * self._angle[segment]
+        result[:3, :3] += math.sin(angle) * self._cross[segment] + (1.0 - math.cos(angle)) * self._double[segment]
+        result[:3, 3] += rate * self._step[segment]
+        return result
+
+    def many(self, s_m: ArrayLike) -> Floats:
+        """Relation (n, 4, 4) at many ways (n,) [m]."""
+        arc_m = np.asarray(s_m, dtype=float)
+        segment = np.searchsorted(self.s_m, arc_m, side="right") - 1
+        inside = (segment >= 0) & (segment < len(self) - 1)
+        result = self._knots[np.clip(segment, 0, len(self) - 1)]
+        if not inside.any():
+            return result
+        k = segment[inside]
+        rate = (arc_m[inside] - self.s_m[k]) / (self.s_m[k + 1] - self.s_m[k])
+        angle = rate * self._angle[k]
+        turned = np.sin(angle)[:, None, None] * self._cross[k] + (1.0 - np.cos(angle))[:, None, None] * self._double[k]
+        result[inside, :3, :3] += turned
+        result[inside, :3, 3] += rate[:, None] * self._step[k]
+        return result
+
+
+def constant_function(e1_t_e2: ArrayLike) -> TransformFunction:
+    """The one fixed relation (4, 4) of the comparison example, as a function with a single knot."""
+    fixed = np.asarray(e1_t_e2, dtype=float)
+    return TransformFunction([0.0], fixed[None, :3, 3], fixed[None, :3, :3])
+
+
+def function_of_knots(s_m: ArrayLike, knots: ArrayLike) -> TransformFunction:
+    """Function through the poses (N, 4, 4) at the ways (N,) [m]."""
+    values = np.asarray(knots, dtype=float)
+    return TransformFunction(s_m, values[:, :3, 3], values[:, :3, :3])
+
+
+def sampled(function: TransformFunction, s_m: ArrayLike) -> TransformFunction:
+    """The same function with knots at other ways (N,) [m], to learn there; exact at these ways."""
+    return function_of_knots(s_m, function.many(s_m))
+
+
+def closed(function: TransformFunction, end_m: float) -> TransformFunction:
+    """For a path that ends where it starts: the first knot once more at its end [m].
+
+    Raises
+    ------
+    InputError
+        The end does not lie behind the last knot.
+    """
+    s_m = np.append(function.s_m, end_m + function.s_m[0])
+    knots = function.knots
+    return function_of_knots(s_m, np.concatenate([knots, knots[:1]]))
+
+
+def _checked(s_m: ArrayLike, position_m: ArrayLike, rotation: ArrayLike) -> tuple[Floats, Floats, Floats]:
+    arc_m, place, turn = (np.array(value, dtype=float) for value in (s_m, position_m, rotation))
+    if arc_m.ndim != 1 or len(arc_m) < 1 or place.shape != (len(arc_m), 3) or turn.shape != (len(arc_m), 3, 3):
+        raise InputError(
+            "a transform function needs N ways (N,), positions (N, 3) and rotations (N, 3, 3), got"
+            f" {arc_m.shape}, {place.shape}, {turn.shape}"
+        )
+    if not all(np.isfinite(value).all() for value in (arc_m, place, turn)):
+        raise InputError("a transform function has a value that is not finite")
+    if any(np.abs(value).max() > LARGEST for value in (arc_m, place, turn)):
+        raise InputError(f"a transform function has a value beyond {LARGEST:g}")
+    if np.any(np.diff(arc_m) <= 0.0):
+        first_bad = int(np.argmax(np.diff(arc_m) <= 0.0))
+        raise InputError(
+            f"knots of the transform function are out of order: knot {first_bad + 2} at {arc_m[first_bad + 1]:.6g} m"
+            f" is not behind knot {first_bad + 1} at {arc_m[first_bad]:.6g} m"
+        )
+    deviation = np.abs(np.swapaxes(turn, -1, -2) @ turn - np.eye(3)).max(axis=(1, 2))
+    wrong = (deviation > ORTHONORMAL) | (np.linalg.det(turn) < 0.0)
+    if wrong.any():
+        raise InputError(f"knot {int(np.argmax(wrong)) + 1} of the transform function holds no rotation matrix")
+    for value in (arc_m, place, turn):
+        value.setflags(write=False)
+    return arc_m, place, turn
