@@ -11,6 +11,7 @@ import click
 
 from gateway.cell.axes import MOST_AXES
 from gateway.commands.measure import arm_option
+from gateway.commands.replay import archive_option, store
 from gateway.commands.result_output import fail_on_findings, show_result, write_junit
 from gateway.commands.shared_options import (
     accept_options,
@@ -87,6 +88,7 @@ def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
 @arm_option
 @accept_options
 @operator_option
+@archive_option
 @json_option
 @common
 def estimate(
@@ -109,6 +111,7 @@ def estimate(
     expected: tuple[Expected, ...],
     junit_file: Path | None,
     operator: str | None,
+    archive: Path | None,
     json_out: str | None,
 ) -> None:
     """Mass and centre of gravity of every unknown load, with 95 % intervals and what cannot be told."""
@@ -131,10 +134,10 @@ def estimate(
     with session_of().working("estimation"):
         result = run(table, about.robot, options, method)
     result = accept(complete(result, about, table, data, operator), expected, about.arm)
-    _hand_over(result, json_out, junit_file)
+    _hand_over(result, json_out, junit_file, archive)
 
 
-def _hand_over(result: Result, json_out: str | None, junit_file: Path | None) -> None:
+def _hand_over(result: Result, json_out: str | None, junit_file: Path | None, archive: Path | None) -> None:
     """Write and show; a failing finding ends the command."""
     from gateway.result.result import to_dict
 
@@ -142,6 +145,8 @@ def _hand_over(result: Result, json_out: str | None, junit_file: Path | None) ->
         write_json(json_out, to_dict(result))
     if junit_file is not None:
         write_junit(junit_file, result)
+    if archive is not None:
+        store(archive, result)
     show_result(result, session_of())
     fail_on_findings(result.findings)
 
@@ -190,6 +195,7 @@ def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> f
 @arm_option
 @accept_options
 @operator_option
+@archive_option
 @json_option
 @common
 def diagnose(
@@ -209,6 +215,7 @@ def diagnose(
     expected: tuple[Expected, ...],
     junit_file: Path | None,
     operator: str | None,
+    archive: Path | None,
     json_out: str | None,
 ) -> None:
     """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
@@ -230,7 +237,7 @@ def diagnose(
     with session_of().working("diagnosis"):
         result = run(seen, about.model, options)
     result = accept(complete(result, about, table, [*data, *holdout], operator), expected, about.arm)
-    _hand_over(result, json_out, junit_file)
+    _hand_over(result, json_out, junit_file, archive)
 
 
 def postures(about: Given) -> NDArray[np.float64] | None:
