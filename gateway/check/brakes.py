@@ -24,7 +24,7 @@ from gateway.motion.opening import OpenArm
 from gateway.motion.power import BRAKE_DROP_RAD, powered
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
-from gateway.preflight.rules import CheckItem
+from gateway.result.result import Finding
 
 #: How long each axis is watched, one time after the other [s]; in the last one the voltage is disabled as well.
 WATCH_S: Final = (0.05, 0.2, 1.0)
@@ -73,7 +73,7 @@ class _Trial:
         return float(self.turns.max())
 
 
-def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _text: None) -> list[CheckItem]:
+def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _text: None) -> list[Finding]:
     """Let each brake in turn hold its axis.
 
     Parameters
@@ -86,7 +86,7 @@ def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _
 
     Returns
     -------
-    list of CheckItem
+    list of Finding
         One per axis; an axis whose drive needs too much torque here, or whose torque is not known, is not tried, and
         that is said. The axes are disabled all at once after the last one: until a brake was tried, its drive holds
         the axis. After a brake that does not hold no other is tried.
@@ -96,8 +96,8 @@ def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _
     DriveError, LimitExceeded, KeyboardInterrupt
         The arm was stopped.
     """
-    items: list[CheckItem] = []
-    found: list[CheckItem] = []
+    items: list[Finding] = []
+    found: list[Finding] = []
     try:
         with powered(Stream(motion_station(opened, options))) as stream:
             stream.take_over()
@@ -114,7 +114,7 @@ def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _
     return items
 
 
-def _after(opened: OpenArm, error: DriveError, found: list[CheckItem]) -> list[CheckItem]:
+def _after(opened: OpenArm, error: DriveError, found: list[Finding]) -> list[Finding]:
     """The finding that explains why a stop was not confirmed; raises the error where there is none."""
     if found:
         return [replace(found[0], what=f"{found[0].what}; then: {error}")]
@@ -127,7 +127,7 @@ def _after(opened: OpenArm, error: DriveError, found: list[CheckItem]) -> list[C
     return [_failed(where, float(sags[axis]), "when all axes were disabled")]
 
 
-def _try_brake(trial: _Trial, found: list[CheckItem]) -> CheckItem:
+def _try_brake(trial: _Trial, found: list[Finding]) -> Finding:
     """Try one brake; what fails goes to `found` before anything else is done."""
     refused = _too_heavy(trial)
     if refused is not None:
@@ -137,7 +137,7 @@ def _try_brake(trial: _Trial, found: list[CheckItem]) -> CheckItem:
     return item
 
 
-def _too_heavy(trial: _Trial) -> CheckItem | None:
+def _too_heavy(trial: _Trial) -> Finding | None:
     """Why a brake is not tried here: what its drive needs to hold the axis, measured with all brakes open."""
     measured: list[float] = []
 
@@ -150,15 +150,15 @@ def _too_heavy(trial: _Trial) -> CheckItem | None:
     advice = f"bring it to a posture with at most {GRAVITY_SHARE:.0%} and ask again"
     if len(torque_nm) < max(1.0, MEASURED_SHARE * len(measured)) or not limit_nm > 0.0:
         advice = "find out why the drive gives no torque (0x6077), then try the brakes again"
-        return CheckItem("warn", trial.where, "its brake was not tried: the torque of its drive is not known", advice)
+        return Finding("warn", trial.where, "its brake was not tried: the torque of its drive is not known", advice)
     share = float(np.abs(torque_nm).max()) / limit_nm
     if share > GRAVITY_SHARE:
         what = f"its brake was not tried: the drive needs {share:.0%} of its torque limit to hold the axis here"
-        return CheckItem("warn", trial.where, what, advice)
+        return Finding("warn", trial.where, what, advice)
     return None
 
 
-def _watched(trial: _Trial, found: list[CheckItem]) -> CheckItem:
+def _watched(trial: _Trial, found: list[Finding]) -> Finding:
     """Leave an axis to its brake for longer and longer."""
     moved_rad = 0.0
     for number, seconds in enumerate(WATCH_S):
@@ -173,19 +173,19 @@ def _watched(trial: _Trial, found: list[CheckItem]) -> CheckItem:
         elif stopped is not None:
             what = f"sank by {fell_rad:.4f} rad in its brake before the requested stop, and is held by its drive again"
             advice = "its brake may not hold: support the arm before its axes are disabled, then try this brake again"
-            found.append(CheckItem("fail", trial.where, what, advice))
+            found.append(Finding("fail", trial.where, what, advice))
         if found:
             _hold_until_supported(trial, found[0], stopped is not None)
         if stopped is not None:
             raise stopped
         if found:
             return found[0]
-    return CheckItem("ok", trial.where, f"its brake held it for {WATCH_S[-1]:g} s: it moved by {moved_rad:.4f} rad")
+    return Finding("ok", trial.where, f"its brake held it for {WATCH_S[-1]:g} s: it moved by {moved_rad:.4f} rad")
 
 
-def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = BRAKE_DROP_RAD) -> CheckItem:
+def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = BRAKE_DROP_RAD) -> Finding:
     what = f"sank by {moved_rad:.4f} rad in its brake {how}; {allowed_rad} rad are allowed"
-    return CheckItem("fail", where, what, "this brake does not hold: do not power this arm before it is repaired")
+    return Finding("fail", where, what, "this brake does not hold: do not power this arm before it is repaired")
 
 
 def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[BrakeTest, BaseException | None]:
@@ -223,7 +223,7 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
     return test, stopped
 
 
-def _hold_until_supported(trial: _Trial, item: CheckItem, stopping: bool) -> None:
+def _hold_until_supported(trial: _Trial, item: Finding, stopping: bool) -> None:
     """Hold the arm under power: once its axes are disabled, the brake that has failed is all that carries it.
 
     `stopping`: a stop was already requested. A quick stop ends this after `SUPPORT_S`; a request that becomes one ends

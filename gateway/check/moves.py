@@ -31,9 +31,10 @@ from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import Workspace
 from gateway.preflight.drive_check import LOAD_LIMIT_PERCENT
-from gateway.preflight.rules import Axis, CheckItem
+from gateway.preflight.rules import Axis
 from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval
+from gateway.result.result import Finding
 
 #: Displacement of an axis [rad] of the first three at least, and of the last three beyond them: the wrist sees little
 #: gravity and reaches little.
@@ -53,12 +54,12 @@ class MoveCheck:
 
     Attributes
     ----------
-    items : tuple of CheckItem
+    items : tuple of Finding
     verdict : Verdict or None
         None where the arm had to be stopped, or its links are not known.
     """
 
-    items: tuple[CheckItem, ...]
+    items: tuple[Finding, ...]
     verdict: Verdict | None
 
 
@@ -149,10 +150,8 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
             run_plan(station, RunRequest(plan, LOAD))
         except LimitExceeded as error:
             advice = "check the order of the node ids, position_sign, torque_sign and gear_ratio of the axes by hand"
-            return MoveCheck(
-                (CheckItem("fail", f"J{error.joint}", f"small moves were stopped: {error}", advice),), None
-            )
-    items: list[CheckItem] = []
+            return MoveCheck((Finding("fail", f"J{error.joint}", f"small moves were stopped: {error}", advice),), None)
+    items: list[Finding] = []
     nothing = [TorqueSignals(axis.node_id, missing="the bus is too full for a third TPDO") for axis in config.axis]
     for joint, (axis, profile, drive, words) in enumerate(
         zip(config.axis, opened.profiles, group.drives, reader.signals or nothing, strict=True), start=1
@@ -161,7 +160,7 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
     if opened.workspace.links is None:
         what = "signs, order and gear ratios were not compared: the cell does not trust the robot's inertials"
         advice = 'set inertials = "prior:0.1" if the URDF has link masses'
-        items.append(CheckItem("warn", f"arm {config.name}", what, advice))
+        items.append(Finding("warn", f"arm {config.name}", what, advice))
         return MoveCheck(tuple(items), None)
     verdict = judge_wiring(_arm(opened), moves_of(opened, shelf.visits))
     node_ids = [axis.node_id for axis in config.axis]
@@ -198,7 +197,7 @@ def moves_of(opened: OpenArm, visits: Sequence[Visit]) -> Moves:
 # -------------------------------------------------------------------------------------------------------- in words
 
 
-def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[CheckItem]:
+def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Finding]:
     """A verdict as lines of the check.
 
     Parameters
@@ -211,7 +210,7 @@ def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Ch
     if verdict.misfit > MISFIT:
         what = f"torques differ from the model by {verdict.misfit:.1f} times what is allowed for, as wired"
         advice = "check the URDF's link masses, gravity_m_s2, what hangs on the arm, and the zero offsets"
-        items.append(CheckItem("warn", f"arm {arm}", what, advice))
+        items.append(Finding("warn", f"arm {arm}", what, advice))
     changed = {joint for wiring in verdict.found for joint in wiring.joints}
     for joint, view in enumerate(verdict.axes, start=1):
         if joint not in changed:
@@ -219,7 +218,7 @@ def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Ch
     return items
 
 
-def _found(node_ids: Sequence[int], wiring: Wiring, verdict: Verdict) -> CheckItem:
+def _found(node_ids: Sequence[int], wiring: Wiring, verdict: Verdict) -> Finding:
     joint = wiring.joints[0]
     where = f"J{joint} node {node_ids[joint - 1]}"
     rivals = [rival for rival in verdict.rivals if wiring is verdict.found[-1]]
@@ -227,14 +226,14 @@ def _found(node_ids: Sequence[int], wiring: Wiring, verdict: Verdict) -> CheckIt
         other = wiring.joints[1]
         what = f"the drives of J{joint} and J{other} are in each other's place"
         advice = f"exchange node ids {node_ids[joint - 1]} and {node_ids[other - 1]} in the cell file, or their cables"
-        return CheckItem("fail", where, what + _or(rivals), advice)
+        return Finding("fail", where, what + _or(rivals), advice)
     if wiring.name in ("gear_ratio", "torque_scale"):
         kind = "gear_ratio is" if wiring.name == "gear_ratio" else "torque reads"
         what = f"{kind} {wiring.factor:.2f} times what the model and the moves ask for"
         advice = (
             "correct gear_ratio" if wiring.name == "gear_ratio" else "check torque constant, rated torque, rms or peak"
         )
-        return CheckItem("fail", where, what + _or(rivals), advice)
+        return Finding("fail", where, what + _or(rivals), advice)
     words = {
         "reversed": ("turns the other way round than the model", "change position_sign and torque_sign both"),
         "position_reversed": ("position sign is reversed", "change position_sign"),
@@ -247,7 +246,7 @@ def _found(node_ids: Sequence[int], wiring: Wiring, verdict: Verdict) -> CheckIt
             "change torque_sign, or position_sign: see how it turns",
         )
         rivals = []
-    return CheckItem("fail", where, what + _or(rivals), advice)
+    return Finding("fail", where, what + _or(rivals), advice)
 
 
 def _or(rivals: Sequence[Wiring]) -> str:
@@ -262,7 +261,7 @@ def _or(rivals: Sequence[Wiring]) -> str:
     return f" (or {', '.join(words)}: not told apart here)"
 
 
-def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> CheckItem:
+def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> Finding:
     where = f"J{joint} node {node_ids[joint - 1]}"
     parts = [f"torque and position have the same sense (friction {view.band_nm:.2g} Nm)"]
     if abs(view.band_nm) < 3.0 * view.band_std_nm:
@@ -278,10 +277,10 @@ def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> CheckItem:
         missing.append(f"whether it is not {', '.join(f'J{other}' for other in view.swaps_unseen)}")
     if not missing:
         parts.append("sense of rotation and place agree with the model")
-        return CheckItem("ok", where, "; ".join(parts))
+        return Finding("ok", where, "; ".join(parts))
     parts.append(f"gravity on this axis is too small in this posture to determine: {', '.join(missing)}")
     advice = (
         f"see that joint {joint} turned by {step_rad(joint - 1, len(node_ids))} rad, in the model's positive sense "
         "when its angle rose; or repeat with a load or in another posture"
     )
-    return CheckItem("info", where, "; ".join(parts), advice)
+    return Finding("info", where, "; ".join(parts), advice)

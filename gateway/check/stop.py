@@ -28,7 +28,7 @@ from gateway.motion.state import StateTracker
 from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import Motion, straight
 from gateway.motion.workspace import Workspace
-from gateway.preflight.rules import CheckItem
+from gateway.result.result import Finding
 
 #: Speed of every joint while the heartbeat is withheld, and how far it may travel on its way.
 SPEED_RAD_S: Final = 0.05
@@ -55,7 +55,7 @@ class StopProof:
     traces : tuple of StopTrace, one per axis
     moved_rad, coast_rad : tuples of floats, one per axis
         Joint angle from the last heartbeat to rest, and from the last SYNC in OPERATION ENABLED to rest.
-    items : tuple of CheckItem
+    items : tuple of Finding
     quick_stop : tuple of StopTrace
         What the drives did when they were told to stop; empty where that was not tried.
     """
@@ -64,7 +64,7 @@ class StopProof:
     traces: tuple[StopTrace, ...]
     moved_rad: tuple[float, ...]
     coast_rad: tuple[float, ...]
-    items: tuple[CheckItem, ...]
+    items: tuple[Finding, ...]
     quick_stop: tuple[StopTrace, ...] = ()
 
     @property
@@ -255,7 +255,7 @@ def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> 
         stream.move([straight(stream.q_rad[0], target_rad, limits, opened.group.timing.period_s)], "go back")
 
 
-def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[CheckItem]:
+def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[Finding]:
     """How each drive has stopped when it was told to, one line per axis."""
     items = []
     coast = opened.arm.axes.joint_bound(np.array([trace.coast_rad for trace in traces]))
@@ -265,12 +265,12 @@ def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[Ch
         seen = f"quick stop: at rest after {rest_ms:.0f} ms and {way_rad:.4f} rad"
         if not trace.stood:
             advice = "check quick stop option 0x605A, ramp 0x6085 and the brake"
-            items.append(CheckItem("fail", where, "quick stop: it did not come to rest", advice))
+            items.append(Finding("fail", where, "quick stop: it did not come to rest", advice))
         elif trace.rest_s > QUICK_STOP_S or way_rad > COAST_RAD:
             advice = f"{1000 * QUICK_STOP_S:.0f} ms and {COAST_RAD} rad are allowed: make ramp 0x6085 steeper"
-            items.append(CheckItem("fail", where, seen, advice))
+            items.append(Finding("fail", where, seen, advice))
         else:
-            items.append(CheckItem("ok", where, seen))
+            items.append(Finding("ok", where, seen))
     return items
 
 
@@ -314,13 +314,13 @@ def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, l
     items = []
     for joint, trace in enumerate(traces, start=1):
         where = f"J{joint} node {trace.node_id}:{OBJECTS['consumer_heartbeat']}"
-        items += [CheckItem(*found) for found in _findings(where, trace, moved[joint - 1], coast[joint - 1])]
+        items += [Finding(*found) for found in _findings(where, trace, moved[joint - 1], coast[joint - 1])]
         if trace.node_id in left:
             advice = "find and remove the cause, then reset it at the drive"
-            items.append(CheckItem("fail", f"J{joint} node {trace.node_id}", left[trace.node_id], advice))
+            items.append(Finding("fail", f"J{joint} node {trace.node_id}", left[trace.node_id], advice))
     about = f"arm {opened.config.name}"
     what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint; the drives are back as they were"
-    items.insert(0, CheckItem("info", about, what))
+    items.insert(0, Finding("info", about, what))
     return StopProof(opened.config.name, traces, tuple(moved.tolist()), tuple(coast.tolist()), tuple(items))
 
 

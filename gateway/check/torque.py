@@ -17,7 +17,8 @@ from drives.objects import OBJECTS, object_name
 from drives.scaling import MotorScale
 from drives.torque_signals import TorqueSignals
 from gateway.cell.config import AxisConfig
-from gateway.preflight.rules import Axis, CheckItem, Severity
+from gateway.preflight.rules import Axis
+from gateway.result.finding import Finding, Severity
 
 #: SYNCs and different values that are needed to say anything.
 LEAST: Final = 200
@@ -70,7 +71,7 @@ class Scales:
         return cls(scale.torque_nm, current)
 
 
-def judge_torque(axis: Axis, words: TorqueSignals, scales: Scales) -> list[CheckItem]:
+def judge_torque(axis: Axis, words: TorqueSignals, scales: Scales) -> list[Finding]:
     """Judge where the torque of one drive comes from.
 
     Parameters
@@ -86,8 +87,8 @@ def judge_torque(axis: Axis, words: TorqueSignals, scales: Scales) -> list[Check
     if words.missing or len(torque) < LEAST:
         what = f"torque could not be compared with demand and current: {words.missing or 'too few answers'}"
         advice = "allow 0x1802 and 0x1A02 in the profile, if the drive has a third TPDO"
-        return [CheckItem("warn", where, what, advice)]
-    found = [CheckItem(severity, where, what, advice) for severity, what, advice in _rules(torque, words, scales)]
+        return [Finding("warn", where, what, advice)]
+    found = [Finding(severity, where, what, advice) for severity, what, advice in _rules(torque, words, scales)]
     return found or [_fine(where, torque, words)]
 
 
@@ -177,12 +178,12 @@ def _correlation(first: np.ndarray, second: np.ndarray) -> float:
     return 0.0 if spread == 0.0 else float(np.mean((first - first.mean()) * (second - second.mean())) / spread)
 
 
-def _fine(where: str, torque: np.ndarray, words: TorqueSignals) -> CheckItem:
+def _fine(where: str, torque: np.ndarray, words: TorqueSignals) -> Finding:
     others = {"demand": words.demand, "current": words.current}
     compared = [name for name, values in others.items() if len(values) == len(torque)]
     if not compared:
-        return CheckItem("warn", where, "the drive has neither demand nor current to compare the torque with")
+        return Finding("warn", where, "the drive has neither demand nor current to compare the torque with")
     what = f"a measured torque: compared with {' and '.join(compared)} at {len(torque)} SYNCs"
     if torque.min() < 0:
-        return CheckItem("ok", where, f"{what}; it has a sign")
-    return CheckItem("info", where, f"{what}; it was never negative here, so that a lost sign would not show")
+        return Finding("ok", where, f"{what}; it has a sign")
+    return Finding("info", where, f"{what}; it was never negative here, so that a lost sign would not show")

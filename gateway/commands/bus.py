@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from gateway.commands.cell_context import CellContext
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
-    from gateway.preflight.rules import CheckItem
+    from gateway.result.result import Finding
+
 
 DEFAULT_BUS = "socketcan:can0"
 #: Objects that are named one by one where more are left in the ledger.
@@ -122,7 +123,7 @@ def check(
 
     context = open_cell(cell, bus_spec, moving.pacing)
     session = session_of()
-    items: dict[str, list[CheckItem]] = {}
+    items: dict[str, list[Finding]] = {}
     proofs: list[dict[str, Any]] = []
     for arm in context.arms:
         items[arm.name] = _checked(context, arm)
@@ -140,8 +141,10 @@ def check(
         shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
         title = f"arm {name}: {_count(lines)}"
         session.show(findings_table(shown, title) if shown else title)
-    findings = [line.as_json() for lines in items.values() for line in lines]
     if json_out:
+        from gateway.result.values import plain_values
+
+        findings = plain_values([line for lines in items.values() for line in lines])
         body = {"schema": 1, "cell": context.loaded.cell.name, "findings": findings}
         write_json(json_out, body | ({"stop_proof": proofs} if proofs else {}))
     require_passed([line for lines in items.values() for line in lines], "check failed")
@@ -172,7 +175,7 @@ def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
 
 def _in_motion(
     context: CellContext, arm: ArmConfig, wanted: _Wanted, moving: MoveChoice
-) -> tuple[list[CheckItem], list[dict[str, Any]]]:
+) -> tuple[list[Finding], list[dict[str, Any]]]:
     """Checks that move the arm; the stop is proven before anything else moves."""
     from gateway.check.brakes import try_brakes
     from gateway.check.proofs import keep_proof, proven_on, slow_at_first
@@ -180,7 +183,7 @@ def _in_motion(
     from gateway.motion.holdtorun import with_held_input
     from gateway.motion.opening import open_arm
 
-    items: list[CheckItem] = []
+    items: list[Finding] = []
     seen: list[dict[str, Any]] = []
     path = context.stop_proof(arm)
     opening = open_arm(context.loaded, context.override(arm), arm.name)
@@ -205,7 +208,7 @@ def _in_motion(
     return items, seen
 
 
-def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[CheckItem, ...]:
+def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[Finding, ...]:
     from gateway.check.moves import check_moves
     from gateway.commands.progress import ProgressListener
 
@@ -214,7 +217,7 @@ def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[CheckItem, ...]
         return check_moves(opened, (ProgressListener(session, bar),), options).items
 
 
-def _checked(context: CellContext, arm: ArmConfig) -> list[CheckItem]:
+def _checked(context: CellContext, arm: ArmConfig) -> list[Finding]:
     """Computer, bus and drives of one arm; the computer is told of once."""
     from drives.realtime import available
     from gateway.preflight.machine import judge_realtime
@@ -223,7 +226,7 @@ def _checked(context: CellContext, arm: ArmConfig) -> list[CheckItem]:
     return items + context.check(arm)
 
 
-def _count(lines: Sequence[CheckItem]) -> str:
+def _count(lines: Sequence[Finding]) -> str:
     count = {kind: sum(line.severity == kind for line in lines) for kind in ("ok", "info", "warn", "fail")}
     return ", ".join(f"{number} {kind}" for kind, number in count.items())
 

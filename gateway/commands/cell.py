@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from gateway.newcell.cell_text import Left
     from gateway.newcell.interview import Draft
     from gateway.newcell.questions import CellQuestion
-    from gateway.preflight.rules import CheckItem
+    from gateway.result.result import Finding
+
 
 FILE = click.Path(path_type=Path, dir_okay=False)
 
@@ -217,7 +218,7 @@ def _save(said: CellAnswers, path: Path) -> None:
     replace_file(path, answers_text(said, _named_from(path.parent)))
 
 
-def _checked(output: Path, draft: Draft) -> list[CheckItem]:
+def _checked(output: Path, draft: Draft) -> list[Finding]:
     """The pre-flight check as far as it can be done: of the drives where there is a bus, else of the files alone."""
     from gateway.commands.cell_context import open_cell
     from gateway.model.arm_model import arm_robot
@@ -229,7 +230,7 @@ def _checked(output: Path, draft: Draft) -> list[CheckItem]:
     return [context.bus_load(arm), *(context.check_drives(arm) if draft.looked else ())]
 
 
-def _show(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[CheckItem]) -> None:
+def _show(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[Finding]) -> None:
     session = session_of()
     told = [item for item in items if item.severity in ("warn", "fail")]
     if told:
@@ -244,11 +245,13 @@ def _show(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence
     session.show(f"{output}: {len(said.said)} answers, {len(guesses)} keys assumed; next: servo-gateway check {output}")
 
 
-def _as_json(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[CheckItem]) -> dict[str, Any]:
+def _as_json(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[Finding]) -> dict[str, Any]:
+    from gateway.result.values import plain_values
+
     return {
         "schema": 1,
         "cell": str(output),
         "answers": len(said.said),
         "left": [{"key": entry.key, "value": entry.value, "why": entry.why, "how": entry.how} for entry in left],
-        "findings": [item.as_json() for item in items],
+        "findings": plain_values(items),
     }

@@ -29,7 +29,7 @@ from gateway.pair.gap import instruments_on
 from gateway.preflight.drive_check import check_arm, judge_bus_load
 from gateway.preflight.limits import MOVE_HOME
 from gateway.preflight.machine import judge_surroundings
-from gateway.preflight.rules import CheckItem
+from gateway.result.result import Finding
 
 #: From SYNC to SYNC while an arm is moved to learn it, where the cell does not ask for a shorter time [s].
 MOVING_SYNC_S: Final = 0.004
@@ -88,7 +88,7 @@ class CellContext:
         """Drive profiles of the axes."""
         return tuple(setup.profile for setup in axis_setups(self.loaded, arm))
 
-    def bus_load(self, arm: ArmConfig) -> CheckItem:
+    def bus_load(self, arm: ArmConfig) -> Finding:
         """Judge the planned load of an arm's bus, all arms on it included."""
         axes = [
             (axis.node_id, profile)
@@ -98,7 +98,7 @@ class CellContext:
         ]
         return judge_bus_load(self.loaded.cell.bus[arm.bus], axes, self.instruments(arm))
 
-    def surroundings(self, arm: ArmConfig) -> list[CheckItem]:
+    def surroundings(self, arm: ArmConfig) -> list[Finding]:
         """Judge what the drives of an arm are reached by: load of the bus, who can write to it, the SYNC's clock."""
         bus = self.loaded.cell.bus[arm.bus]
         return [self.bus_load(arm), *judge_surroundings(bus, self.bus_spec(arm))]
@@ -126,11 +126,11 @@ class CellContext:
                     raise
         return path
 
-    def check(self, arm: ArmConfig) -> list[CheckItem]:
+    def check(self, arm: ArmConfig) -> list[Finding]:
         """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
         return self.surroundings(arm) + self.check_drives(arm)
 
-    def check_drives(self, arm: ArmConfig) -> list[CheckItem]:
+    def check_drives(self, arm: ArmConfig) -> list[Finding]:
         """What the drives of an arm say to profile and cell; the computer is not judged, nothing is written."""
         with self.open_bus(arm) as bus:
             items = check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))

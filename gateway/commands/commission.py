@@ -55,14 +55,13 @@ from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.preflight.drive_check import require_passed
-from gateway.preflight.rules import CheckItem
 from gateway.result.result import Finding, Result
 
 
 class Dialogue(Protocol):
     """Whoever talks to the person."""
 
-    def checked(self, items: Sequence[CheckItem]) -> None:
+    def checked(self, items: Sequence[Finding]) -> None:
         """The pre-flight check is done."""
         ...
 

@@ -11,7 +11,7 @@ import time
 from collections.abc import Generator, Iterable, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from rich import box
 from rich.console import Console, ConsoleOptions
@@ -27,7 +27,7 @@ from gateway.result.interval import SAID
 from gateway.result.numerals import with_degrees, with_interval
 
 if TYPE_CHECKING:
-    from gateway.result.result import Result
+    from gateway.result.result import Finding, Result
 
 SEVERITY_STYLE = {"fail": "bold red", "warn": "yellow", "warning": "yellow", "ok": "green", "pass": "green"}
 PLAIN_WIDTH = 140
@@ -243,23 +243,10 @@ def axis_table(title: str, lines: Mapping[str, Sequence[float]]) -> Table:
     return grid(title, ["", *axis_names(max((len(row) - 1 for row in rows), default=0))], rows)
 
 
-class Judged(Protocol):
-    """A finding, or a line of the pre-flight check."""
-
-    @property
-    def severity(self) -> str: ...
-    @property
-    def where(self) -> str: ...
-    @property
-    def what(self) -> str: ...
-    @property
-    def advice(self) -> str: ...
-
-
-def findings_table(findings: Sequence[Judged], title: str = "findings") -> Table:
+def findings_table(findings: Sequence[Finding], title: str = "findings") -> Table:
     """Findings with their advice; the severity in colour."""
     table = grid(title, ["severity", "where", "what", "advice"], [], left=4)
-    for told in findings:
-        severity = Text(told.severity, style=SEVERITY_STYLE.get(told.severity, "default"))
-        table.add_row(severity, told.where, with_degrees(told.what), with_degrees(told.advice))
+    for finding in findings:
+        severity = Text(finding.severity, style=SEVERITY_STYLE.get(finding.severity, "default"))
+        table.add_row(severity, finding.where, with_degrees(finding.what), with_degrees(finding.advice))
     return table

@@ -12,14 +12,14 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import click
 
 from gateway.commands.console import findings_table
 from gateway.commands.pages import find_browser
 from gateway.commands.shared_options import common, json_option, session_of, write_json
-from gateway.preflight.rules import CheckItem
+from gateway.result.finding import Finding
 
 #: Versions of Python that it is tried on.
 TRIED: Final = ((3, 11), (3, 13))
@@ -46,16 +46,13 @@ def doctor(json_out: str | None) -> None:
     """
     checks = list(look(Path("/"), Path.cwd()))
     if json_out:
-        write_json(json_out, as_json(checks))
+        from gateway.result.values import plain_values
+
+        write_json(json_out, {"schema": 1, "checks": plain_values(checks)})
     session_of().show(findings_table(checks, "this computer"))
 
 
-def as_json(checks: list[CheckItem]) -> dict[str, Any]:
-    """The checks as plain values."""
-    return {"schema": 1, "checks": [each.as_json() for each in checks]}
-
-
-def look(root: Path, folder: Path) -> Iterator[CheckItem]:
+def look(root: Path, folder: Path) -> Iterator[Finding]:
     """Look at this computer.
 
     Parameters
@@ -74,23 +71,23 @@ def look(root: Path, folder: Path) -> Iterator[CheckItem]:
     yield _disk(folder)
 
 
-def _python() -> CheckItem:
+def _python() -> Finding:
     now = sys.version_info[:2]
     what = f"{platform.python_version()} ({sys.executable})"
     if TRIED[0] <= now <= TRIED[1]:
-        return CheckItem("ok", "Python", what)
+        return Finding("ok", "Python", what)
     low, high = (".".join(map(str, each)) for each in TRIED)
-    return CheckItem("warn", "Python", f"{what}: tried with {low} to {high}", f"python{low} -m venv .venv")
+    return Finding("warn", "Python", f"{what}: tried with {low} to {high}", f"python{low} -m venv .venv")
 
 
-def _system() -> CheckItem:
+def _system() -> Finding:
     what = f"{platform.system()} {platform.release()}"
     if sys.platform == "linux":
-        return CheckItem("ok", "system", what)
-    return CheckItem("warn", "system", f"{what}: reads data here, moves arms on Linux only", "use Linux for the bus")
+        return Finding("ok", "system", what)
+    return Finding("warn", "system", f"{what}: reads data here, moves arms on Linux only", "use Linux for the bus")
 
 
-def _real_time() -> Iterator[CheckItem]:
+def _real_time() -> Iterator[Finding]:
     from drives.realtime import available
 
     status = available()
@@ -100,7 +97,7 @@ def _real_time() -> Iterator[CheckItem]:
         ("real-time scheduler", status.fifo, "not permitted (RLIMIT_RTPRIO): the loop may be late under load"),
         ("locked memory", status.locked, "not permitted (RLIMIT_MEMLOCK): the loop may wait for the disk"),
     ):
-        yield CheckItem("ok", name, "permitted") if given else CheckItem("warn", name, missing, advice)
+        yield Finding("ok", name, "permitted") if given else Finding("warn", name, missing, advice)
 
 
 def kernel_has_can() -> bool:
@@ -114,10 +111,10 @@ def kernel_has_can() -> bool:
     return True
 
 
-def can_interfaces(root: Path, kernel: bool) -> Iterator[CheckItem]:
+def can_interfaces(root: Path, kernel: bool) -> Iterator[Finding]:
     """CAN interfaces of the system: driver, state and bit rate of each."""
     if not kernel:
-        yield CheckItem(
+        yield Finding(
             "warn",
             "CAN",
             "this kernel has no SocketCAN",
@@ -129,25 +126,25 @@ def can_interfaces(root: Path, kernel: bool) -> Iterator[CheckItem]:
     if not found:
         serial = sorted(each.name for each in (root / "dev").glob("ttyACM*"))
         slcan = f"; a serial adapter: sudo slcand -o -s8 /dev/{serial[0]} can0" if serial else ""
-        yield CheckItem("warn", "CAN", "no CAN interface", f"plug in an adapter, and see `dmesg | tail`{slcan}")
+        yield Finding("warn", "CAN", "no CAN interface", f"plug in an adapter, and see `dmesg | tail`{slcan}")
     for each in found:
         yield _interface(each)
 
 
-def _interface(place: Path) -> CheckItem:
+def _interface(place: Path) -> Finding:
     driver = (place / "device/driver").resolve().name if (place / "device/driver").exists() else "virtual"
     state, rate = _text(place / "operstate"), _bitrate(place.name)
     said = f"driver {driver}, {state or 'state unknown'}" + (f", {rate} bit/s" if rate else "")
     if driver == "virtual":
-        return CheckItem("ok", place.name, f"{said}: no wire behind it")
+        return Finding("ok", place.name, f"{said}: no wire behind it")
     bring_up = BRING_UP.format(name=place.name)
     if state == "down":
-        return CheckItem("warn", place.name, said, bring_up)
+        return Finding("warn", place.name, said, bring_up)
     if rate and rate not in BITRATES:
-        return CheckItem(
+        return Finding(
             "warn", place.name, f"{said}: not a bit rate of CiA 301", f"sudo ip link set {place.name} down; {bring_up}"
         )
-    return CheckItem("ok", place.name, said)
+    return Finding("ok", place.name, said)
 
 
 def _bitrate(name: str) -> int | None:
@@ -164,34 +161,34 @@ def _bitrate(name: str) -> int | None:
     return rate if isinstance(rate, int) else None
 
 
-def _clock(root: Path) -> Iterator[CheckItem]:
+def _clock(root: Path) -> Iterator[Finding]:
     source = _text(root / "sys/devices/system/clocksource/clocksource0/current_clocksource")
     if source and source not in FAST_CLOCKS:
-        yield CheckItem("warn", "clock", f"clock source {source} is slow to read", "boot with clocksource=tsc")
+        yield Finding("warn", "clock", f"clock source {source} is slow to read", "boot with clocksource=tsc")
     else:
         resolution_s = time.get_clock_info("monotonic").resolution
-        yield CheckItem("ok", "clock", f"{source or 'monotonic'}, resolution {1e9 * resolution_s:.0f} ns")
+        yield Finding("ok", "clock", f"{source or 'monotonic'}, resolution {1e9 * resolution_s:.0f} ns")
     if time.time() < CLOCK_SET_S:
-        yield CheckItem("warn", "time of day", "is not set: files carry a wrong date", "sudo timedatectl set-ntp true")
+        yield Finding("warn", "time of day", "is not set: files carry a wrong date", "sudo timedatectl set-ntp true")
 
 
-def _browser() -> CheckItem:
+def _browser() -> Finding:
     found = find_browser()
     if found is None:
-        return CheckItem(
+        return Finding(
             "warn", "browser", "none that prints PDF", "sudo apt-get install chromium; reports are HTML else"
         )
-    return CheckItem("ok", "browser", found)
+    return Finding("ok", "browser", found)
 
 
-def _disk(folder: Path) -> CheckItem:
+def _disk(folder: Path) -> Finding:
     free_gb = shutil.disk_usage(folder).free / 1e9
     what = f"{free_gb:.1f} GB free in {folder}"
     if not os.access(folder, os.W_OK):
-        return CheckItem("warn", "disk", f"{folder} cannot be written", "cd to a folder of your own")
+        return Finding("warn", "disk", f"{folder} cannot be written", "cd to a folder of your own")
     if free_gb < LEAST_GB:
-        return CheckItem("warn", "disk", what, "free some space, or record elsewhere: -o /other/disk/run.h5")
-    return CheckItem("ok", "disk", what)
+        return Finding("warn", "disk", what, "free some space, or record elsewhere: -o /other/disk/run.h5")
+    return Finding("ok", "disk", what)
 
 
 def _text(path: Path) -> str:

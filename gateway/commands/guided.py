@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from gateway.data.recording.recorded import Recording
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
-    from gateway.preflight.rules import CheckItem
     from gateway.result.acceptance import Expected
+    from gateway.result.result import Finding
 
 
 @click.command()
@@ -150,7 +150,7 @@ class Terminal:
     moving: MoveChoice
     refuse: Callable[[Plan], None] = lambda _plan: None
 
-    def checked(self, items: Sequence[CheckItem]) -> None:
+    def checked(self, items: Sequence[Finding]) -> None:
         """Show what is wrong."""
         shown = [item for item in items if item.severity in ("warn", "fail")]
         if shown:

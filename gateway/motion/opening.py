@@ -30,7 +30,8 @@ from gateway.motion.stops import StopKind, StopRequest, StopSource
 from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.preflight.drive_check import Preflight, look_over, require_passed
-from gateway.preflight.rules import CONFIRM_TORQUE, CheckItem, Readings
+from gateway.preflight.rules import CONFIRM_TORQUE, Readings
+from gateway.result.result import Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ class OpenArm:
     identities : tuple of Identity, one per axis
     constants : tuple of Constants, one per axis
         Read from the drives.
-    preflight : tuple of CheckItem
+    preflight : tuple of Finding
         What the drives were found to be before anything was written.
     readings : tuple of Readings, one per axis
         Objects of each drive as the engineer left them, (index, subindex) -> value.
@@ -89,7 +90,7 @@ class OpenArm:
     arm: Arm
     identities: tuple[Identity, ...]
     constants: tuple[Constants, ...]
-    preflight: tuple[CheckItem, ...]
+    preflight: tuple[Finding, ...]
     readings: tuple[Readings, ...]
 
 

@@ -8,7 +8,8 @@ from __future__ import annotations
 from typing import Final
 
 from drives.objects import OBJECTS
-from gateway.preflight.rules import Axis, CheckItem, Lines, Readings, counts_per_revolution, value_of
+from gateway.preflight.rules import Axis, Lines, Readings, counts_per_revolution, value_of
+from gateway.result.result import Finding
 
 #: Time from the cell's speed limit to rest [s] above which a quick stop is refused, and told.
 TOO_LONG_S: Final = 1.0
@@ -35,7 +36,7 @@ _OPTIONAL: Final = (
 )
 
 
-def judge_coasting(axis: Axis, readings: Readings) -> list[CheckItem]:
+def judge_coasting(axis: Axis, readings: Readings) -> list[Finding]:
     """Judge what one drive does when it is stopped, disabled or in fault.
 
     Parameters
@@ -46,7 +47,7 @@ def judge_coasting(axis: Axis, readings: Readings) -> list[CheckItem]:
 
     Returns
     -------
-    list of CheckItem
+    list of Finding
     """
     lines = Lines(axis)
     for rule in (_quick_stop, _fault_reaction, _power_off, _halt, _ramp, _missing):

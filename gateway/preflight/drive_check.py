@@ -30,7 +30,6 @@ from gateway.preflight.limits import judge_place, judge_ranges
 from gateway.preflight.rules import (
     Address,
     Axis,
-    CheckItem,
     Readings,
     conditions,
     judge_identity,
@@ -38,6 +37,7 @@ from gateway.preflight.rules import (
     judge_state,
 )
 from gateway.preflight.swap import SeenDrive, judge_places
+from gateway.result.result import Finding
 
 # Largest planned worst-case load of a bus that the clock paces.
 LOAD_LIMIT_PERCENT = 70.0
@@ -86,16 +86,16 @@ class Preflight:
 
     Attributes
     ----------
-    items : tuple of CheckItem
-    refusing : tuple of CheckItem
+    items : tuple of Finding
+    refusing : tuple of Finding
         Failing ones that nobody else would refuse; a drive in fault, or a joint outside its limits, is refused in words
         of its own when the drives are enabled or moved.
     readings : tuple of Readings, one per axis
         (index, subindex) -> value, None where the drive has no such object; as the engineer left them.
     """
 
-    items: tuple[CheckItem, ...]
-    refusing: tuple[CheckItem, ...]
+    items: tuple[Finding, ...]
+    refusing: tuple[Finding, ...]
     readings: tuple[Readings, ...]
 
 
@@ -169,7 +169,7 @@ def as_left(readings: Readings, identity: Identity, ledger: WriteLedger, bus: st
 
 def check_arm(
     bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile], ledger: WriteLedger | None = None
-) -> list[CheckItem]:
+) -> list[Finding]:
     """Check the drives of an arm; a drive that does not answer is a failing line, the others are still read.
 
     Drives in each other's place come before what each of them says of its limits, which follows from it.
@@ -193,7 +193,7 @@ def check_arm(
     answers = probe(bus, [config.node_id for config in arm.axis])
     silent = [node_id for node_id, number in answers.items() if number == 0]
     states = nmt_states(bus, silent, LISTEN_S) if silent else {}
-    items: list[CheckItem] = []
+    items: list[Finding] = []
     seen: list[SeenDrive] = []
     for axis in _axes(arm, profiles):
         node_id = axis.config.node_id
@@ -257,12 +257,12 @@ def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
     return Preflight(tuple(items), tuple(refusing), tuple(drive.readings for drive in seen))
 
 
-def require_passed(items: Sequence[CheckItem], otherwise: str) -> None:
+def require_passed(items: Sequence[Finding], otherwise: str) -> None:
     """Make sure that no item fails.
 
     Parameters
     ----------
-    items : sequence of CheckItem
+    items : sequence of Finding
     otherwise : str
         What an item that fails comes to: `nothing is measured`.
 
@@ -284,7 +284,7 @@ def _axes(arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[Axis]:
 
 def judge_bus_load(
     config: BusConfig, axes: Sequence[tuple[int, DriveProfile]], instruments: Sequence[InstrumentSetup] = ()
-) -> CheckItem:
+) -> Finding:
     """Worst-case share of the wire that the planned exchange of everything on a bus takes.
 
     Parameters
@@ -298,7 +298,7 @@ def judge_bus_load(
 
     Returns
     -------
-    CheckItem
+    Finding
         Failing above `LOAD_LIMIT_PERCENT` where the clock paces the bus; in lockstep the bus paces itself.
     """
     sizes = [0]
@@ -312,13 +312,13 @@ def judge_bus_load(
     what = f"planned {percent:.0f} % of {config.bitrate_bit_s} bit/s in the worst case, {len(axes)} drives"
     what += f", {len(instruments)} measuring device" if instruments else ""
     if percent <= LOAD_LIMIT_PERCENT:
-        return CheckItem("ok", "bus", what)
+        return Finding("ok", "bus", what)
     advice = f"set sync_period_s to at least {shortest_s:.4f}"
-    return CheckItem("fail" if config.pacing == "real" else "warn", "bus", what, advice)
+    return Finding("fail" if config.pacing == "real" else "warn", "bus", what, advice)
 
 
-def _twice(axis: Axis, answers: int) -> CheckItem:
-    return CheckItem(
+def _twice(axis: Axis, answers: int) -> Finding:
+    return Finding(
         "fail",
         f"J{axis.joint} node {axis.config.node_id}",
         f"{answers} devices answer at this node id",
@@ -326,8 +326,8 @@ def _twice(axis: Axis, answers: int) -> CheckItem:
     )
 
 
-def _stopped(axis: Axis) -> CheckItem:
-    return CheckItem(
+def _stopped(axis: Axis) -> Finding:
+    return Finding(
         "fail",
         f"J{axis.joint} node {axis.config.node_id}",
         "is in NMT state STOPPED, where a drive answers no question",
@@ -335,10 +335,10 @@ def _stopped(axis: Axis) -> CheckItem:
     )
 
 
-def _unreachable(axis: Axis, error: DriveError) -> CheckItem:
+def _unreachable(axis: Axis, error: DriveError) -> Finding:
     where = f"J{axis.joint} node {axis.config.node_id}"
     if isinstance(error, SdoAbort) and error.index is not None:
         place = f"{where}:{object_name(error.index, error.subindex or 0)}"
-        return CheckItem("fail", place, f"cannot be read: {error.what}", error.advice)
+        return Finding("fail", place, f"cannot be read: {error.what}", error.advice)
     advice = "check power, wiring and node id; `servo-gateway scan` shows who is there"
-    return CheckItem("fail", where, f"does not answer: {error.what}", advice)
+    return Finding("fail", where, f"does not answer: {error.what}", advice)

@@ -13,7 +13,8 @@ from drives.profile_file import find_profile
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cell.conversion import AxisConversion
 from gateway.errors import PlanRefused
-from gateway.preflight.rules import Axis, CheckItem, Lines, Readings, counts_per_revolution, value_of
+from gateway.preflight.rules import Axis, Lines, Readings, counts_per_revolution, value_of
+from gateway.result.result import Finding
 
 #: A following error window wider than so many of the cell's limits protects nothing.
 WIDE: Final = 4.0
@@ -23,7 +24,7 @@ _NARROW: Final = "narrow position_limit_rad to that, or lower the resolution of 
 MOVE_HOME: Final = "servo-gateway move CELL --to home"
 
 
-def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckItem]:
+def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
     """Judge where the joint stands, and the drive's own ranges, against the limits of the cell.
 
     Parameters
@@ -37,7 +38,7 @@ def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckIt
     return [*judge_place(axis, arm, readings), *judge_ranges(axis, arm, readings)]
 
 
-def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckItem]:
+def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
     """Where the joint stands, which any motion looks at again; parameters as `judge_limits`."""
     lines = Lines(axis)
     turn, position = counts_per_revolution(axis.profile, readings), value_of(readings, "position")
@@ -52,7 +53,7 @@ def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckIte
     return lines.items
 
 
-def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[CheckItem]:
+def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
     """The drive's software limits, its range of positions and its following error; parameters as `judge_limits`."""
     lines = Lines(axis)
     if counts_per_revolution(axis.profile, readings) is None:

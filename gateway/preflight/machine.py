@@ -13,7 +13,7 @@ from drives.bus import BusSpec
 from drives.bus_spec import NETWORKS
 from drives.realtime import RealTimeStatus
 from gateway.cell.config import BusConfig
-from gateway.preflight.rules import CheckItem
+from gateway.result.result import Finding
 
 #: How long a bare timer loop is measured [s], and what share of a period its 99 % may be late.
 MEASURE_S: Final = 0.3
@@ -53,7 +53,7 @@ def measure_lateness(period_s: float, timer: Timer | None = None) -> list[float]
     return late
 
 
-def judge_lateness(late_s: Sequence[float], period_s: float) -> CheckItem:
+def judge_lateness(late_s: Sequence[float], period_s: float) -> Finding:
     """Whether a SYNC of this period can be kept here.
 
     Parameters
@@ -68,19 +68,19 @@ def judge_lateness(late_s: Sequence[float], period_s: float) -> CheckItem:
         " cycles)"
     )
     if p99_s > LATE_SHARE * period_s:
-        return CheckItem("fail", "computer", what, "raise sync_period_s or free this computer")
-    return CheckItem("ok", "computer", what)
+        return Finding("fail", "computer", what, "raise sync_period_s or free this computer")
+    return Finding("ok", "computer", what)
 
 
-def judge_realtime(status: RealTimeStatus) -> CheckItem:
+def judge_realtime(status: RealTimeStatus) -> Finding:
     """Whether the loop may run with real-time priority in locked memory."""
     if status.fifo and status.locked:
-        return CheckItem("ok", "computer", "real-time scheduling (SCHED_FIFO) and locked memory are allowed")
+        return Finding("ok", "computer", "real-time scheduling (SCHED_FIFO) and locked memory are allowed")
     advice = "permit both: else other programs of this computer may delay the SYNC"
-    return CheckItem("info", "computer", status.why, advice)
+    return Finding("info", "computer", status.why, advice)
 
 
-def judge_bus(config: BusConfig, spec: BusSpec) -> list[CheckItem]:
+def judge_bus(config: BusConfig, spec: BusSpec) -> list[Finding]:
     """Whose the frame times are, and who can write to this bus.
 
     Parameters
@@ -91,19 +91,19 @@ def judge_bus(config: BusConfig, spec: BusSpec) -> list[CheckItem]:
         The bus that is used.
     """
     if spec.interface == "socketcan":
-        return [CheckItem("ok", "bus", "frame times are the kernel's")]
-    items = [CheckItem("info", "bus", f"{spec.interface}: frame times are those of its driver, not of the kernel")]
+        return [Finding("ok", "bus", "frame times are the kernel's")]
+    items = [Finding("info", "bus", f"{spec.interface}: frame times are those of its driver, not of the kernel")]
     if spec.interface in NETWORKS:
         what = f"{spec} is a network: anybody on it can write frames, a controlword too"
         if config.allow_real_drive:
             advice = "keep everybody else off this network, or connect the drives by an adapter of their own"
-            items.append(CheckItem("warn", "bus", f"{what}; allow_real_drive lets real drives be moved there", advice))
+            items.append(Finding("warn", "bus", f"{what}; allow_real_drive lets real drives be moved there", advice))
         else:
-            items.append(CheckItem("info", "bus", f"{what}; only simulated drives are moved there"))
+            items.append(Finding("info", "bus", f"{what}; only simulated drives are moved there"))
     return items
 
 
-def judge_surroundings(config: BusConfig, spec: BusSpec, timer: Timer | None = None) -> list[CheckItem]:
+def judge_surroundings(config: BusConfig, spec: BusSpec, timer: Timer | None = None) -> list[Finding]:
     """Bus and clock of one bus; where the drives pace the bus (lockstep) no clock has to be kept."""
     items = judge_bus(config, spec)
     if config.pacing == "real":

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Final, Literal
+from dataclasses import dataclass
+from typing import Final
 
 from drives.cia402 import FAULTED, Mode, State, decode_state, describe, mode_supported
 from drives.objects import OBJECTS, object_name
@@ -13,8 +13,8 @@ from drives.profile import Constant, DriveProfile, Signal
 from drives.profile_parts import Condition, SafetyCondition
 from drives.values import Identity
 from gateway.cell.config import AxisConfig
+from gateway.result.finding import Finding, Severity
 
-Severity = Literal["ok", "info", "warn", "fail"]
 #: Drive's and cell's torque limit farther apart than this are no choice but a mistake of units.
 IMPLAUSIBLE = 50.0
 #: Torque limits of one direction each, beside 0x6072.
@@ -24,32 +24,6 @@ SATURATES: Final = "readings saturate there; lower torque_limit_nm or raise the 
 
 Address = tuple[int, int]
 Readings = Mapping[Address, int | None]
-
-
-@dataclass(frozen=True, slots=True)
-class CheckItem:
-    """One line of the check.
-
-    Parameters
-    ----------
-    severity : str
-        `ok`, `info`, `warn` or `fail`.
-    where : str
-        `J2 node 2:6077:00 (torque)`.
-    what : str
-        What was found.
-    advice : str
-        What to do; empty where nothing is.
-    """
-
-    severity: Severity
-    where: str
-    what: str
-    advice: str = ""
-
-    def as_json(self) -> dict[str, str]:
-        """Plain values, the shape of a finding."""
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,22 +44,22 @@ class Lines:
 
     Attributes
     ----------
-    items : list of CheckItem
+    items : list of Finding
     """
 
     def __init__(self, axis: Axis) -> None:
         self.axis = axis
-        self.items: list[CheckItem] = []
+        self.items: list[Finding] = []
 
     def add(self, severity: Severity, address: Address | None, what: str, advice: str = "") -> None:
         """One more line, about an object or about the whole axis."""
         place = f"J{self.axis.joint} node {self.axis.config.node_id}"
         if address is not None:
             place += f":{object_name(*address)}"
-        self.items.append(CheckItem(severity, place, what, advice))
+        self.items.append(Finding(severity, place, what, advice))
 
 
-def judge_axis(axis: Axis, readings: Readings) -> list[CheckItem]:
+def judge_axis(axis: Axis, readings: Readings) -> list[Finding]:
     """Judge what one drive said of its state and of itself.
 
     Parameters
@@ -96,23 +70,23 @@ def judge_axis(axis: Axis, readings: Readings) -> list[CheckItem]:
 
     Returns
     -------
-    list of CheckItem
+    list of Finding
     """
     return [*judge_state(axis, readings), *judge_settings(axis, readings)]
 
 
-def judge_state(axis: Axis, readings: Readings) -> list[CheckItem]:
+def judge_state(axis: Axis, readings: Readings) -> list[Finding]:
     """State and constants: what bringing the drive up refuses with an error of its own; parameters as `judge_axis`."""
     return _judged(axis, readings, (_state, _rated, _resolution, _conditions))
 
 
-def judge_settings(axis: Axis, readings: Readings) -> list[CheckItem]:
+def judge_settings(axis: Axis, readings: Readings) -> list[Finding]:
     """How the drive is set up: what nobody else would refuse; parameters as `judge_axis`."""
     rules = (_obstacles, _mode, _torque_object, _torque_limits, _encoder, _scaling, _offsets, _watchdog)
     return _judged(axis, readings, rules)
 
 
-def _judged(axis: Axis, readings: Readings, rules: Sequence[Callable[[Lines, Readings], None]]) -> list[CheckItem]:
+def _judged(axis: Axis, readings: Readings, rules: Sequence[Callable[[Lines, Readings], None]]) -> list[Finding]:
     lines = Lines(axis)
     for rule in rules:
         rule(lines, readings)
@@ -125,7 +99,7 @@ def value_of(readings: Readings, name: str) -> int | None:
     return value if isinstance(value, int) else None
 
 
-def judge_identity(axis: Axis, identity: Identity) -> list[CheckItem]:
+def judge_identity(axis: Axis, identity: Identity) -> list[Finding]:
     """Judge who the drive says it is.
 
     Parameters

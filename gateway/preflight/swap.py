@@ -18,7 +18,8 @@ from drives.objects import OBJECTS
 from drives.values import Identity
 from gateway.cell.config import ArmConfig
 from gateway.preflight.limits import software_range_rad
-from gateway.preflight.rules import Axis, CheckItem, Readings, joint_torque_limit_nm
+from gateway.preflight.rules import Axis, Readings, joint_torque_limit_nm
+from gateway.result.result import Finding
 
 #: How far a drive's range may stand outside the cell's and still be that of the axis, as a share of the cell's span.
 WIDER: Final = 0.15
@@ -69,7 +70,7 @@ class _Pair:
 _Evidence = Callable[[_Pair], bool | None]
 
 
-def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[CheckItem]:
+def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[Finding]:
     """Name the drives that are in each other's place.
 
     Parameters
@@ -80,7 +81,7 @@ def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[CheckItem]
 
     Returns
     -------
-    list of CheckItem
+    list of Finding
         One failing line per pair; a warning where only the torques speak for it. A drive that would fit more than one
         other axis so well gives none.
     """
@@ -108,7 +109,7 @@ def _reasons(pair: _Pair) -> list[str]:
     return [] if reasons == [TORQUE] and limits_told else reasons
 
 
-def _line(first: Axis, second: Axis, reasons: Sequence[str]) -> CheckItem:
+def _line(first: Axis, second: Axis, reasons: Sequence[str]) -> Finding:
     joints = f"J{first.joint} and J{second.joint}"
     ids = f"{first.config.node_id} and {second.config.node_id}"
     what = f"the drives of {joints} look swapped (node ids or motor cables): each fits the other's axis by its "
@@ -117,7 +118,7 @@ def _line(first: Axis, second: Axis, reasons: Sequence[str]) -> CheckItem:
     if only_torque:
         advice = f"see which drive is wired to which motor; `servo-gateway check --move` tells; then exchange {ids}"
     where = f"J{first.joint} node {first.config.node_id}"
-    return CheckItem("warn" if only_torque else "fail", where, what + " and ".join(reasons), advice)
+    return Finding("warn" if only_torque else "fail", where, what + " and ".join(reasons), advice)
 
 
 def _models(pair: _Pair) -> bool | None:

@@ -8,8 +8,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from gateway.result.names import SILENT
 from gateway.result.origin import DriveOrigin
-from gateway.result.values import NAN, SILENT, Matrix, Number, Numbers, Vector, check_lengths
+from gateway.result.values import NAN, Matrix, Number, Numbers, Vector, check_lengths
 
 #: Role of a visit that no fit has seen because it was measured afterwards.
 FRESH = "fresh"

@@ -10,10 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from gateway.result.names import SILENT
 from gateway.result.origin import Origin
 from gateway.result.result import Finding
 from gateway.result.values import (
-    SILENT,
     Matrix,
     Number,
     Numbers,

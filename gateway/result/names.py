@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+#: Metadata of a field that is left out of a file where it is None or empty: `gateway.result.values.plain_values`.
+SILENT: Final = {"silent": True}
 #: About the centre of gravity, axes of the last link.
 INERTIA_PARTS: Final = tuple(f"inertia_{name}_kg_m2" for name in ("xx", "yy", "zz", "xy", "xz", "yz"))
 #: All of them.

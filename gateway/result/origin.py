@@ -12,7 +12,7 @@ from typing import Any
 from drives.printable import one_line
 from gateway import __version__
 from gateway.errors import InputError
-from gateway.result.values import SILENT
+from gateway.result.names import SILENT
 
 PROGRAM = "servo-gateway"
 

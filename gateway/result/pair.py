@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from gateway.result.values import NAN, SILENT, Matrix, Number, Vector, check_lengths, three
+from gateway.result.names import SILENT
+from gateway.result.values import NAN, Matrix, Number, Vector, check_lengths, three
 
 SCHEMA = 1
 #: Largest number that any run has, in whatever unit.

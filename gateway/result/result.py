@@ -16,10 +16,11 @@ from typing import Any, Literal
 
 from gateway.errors import InputError
 from gateway.result.drawn import Drawn
+from gateway.result.finding import Finding
+from gateway.result.names import SILENT
 from gateway.result.seal import refuse_edited, sealed
 from gateway.result.values import (
     NAN,
-    SILENT,
     Matrix,
     Number,
     Numbers,
@@ -39,7 +40,6 @@ UNKNOWN_SIX = (NAN,) * 6
 UNKNOWN_THREE = (NAN,) * 3
 Verdict = Literal["none_needed", "explained", "improved", "unexplained", "undecided"]
 HoldoutKind = Literal["fresh", "given", "blocks"]
-Severity = Literal["info", "warn", "fail"]
 Outcome = Literal["pass", "fail", "cannot tell"]
 #: Columns [m, hx, hy, hz] of each link.
 PER_LINK = 4
@@ -147,20 +147,6 @@ class NextMeasurement:
     poses_rad: Matrix = ()
     tells_apart: tuple[str, ...] = ()
     reduction: Number = field(default=NAN, metadata=SILENT)
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """Something the reader has to know: severity `info`, `warn` or `fail`.
-
-    `check` is the name of the test that reports it, for programs: it stays when the text changes.
-    """
-
-    severity: Severity
-    where: str
-    what: str
-    advice: str = ""
-    check: str = field(default="", metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """What every JSON file that leaves has in common: unknown numbers, plain values, refusals that name the key.
 
 NaN stands for "unknown" inside and is null in the file. A field that is marked `SILENT` is left out of the file where
-it says nothing, rather than written as null or as an empty list.
+it says nothing, rather than written as null, as an empty text or as an empty list.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ from pydantic_core import ErrorDetails
 from gateway.errors import InputError
 
 NAN: Final = math.nan
-SILENT: Final = {"silent": True}
 Model = TypeVar("Model")
 
 
@@ -91,7 +90,7 @@ def plain_values(value: Any) -> Any:
         return {
             item.name: plain
             for item, plain in items
-            if not item.metadata.get("silent") or (plain is not None and plain not in ([], {}))
+            if not item.metadata.get("silent") or (plain is not None and plain not in ("", [], {}))
         }
     if isinstance(value, Mapping):
         return {str(key): plain_values(item) for key, item in value.items()}

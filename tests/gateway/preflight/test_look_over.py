@@ -8,7 +8,7 @@ from drives.ledger import LedgerEntry, WriteLedger
 from drives.values import Identity
 from gateway.errors import FindingFailed
 from gateway.preflight.drive_check import as_left, require_passed
-from gateway.preflight.rules import CheckItem
+from gateway.result.result import Finding
 
 DRIVE = Identity(3, 0x00020192, 2, 7, 0x10000, 55, "drive", "1", "2.3")
 
@@ -33,7 +33,7 @@ def test_a_value_of_ours_counts_as_before_and_any_other_as_it_is(serial, found, 
 
 
 def test_the_first_failing_item_is_told_and_the_others_are_counted():
-    items = [CheckItem(kind, f"J{number}", "is wrong", "do this") for number, kind in enumerate(("ok", "fail", "fail"))]
+    items = [Finding(kind, f"J{number}", "is wrong", "do this") for number, kind in enumerate(("ok", "fail", "fail"))]
     require_passed(items[:1], "nothing has moved")
     with pytest.raises(FindingFailed, match=r"^nothing has moved: J1: is wrong; do this \(and 1 more\)$"):
         require_passed(items, "nothing has moved")
