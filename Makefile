@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
 
 venv: $(STAMP)
 
@@ -69,6 +69,10 @@ compare: venv
 # Statements about an arm that are wrong, and right ones: what passes silently, what raises an alarm; ten minutes.
 conflict: venv
 	$(BIN)/python -m benchmarks.conflict --out out/conflict
+
+# Certificate against a Monte Carlo, acceptance of 200 arms, measurements computed again: half an hour on an idle machine.
+certify: venv
+	$(BIN)/python -m benchmarks.certify --out out/certify
 
 vcan: venv
 	$(BIN)/python tests/vcan/vm.py

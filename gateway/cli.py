@@ -52,6 +52,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "estimate": ("identification", "Mass and centre of gravity of the load(s) from DATA."),
     "diagnose": ("identification", "What the model lacks, judged on data that no fit has seen."),
     "compare": ("compare", "Two results of one robot, before and after service: what changed."),
+    "accept": ("accept", "A load that was entered, judged at unseen poses over the workspace."),
     "replay": ("replay", "A stored measurement, computed again: what differs."),
     "report": ("report_export", "One HTML page from a result."),
     "export": ("report_export", "A load in a robot controller's syntax; a recording for other programs."),

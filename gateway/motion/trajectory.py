@@ -17,6 +17,8 @@ from gateway.errors import PlanRefused
 
 #: Speed [rad/s] or acceleration [rad/s2] that counts as none.
 STILL = 1e-9
+#: Share of the jerk limit that is tried where the full one gives no profile by rounding.
+_LESS_JERK = 0.999
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +118,13 @@ def _calculated(request: Any) -> Any:
     trajectory = ruckig.Trajectory(1)
     try:
         result = ruckig.Ruckig(1).calculate(request, trajectory)
-    except ruckig.RuckigError as error:
-        raise PlanRefused(f"no motion fits the limits: {error}") from error
+    except ruckig.RuckigError:
+        # rounding: ruckig finds no profile where a motion just reaches its largest acceleration
+        request.max_jerk = [_LESS_JERK * jerk for jerk in request.max_jerk]
+        try:
+            result = ruckig.Ruckig(1).calculate(request, trajectory)
+        except ruckig.RuckigError as error:
+            raise PlanRefused(f"no motion fits the limits: {error}") from error
     if result not in (ruckig.Result.Working, ruckig.Result.Finished):
         raise PlanRefused(f"no motion fits the limits ({result.name})")
     return trajectory

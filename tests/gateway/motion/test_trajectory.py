@@ -80,3 +80,12 @@ def test_rows_are_the_motion_at_the_syncs_and_the_last_one_stands():
     assert (motion.qdd_rad_s2[-1] == 0).all()
     slope = np.gradient(motion.qd_rad_s, PERIOD_S, axis=0)
     assert slope[2:-2] == pytest.approx(motion.qdd_rad_s2[2:-2], abs=0.03)
+
+
+@pytest.mark.parametrize("length", [0.06, 0.06000000000000005, 0.05999999999999994])
+def test_a_motion_that_just_reaches_its_largest_acceleration(length):
+    """Four ramps of a/j = 0.1 s: 2 a^3 / j^2 = 0.06 rad."""
+    limits = MotionLimits(np.full(6, 1.14), np.full(6, 3.0), np.full(6, 30.0))
+    motion = straight(np.zeros(6), np.full(6, length), limits, PERIOD_S)
+    assert motion.q_rad[-1] == pytest.approx(np.full(6, length))
+    assert len(motion) * PERIOD_S == pytest.approx(0.4, abs=2 * PERIOD_S)

@@ -1,0 +1,1 @@
+"""Certificate, acceptance over the workspace and replay, measured on simulated arms."""

@@ -1,0 +1,57 @@
+"""What the certificate states, whether a wrong load is accepted, and whether a stored measurement gives the same.
+
+python -m benchmarks.certify [--arms 200] [--draws 1000] [--replays 10] [--jobs 1] [--out out/certify]
+
+Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of their own.
+
+- Acceptance: a load is identified from ten poses of each arm with `estimate`. Half of the arms then get an error that
+  reaches twice the tolerance somewhere in the workspace: a load that was entered wrong, a spring, a cable, a tilted
+  base, a shifted joint zero, a hose on the forearm, a load that slipped. `accept` plans poses, they are measured with
+  other friction and noise, and `accept --from` decides.
+- Expanded uncertainty: Monte Carlo of JCGM 101. Torque constants, links, friction and noise are drawn from the priors
+  that the estimate assumes, the mass is estimated from each draw, and half the 95 % interval of its error is held
+  against the expanded uncertainty of the certificate.
+- Replay: stored measurements are computed again with another number of threads.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+
+
+def main(argv: list[str]) -> int:
+    """Exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.certify", description=__doc__)
+    parser.add_argument("--arms", type=int, default=200)
+    parser.add_argument("--draws", type=int, default=1000)
+    parser.add_argument("--replays", type=int, default=10)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("out/certify"))
+    arguments = parser.parse_args(argv)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    from benchmarks.blind.__main__ import run
+    from benchmarks.certify.acceptance import acceptance_figures, accepted_arm
+    from benchmarks.certify.certificate import certificate_figures, drawn_mass
+    from benchmarks.certify.replays import replay_figures, replayed
+    from tests.support.figure import show
+
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    out: Path = arguments.out
+    figures: dict[str, dict] = {}
+    arms = run(accepted_arm, range(arguments.arms), arguments.jobs, out / "arms.jsonl")
+    figures |= acceptance_figures(arms)
+    draws = run(drawn_mass, range(arguments.draws), arguments.jobs, out / "draws.jsonl")
+    figures |= certificate_figures(draws)
+    figures |= replay_figures(run(replayed, range(arguments.replays), arguments.jobs, out / "replays.jsonl"))
+    (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n", encoding="utf-8")
+    show(figures)
+    return 0 if all(entry["met"] is not False for entry in figures.values()) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

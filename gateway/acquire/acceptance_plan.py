@@ -1,0 +1,97 @@
+"""Poses that show an entered load over the whole workspace: few, unseen by its identification, and reachable."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from gateway.acquire.plan import Plan, check_plan, plan_poses
+from gateway.acquire.planning import CHOICES, visit_settings
+from gateway.acquire.poses import DISTANCE_RAD, PoseRequest, feasible_postures
+from gateway.cell.config import ArmConfig, LoadedCell
+from gateway.data.rest_pose import RestPose
+from gateway.errors import PlanRefused
+from gateway.identify.workspace_error import UNDECIDED, ErrorFamily, fewest_poses, resolution
+from gateway.motion.workspace import Workspace
+
+#: Postures that stand for the workspace.
+POSTURES: Final = 600
+MOST_POSES: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class AcceptancePlan:
+    """A plan, and the largest expected standard deviation of any error anywhere, over the tolerance."""
+
+    plan: Plan
+    resolution: float
+
+
+def workspace_postures(loaded: LoadedCell, workspace: Workspace) -> np.ndarray:
+    """Return postures (m, N) [rad] at which the arm can be measured, the same ones every time.
+
+    Raises
+    ------
+    PlanRefused
+        Too few postures are feasible.
+    """
+    poses = loaded.cell.poses
+    request = PoseRequest(MOST_POSES, 0, poses.approach_offset_rad, poses.seed)
+    return feasible_postures(workspace, request, np.random.default_rng([poses.seed, 1]))[:POSTURES]
+
+
+def plan_acceptance(
+    loaded: LoadedCell,
+    config: ArmConfig,
+    workspace: Workspace,
+    families: Callable[[np.ndarray], tuple[ErrorFamily, ...]],
+    noise: np.ndarray,
+    seen_rad: np.ndarray,
+) -> AcceptancePlan:
+    """Choose the fewest poses by which every error is resolved, and a checked path over them.
+
+    Parameters
+    ----------
+    loaded : LoadedCell
+    config : ArmConfig
+    workspace : Workspace
+    families : callable
+        Errors to look for, at postures (n, N).
+    noise : array of shape (N,)
+        Standard deviation of a measured torque over the tolerance.
+    seen_rad : array of shape (k, N)
+        Postures that the load was identified from.
+
+    Raises
+    ------
+    PlanRefused
+        The workspace cannot be reached, or the tolerance is too small for the noise.
+    """
+    postures = workspace_postures(loaded, workspace)
+    errors = families(postures)
+    far = np.abs(postures[:, None] - seen_rad[None]).max(axis=2).min(axis=1, initial=np.inf) >= DISTANCE_RAD
+    allowed = np.flatnonzero(far)
+    for _ in range(CHOICES):
+        if len(allowed) < MOST_POSES:
+            break
+        chosen = fewest_poses(errors, noise, allowed, MOST_POSES)
+        reached = resolution(errors, noise, chosen)
+        if reached > UNDECIDED:
+            raise PlanRefused(
+                f"arm '{config.name}': the tolerance is too small for the noise of the torque readings: {MOST_POSES} "
+                f"poses leave a standard deviation of {reached:.2g} of it somewhere, {UNDECIDED:g} is the most that "
+                f"can be decided; state a tolerance {reached / UNDECIDED:.2g} times as large"
+            )
+        visits = [RestPose(row + 1, tuple(postures[row].tolist()), "validation") for row in chosen]
+        plan, unreachable = plan_poses(config.name, workspace, visits, visit_settings(loaded, config))
+        if not unreachable:
+            check_plan(plan, workspace)
+            return AcceptancePlan(plan, reached)
+        allowed = np.setdiff1d(allowed, [pose.number - 1 for pose in unreachable])
+    raise PlanRefused(
+        f"arm '{config.name}': the workspace cannot be covered: no path that keeps the limits joins the poses that "
+        "show every error; narrow the joint limits to the part of the cell that the arm can reach"
+    )

@@ -1,0 +1,195 @@
+"""Whether an entered load predicts the torque at unseen poses: what it is judged by, and the answer as plain values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.analyse.given import Given
+from gateway.cell.config import ArmConfig
+from gateway.data.rows import Table
+from gateway.errors import DataUnusable, InputError
+from gateway.estimate.posture import refuse_other_bare
+from gateway.identify.workspace_error import (
+    GUARD,
+    WRONG_DECISION,
+    EnteredLoad,
+    WorkspaceError,
+    error_families,
+    inferred_error,
+)
+from gateway.model.kinematics import flange_frames, joint_axes_origins
+from gateway.model.robot import reach_m
+from gateway.model.visits import SAME_POSE_RAD, Visits, pair_visits
+from gateway.result.result import Result
+
+Floats = NDArray[np.float64]
+
+#: Singular values of the flange's Jacobian below this share of the largest carry no equivalent force.
+_LEAST_SINGULAR: Final = 0.05
+_AGAIN: Final = "measure the unloaded arm and the load in one run, and estimate with --cell"
+
+
+def entered_load(result: Result, label: str | None, about: Given) -> EnteredLoad:
+    """Return what a result predicts of an arm with one of its loads.
+
+    Raises
+    ------
+    InputError
+        Another arm, no such load, several and none is named, or a load that no such arm can hold.
+    DataUnusable
+        The load is not complete, or the unloaded arm was not identified, or not by the model used here.
+    """
+    loads = {load.label: load for load in result.loads}
+    if label is None and len(loads) != 1:
+        raise InputError(f"the result holds the loads {', '.join(loads) or 'none'}: name one of them by --label")
+    load = next(iter(loads.values())) if label is None else loads.get(label)
+    if load is None:
+        raise InputError(f"load '{label}' is not in the result; it holds {', '.join(loads) or 'none'}")
+    if load.refused or not all(map(math.isfinite, (load.mass_kg, *(load.com_m or (math.nan,))))):
+        raise DataUnusable(f"load '{load.label}' is not complete: {load.refused or ', '.join(load.unidentifiable)}")
+    wrong = about.load_bounds.violation(load.mass_kg, load.com_m or ())
+    if wrong:
+        raise InputError(f"load '{load.label}': {wrong}")
+    if result.effects:
+        names = ", ".join(sorted({effect.name for effect in result.effects}))
+        raise DataUnusable(f"the result holds effects ({names}), which the acceptance does not predict: {_AGAIN}")
+    if result.bare is None:
+        raise DataUnusable(f"the result holds no identification of the unloaded arm: {_AGAIN}")
+    refuse_other_bare(result.bare, about.model, about.gravity_m_s2)
+    if not all(map(math.isfinite, result.noise_floor_nm)) or len(result.noise_floor_nm) != about.model.axes:
+        raise DataUnusable(f"the result states no noise floor of some axis: {_AGAIN}, each pose from both sides")
+    return EnteredLoad(about.model, result.bare, load)
+
+
+def parse_tolerance(text: str, arm: ArmConfig) -> Floats:
+    """Tolerance (N,) [Nm] of `P%` of each torque limit, or of one number an axis [Nm].
+
+    Raises
+    ------
+    InputError
+    """
+    limits = np.array([axis.torque_limit_nm for axis in arm.axis])
+    try:
+        share = float(text[:-1]) / 100.0 if text.endswith("%") else None
+        values = np.array([float(word) for word in text.split(",")]) if share is None else share * limits
+    except ValueError:
+        values = np.zeros(0)
+    if values.shape != limits.shape or not (np.isfinite(values) & (values > 0) & (values <= limits)).all():
+        raise InputError(
+            f"--tolerance {text}: give P% of the torque limit of every axis, or {len(limits)} torques in Nm, such as "
+            f"3% or {','.join(f'{0.03 * limit:.3g}' for limit in limits)}"
+        )
+    return values
+
+
+def unseen(result: Result, q_rad: Floats) -> NDArray[np.bool_]:
+    """Which postures (n, N) are none of those that the result was computed from: (n,)."""
+    seen = seen_postures(result, q_rad.shape[1])
+    return np.abs(q_rad[:, None] - seen[None]).max(axis=2).min(axis=1, initial=np.inf) >= SAME_POSE_RAD
+
+
+def seen_postures(result: Result, axes: int) -> Floats:
+    """Postures (k, N) [rad] that a result was computed from."""
+    return np.array([] if result.rows is None else result.rows.q_rad, dtype=float).reshape(-1, axes)
+
+
+def accepted_over(
+    result: Result, entered: EnteredLoad, about: Given, table: Table, tolerance_nm: Floats, postures_rad: Floats
+) -> dict[str, Any]:
+    """Return the answer: outcome with the probability of a wrong decision, residual by pose, map.
+
+    Parameters
+    ----------
+    result : Result
+    entered : EnteredLoad
+    about : Given
+    table : Table
+        Rows of unseen poses under the load.
+    tolerance_nm : array of shape (N,)
+    postures_rad : array of shape (m, N)
+        That stand for the workspace.
+
+    Raises
+    ------
+    DataUnusable
+        No unseen pose under the load, or an axis was not measured.
+    """
+    label = entered.load.label
+    visits = pair_visits(table.take((table.load == label) & ~table.moving), about.efficiency, about.coupling)
+    visits = visits.take(unseen(result, visits.q_rad))
+    if not len(visits) or not np.isfinite(visits.sum_nm).all():
+        raise DataUnusable(f"the data hold no unseen pose under load '{label}' with the torque of every axis")
+    q_rad = np.vstack([postures_rad, visits.q_rad])
+    residual_nm = visits.sum_nm - entered.torque(visits.q_rad)
+    noise = np.array(result.noise_floor_nm) / tolerance_nm
+    measured = np.arange(len(postures_rad), len(q_rad))
+    found = inferred_error(error_families(entered, q_rad, tolerance_nm), measured, residual_nm / tolerance_nm, noise)
+    return {
+        "schema": 1,
+        "robot": entered.robot.name,
+        "load": label,
+        "mass_kg": entered.load.mass_kg,
+        "outcome": found.outcome,
+        "probability_of_wrong_decision": found.wrong_decision,
+        "largest_wrong_decision": WRONG_DECISION,
+        "probability_beyond_tolerance": found.exceeds,
+        "likeliest_error": found.likeliest or None,
+        "probability_of_likeliest_error": found.odds,
+        "tolerance_nm": tolerance_nm.tolist(),
+        "noise_floor_nm": list(result.noise_floor_nm),
+        "poses": _poses(entered, visits, residual_nm),
+        "map": _map(entered, q_rad, found),
+    }
+
+
+def _poses(entered: EnteredLoad, visits: Visits, residual_nm: Floats) -> list[Mapping[str, Any]]:
+    """Residual of each pose, and the force and moment at the flange that it is equivalent to."""
+    force_n, moment_nm = flange_equivalent(entered, visits.q_rad, residual_nm)
+    places = flange_frames(entered.robot, visits.q_rad)[:, :3, 3]
+    return [
+        {
+            "pose": int(visits.pose[row]),
+            "q_rad": visits.q_rad[row].tolist(),
+            "residual_nm": residual_nm[row].tolist(),
+            "flange_force_n": float(force_n[row]),
+            "flange_moment_nm": float(moment_nm[row]),
+            "flange_m": places[row].tolist(),
+        }
+        for row in range(len(visits))
+    ]
+
+
+def flange_equivalent(entered: EnteredLoad, q_rad: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:
+    """Force (n,) [N] and moment (n,) [Nm] at the flange that cause a torque (n, N): least squares of `J' w = tau`.
+
+    Near a singular posture the part of the torque that no moderate force explains is left out.
+    """
+    axes, origins = joint_axes_origins(entered.robot, q_rad)
+    place = flange_frames(entered.robot, q_rad)[:, None, :3, 3]
+    length_m = reach_m(entered.robot)
+    # rows of J': torque of each joint per force, and per moment over the reach of the arm
+    jacobian = np.concatenate([np.cross(axes, place - origins) / length_m, axes], axis=2)
+    wrench = np.einsum("nij,nj->ni", np.linalg.pinv(jacobian, rcond=_LEAST_SINGULAR), torque_nm / entered.factor())
+    return np.linalg.norm(wrench[:, :3], axis=1) / length_m, np.linalg.norm(wrench[:, 3:], axis=1)
+
+
+def _map(entered: EnteredLoad, q_rad: Floats, found: WorkspaceError) -> list[Mapping[str, Any]]:
+    """Place of the flange, error and guard band over the tolerance on the worst axis, of every posture."""
+    places = flange_frames(entered.robot, q_rad)[:, :3, 3]
+    worst = np.argmax(np.abs(found.mean) + GUARD * found.std, axis=1)
+    rows = np.arange(len(q_rad))
+    error, guard = np.abs(found.mean[rows, worst]), GUARD * found.std[rows, worst]
+    return [
+        {
+            "flange_m": places[row].tolist(),
+            "joint": int(worst[row]) + 1,
+            "error": float(error[row]),
+            "guard": float(guard[row]),
+        }
+        for row in rows
+    ]

@@ -1,0 +1,73 @@
+"""accept on simulated drives: poses are chosen, the arm moves as it is asked to, a wrong load fails."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from gateway.data.recording.reader import read
+
+pytestmark = pytest.mark.system
+
+
+def identified(place, gateway, drives):
+    """Record the unloaded arm and the load, and estimate."""
+    out = place.folder / "result.json"
+    for label in ("none", "load"):
+        drives.hang(label)
+        done = gateway("record", place.cell, "--load", label, "-o", place.run, "--yes", "--bus", drives.bus, "--resume")
+        assert done.exit_code == 0, done.output
+    done = gateway("estimate", place.run, "--cell", place.cell, "--json", out)
+    assert done.exit_code == 0, done.output
+    return out
+
+
+@pytest.mark.slow
+def test_a_right_load_passes_and_a_wrong_one_fails(place, serve, gateway, fast_arm):
+    drives = fast_arm(serve())
+    load = identified(place, gateway, drives)
+    out = place.folder / "accepted"
+    words = ["accept", place.cell, "--load", load, "--tolerance", "5%", "--bus", drives.bus, "--out", out]
+    refused = gateway(*words, input="n\n")
+    assert refused.exit_code == 130, refused.output
+    assert "has to be mounted" in refused.output
+    assert not (out / "accept.h5").exists()
+
+    done = gateway(*words, "--yes", "--json", place.folder / "a.json", "--report", place.folder / "a.html")
+    assert done.exit_code == 0, done.output
+    assert drives.stand_still()
+    answer = json.loads((place.folder / "a.json").read_text())
+    assert (answer["outcome"], answer["load"], answer["arm"]) == ("pass", "load", "main")
+    assert 2 <= len(answer["poses"]) <= 12
+    seen = {pose.q_rad for pose in place.recording().arms[0].poses}
+    assert not seen & {pose.q_rad for pose in read(out / "accept.h5").arms[0].poses}
+
+    drives.hang("none")
+    done = gateway(*words, "--yes", "--json", place.folder / "b.json")
+    assert done.exit_code == 7, done.output
+    answer = json.loads((place.folder / "b.json").read_text())
+    assert (answer["outcome"], answer["likeliest_error"]) == ("fail", "load")
+
+
+def test_a_tolerance_within_the_noise_is_refused_before_anything_moves(place, serve, gateway, identified_by_table):
+    drives = serve()
+    out = place.folder / "accepted"
+    words = ["--load", identified_by_table, "--tolerance", "0.01%", "--bus", drives.bus, "--out", out, "--yes"]
+    done = gateway("accept", place.cell, *words)
+    assert done.exit_code == 5, done.output
+    assert "too small for the noise" in " ".join(done.output.split())
+    assert not (out / "accept.h5").exists()
+
+
+@pytest.fixture
+def identified_by_table(place, gateway):
+    """A result of the small arm from a table, without a bus."""
+    from gateway.data.rows import concatenate
+    from gateway.data.table import write_csv
+    from tests.gateway.commands.test_accept import TOOL, rows
+
+    write_csv(concatenate([rows("none", None), rows("load", TOOL, start_s=300.0)]), place.folder / "seen.csv")
+    done = gateway("estimate", place.folder / "seen.csv", "--cell", place.cell, "--json", place.folder / "r.json")
+    assert done.exit_code == 0, done.output
+    return place.folder / "r.json"
