@@ -11,6 +11,7 @@ from gateway.data.table import Table, concatenate
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.identify.rest.linear import RestProblem
+from gateway.identify.solve import Basis, ByGroup
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.visits import pair_visits
 from gateway.result.result import Result
@@ -20,6 +21,11 @@ from sim.offline import PlannedVisit, Protocol, measure, point_jacobian
 from tests.support.rigs.tables import simulated_table
 
 STEP_S = 25.0
+
+
+def basis_of(orthogonal: np.ndarray) -> Basis:
+    """An orthonormal basis (n, p) as a fit has it."""
+    return Basis(ByGroup.of(orthogonal), np.ones(len(orthogonal)), np.eye(orthogonal.shape[1]))
 
 
 class Bench:

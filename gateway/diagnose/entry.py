@@ -48,9 +48,10 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
         held = None if options.holdout is None else behind_gears(options.holdout, *gears)
         result = diagnose_motion(behind_gears(table, *gears), robot, replace(options, holdout=held))
     else:
-        rest, at_rest = RestDiagnosis(robot, options), table.take(~table.moving)
-        refused = rest.refusal(at_rest)
-        result = refused or rest.report(rest.search(at_rest), options.holdout, options.holdout_kind)
+        rest = RestDiagnosis(robot, options)
+        read = rest.read(table.take(~table.moving))
+        refused = rest.refusal(read)
+        result = refused or rest.report(rest.search(read), options.holdout, options.holdout_kind)
         if table.moving.any():
             if not (refused or result.effects or options.masses):
                 result = _of_both(result, table, robot, options)

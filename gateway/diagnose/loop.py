@@ -42,17 +42,18 @@ def close_loop(
     """
     rest = RestDiagnosis(robot, options)
     table = table.take(~table.moving)
-    refused = rest.refusal(table)
+    read = rest.read(table)
+    refused = rest.refusal(read)
     if refused is not None:
         return refused, table
-    found = rest.search(table)
+    found = rest.search(read)
     result = rest.report(found)
     for _ in range(ROUNDS):
         poses = next_poses(result)
         if not len(poses):
             break
         table = concatenate([table, measure(poses)])
-        found = rest.search(table)
+        found = rest.search(rest.read(table))
         result = rest.report(found)
     if len(validation_rad):
         fresh = measure(np.asarray(validation_rad, dtype=float))

@@ -12,7 +12,7 @@ from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import axis_sigma, describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.conflict import settle, two_bodies
+from gateway.identify.conflict import SettledKnowledge, settle, two_bodies
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import require_postures, unknown_labels
 from gateway.identify.mass_change import mass_changes
@@ -29,7 +29,9 @@ Floats = NDArray[np.float64]
 _LEAST_ROWS = 30
 
 
-def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
+def estimate_joint(
+    visits: Visits, robot: Robot, options: EstimateOptions, settled: SettledKnowledge | None = None
+) -> Estimate:
     """Estimate all unknown loads together.
 
     A load whose data contradict each other is refused; the others are then estimated without its rows.
@@ -39,6 +41,8 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     visits : Visits
     robot : Robot
     options : EstimateOptions
+    settled : SettledKnowledge, optional
+        Of these visits and options, where it is known.
 
     Raises
     ------
@@ -50,7 +54,7 @@ def estimate_joint(visits: Visits, robot: Robot, options: EstimateOptions) -> Es
     knowledge = knowledge_of(options)
     for label in unknown_labels(visits.load, knowledge.known):
         require_postures(visits.q_rad[visits.load == label], label)
-    settled = settle(robot, visits, knowledge)
+    settled = settle(robot, visits, knowledge) if settled is None else settled
     problem, fit = settled.stated
     refused = {
         label: refused_load(label, reason, per_pose_mass(problem, fit, problem.labels.index(label)))

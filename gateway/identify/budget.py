@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.solve import Prior
+from gateway.identify.solve import ByGroup, Prior
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -46,7 +46,7 @@ class Sources:
 
 
 def budget_of(
-    design: Floats, weight: Floats, prior: Prior, covariance: Floats, direction: Floats, sources: Sources
+    design: ByGroup, weight: Floats, prior: Prior, covariance: Floats, direction: Floats, sources: Sources
 ) -> Mapping[str, float]:
     """Share of the variance of `direction @ x` by source, sum 1, whatever the order.
 
@@ -56,7 +56,7 @@ def budget_of(
 
     Parameters
     ----------
-    design : array of shape (n, p)
+    design : columns (n, p)
     weight : array of shape (n,)
         One over the standard deviation of each row.
     prior : Prior
@@ -72,7 +72,7 @@ def budget_of(
     """
     reach = covariance @ direction
     held = np.isfinite(prior.std)
-    by_row = (design @ reach * weight) ** 2
+    by_row = (design.times(reach) * weight) ** 2
     by_prior = np.zeros(len(reach))
     by_prior[held] = (reach[held] / prior.std[held]) ** 2
     nothing = np.zeros(len(reach))

@@ -63,8 +63,12 @@ class SettledKnowledge:
     findings: tuple[Finding, ...]
 
 
-def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> SettledKnowledge:
+def settle(
+    robot: Robot, rows: Visits, knowledge: Knowledge, stated: tuple[RestProblem, Fit] | None = None
+) -> SettledKnowledge:
     """Fit the visits without effects, and widen or drop the statements that they contradict.
+
+    `stated` is the problem and the fit of these visits with the knowledge as it is stated, where they are known.
 
     Raises
     ------
@@ -72,9 +76,10 @@ def settle(robot: Robot, rows: Visits, knowledge: Knowledge) -> SettledKnowledge
         As `build_problem`.
     """
     trusted, placeholder = without_placeholder(robot, knowledge)
-    problem = build_problem(robot, rows, trusted)
-    fit = fit_without_effects(problem)
-    settled, stated = trusted, (problem, fit)
+    if stated is None:
+        problem = build_problem(robot, rows, trusted)
+        stated = problem, fit_without_effects(problem)
+    settled, (problem, fit) = trusted, stated
     for _ in range(_ROUNDS):
         wider = _wider_knowledge(problem, fit, robot, settled)
         if wider is None:

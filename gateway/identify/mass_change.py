@@ -93,21 +93,20 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
 
 def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
     """Place in the visits in their order in time, from which on a further body takes up most of the residual."""
-    weight = 1.0 / fit.noise.std[problem.group]
-    body = fit.design[:, problem.link_part][:, -4:] * weight[:, None]
-    residual = fit.residual * weight
-    visit, orthogonal = problem.visit, fit.orthogonal
-    size, slope = np.zeros((4, 4)), np.zeros(4)
-    shared = np.zeros((orthogonal.shape[1], 4))
-    gains = np.zeros(len(order))
-    for place in range(len(order) - 1, _LEAST_VISITS - 1, -1):
-        own = visit == order[place]
-        size += body[own].T @ body[own]
-        slope += body[own].T @ residual[own]
-        shared += orthogonal[own].T @ body[own]
-        if len(order) - place >= _LEAST_VISITS:
-            gains[place] = slope @ np.linalg.pinv(size - shared.T @ shared, rcond=1e-6, hermitian=True) @ slope
-    return int(np.argmax(gains))
+    weight, last = 1.0 / fit.noise.std[problem.group], problem.link_part.stop - 4
+    place = np.full(len(problem.rows), -1)
+    place[order] = np.arange(len(order))[::-1]  # sums over the visits begin at the last one
+    rows = np.flatnonzero(place[problem.visit] >= 0)
+    body = (fit.columns.times(np.eye(len(fit.scale))[:, last : last + 4]) * weight[:, None])[rows]
+    products = [body * column[:, None] for column in (*body.T, (fit.residual * weight)[rows])]
+    own = place[problem.visit[rows]]
+    sums = [np.bincount(own, column, len(order)) for column in np.hstack(products).T]
+    size, slope = np.split(np.cumsum(sums, axis=1).T, [16], axis=1)
+    taken = fit.columns.across_by(body / fit.weighed_by[problem.group[rows], None], rows, own, len(order))
+    shared = fit.inverse.T @ np.cumsum(taken, axis=0)
+    left = np.linalg.pinv(size.reshape(-1, 4, 4) - shared.transpose(0, 2, 1) @ shared, rcond=1e-6, hermitian=True)
+    gains = np.einsum("vi,vij,vj->v", slope, left, slope)[::-1]
+    return int(np.argmax(gains[_LEAST_VISITS : len(order) - _LEAST_VISITS + 1])) + _LEAST_VISITS
 
 
 def _divided(problem: RestProblem, later: Ints) -> RestProblem:

@@ -6,6 +6,7 @@ memory grow linearly with the rows, and it may be called thousands of times.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -187,17 +188,29 @@ class ByGroup:
     @staticmethod
     def of(design: Floats, group: Ints | None = None) -> ByGroup:
         """From an array (n, p) and the group (n,) of each row; without groups all rows use all columns."""
-        if group is None:
-            groups = [(np.arange(len(design)), np.arange(design.shape[1]))]
-        else:
-            rows_of = [np.flatnonzero(group == number) for number in np.unique(group)]
-            groups = [(rows, np.flatnonzero(design[rows].any(axis=0))) for rows in rows_of]
-        parts = [
-            (rows[first : first + _CHUNK], columns, design[np.ix_(rows[first : first + _CHUNK], columns)])
-            for rows, columns in groups
-            for first in range(0, len(rows), _CHUNK)
-        ]
+        every = np.arange(design.shape[1])
+        rows_of = [np.arange(len(design))] if group is None else [np.flatnonzero(group == g) for g in np.unique(group)]
+        parts = (part for rows in rows_of for part in _parts(rows, every, design[rows], keep=group is None))
         return ByGroup(len(design), design.shape[1], tuple(parts))
+
+    @staticmethod
+    def of_groups(count: int, width: int, groups: Iterable[tuple[Ints, Ints, Floats]]) -> ByGroup:
+        """Of `count` rows and `width` columns, from rows (m,), columns (c,) and values (m, c) of each group."""
+        return ByGroup(count, width, tuple(part for group in groups for part in _parts(*group)))
+
+    def beside(self, more: Floats) -> ByGroup:
+        """The same with further columns (n, k) behind."""
+        parts = []
+        for rows, columns, values in self.parts:
+            own = more[rows]
+            used = np.flatnonzero(own.any(axis=0))
+            parts.append((rows, np.append(columns, self.width + used), np.hstack([values, own[:, used]])))
+        return ByGroup(self.count, self.width + more.shape[1], tuple(parts))
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the values."""
+        return sum(values.nbytes for _, _, values in self.parts)
 
     @property
     def dense(self) -> Floats:
@@ -214,10 +227,42 @@ class ByGroup:
             out[rows] = values @ value[columns]
         return out
 
+    def across(self, values: Floats, at: Ints | None = None) -> Floats:
+        """Product (p, ...) of the transposed columns with rows (n, ...), or with those `at` (m,): whole groups."""
+        out = np.zeros((self.width, *values.shape[1:]))
+        place = np.full(self.count, -1)
+        place[slice(None) if at is None else at] = np.arange(len(values))
+        for rows, columns, own in self.parts:
+            if place[rows[0]] >= 0:
+                out[columns] += own.T @ values[place[rows]]
+        return out
+
+    def across_by(self, values: Floats, at: Ints, place: Ints, count: int) -> Floats:
+        """Product of the transposed columns with rows `at` (m, k), which hold groups, summed by place: (count, p, k).
+
+        Of each group there is one row at a place (m,) at most.
+        """
+        out = np.zeros((count, self.width, values.shape[1]))
+        number = np.full(self.count, -1)
+        number[at] = np.arange(len(at))
+        for rows, columns, own in self.parts:
+            here = number[rows]
+            own, here = own[here >= 0], here[here >= 0]
+            out[place[here][:, None], columns] += own[:, :, None] * values[here][:, None, :]
+        return out
+
     def first(self, width: int) -> ByGroup:
         """The same with the first columns alone."""
         parts = [(rows, columns[columns < width], values[:, columns < width]) for rows, columns, values in self.parts]
         return ByGroup(self.count, width, tuple(parts))
+
+
+def _parts(rows: Ints, columns: Ints, values: Floats, *, keep: bool = False) -> Iterator[tuple[Ints, Ints, Floats]]:
+    """Chunks of one group, without columns that are zero in all of its rows unless they are to be kept."""
+    used = slice(None) if keep else np.flatnonzero(values.any(axis=0))
+    for first in range(0, len(rows), _CHUNK):
+        chunk = slice(first, first + _CHUNK)
+        yield rows[chunk], columns[used], np.ascontiguousarray(values[chunk, used])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -242,6 +287,28 @@ class Basis:
         for rows, columns, values in self.rows.parts:
             out[rows] = (values * self.weight[rows, None]) @ self.inverse[columns]
         return out
+
+    def of(self, at: Ints) -> Floats:
+        """Some rows (m, rank) of it, in ascending order."""
+        out = np.zeros((len(at), self.inverse.shape[1]))
+        for rows, columns, values in self.rows.parts:
+            here = np.isin(rows, at, assume_unique=True)
+            weighted = values[here] * self.weight[rows[here], None]
+            out[np.searchsorted(at, rows[here])] = weighted @ self.inverse[columns]
+        return out
+
+    def across(self, values: Floats, at: Ints | None = None) -> Floats:
+        """Product (rank, ...) of the transposed basis with rows (n, ...) or those `at` (m,), as of `ByGroup`."""
+        weight = self.weight if at is None else self.weight[at]
+        return np.asarray(self.inverse.T @ self.rows.across((values.T * weight).T, at), dtype=float)
+
+    def times(self, value: Floats) -> Floats:
+        """Product (n, ...) with coordinates (rank, ...)."""
+        return np.asarray((self.rows.times(self.inverse @ value).T * self.weight).T, dtype=float)
+
+    def left(self, values: Floats) -> Floats:
+        """What the basis leaves of rows (n, ...)."""
+        return values - self.times(self.across(values))
 
     @property
     def leverage(self) -> Floats:

@@ -99,6 +99,19 @@ class Prediction:
     joint_nm: Floats
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Bent:
+    """Elastic gears in equilibrium: torque (n, N), `matrix` (n, N, N) that a torque is divided by, gravity rows
+    (n, N, 4 N) with their slopes (n, N, N, 4 N) at angles close by, and how far `away` (n, N) those are.
+    """
+
+    torque: Floats
+    matrix: Floats
+    rows: Floats
+    slopes: Floats
+    away: Floats
+
+
 class Model:
     """Rows of one robot at given visits; regressors of the same geometry are computed once.
 
@@ -144,7 +157,9 @@ class Model:
         if not setting.compliance_rad_nm.any():
             rows = self.regressor(setting)
             return _dot(rows, bodies) - self.passive(setting), rows
-        return self._wound_up(setting, bodies)
+        bent = self._wound_up(setting, bodies)
+        rows = bent.rows + np.einsum("nijk,nj->nik", bent.slopes, bent.away)
+        return bent.torque, np.linalg.solve(bent.matrix, rows)
 
     def passive(self, setting: AlteredModel) -> Floats:
         """Torque (n, N) that springs, cables and pulls exert on the joints."""
@@ -165,7 +180,7 @@ class Model:
             self._levers = levers
         return self._levers
 
-    def _wound_up(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
+    def _wound_up(self, setting: AlteredModel, bodies: Floats) -> _Bent:
         """Equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, bent until it fits."""
         straight = self.rows.q_rad + setting.zero_offset_rad
         steps = 0
@@ -175,16 +190,16 @@ class Model:
             bent, at_bent, slopes = self._bent  # type: ignore[misc]
             if setting.tilt_rad.any():
                 at_bent = self._rows_at(bent, setting.tilt_rad)
-            stiffness = np.einsum("nijk,nk->nij", slopes, bodies)
+            stiffness = np.matmul(slopes.reshape(len(bent), -1, bodies.shape[1]), bodies[:, :, None])
+            stiffness = stiffness.reshape(slopes.shape[:3])
             torque = _dot(at_bent, bodies) - self.passive(setting)
-            torque = torque + np.matmul(stiffness, (straight - bent)[:, :, None])[:, :, 0]
+            torque = torque + _dot(stiffness, straight - bent)
             matrix = np.eye(self.rows.axes) + stiffness * setting.compliance_rad_nm
             torque = np.linalg.solve(matrix, torque[:, :, None])[:, :, 0]
             away = straight - setting.compliance_rad_nm * torque - bent
             steps += 1
             if np.abs(away).max() < _NEAR_RAD or steps == _WIND_UP_STEPS:
-                rows = at_bent + np.einsum("nijk,nj->nik", slopes, away)
-                return torque, np.linalg.solve(matrix, rows)
+                return _Bent(torque, matrix, at_bent, slopes, away)
             self._bend(bent + away)
 
     def _bend(self, q: Floats) -> None:
@@ -196,7 +211,7 @@ class Model:
         rows = gravity_regressor(self.robot, around.reshape(-1, count), self.gravity)
         rows = rows.reshape(2 * count + 1, len(q), count, 4 * count)
         slopes = (rows[1 : count + 1] - rows[count + 1 :]) / (2.0 * _SLOPE_STEP_RAD)
-        self._bent = q, rows[0], slopes.transpose(1, 2, 0, 3)
+        self._bent = q, rows[0], np.ascontiguousarray(slopes.transpose(1, 2, 0, 3))
 
     def predict(self, setting: AlteredModel, links: Floats, load: Floats, band_nm: Floats) -> Prediction:
         """Modelled readings.
@@ -208,8 +223,10 @@ class Model:
         load : array of shape (n, 4), the load's [m, hx, hy, hz] at each visit
         band_nm : array of shape (N,), mean friction against the direction of approach
         """
-        torque, _ = self.joint_torque(setting, self.bodies(setting, links, load))
-        return self.readings(setting, torque, band_nm)
+        bodies = self.bodies(setting, links, load)
+        if setting.compliance_rad_nm.any():
+            return self.readings(setting, self._wound_up(setting, bodies).torque, band_nm)
+        return self.readings(setting, self.joint_torque(setting, bodies)[0], band_nm)
 
     def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
         """Readings from the torque (n, N) the gears transmit."""

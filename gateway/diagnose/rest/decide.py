@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -136,11 +136,8 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
     share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
     share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
     weight = 1.0 / whole.noise.std[problem.group]
-    common = whole.columns.first(problem.n_common)
-    basis, _ = projection(
-        problem, replace(whole, terms=(), theta=(), columns=common, prior_std=problem.common_std), weight
-    )
-    left = share * weight - basis @ (basis.T @ (share * weight))
+    basis, _ = projection(whole, whole.columns.first(problem.n_common), problem.common_std, weight)
+    left = basis.left(share * weight)
     return float(np.sqrt((problem.by_group(left**2) / np.maximum(problem.by_group(), 1)).max()))
 
 

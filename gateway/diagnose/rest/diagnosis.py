@@ -50,7 +50,7 @@ from gateway.estimate import to_result
 from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint, knowledge_of
 from gateway.identify.aside import Aside, gross_aside
-from gateway.identify.conflict import settle, two_bodies, without_placeholder
+from gateway.identify.conflict import SettledKnowledge, settle, two_bodies, without_placeholder
 from gateway.identify.links import parse_inertials
 from gateway.identify.loads import BARE_LABEL, require_postures
 from gateway.identify.mass_change import mass_changes
@@ -86,17 +86,29 @@ LESS: Final[Mapping[Verdict, Verdict]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """A search that has run on the visits of `table`, after the mistakes in them were undone."""
+class ReadVisits:
+    """Visits of a table without the gross torques that were set aside, and the fit without effects."""
 
     table: Table
+    aside: Aside
+    problem: RestProblem
+    plain: Fit
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A search that has run on the visits as they were `read`, and are `now`: the mistakes in them undone.
+
+    `settled` are the statements as tested against these visits, where they were.
+    """
+
+    read: ReadVisits
+    now: ReadVisits
     search: Search
     chosen: Fit
     mistakes: tuple[Mistake, ...]
     gained: float
-    aside: Aside
-    knowledge: Knowledge
-    findings: tuple[Finding, ...] = ()
+    settled: SettledKnowledge | None = None
 
     @property
     def score(self) -> float:
@@ -133,35 +145,48 @@ class RestDiagnosis:
         """Gross torques of visits as they were read."""
         return gross_aside(rows, self.robot, self.knowledge.gravity_m_s2)
 
+    def read(self, table: Table) -> ReadVisits:
+        """Read the visits of a table, set gross torques aside, and fit what is left without effects."""
+        rows = self._rows(table)
+        return self._fitted(table, rows, self.aside(rows))
+
+    def _fitted(self, table: Table, rows: Visits, aside: Aside) -> ReadVisits:
+        problem = build_problem(self.robot, rows.unmeasured(aside.mask), self.knowledge)
+        return ReadVisits(table, aside, problem, fit_without_effects(problem))
+
     def problem(self, table: Table, aside: Aside) -> RestProblem:
         """Rows of a table as a problem, without what was set aside."""
         return build_problem(self.robot, self._rows(table).unmeasured(aside.mask), self.knowledge)
 
-    def search(self, table: Table) -> Found:
+    def search(self, read: ReadVisits) -> Found:
         """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
-        aside = self.aside(self._rows(table))
-        build = partial(self.problem, aside=aside)
-        problem = build(table)
+        build, problem = partial(self.problem, aside=read.aside), read.problem
         for label in problem.labels:
             require_postures(problem.rows.q_rad[problem.rows.load == label], label)
-        plain = fit_without_effects(problem)
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
-        looked = beyond_any_effect(problem, plain)
+        looked = beyond_any_effect(problem, read.plain)
         if looked:
-            mistakes, gained = find_mistakes(table, build, self.options.allowed)
-            if gained > REST.obvious and self._settled(build(_undone(table, mistakes))):
-                at_once = self.searched(table, aside, mistakes, gained)
-                if not at_once.taken_back:
-                    return at_once
-        found = self.searched(table, aside, (), 0.0)
-        if not looked and (suspicious(found.search.problem, found.chosen) or links_far_from_cad(problem, plain)):
-            mistakes, gained = find_mistakes(table, build, self.options.allowed)
+            mistakes, gained = find_mistakes(read.table, build, self.options.allowed)
+            if gained > REST.obvious:
+                undone = self._undone(read, mistakes)
+                if not suspicious(undone.problem, undone.plain):
+                    at_once = self.searched(read, undone, mistakes, gained)
+                    if not at_once.taken_back:
+                        return at_once
+        found = self.searched(read, read, (), 0.0)
+        if not looked and (suspicious(problem, found.chosen) or links_far_from_cad(problem, read.plain)):
+            mistakes, gained = find_mistakes(read.table, build, self.options.allowed)
         if mistakes:
-            other = self.searched(table, aside, mistakes, gained)
+            other = self.searched(read, self._undone(read, mistakes), mistakes, gained)
             if other.score > found.score and not other.taken_back:
                 found = other
         return self._with_statements_tested(found)
+
+    def _undone(self, read: ReadVisits, mistakes: tuple[Mistake, ...]) -> ReadVisits:
+        """The visits without mistakes."""
+        table = _undone(read.table, mistakes)
+        return self._fitted(table, self._rows(table), read.aside)
 
     def _with_statements_tested(self, found: Found) -> Found:
         """The search with the statements widened that the rows contradict, where those are the likelier cause.
@@ -175,13 +200,16 @@ class RestDiagnosis:
         likelier = not effects or alike >= REST.statement_effects
         if not (likelier or self.knowledge.weighed):
             return found
-        settled = settle(self.robot, found.search.problem.rows, self.knowledge)
-        if settled.knowledge is self.knowledge or not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
+        settled = settle(self.robot, found.now.problem.rows, self.knowledge, (found.now.problem, found.now.plain))
+        if settled.knowledge is self.knowledge:
+            return replace(found, settled=settled)
+        if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
-        other = self._knowing(settled.knowledge).searched(found.table, found.aside, found.mistakes, found.gained)
+        now = replace(found.now, problem=settled.problem, plain=settled.fit)
+        other = self._knowing(settled.knowledge).searched(found.read, now, found.mistakes, found.gained)
         if not likelier and len(other.chosen.terms) >= len(effects):
             return found
-        return replace(other, findings=settled.findings)
+        return replace(other, settled=settled)
 
     def _knowing(self, knowledge: Knowledge) -> RestDiagnosis:
         """The same diagnosis with other knowledge."""
@@ -189,13 +217,9 @@ class RestDiagnosis:
         other.knowledge = knowledge
         return other
 
-    def _settled(self, problem: RestProblem) -> bool:
-        """Whether the model without effects meets the data, or nearly."""
-        return not suspicious(problem, fit_without_effects(problem))
-
-    def searched(self, table: Table, aside: Aside, mistakes: tuple[Mistake, ...], gained: float) -> Found:
-        problem = self.problem(_undone(table, mistakes), aside)
-        plain = fit_without_effects(problem)
+    def searched(self, read: ReadVisits, now: ReadVisits, mistakes: tuple[Mistake, ...], gained: float) -> Found:
+        """Fit the hypotheses to the visits as they are `now`, without the mistakes in what was `read`."""
+        problem, plain = now.problem, now.plain
         noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
@@ -207,7 +231,7 @@ class RestDiagnosis:
         chosen = run(search)
         if "torque_ripple" in self.options.allowed:
             chosen = with_ripple(search, chosen, setup.gear_ratio)
-        return Found(table, search, chosen, mistakes, gained, aside, self.knowledge)
+        return Found(read, now, search, chosen, mistakes, gained)
 
     def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
         if holdout is None or holdout.moving.all():
@@ -228,7 +252,7 @@ class RestDiagnosis:
         """The same, without mistakes that leave rows that no fit has seen worse than they were read."""
         if not found.mistakes or holdout is None or holdout.moving.all():
             return found
-        read = self.searched(found.table, found.aside, (), 0.0)
+        read = self.searched(found.read, found.read, (), 0.0)
         held, undone = self._held(read, holdout), self._held(found, holdout)
         if held is None or undone is None:
             return found
@@ -240,28 +264,29 @@ class RestDiagnosis:
         second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
         if not (found.mistakes or second or sided):
             return summary(judge.problem, decision.before, judge, self.robot)
-        table = replace(found.table, q2nd_rad=np.full_like(found.table.q2nd_rad, np.nan))
+        table = found.read.table
+        table = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         if sided:
             table = replace(table, direction=np.zeros_like(table.direction))
-        problem = self.problem(table, found.aside)
+        problem = self.problem(table, found.read.aside)
         return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
 
-    def _as_estimated(self, visits: Visits) -> Result:
+    def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
         """Return what `estimate` gives: one answer and one refusal where no effect is named."""
-        return to_result(estimate_joint(visits, self.robot, self.as_estimate), self.robot, self.as_estimate)
+        found = estimate_joint(visits, self.robot, self.as_estimate, settled)
+        return to_result(found, self.robot, self.as_estimate)
 
-    def refusal(self, table: Table) -> Result | None:
+    def refusal(self, read: ReadVisits) -> Result | None:
         """Return what `estimate` gives where the mass under a label changes; None where it does not.
 
         No effect is searched then: each that moves the load or the arm would take up a part of the change.
         """
-        aside = self.aside(self._rows(table))
-        problem = self.problem(table, aside)
-        changed = mass_changes(problem, fit_without_effects(problem))
-        if not changed and not two_bodies(self.robot, problem.rows, self.knowledge):
+        rows, changed = read.problem.rows, mass_changes(read.problem, read.plain)
+        if not changed and not two_bodies(self.robot, rows, self.knowledge):
             return None
-        result = self._as_estimated(problem.rows)
-        return replace(result, verdict="unexplained", findings=(*aside.findings, *result.findings))
+        settled = settle(self.robot, rows, self.knowledge, (read.problem, read.plain))
+        result = self._as_estimated(rows, settled)
+        return replace(result, verdict="unexplained", findings=(*read.aside.findings, *result.findings))
 
     def _from_all(self, held: Unseen, seen: Fit, by_shape: Floats) -> tuple[LoadResult, ...]:
         """Loads of the same hypothesis on fitted and fresh visits together."""
@@ -269,8 +294,9 @@ class RestDiagnosis:
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
-        if found.knowledge is not self.knowledge:
-            return self._knowing(found.knowledge).report(found, holdout, kind)
+        settled = found.settled
+        if settled is not None and settled.knowledge is not self.knowledge:
+            return self._knowing(settled.knowledge).report(found, holdout, kind)
         found = self._upheld(found, holdout)
         search, problem = found.search, found.search.problem
         decision = decide(search, found.chosen)
@@ -301,13 +327,13 @@ class RestDiagnosis:
             if decision.after is decision.before and not found.mistakes:
                 before = replace(before, loads=after.loads)
         if not effects and not found.mistakes and decision.after is decision.before:
-            judged = problem if held is None or kind != "fresh" else held.problem
-            estimated = self._as_estimated(judged.rows)
+            judged, tested = (problem, settled) if held is None or kind != "fresh" else (held.problem, None)
+            estimated = self._as_estimated(judged.rows, tested)
             before, after = replace(before, loads=estimated.loads), replace(after, loads=estimated.loads)
             findings += [each for each in estimated.findings if each.severity == "fail" and "refused:" not in each.what]
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
-        findings += (*self.placeholder, *found.findings, *found.aside.findings)
+        findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.aside.findings)
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += (
@@ -331,7 +357,7 @@ class RestDiagnosis:
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(dict.fromkeys(findings)),
             nuisance=ordinary_of(problem, decision.after),
-            set_aside=found.aside.entries + (() if held is None else held.aside),
+            set_aside=found.read.aside.entries + (() if held is None else held.aside),
             quality=structure_seen_nm(problem, decision.whole, np.array(floor))
             | fresh_seen_nm(problem, held, decision.after),
             provenance={

@@ -20,8 +20,7 @@ _TESTS = 4
 
 def spare_rows(problem: RestProblem, fit: Fit) -> Floats:
     """Rows (N,) of each axis beyond what the fit has taken up: how well its noise is known."""
-    leverage = (fit.orthogonal**2).sum(axis=1)
-    return np.asarray(np.bincount(problem.axis, weights=1.0 - leverage, minlength=problem.axes), dtype=float)
+    return np.sum((problem.by_group() - fit.taken).reshape(3, -1), axis=0)
 
 
 def fresh_misfit(residual: Floats, covariance: Floats, group: Ints, axes: int, spare: Floats | None = None) -> float:

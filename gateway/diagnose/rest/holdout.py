@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.screen import Screen
-from gateway.identify.rest.linear import Fit, RestProblem, common_columns, modelled, term_columns, with_terms
+from gateway.identify.rest.linear import Fit, RestProblem, design_at, modelled, with_terms
 from gateway.result.result import SetAside
 
 Floats = NDArray[np.float64]
@@ -102,7 +102,7 @@ class WithoutPose:
     @classmethod
     def of(cls, problem: RestProblem, fit: Fit) -> WithoutPose:
         """Of a fit, with the rows of each pose under all loads."""
-        basis = fit.orthogonal
+        basis = fit.basis.dense
         numbers, pose = np.unique(pose_of_rows(problem), return_inverse=True)
         order, count = np.argsort(pose, kind="stable"), np.bincount(pose)
         first = np.concatenate([[0], np.cumsum(count)[:-1]])
@@ -113,7 +113,7 @@ class WithoutPose:
             if size > basis.shape[1]:
                 for member in members:
                     rows = order[first[member] : first[member] + size]
-                    factor, inverse, log_free[member] = _large(basis[rows])
+                    factor, inverse, log_free[member] = without_rows(basis[rows])
                     large.append((rows, factor, inverse))
                 continue
             rows = order[first[members][:, None] + np.arange(size)]
@@ -167,8 +167,8 @@ def _inverses(basis: Floats) -> tuple[Floats, Floats]:
     return inverse, log_free
 
 
-def _large(basis: Floats) -> tuple[Floats, Floats, float]:
-    """The same of one pose with more rows than columns (m, p): `1 + U size U'`, and the log determinant."""
+def without_rows(basis: Floats) -> tuple[Floats, Floats, float]:
+    """The same of one basis (m, p) by its columns: U and size of `1 + U size U'`, and the log determinant."""
     taken, turned = np.linalg.eigh(basis.T @ basis)
     seen = taken > LEAST_FREE
     taken, factor = taken[seen], basis @ turned[:, seen]
@@ -205,12 +205,7 @@ def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
     The noise of the rows, and what the covariance of the fit's parameters leaves open about them.
     """
     problem = held.problem
-    setting = with_terms(problem, fit.terms, fit.theta, fit.nuisance)
-    columns = [common_columns(problem, setting, fit.links, fit.loads, fit.band)]
-    columns += [
-        term_columns(problem, fit, term, fit.theta[position], position) for position, term in enumerate(fit.terms)
-    ]
-    design = np.hstack(columns)[held.mask]
+    design = design_at(problem, fit, fit.noise).dense[held.mask]
     noise = fit.noise.std[problem.group[held.mask]] ** 2
     return np.asarray(design @ fit.covariance @ design.T + np.diag(noise), dtype=float)
 

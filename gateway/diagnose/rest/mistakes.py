@@ -166,8 +166,9 @@ def _as_read(now: Fit, undone: Fit) -> Floats:
 
 def _squares_by_pose(problem: RestProblem, result: Fit, poses: NDArray[np.int_], floor: Floats) -> Floats:
     """Sum of squares (poses,) of the left-out residuals over a floor (groups,)."""
-    impossible = np.where(determined_bands(problem), np.minimum(result.band, 0.0), 0.0)
-    residual = left_out(problem, result) + result.design[:, problem.band_part] @ impossible
+    impossible = np.zeros(len(result.scale))
+    impossible[problem.band_part] = np.where(determined_bands(problem), np.minimum(result.band, 0.0), 0.0)
+    residual = left_out(problem, result) + result.columns.times(impossible)
     scaled = residual / floor[problem.group]
     of_pose = np.searchsorted(poses, pose_of_rows(problem))
     return np.asarray(np.bincount(of_pose, weights=scaled**2, minlength=len(poses)), dtype=float)

@@ -7,12 +7,13 @@ comes back, and independent from one angle to the next. What was looked through 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.rest.holdout import without_rows
 from gateway.diagnose.rest.search import Search, pruned
 from gateway.diagnose.rest.structure import misfit
 from gateway.diagnose.rest.thresholds import REST
@@ -26,6 +27,8 @@ Floats = NDArray[np.float64]
 #: Draws at once, and draws that were met as well after which the answer is known: it is no order.
 _AT_ONCE = 100
 _ENOUGH = 10
+#: Sines that are held at once.
+_ENTRIES = 1_000_000
 _ADVICE = "give the gear ratio in the cell file, or measure that joint alone at many angles"
 
 
@@ -58,12 +61,11 @@ def order_analysis(problem: RestProblem, fit: Fit, axis: int) -> Swing | None:
     orders = orders_at_rest(q) if len(q) else np.zeros(0)
     if angles < REST.ripple_angles or not len(orders):
         return None
-    left = np.eye(len(rows)) - fit.orthogonal[rows] @ fit.orthogonal[rows].T
-    inverse = np.asarray(np.linalg.pinv(left, hermitian=True), dtype=float)
+    waves = _Waves.of(q, orders, fit.basis.of(rows))
     residual = (fit.residual[rows] / fit.noise.start[problem.group[rows]])[:, None]
-    if float(residual[:, 0] @ inverse @ residual[:, 0]) < REST.ripple_squares * len(rows):
+    if float(waves.squares(residual)[0]) < REST.ripple_squares * len(rows):
         return None
-    shares, squares = _shares(q, orders, left, inverse, residual)
+    shares, squares = waves.shares(residual), waves.squares(residual)
     best = int(np.argmax(shares[:, 0]))
     # as strong as what is left, noise included
     size = np.sqrt(max(float(squares[0]) / len(rows) - 1.0, 0.0))
@@ -71,8 +73,8 @@ def order_analysis(problem: RestProblem, fit: Fit, axis: int) -> Swing | None:
     as_well = draws = 0
     while draws < REST.ripple_draws and as_well < _ENOUGH:
         noise = rng.standard_normal((len(rows), _AT_ONCE))
-        drawn = left @ (size * rng.standard_normal((angles, _AT_ONCE))[place] + noise)
-        without, _ = _shares(q, orders, left, inverse, drawn)
+        drawn = size * rng.standard_normal((angles, _AT_ONCE))[place] + noise
+        without = waves.shares(drawn - waves.basis @ (waves.basis.T @ drawn))
         as_well += int(np.sum(without.max(axis=0) >= shares[best, 0]))
         draws += _AT_ONCE
     log_odds = 0.5 * (shares[best, 0] - shares[:, 0]) * float(squares[0])
@@ -85,19 +87,53 @@ def order_analysis(problem: RestProblem, fit: Fit, axis: int) -> Swing | None:
     )
 
 
-def _shares(q_rad: Floats, orders: Floats, left: Floats, inverse: Floats, residual: Floats) -> tuple[Floats, Floats]:
-    """Share (orders, d) of residuals (rows, d) that each order explains, and their squares (d,).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Waves:
+    """Sine and cosine of orders (k,) at the angles (m,) of rows of which a fit takes up `basis` (m, p).
 
-    `left` is the covariance of the residuals of unit noise, `inverse` its inverse on what the fit has left.
+    Attributes
+    ----------
+    q_rad, orders, basis
+    factor, size : the inverse of `1 - B B'` is `1 + factor size factor'`
+    inverse : (k, 2, 2) of the products of sine and cosine, as the fit leaves them
     """
-    angle = np.outer(q_rad, orders)
-    waves = np.stack([np.sin(angle), np.cos(angle)], axis=2)
-    gram = np.einsum("rok,rol->okl", waves, np.einsum("rs,sol->rol", left, waves))
-    gram[:, [0, 1], [0, 1]] += 1e-9 * len(q_rad)
-    scores = np.einsum("rok,rd->okd", waves, residual)
-    explained = np.einsum("okd,okd->od", scores, np.linalg.solve(gram, scores))
-    squares = np.einsum("rd,rd->d", residual, inverse @ residual)
-    return explained / np.maximum(squares, np.finfo(float).tiny), squares
+
+    q_rad: Floats
+    orders: Floats
+    basis: Floats
+    factor: Floats
+    size: Floats
+    inverse: Floats
+
+    @staticmethod
+    def of(q_rad: Floats, orders: Floats, basis: Floats) -> _Waves:
+        gram = np.concatenate([_products(part, basis) for part in _parts(q_rad, orders)])
+        gram[:, [0, 1], [0, 1]] += 1e-9 * len(q_rad)
+        factor, size, _ = without_rows(basis)
+        return _Waves(q_rad, orders, basis, factor, size, np.asarray(np.linalg.inv(gram), dtype=float))
+
+    def squares(self, residual: Floats) -> Floats:
+        """Squares (d,) of residuals (m, d) over their covariance, which is what the fit leaves of unit noise."""
+        return (residual**2).sum(axis=0) + self.size @ (self.factor.T @ residual) ** 2
+
+    def shares(self, residual: Floats) -> Floats:
+        """Share (k, d) of residuals (m, d) that each order explains."""
+        scores = np.concatenate([np.tensordot(part, residual, (0, 0)) for part in _parts(self.q_rad, self.orders)])
+        explained = np.einsum("okd,okd->od", scores, np.matmul(self.inverse, scores))
+        return explained / np.maximum(self.squares(residual), np.finfo(float).tiny)
+
+
+def _parts(q_rad: Floats, orders: Floats) -> Iterator[Floats]:
+    """Sine and cosine (m, k, 2) of some orders after the other: of all at once they would fill the memory."""
+    for part in np.array_split(orders, 1 + len(orders) * len(q_rad) // _ENTRIES):
+        angle = np.outer(q_rad, part)
+        yield np.stack([np.sin(angle), np.cos(angle)], axis=2)
+
+
+def _products(waves: Floats, basis: Floats) -> Floats:
+    """Products (k, 2, 2) of waves (m, k, 2), less what the basis (m, p) takes up."""
+    taken = np.tensordot(basis, waves, (0, 0))
+    return np.einsum("rok,rol->okl", waves, waves) - np.einsum("rok,rol->okl", taken, taken)
 
 
 def _aliases(orders: Floats, log_odds: Floats, best: int) -> tuple[float, ...]:

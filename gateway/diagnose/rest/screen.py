@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem, plausible_spread, term_columns
-from gateway.identify.solve import reduce
+from gateway.identify.solve import Basis, ByGroup, reduce
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
@@ -87,21 +87,21 @@ class Screen:
     terms : candidates that do anything at all to the rows
     log_bayes : (candidates,) log Bayes factor of adding the candidate alone
     weighted : weighted columns (rows, k) of a candidate, in units of the prior spread
-    basis : (rows, p) orthonormal basis of the fit that they are projected from
+    basis : orthonormal basis of the fit that they are projected from
     residual : (rows,) weighted, projected residual
     """
 
     terms: tuple[Term, ...]
     log_bayes: Floats
     weighted: Callable[[int], Floats]
-    basis: Floats
+    basis: Basis
     residual: Floats
 
     def projected(self, index: int) -> tuple[Floats, Floats, Floats]:
         """Projected columns (rows, k) of a candidate, their Gram matrix with prior rows (k, k), and score (k,)."""
         columns = self.weighted(index)
-        taken = self.basis.T @ columns
-        return columns - self.basis @ taken, columns.T @ columns - taken.T @ taken, columns.T @ self.residual
+        left = self.basis.left(columns)
+        return left, columns.T @ left, columns.T @ self.residual
 
 
 def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, derivatives: Derivatives) -> Screen:
@@ -118,7 +118,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
     derivatives : Derivatives
     """
     weight = 1.0 / std[problem.group]
-    basis, residual = projection(problem, fit, weight)
+    basis, residual = projection(fit, fit.columns, fit.prior_std, weight)
     families: dict[Term, list[int]] = {}
     alike: dict[bytes, list[int]] = {}
     spread: dict[int, Floats] = {}
@@ -138,8 +138,8 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
     for members in alike.values():
         rows = derivatives[terms[members[0]]].rows
         blocks = [derivatives[terms[k]].values[:, : len(spread[k])] * (weight[rows, None] * spread[k]) for k in members]
-        taken = basis[rows].T @ np.hstack(blocks)
-        score = residual[rows] @ np.hstack(blocks)
+        together = np.hstack(blocks)
+        taken, score = basis.across(together, rows), residual[rows] @ together
         ends = np.cumsum([block.shape[1] for block in blocks])
         for position, block, end in zip(members, blocks, ends, strict=True):
             own = slice(end - block.shape[1], end)
@@ -148,8 +148,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
         columns = derivatives[whole]
         scaled = columns.values * (weight[columns.rows, None] * spread[members[0]])
         times = np.array([switch_s(terms[position]) for position in members])
-        when = problem.rows.time_s[problem.visit[columns.rows]]
-        for change, gram, score in _changes(when, times, scaled, basis[columns.rows], residual[columns.rows]):
+        for change, gram, score in _changes(problem, times, scaled, columns.rows, basis, residual):
             weighed.add(members[change], gram, score)
     kept, log_bayes = weighed.result()
     chosen = tuple(terms[position] for position in kept)
@@ -205,56 +204,58 @@ class Weighed:
 
 
 def _changes(
-    when_s: Floats, times_s: Floats, scaled: Floats, basis: Floats, residual: Floats
+    problem: RestProblem, times_s: Floats, scaled: Floats, rows: Ints, basis: Basis, residual: Floats
 ) -> Iterator[tuple[int, Floats, Floats]]:
     """Place, Gram matrix and score of columns that act from a time on; those that do nothing are left out.
 
     Parameters
     ----------
-    when_s : (m,) time of each row
+    problem : RestProblem
     times_s : (changes,)
-    scaled : (m, k) weighted columns in units of their prior spread, as if they had acted always
-    basis, residual : (m, p), (m,) of the projection
+    scaled : (m, k) weighted columns of these `rows` in units of their prior spread, as if they had acted always
+    basis, residual : of the projection
     """
-    order = np.argsort(when_s, kind="stable")
-    latest_first = np.argsort(-times_s, kind="stable")
-    first_row = np.searchsorted(when_s[order], times_s[latest_first] - _SAME_S, side="left")
-    width = scaled.shape[1]
-    gram, taken, score = np.zeros((width, width)), np.zeros((basis.shape[1], width)), np.zeros(width)
-    end = len(order)
-    for change, begin in zip(latest_first.tolist(), first_row, strict=True):
-        more = order[begin:end]
-        gram = gram + scaled[more].T @ scaled[more]
-        taken = taken + basis[more].T @ scaled[more]
-        score = score + scaled[more].T @ residual[more]
-        end = begin
-        if float(np.sqrt(np.trace(gram))) >= REST.inert:
-            yield change, gram - taken.T @ taken, score
+    when = problem.rows.time_s
+    latest = np.argsort(-when, kind="stable")
+    place = np.argsort(latest)[problem.visit[rows]]
+    count, width = len(when), scaled.shape[1]
+    products = np.column_stack([scaled * scaled[:, [k]] for k in range(width)] + [scaled * residual[rows, None]])
+    sums = np.stack([np.bincount(place, weights=column, minlength=count) for column in products.T], axis=1)
+    by_visit = basis.rows.across_by(scaled * basis.weight[rows, None], rows, place, count)
+    last = np.searchsorted(-when[latest], -(times_s - _SAME_S), side="right") - 1
+    acting = np.flatnonzero(last >= 0)
+    sums = np.asarray(np.cumsum(sums, axis=0)[last[acting]], dtype=float)
+    taken = basis.inverse.T @ np.cumsum(by_visit, axis=0)[last[acting]]
+    gram = sums[:, : width * width].reshape(-1, width, width)
+    acts = np.sqrt(np.trace(gram, axis1=1, axis2=2)) >= REST.inert
+    gram = gram - np.matmul(taken.transpose(0, 2, 1), taken)
+    for change in np.flatnonzero(acts):
+        yield int(acting[change]), gram[change], sums[change, width * width :]
 
 
 def columns_of(problem: RestProblem, fit: Fit, term: Term) -> Floats:
     """Derivative (rows, k) by the parameters of an effect that is not in the fit, where they begin."""
-    return term_columns(problem, fit, term, np.array(term.start, dtype=float))
+    return term_columns(problem, fit, fit.noise, term, np.array(term.start, dtype=float))
 
 
-def projection(problem: RestProblem, fit: Fit, weight: Floats) -> tuple[Floats, Floats]:
-    """Orthonormal basis (rows, rank) of the weighted design of a fit with its prior rows; weighted residual (rows,).
+def projection(fit: Fit, columns: ByGroup, prior_std: Floats, weight: Floats) -> tuple[Basis, Floats]:
+    """Orthonormal basis of the weighted columns of a fit, all or the first ones, with their prior rows.
 
-    The residual is what a further step of the fit would leave.
+    Beside it the weighted residual (rows,) that a further step of the fit would leave.
     """
-    held = np.isfinite(fit.prior_std)
-    width = fit.columns.width
+    problem = fit.problem
+    held = np.flatnonzero(np.isfinite(prior_std))
+    width = columns.width
     centre = np.concatenate([np.array(term.start) for term in fit.terms]) if fit.terms else np.zeros(0)
     pull = np.concatenate([problem.common_mean - fit.common, centre - fit.flat_theta])
     pull[problem.taken_over(fit.terms)] = 0.0
-    known = np.zeros((int(held.sum()) + len(problem.prior_target), width + 1))
-    known[np.arange(held.sum()), np.flatnonzero(held)] = 1.0 / fit.prior_std[held]
-    known[: held.sum(), width] = pull[held] / fit.prior_std[held]
-    known[held.sum() :, : problem.n_common] = problem.prior_rows
-    known[held.sum() :, width] = problem.prior_target - problem.prior_rows @ fit.common
-    reduced = reduce(fit.columns, fit.residual, weight, known, _TOLERANCE)
-    basis = reduced.basis.dense
-    return basis, fit.residual * weight - basis @ (reduced.left.T @ reduced.right[:-1])
+    known = np.zeros((len(held) + len(problem.prior_target), width + 1))
+    known[np.arange(len(held)), held] = 1.0 / prior_std[held]
+    known[: len(held), width] = pull[held] / prior_std[held]
+    known[len(held) :, : problem.n_common] = problem.prior_rows
+    known[len(held) :, width] = problem.prior_target - problem.prior_rows @ fit.common
+    reduced = reduce(columns, fit.residual, weight, known, _TOLERANCE)
+    return reduced.basis, fit.residual * weight - reduced.basis.times(reduced.left.T @ reduced.right[:-1])
 
 
 def log_bayes_factor(gram: Floats, score: Floats) -> Floats:
@@ -277,7 +278,7 @@ def pair_log_bayes(view: Screen, first: Ints, second: Ints) -> Floats:
     columns = [view.weighted(int(index)) for index in chosen]
     sizes = np.array([block.shape[1] for block in columns])
     tall = np.hstack(columns)
-    taken = view.basis.T @ tall
+    taken = view.basis.across(tall)
     total, width = tall.shape[1], int(sizes.max())
     gram = np.zeros((total + 1, total + 1))
     gram[:total, :total] = tall.T @ tall - taken.T @ taken

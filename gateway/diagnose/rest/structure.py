@@ -19,6 +19,7 @@ from scipy.special import chdtrc, fdtrc, gammaincinv, ndtr, ndtri
 
 from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.solve import Basis
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -27,6 +28,8 @@ Ints = NDArray[np.int_]
 _LEAST_P = 1e-15
 #: Points by which a distribution is integrated.
 _LEVELS = 400
+#: Draws at once.
+_AT_ONCE = 25
 #: Standardised scores between which a tail is interpolated.
 _SCORES = np.linspace(-6.0, 30.0, 361)
 
@@ -90,7 +93,7 @@ class StructureTest:
     ----------
     group, axis, pose : (rows,)
     axes : number of axes N
-    orthogonal : (rows, p) what the fit takes up
+    basis : what the fit takes up
     freedom : (3 N,) degrees of freedom of each noise group
     alike : by axis
     scatter : by axis
@@ -100,7 +103,7 @@ class StructureTest:
     axis: Ints
     pose: Ints
     axes: int
-    orthogonal: Floats
+    basis: Basis
     freedom: Floats
     alike: dict[int, _Alike]
     scatter: dict[int, _Scatter]
@@ -108,18 +111,17 @@ class StructureTest:
     @classmethod
     def of(cls, problem: RestProblem, fit: Fit) -> StructureTest:
         """The tests that the visits of a problem allow."""
-        basis, axes = fit.orthogonal, problem.axes
+        basis, axes = fit.basis, problem.axes
         group, axis = problem.group, np.asarray(problem.axis)
         _, pose = np.unique(problem.rows.pose[problem.visit], return_inverse=True)
-        free = 1.0 - np.einsum("ij,ij->i", basis, basis)
-        freedom = np.asarray(np.bincount(group, weights=free, minlength=3 * axes), dtype=float)
+        freedom = problem.by_group() - fit.taken
         alike, scatter = {}, {}
         for number in range(axes):
             rows = np.flatnonzero((axis == number) & (group // axes != 1))
             count = np.bincount(pose[rows])
             pairs = int((count * (count - 1)).sum()) // 2
             if pairs >= REST.least_pairs:
-                alike[number] = _alike(basis[rows], pose[rows], pairs)
+                alike[number] = _alike(basis.of(rows), pose[rows], pairs)
             own = float(freedom[number]), float(freedom[number + axes])
             if min(own) >= REST.least_freedom:
                 least = float(fit.noise.least[number] / fit.noise.std[number]) ** 2
@@ -172,10 +174,6 @@ class StructureTest:
         together = pooled([chance for chances in by_axis.values() for chance in chances])
         return np.minimum(1.0, 2.0 * np.minimum(len(each) * np.min(each, axis=0), together))
 
-    def left(self, rows: Floats) -> Floats:
-        """What the fit leaves of weighted rows (rows, d)."""
-        return rows - self.orthogonal @ (self.orthogonal.T @ rows)
-
 
 class Power:
     """Which structure a test sees, by draws: noise, and torques of unit RMS pose by pose, the same under all loads."""
@@ -183,7 +181,9 @@ class Power:
     def __init__(self, test: StructureTest) -> None:
         self.test = test
         rng = np.random.default_rng(REST.power_seed)
-        self.noise = test.left(rng.standard_normal((len(test.group), REST.power_draws)))
+        self.noise = rng.standard_normal((len(test.group), REST.power_draws))
+        for draws in _chunks():
+            self.noise[:, draws] = test.basis.left(self.noise[:, draws])
         self.noise_moments = test.moments(self.noise, self.noise)
         drawn = rng.standard_normal((test.axes, int(test.pose.max(initial=0)) + 1, REST.power_draws))
         # unit RMS over the poses in every draw, as a strength is told
@@ -199,8 +199,17 @@ class Power:
         if not own:
             return float("inf")
         here = np.isin(test.axis, own) & (test.group < test.axes)
-        structure = test.left(np.where(here[:, None], self.drawn[test.axis, test.pose], 0.0))
-        mixed, pure = test.moments(self.noise, structure), test.moments(structure, structure)
+        parts = []
+        for draws in _chunks():
+            structure = np.where(here[:, None], self.drawn[test.axis, test.pose, draws], 0.0)
+            structure = test.basis.left(structure)
+            parts.append((test.moments(self.noise[:, draws], structure), test.moments(structure, structure)))
+        mixed, pure = (
+            Moments(
+                *(np.concatenate([getattr(part, name) for part in kind], axis=-1) for name in ("squares", "by_pose"))
+            )
+            for kind in zip(*parts, strict=True)
+        )
 
         def seen(size: float) -> float:
             moments = Moments(
@@ -219,6 +228,11 @@ class Power:
             else:
                 high = middle
         return high
+
+
+def _chunks() -> list[slice]:
+    """Draws one part after the other: of all at once there are several arrays of all rows."""
+    return [slice(first, first + _AT_ONCE) for first in range(0, REST.power_draws, _AT_ONCE)]
 
 
 def misfit(problem: RestProblem, fit: Fit) -> float:

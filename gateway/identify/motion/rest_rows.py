@@ -109,7 +109,7 @@ def _eliminated(problem: RestProblem, fit: Fit, shared: Ints) -> tuple[Floats, F
     The gains are those with what all axes share: their prior is that of the moving rows.
     """
     weight = 1.0 / fit.noise.std[problem.group]
-    design = fit.design * weight[:, None]
+    design = fit.columns.dense * weight[:, None]
     right = fit.residual * weight + design @ fit.common
     common = problem.nuisance_part.start + problem.nuisance.common
     others = np.setdiff1d(np.arange(problem.n_common), [*shared, common])

@@ -9,7 +9,6 @@ of the Laplace approximation to the marginal likelihood (MacKay 1992), comparabl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,9 @@ from numpy.typing import NDArray
 from gateway.identify.rest.linear import (
     Fit,
     Noise,
+    Place,
     RestProblem,
-    common_columns,
+    design_at,
     modelled,
     spread_of,
     term_columns,
@@ -26,12 +26,10 @@ from gateway.identify.rest.linear import (
 )
 from gateway.identify.rest.noise import first_noise
 from gateway.identify.rest.thresholds import REST_MODEL
-from gateway.identify.solve import Basis, ByGroup, Prior, solve
-from gateway.model.rest import AlteredModel
+from gateway.identify.solve import Prior, solve
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 #: Gauss-Newton steps [-]: the model is nearly linear, the noise settles in four.
 _STEPS = 6
@@ -41,21 +39,6 @@ _STEPS_ALONE = 12
 NOTHING = 1e-9
 #: Relative size below which a combination of columns counts as zero.
 TOLERANCE = 1e-10
-
-
-@dataclass(slots=True, eq=False)
-class _State:
-    links: Floats
-    loads: Floats
-    band: Floats
-    nuisance: Floats
-    theta: list[Floats]
-    spread: dict[Term, Floats]
-
-    @property
-    def common(self) -> Floats:
-        """What every hypothesis has, in one vector (n_common,)."""
-        return np.concatenate([self.links, self.loads.ravel(), self.band, self.nuisance])
 
 
 def fit(
@@ -74,14 +57,13 @@ def fit(
     steps : int
         Gauss-Newton steps at most.
     """
-    state = _begin(problem, terms, start)
-    spreads: list[Floats] = []
-    current = _linearised(problem, terms, state, noise, spreads, 0)
+    begin, spreads = _begin(problem, tuple(terms), start, noise)
+    current = _linearised(problem, begin, noise, spreads)
     if not all(linear for term in terms for linear in term.linear):
         steps = 2 * steps
     for step in range(1, steps):
         before = current.mode
-        current = _linearised(problem, terms, state, current.noise, spreads, step)
+        current = _linearised(problem, current, current.noise, spreads)
         if step >= 2 and abs(current.mode - before) < 0.02:
             break
     return current
@@ -92,116 +74,104 @@ def fit_without_effects(problem: RestProblem) -> Fit:
     return fit(problem, (), first_noise(problem), steps=_STEPS_ALONE)
 
 
-def _begin(problem: RestProblem, terms: Sequence[Term], start: Fit | None) -> _State:
-    n_labels = len(problem.labels)
+def _begin(
+    problem: RestProblem, terms: tuple[Term, ...], start: Fit | None, noise: Noise
+) -> tuple[Place, list[Floats]]:
+    """Where a fit begins, and the standard deviations of the prior of each effect's parameters."""
+    known: dict[Term, Floats] = {}
+    spread: dict[Term, Floats] = {}
     if start is None:
-        links, loads, band = problem.links.copy(), np.zeros((n_labels, 4)), np.zeros(problem.axes)
+        loads = np.zeros((len(problem.labels), 4))
         loads[:, 0] = 1e-3
-        nuisance = problem.nuisance.start
-        known: dict[Term, Floats] = {}
-        spread: dict[Term, Floats] = {}
+        links, band, nuisance = problem.links, np.zeros(problem.axes), problem.nuisance.start
     else:
-        links, loads, band, nuisance = (part.copy() for part in (start.links, start.loads, start.band, start.nuisance))
+        links, loads, band, nuisance = start.links, start.loads, start.band, start.nuisance.copy()
         known = dict(zip(start.terms, start.theta, strict=True))
         # an effect that another joins or leaves is as plausible as before: else the two could not be compared
         ends = np.cumsum([len(values) for values in start.theta])[:-1]
         spread = dict(zip(start.terms, np.split(start.prior_std[problem.n_common :], ends), strict=False))
-    theta = [known[term].copy() if term in known else np.array(term.start, dtype=float) for term in terms]
     nuisance[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
-    return _State(links, loads, band, nuisance, theta, spread)
+    theta = tuple(known[term] if term in known else np.array(term.start, dtype=float) for term in terms)
+    place = Place(terms, links, loads, band, nuisance, theta)
+    for position, (term, values) in enumerate(zip(terms, theta, strict=True)):
+        if term not in spread:
+            own = term_columns(problem, place, noise, term, values, position)
+            spread[term] = spread_of(problem, noise, term, own)
+    return place, [spread[term] for term in terms]
 
 
-def _linearised(
-    problem: RestProblem, terms: Sequence[Term], state: _State, noise: Noise, spreads: list[Floats], step: int
-) -> Fit:
-    """One Gauss-Newton step from `state` (which is moved), with noise and evidence at the new point."""
-    setting = with_terms(problem, terms, state.theta, state.nuisance)
-    at_start = _as_fit(problem, terms, state, setting, noise)
-    columns = [common_columns(problem, setting, state.links, state.loads, state.band)]
-    for position, term in enumerate(terms):
-        own = term_columns(problem, at_start, term, state.theta[position], position)
-        columns.append(own)
-        if step == 0:
-            spreads.append(state.spread[term] if term in state.spread else spread_of(problem, noise, term, own))
-    design = ByGroup.of(np.hstack(columns), problem.group)
-    residual = problem.target - at_start.residual
-    prior = _prior(problem, terms, state, spreads)
+def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[Floats]) -> Fit:
+    """One Gauss-Newton step, with noise and evidence at the new point."""
+    about = Place(about.terms, about.links, about.loads, about.band, about.nuisance, about.theta)  # of a fit no more
+    design = design_at(problem, about, noise)
+    setting = with_terms(problem, about.terms, about.theta, about.nuisance)
+    residual = problem.target - modelled(problem, setting, about.links, about.loads, about.band)
+    prior = _prior(problem, about, spreads)
     solution = solve(design, residual, 1.0 / noise.std[problem.group], prior, TOLERANCE)
-    _move(problem, terms, state, solution.value)
-    setting = with_terms(problem, terms, state.theta, state.nuisance)
-    left = problem.target - modelled(problem, setting, state.links, state.loads, state.band)
-    updated = _update_noise(problem, left, solution.leverage, noise)
-    penalty = _penalty(problem, terms, state, prior, spreads)
-    count = problem.by_group()
+    place = _moved(problem, about, solution.value)
+    setting = with_terms(problem, place.terms, place.theta, place.nuisance)
+    left = problem.target - modelled(problem, setting, place.links, place.loads, place.band)
+    count, taken, squares = problem.by_group(), problem.by_group(solution.leverage), problem.by_group(left**2)
+    std = np.where(count > 0, noise_std(count, taken, squares, noise.start, noise.least), noise.start)
     used = np.flatnonzero(count)
-    squares = problem.by_group(left**2)[used]
-    mode = log_density(count[used], squares, updated.std[used], updated.start[used], penalty)
+    penalty = _penalty(problem, place, prior, spreads)
+    mode = log_density(count[used], squares[used], std[used], noise.start[used], penalty)
     known = prior.std[problem.nuisance_part]
     log_spread = sum(float(np.sum(np.log(values))) for values in (*spreads, known))
-    return Fit(
-        terms=tuple(terms),
-        links=state.links.copy(),
-        loads=state.loads.copy(),
-        band=state.band.copy(),
-        nuisance=state.nuisance.copy(),
-        theta=tuple(values.copy() for values in state.theta),
+    found = Fit(
+        terms=place.terms,
+        links=place.links,
+        loads=place.loads,
+        band=place.band,
+        nuisance=place.nuisance,
+        theta=place.theta,
+        problem=problem,
+        about=about,
+        weighed_by=noise.std,
+        taken=taken,
         covariance=solution.covariance,
-        setting=setting,
         residual=left,
-        columns=design,
-        noise=updated,
+        noise=Noise(noise.start, std, noise.least),
         evidence=mode - 0.5 * solution.log_determinant - log_spread,
         prior_std=prior.std,
-        basis=solution.basis,
+        inverse=solution.basis.inverse,
         null=solution.null,
         scale=solution.scale,
         condition=solution.condition,
         mode=mode,
     )
+    problem.recent.of(found, lambda: design)
+    return found
 
 
-def _as_fit(problem: RestProblem, terms: Sequence[Term], state: _State, setting: AlteredModel, noise: Noise) -> Fit:
-    """The present point as a fit of which nothing but the place is known; its residual holds the modelled rows."""
-    empty = np.zeros((0, 0))
-    now = modelled(problem, setting, state.links, state.loads, state.band)
-    theta = tuple(state.theta)
-    place = (state.links, state.loads, state.band, state.nuisance, theta)
-    none = ByGroup(0, 0, ())
-    basis = Basis(none, np.zeros(0), empty)
-    return Fit(tuple(terms), *place, empty, setting, now, none, noise, 0.0, empty, basis, empty, empty)
-
-
-def _prior(problem: RestProblem, terms: Sequence[Term], state: _State, spreads: list[Floats]) -> Prior:
-    """Prior of the step from the present point."""
-    centre = [np.array(term.start) - theta for term, theta in zip(terms, state.theta, strict=True)]
+def _prior(problem: RestProblem, at: Place, spreads: list[Floats]) -> Prior:
+    """Prior of the step from a place."""
+    centre = [np.array(term.start) - theta for term, theta in zip(at.terms, at.theta, strict=True)]
     common_std, common_mean = problem.common_std, problem.common_mean
-    said_once = problem.taken_over(terms)
+    said_once = problem.taken_over(at.terms)
     common_std[said_once], common_mean[said_once] = NOTHING, 0.0
-    here = state.common
+    here = at.common
     std = np.concatenate([common_std, *spreads])
     rows = np.pad(problem.prior_rows, ((0, 0), (0, len(std) - problem.n_common)))
     mean = np.concatenate([np.where(np.isfinite(common_std), common_mean - here, 0.0), *centre])
     return Prior(mean, std, rows, problem.prior_target - problem.prior_rows @ here)
 
 
-def _move(problem: RestProblem, terms: Sequence[Term], state: _State, delta: Floats) -> None:
-    state.links = state.links + delta[problem.link_part]
-    state.loads = state.loads + delta[problem.link_part.stop : problem.band_part.start].reshape(-1, 4)
-    state.band = state.band + delta[problem.band_part]
-    state.nuisance = state.nuisance + delta[problem.nuisance_part]
-    at = problem.n_common
-    for position, term in enumerate(terms):
-        k = len(term.linear)
-        step = delta[at : at + k]
+def _moved(problem: RestProblem, at: Place, delta: Floats) -> Place:
+    """The place after a step; what a row does not depend on linearly moves by 0.3 at most."""
+    theta, first = [], problem.n_common
+    for term, values in zip(at.terms, at.theta, strict=True):
         limit = np.where(np.array(term.linear), np.inf, 0.3)
-        state.theta[position] = state.theta[position] + np.clip(step, -limit, limit)
-        at += k
-
-
-def _update_noise(problem: RestProblem, residual: Floats, leverage: Floats, noise: Noise) -> Noise:
-    count, taken, squares = problem.by_group(), problem.by_group(leverage), problem.by_group(residual**2)
-    std = np.where(count > 0, noise_std(count, taken, squares, noise.start, noise.least), noise.start)
-    return Noise(noise.start, std, noise.least)
+        theta.append(values + np.clip(delta[first : first + len(values)], -limit, limit))
+        first += len(values)
+    return Place(
+        at.terms,
+        at.links + delta[problem.link_part],
+        at.loads + delta[problem.link_part.stop : problem.band_part.start].reshape(-1, 4),
+        at.band + delta[problem.band_part],
+        at.nuisance + delta[problem.nuisance_part],
+        tuple(theta),
+    )
 
 
 def noise_std(count: Floats, taken: Floats, squares: Floats, start: Floats, least: Floats) -> Floats:
@@ -210,14 +180,14 @@ def noise_std(count: Floats, taken: Floats, squares: Floats, start: Floats, leas
     return np.maximum(np.sqrt((squares + REST_MODEL.noise_weight * start**2) / freedom), least)
 
 
-def _penalty(problem: RestProblem, terms: Sequence[Term], state: _State, prior: Prior, spreads: list[Floats]) -> float:
-    total = float(np.sum(((state.links - problem.links) / problem.link_std) ** 2))
+def _penalty(problem: RestProblem, at: Place, prior: Prior, spreads: list[Floats]) -> float:
+    total = float(np.sum(((at.links - problem.links) / problem.link_std) ** 2))
     mean = problem.nuisance.mean.copy()
-    mean[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
-    total += float(np.sum(((state.nuisance - mean) / prior.std[problem.nuisance_part]) ** 2))
+    mean[problem.taken_over(at.terms) - problem.nuisance_part.start] = 0.0
+    total += float(np.sum(((at.nuisance - mean) / prior.std[problem.nuisance_part]) ** 2))
     if len(problem.prior_target):
-        total += float(np.sum((problem.prior_target - problem.prior_rows @ state.common) ** 2))
-    for term, values, spread in zip(terms, state.theta, spreads, strict=True):
+        total += float(np.sum((problem.prior_target - problem.prior_rows @ at.common) ** 2))
+    for term, values, spread in zip(at.terms, at.theta, spreads, strict=True):
         total += float(np.sum(((values - np.array(term.start)) / spread) ** 2))
     return total
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,8 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 #: Step [share of a band, or Nm] of the numerical derivatives.
 _STEP = 1e-3
+#: Memory of the columns that are kept.
+_RECENT_BYTES = 32_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +41,8 @@ class RestProblem:
     group : (rows,) noise group: axis + N * (0 half sum, 1 half difference, 2 one-sided)
     prior_rows, prior_target : (k, n_common), (k,) further knowledge: `prior_rows @ common = prior_target`, unit std
     nuisance : what every arm has, its prior
+    patterns : (n, N, E) what one unit of each change of gain adds at each visit
+    recent : columns of the fits that were used last
     """
 
     model: Model
@@ -53,6 +58,12 @@ class RestProblem:
     prior_rows: Floats
     prior_target: Floats
     nuisance: Ordinary
+    patterns: Floats = field(init=False)
+    recent: _Recent = field(default_factory=lambda: _Recent())
+
+    def __post_init__(self) -> None:
+        """The patterns are those of the visits."""
+        object.__setattr__(self, "patterns", self.nuisance.changes.patterns(self.rows))
 
     @property
     def rows(self) -> Visits:
@@ -148,9 +159,9 @@ class Noise:
     least: Floats
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fit:
-    """A fitted hypothesis.
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
+class Place:
+    """A point of a hypothesis: the values of its parameters.
 
     Attributes
     ----------
@@ -158,17 +169,6 @@ class Fit:
     links : (4 N,), loads : (labels, 4), band : (N,)
     nuisance : (K N + E,) ordinary parameters
     theta : parameters of each effect
-    covariance : of [links, loads, band, nuisance, theta]
-    setting : AlteredModel at the solution
-    residual : (rows,) measured - modelled
-    columns : derivative (rows, p) of the modelled reading
-    noise : Noise
-    evidence : float
-    prior_std : (p,) standard deviation of the prior, inf where there is none
-    basis : weighted columns in an orthonormal basis
-    null : (p, k) directions that neither rows nor priors determine
-    scale : (p,) length of each weighted column
-    condition : largest over smallest singular value of the scaled, weighted columns with their priors
     """
 
     terms: tuple[Term, ...]
@@ -177,33 +177,6 @@ class Fit:
     band: Floats
     nuisance: Floats
     theta: tuple[Floats, ...]
-    covariance: Floats
-    setting: AlteredModel
-    residual: Floats
-    columns: ByGroup
-    noise: Noise
-    evidence: float
-    prior_std: Floats
-    basis: Basis
-    null: Floats
-    scale: Floats
-    condition: float = np.nan
-    mode: float = 0.0
-
-    @property
-    def rank(self) -> int:
-        """Parameters that rows and priors determine."""
-        return len(self.scale) - self.null.shape[1]
-
-    @property
-    def design(self) -> Floats:
-        """Derivative of the modelled reading as an array (rows, p)."""
-        return self.columns.dense
-
-    @property
-    def orthogonal(self) -> Floats:
-        """Weighted design in an orthonormal basis (rows, rank): leverages are its squares."""
-        return self.basis.dense
 
     @property
     def flat_theta(self) -> Floats:
@@ -216,6 +189,78 @@ class Fit:
         return np.concatenate([self.links, self.loads.ravel(), self.band, self.nuisance])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit(Place):
+    """A fitted hypothesis.
+
+    Attributes
+    ----------
+    problem : what it was fitted to
+    about : where the rows were linearised in the last step
+    weighed_by : (3 N,) standard deviation of the rows of each noise group in that step
+    taken : (3 N,) sum of the leverages of each noise group: degrees of freedom that the fit has taken up
+    covariance : of [links, loads, band, nuisance, theta]
+    residual : (rows,) measured - modelled
+    noise : Noise
+    evidence : float
+    prior_std : (p,) standard deviation of the prior, inf where there is none
+    inverse : (p, rank) parameters per unit of each direction of the basis
+    null : (p, k) directions that neither rows nor priors determine
+    scale : (p,) length of each weighted column
+    condition : largest over smallest singular value of the scaled, weighted columns with their priors
+    """
+
+    problem: RestProblem
+    about: Place
+    weighed_by: Floats
+    taken: Floats
+    covariance: Floats
+    residual: Floats
+    noise: Noise
+    evidence: float
+    prior_std: Floats
+    inverse: Floats
+    null: Floats
+    scale: Floats
+    condition: float
+    mode: float
+
+    @property
+    def rank(self) -> int:
+        """Parameters that rows and priors determine."""
+        return len(self.scale) - self.null.shape[1]
+
+    @property
+    def setting(self) -> AlteredModel:
+        """The setting at the solution."""
+        return with_terms(self.problem, self.terms, self.theta, self.nuisance)
+
+    @property
+    def columns(self) -> ByGroup:
+        """Derivative (rows, p) of the modelled reading."""
+        return self.problem.recent.of(self, lambda: design_at(self.problem, self.about, self.noise))
+
+    @property
+    def basis(self) -> Basis:
+        """Weighted columns in an orthonormal basis: leverages are its squares."""
+        return Basis(self.columns, 1.0 / self.weighed_by[self.problem.group], self.inverse)
+
+
+class _Recent:
+    """Columns of the fits that were used last: those of all fits of a search would be most of its memory."""
+
+    def __init__(self) -> None:
+        self._known: WeakKeyDictionary[Fit, ByGroup] = WeakKeyDictionary()
+
+    def of(self, fit: Fit, columns: Callable[[], ByGroup]) -> ByGroup:
+        """The columns of a fit, computed where they are not known."""
+        found = self._known.pop(fit, None)
+        self._known[fit] = found if found is not None else columns()
+        while len(self._known) > 1 and sum(each.bytes for each in self._known.values()) > _RECENT_BYTES:
+            del self._known[next(iter(self._known))]
+        return self._known[fit]
+
+
 def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
     """Load parameters (n, 4) at each visit."""
     return problem.fixed_load + problem.member @ loads if len(problem.labels) else problem.fixed_load.copy()
@@ -223,7 +268,7 @@ def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
 
 def with_terms(problem: RestProblem, terms: Sequence[Term], theta: Sequence[Floats], nuisance: Floats) -> AlteredModel:
     """The setting with what every arm has (K N + E,), and all effects of a hypothesis, in it."""
-    setting = ordinary_setting(problem.rows, nuisance, problem.nuisance.changes)
+    setting = ordinary_setting(problem.rows, nuisance, problem.patterns)
     for term, values in zip(terms, theta, strict=True):
         setting = term.apply(setting, values, problem.rows)
     return setting
@@ -243,90 +288,128 @@ def certain_bands(problem: RestProblem, fit: Fit) -> Floats:
     return np.asarray(fit.band / np.sqrt(np.maximum(left, 1e-30)), dtype=float)
 
 
-def stacked(problem: RestProblem, half_sum: Floats, difference: Floats) -> Floats:
-    """Modelled half sums and differences (n, N[, k]) as one column (rows[, k])."""
-    return np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
-
-
 def modelled(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
     """Modelled rows (rows,)."""
     prediction = problem.model.predict(setting, links, visit_loads(problem, loads), band)
-    return stacked(problem, prediction.sum_nm, prediction.difference_nm)
+    return np.concatenate([prediction.sum_nm[problem.use_sum], prediction.difference_nm[problem.use_difference]])
 
 
-def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> Floats:
+def design_at(problem: RestProblem, at: Place, noise: Noise) -> ByGroup:
+    """Derivative (rows, p) of the modelled reading by all parameters of a hypothesis."""
+    setting = with_terms(problem, at.terms, at.theta, at.nuisance)
+    common = common_columns(problem, setting, at.links, at.loads, at.band)
+    own = [term_columns(problem, at, noise, term, at.theta[k], k) for k, term in enumerate(at.terms)]
+    return common.beside(np.hstack(own)) if own else common
+
+
+def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> ByGroup:
     """Columns (rows, n_common) of links, loads, bands and ordinary parameters."""
-    model = problem.model
-    bodies = model.bodies(setting, links, visit_loads(problem, loads))
-    torque, regressor = model.joint_torque(setting, bodies)
-    chain = model.sum_by_torque(setting, torque, band)
-    body_columns = np.matmul(chain, regressor)
-    half_sum = np.zeros((len(problem.rows), problem.axes, problem.n_common))
-    half_sum[:, :, problem.link_part] = body_columns
-    load_columns = body_columns[:, :, -4:].copy()
-    load_columns[:, :, 0] += np.einsum("nak,nk->na", body_columns[:, :, -3:], setting.moment_factor)
-    for k in range(len(problem.labels)):
-        half_sum[:, :, problem.load_part(k)] = load_columns * problem.member[:, k, None, None]
-    difference = np.zeros_like(half_sum)
-    _axis_columns(problem, setting, torque, band, half_sum, difference)
-    # the bend that a band leaves in the middle of both sides would have its say alone, and never settles
-    half_sum[:, :, problem.band_part] *= problem.sided
-    return stacked(problem, half_sum, difference)
+    bodies = problem.model.bodies(setting, links, visit_loads(problem, loads))
+    torque, regressor = problem.model.joint_torque(setting, bodies)
+    chain = problem.model.sum_by_torque(setting, torque, band)
+    slopes = _axis_slopes(problem, setting, torque, band)
+    groups = _groups(problem, setting, chain, regressor, slopes)
+    return ByGroup.of_groups(len(problem.target), problem.n_common, groups)
 
 
-def _axis_columns(
-    problem: RestProblem, setting: AlteredModel, torque: Floats, band: Floats, half_sum: Floats, difference: Floats
-) -> None:
-    """Fill in the columns of bands and ordinary parameters.
+def _groups(
+    problem: RestProblem, setting: AlteredModel, chain: Floats, regressor: Floats, slopes: Sequence[_Slopes]
+) -> Iterator[tuple[NDArray[np.int_], NDArray[np.int_], Floats]]:
+    """Rows, columns and values of each noise group: those of an axis are derivatives of its readings alone."""
+    axes, first = problem.axes, problem.n_common - problem.patterns.shape[2]
+    shared = np.arange(first, problem.n_common)
+    number = np.zeros((2, *problem.use_sum.shape), dtype=int)
+    number[0][problem.use_sum] = np.arange(problem.use_sum.sum())
+    number[1][problem.use_difference] = problem.use_sum.sum() + np.arange(problem.use_difference.sum())
+    loads = problem.band_part.start
+    for axis in range(axes):
+        own = slice(None) if slopes[0].coupled else [axis]
+        body = np.matmul(chain[:, [axis]], regressor)[:, 0]
+        load = body[:, -4:].copy()
+        load[:, 0] += np.einsum("nk,nk->n", body[:, -3:], setting.moment_factor)
+        carried = (problem.member[:, :, None] * load[:, None]).reshape(len(body), loads - 4 * axes)
+        by_kind = [each.sums[:, axis] for each in slopes]
+        # the bend that a band leaves in the middle of both sides would have its say alone, and never settles
+        by_kind[0] = by_kind[0] * problem.sided[own]
+        gains = np.matmul(by_kind[1][:, None], problem.patterns[:, own])[:, 0]
+        places = [each.start + np.arange(axes)[own] for each in slopes]
+        columns, values = (
+            np.concatenate([np.arange(loads), *places, shared]),
+            np.hstack([body, carried, *by_kind, gains]),
+        )
+        two = problem.use_difference[:, axis]
+        for visits in (two, problem.use_sum[:, axis] & ~two):
+            yield number[0][visits, axis], columns, values[visits]
+        seen = [(place, each.differences) for place, each in zip(places, slopes, strict=True)]
+        halves = [(place, values[two, axis]) for place, values in seen if values is not None]
+        yield number[1][two, axis], np.concatenate([place for place, _ in halves]), np.hstack([v for _, v in halves])
 
-    What gains share, and how they change, moves the gains visit by visit: those columns are combinations of theirs.
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Slopes:
+    """Derivatives of the readings by one kind of parameters of the axes.
+
+    Attributes
+    ----------
+    start : place of the first axis among the parameters
+    sums : (n, N, N) of the half sums of each axis by the parameter of each axis; (n, N, 1) by its own alone
+    differences : the same of the half differences, or None
+    """
+
+    start: int
+    sums: Floats
+    differences: Floats | None
+
+    @property
+    def coupled(self) -> bool:
+        """Whether an axis is read in another one."""
+        return self.sums.shape[2] > 1
+
+
+def _axis_slopes(problem: RestProblem, setting: AlteredModel, torque: Floats, band: Floats) -> list[_Slopes]:
+    """Derivatives by bands and ordinary parameters of the axes, by kind: the gains are the second ones.
+
     Half differences determine friction alone, in the scale of the reading: they determine neither weights nor gains.
     Where no axis is read in another they are independent of each other: one step serves all axes at once.
     """
     model, axes = problem.model, problem.axes
     base = model.readings(setting, torque, band)
     fading = fades(problem.rows)
-    own = np.arange(axes)
-    coupled = bool(np.any(setting.coupling != np.eye(axes)))
-    patterns = problem.nuisance.changes.patterns(problem.rows)
-    shared = slice(problem.n_common - patterns.shape[2], problem.n_common)
+    coupled = axes > 1 and bool(np.any(setting.coupling != np.eye(axes)))
+    out = []
     for place, kind in enumerate(("", *KINDS)):
+        step = _STEP * (1.0 + np.abs(band)) if kind in ("", "bias") else np.full(axes, _STEP)
+        sums, differences = [], []
         for moved in np.eye(axes) if coupled else np.ones((1, axes)):
-            step = _STEP * (1.0 + np.abs(band)) if kind in ("", "bias") else np.full(axes, _STEP)
             if kind:
                 shifted = model.readings(raised(setting, kind, step * moved, fading), torque, band)
             else:
                 shifted = model.readings(setting, torque, band + step * moved)
-            pairs = [(half_sum, shifted.sum_nm, base.sum_nm)]
-            if kind != "gain":
-                pairs.append((difference, shifted.difference_nm, base.difference_nm))
-            for out, new, old in pairs:
-                slope = (new - old) / step[moved > 0] if coupled else (new - old) / step
-                start = problem.band_part.start + place * axes
-                if coupled:
-                    out[:, :, start + int(np.argmax(moved))] = slope
-                else:
-                    out[:, own, start + own] = slope
-                if kind == "gain":
-                    by_axis = patterns[:, [int(np.argmax(moved))]] if coupled else patterns
-                    out[:, :, shared] += slope[:, :, None] * by_axis
+            size = step[moved > 0]
+            sums.append((shifted.sum_nm - base.sum_nm) / size)
+            differences.append((shifted.difference_nm - base.difference_nm) / size)
+        halves = None if kind == "gain" else np.stack(differences, axis=2)
+        out.append(_Slopes(problem.band_part.start + place * axes, np.stack(sums, axis=2), halves))
+    return out
 
 
-def term_columns(problem: RestProblem, fit: Fit, term: Term, theta: Floats, position: int | None = None) -> Floats:
+def term_columns(
+    problem: RestProblem, at: Place, noise: Noise, term: Term, theta: Floats, position: int | None = None
+) -> Floats:
     """Derivative (rows, k) of the modelled reading by the parameters of one effect.
 
-    `position` is the effect's place among those of the fit, None for an effect that is not in it (built in last).
+    `position` is the effect's place among those of the hypothesis, None for one that is not in it (built in last).
     """
     columns = np.empty((len(problem.target), len(theta)))
-    rest = [k for k in range(len(fit.terms)) if k != position]
-    base = with_terms(problem, [fit.terms[k] for k in rest], [fit.theta[k] for k in rest], fit.nuisance)
-    for k, step in enumerate(_steps(term, theta, fit.noise)):
+    rest = [k for k in range(len(at.terms)) if k != position]
+    base = with_terms(problem, [at.terms[k] for k in rest], [at.theta[k] for k in rest], at.nuisance)
+    for k, step in enumerate(_steps(term, theta, noise)):
         sides = []
         for sign in (1.0, -1.0):
             moved = theta.copy()
             moved[k] += sign * step
             setting = term.apply(base, moved, problem.rows)
-            sides.append(modelled(problem, setting, fit.links, fit.loads, fit.band))
+            sides.append(modelled(problem, setting, at.links, at.loads, at.band))
         columns[:, k] = (sides[0] - sides[1]) / (2.0 * step)
     if term.scales_reading:
         columns[int(problem.use_sum.sum()) :] = 0.0

@@ -112,7 +112,7 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
     direction = np.zeros(count)
     direction[mass] = 1.0
     return budget_of(
-        fit.design,
+        fit.columns,
         1.0 / fit.noise.std[problem.group],
         Prior(np.zeros(count), fit.prior_std, further, np.zeros(len(further))),
         fit.covariance,
@@ -158,7 +158,7 @@ def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
     1.96 of the widened standard deviations hold 95 % although the noise of the rows is estimated: Student's t over the
     normal quantile, with the degrees of freedom of the noise of each axis, weighted by its share of the variance.
     """
-    freedom = problem.by_group() - problem.by_group(fit.basis.leverage)
+    freedom = problem.by_group() - fit.taken
     freedom = np.maximum(freedom, 0.0) + REST_MODEL.noise_weight
     reach = fit.covariance @ directions.T
     by_row = (fit.columns.times(reach) / fit.noise.std[problem.group][:, None]) ** 2
@@ -175,7 +175,9 @@ def per_pose_mass(problem: RestProblem, fit: Fit, index: int) -> dict[str, float
     phi = fit.loads[index]
     mine = problem.member[problem.visit, index] > 0
     poses, place = np.unique(problem.rows.pose[problem.visit[mine]], return_inverse=True)
-    share = (fit.design[:, part] @ phi / std)[mine]
+    load = np.zeros(len(fit.scale))
+    load[part] = phi
+    share = (fit.columns.times(load) / std)[mine]
     weight = np.bincount(place, weights=share**2, minlength=len(poses))
     away = np.bincount(place, weights=share * (fit.residual / std)[mine], minlength=len(poses))
     told = weight > _INFORMATIVE * weight.max(initial=0.0)

@@ -62,7 +62,7 @@ def settled_noise(problem: RestProblem, plain: Fit) -> Noise:
     Half differences hold structure of their own, of friction, that half sums do not; half sums hold the effects.
     """
     count = problem.by_group()
-    freedom = count - problem.by_group(plain.basis.leverage)
+    freedom = count - plain.taken
     left = np.sqrt(problem.by_group(plain.residual**2) / np.maximum(freedom, 1.0))
     start = np.where(freedom >= REST_MODEL.noise_weight, np.minimum(plain.noise.start, left), plain.noise.start)
     start = np.maximum(start, plain.noise.least)

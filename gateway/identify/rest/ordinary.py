@@ -127,15 +127,15 @@ class Ordinary:
         return np.array(places, dtype=int)
 
 
-def ordinary_setting(rows: Visits, value: Floats, changes: GainChanges) -> AlteredModel:
-    """The setting in which nothing but the ordinary parameters (K N + E,) is changed."""
+def ordinary_setting(rows: Visits, value: Floats, patterns: Floats) -> AlteredModel:
+    """The setting in which nothing but the ordinary parameters (K N + E,) is changed; `patterns` of `GainChanges`."""
     by_axis, shared = np.split(value, [len(KINDS) * rows.axes])
     gain, bias, load_friction, one_efficiency, fast, slow = by_axis.reshape(len(KINDS), rows.axes)
     setting = neutral(len(rows), rows.axes)
     fading = fades(rows)
     return replace(
         setting,
-        gain=setting.gain + gain + changes.patterns(rows) @ shared,
+        gain=setting.gain + gain + patterns @ shared,
         bias_nm=bias,
         load_friction=load_friction,
         one_efficiency=one_efficiency,

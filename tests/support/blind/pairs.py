@@ -58,7 +58,7 @@ def alike(seed: int, poses: int = POSES) -> Alike:
         for g in range(18)
     ]
     weight = 1.0 / np.maximum(np.array(size), CARRIES_NM)[problem.group, None]
-    common = common_columns(problem, nothing.setting, nothing.links, nothing.loads, nothing.band) * weight
+    common = common_columns(problem, nothing.setting, nothing.links, nothing.loads, nothing.band).dense * weight
     basis = _basis(common[:, : problem.nuisance_part.start], 1e-8)
     left: dict[Label, Floats] = {}
     unseen = []

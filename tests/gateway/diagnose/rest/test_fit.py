@@ -58,7 +58,7 @@ def test_the_evidence_is_the_density_less_the_room_that_the_parameters_had(probl
         # the information of a step is that of the noise before it
         again = fit(problem, found.terms, found.noise, found, steps=1)
         held = np.isfinite(again.prior_std)
-        weighted = again.design / found.noise.std[problem.group][:, None]
+        weighted = again.columns.dense / found.noise.std[problem.group][:, None]
         information = weighted.T @ weighted + np.diag(
             np.where(held, 1.0 / np.where(held, again.prior_std, 1.0), 0.0) ** 2
         )
@@ -80,7 +80,7 @@ def test_columns_are_the_derivatives_of_the_modelled_rows(problem, fits):
     times = np.sort(problem.rows.time_s[problem.rows.load != "none"])
     term = PayloadShift(float(times[3]))
     setting = with_terms(problem, [term], [np.array([0.02, -0.01, 0.03])], found.nuisance)
-    columns = common_columns(problem, setting, found.links, found.loads, found.band)
+    columns = common_columns(problem, setting, found.links, found.loads, found.band).dense
     sums = problem.group % (2 * problem.axes) < problem.axes
     for place, step in ((3, 1e-3), (problem.load_part(0).start, 1e-3), (problem.load_part(0).start + 2, 1e-3)):
         moved = np.concatenate([found.links, found.loads.ravel()])
@@ -137,9 +137,9 @@ def test_what_is_left_out_is_foretold_by_a_fit_without_it_whatever_columns_are_e
     bench = Bench(3, [])
     problem = problem_of(bench, made(bench))
     result = settled(problem)
-    assert (np.abs(result.design).max(axis=0) < 1e-12).any()
+    assert (np.abs(result.columns.dense).max(axis=0) < 1e-12).any()
     std = result.noise.std[problem.group]
-    weighted, right = result.design / std[:, None], result.residual / std
+    weighted, right = result.columns.dense / std[:, None], result.residual / std
     held = np.isfinite(result.prior_std)
     prior = np.diag(1.0 / np.where(held, result.prior_std, 1.0))[held]
     pull = ((problem.common_mean - result.common) / problem.common_std)[held]

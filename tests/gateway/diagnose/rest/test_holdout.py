@@ -13,7 +13,7 @@ from gateway.diagnose import diagnose
 from gateway.diagnose.rest import decide
 from gateway.diagnose.rest.decide import helped
 from gateway.diagnose.rest.holdout import chosen_by_others, foretold_poses, gained_by_pose, left_out
-from tests.resting_arm import Bench, effect, found
+from tests.resting_arm import Bench, basis_of, effect, found
 
 POSES, ROWS = 7, 5
 NOISE = np.array([0.5, 2.0, 1.0])
@@ -29,7 +29,7 @@ class Linear:
         root = np.linalg.cholesky(np.linalg.inv(weighted.T @ weighted + np.diag(spread**-2)))
         value = root @ root.T @ weighted.T @ (target / self.std)
         self.fit = SimpleNamespace(
-            residual=target - design @ value, orthogonal=weighted @ root, noise=SimpleNamespace(std=NOISE)
+            residual=target - design @ value, basis=basis_of(weighted @ root), noise=SimpleNamespace(std=NOISE)
         )
 
     def evidence(self, keep) -> float:

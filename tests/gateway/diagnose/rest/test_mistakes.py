@@ -22,8 +22,9 @@ from gateway.diagnose.rest.mistakes import (
 )
 from gateway.identify.rest.fit import fit
 from gateway.identify.rest.noise import first_noise
+from gateway.identify.solve import ByGroup
 from gateway.model.effects import LIBRARY, MISTAKES
-from tests.resting_arm import Bench, effect, found, problem_of, problems
+from tests.resting_arm import Bench, basis_of, effect, found, problem_of, problems
 from tests.support.rigs.tables import make_table
 
 
@@ -164,8 +165,9 @@ def judged(residual, band, std=2.0, poses=5):
     fitted = SimpleNamespace(
         noise=SimpleNamespace(start=np.array([1.0, std]), std=np.array([1.0, std])),
         residual=np.asarray(residual, dtype=float),
-        orthogonal=np.zeros((poses, 0)),
-        design=np.ones((poses, 1)),
+        basis=basis_of(np.zeros((poses, 0))),
+        columns=ByGroup.of(np.ones((poses, 1))),
+        scale=np.ones(1),
         band=np.array([float(band)]),
     )
     return problem, fitted

@@ -65,7 +65,7 @@ def test_columns_are_finite_differences_of_the_modelled_rows(seen, declared, cou
     terms = [TorqueMixing(4, 5)] if coupled else []
     theta = [np.array([0.3])] if coupled else []
     setting = with_terms(problem, terms, theta, nuisance)
-    columns = common_columns(problem, setting, links, loads, band)
+    columns = common_columns(problem, setting, links, loads, band).dense
     half_sums = problem.group % (2 * N) < N
     whole = np.concatenate([links, loads.ravel(), band, nuisance])
     cuts = [4 * N, 4 * N + loads.size, 5 * N + loads.size]
@@ -160,7 +160,7 @@ def test_friction_fades_from_the_first_visit_on():
     later = rows.time_s - rows.time_s.min()
     assert np.log(fast) == pytest.approx(-later / REST_MODEL.warm_fast_s)
     assert np.log(slow) == pytest.approx(-later / REST_MODEL.warm_slow_s)
-    none = ordinary_setting(rows, np.zeros(len(KINDS) * N + 1), GainChanges.none(np.full(N, 0.03)))
+    none = ordinary_setting(rows, np.zeros(len(KINDS) * N + 1), GainChanges.none(np.full(N, 0.03)).patterns(rows))
     assert (none.band_gain == 1.0).all()
     assert (none.gain == 1.0).all()
 

@@ -13,6 +13,7 @@ from gateway.diagnose.held import Held
 from gateway.diagnose.rest.fresh import spare_rows
 from gateway.diagnose.rest.holdout import left_out, left_out_with
 from gateway.diagnose.rest.screen import Screen, log_bayes_factor, pair_log_bayes
+from tests.resting_arm import basis_of
 
 RNG = np.random.default_rng(7)
 
@@ -20,7 +21,7 @@ RNG = np.random.default_rng(7)
 def screened(blocks, target) -> Screen:
     """Candidates as the screen hands them on: columns in units of their prior, nothing projected out."""
     alone = np.array([log_bayes_factor(block.T @ block, block.T @ target) for block in blocks])
-    nothing = np.zeros((len(target), 0))
+    nothing = basis_of(np.zeros((len(target), 0)))
     return Screen(tuple(range(len(blocks))), alone, lambda index: blocks[index], nothing, target)  # type: ignore[arg-type]
 
 
@@ -58,7 +59,7 @@ def fitted():
     basis, _ = np.linalg.qr(weighted)
     residual = std[group] * (right - basis @ (basis.T @ right))
     problem = SimpleNamespace(rows=SimpleNamespace(pose=poses), visit=np.arange(rows), group=group)
-    fit = SimpleNamespace(noise=SimpleNamespace(std=std), residual=residual, orthogonal=basis)
+    fit = SimpleNamespace(noise=SimpleNamespace(std=std), residual=residual, basis=basis_of(basis))
     return problem, fit, weighted, right
 
 
@@ -82,8 +83,8 @@ def test_a_pose_that_is_left_out_is_foretold_by_the_others(fitted):
 def test_and_so_it_is_with_one_more_candidate(fitted):
     problem, fit, weighted, right = fitted
     more = RNG.normal(size=(len(right), 2))
-    away = more - fit.orthogonal @ (fit.orthogonal.T @ more)
-    view = screened([away], right - fit.orthogonal @ (fit.orthogonal.T @ right))
+    away = fit.basis.left(more)
+    view = screened([away], fit.basis.left(right))
     expected = refitted(np.hstack([weighted, away]), right, problem.rows.pose, prior=2)
     found = left_out_with(problem, fit, view, 0) / fit.noise.std[problem.group]
     # the prior is a row that is never left out
@@ -92,8 +93,8 @@ def test_and_so_it_is_with_one_more_candidate(fitted):
 
 def test_rows_that_the_fit_has_not_taken_up():
     basis, _ = np.linalg.qr(RNG.normal(size=(12, 3)))
-    problem = SimpleNamespace(axis=np.arange(12) % 4, axes=5)
-    spare = spare_rows(problem, SimpleNamespace(orthogonal=basis))
+    count, taken = (np.bincount(np.arange(12) % 4, each, 15) for each in (None, (basis**2).sum(axis=1)))
+    spare = spare_rows(SimpleNamespace(by_group=lambda: count), SimpleNamespace(taken=taken))
     assert spare.sum() == pytest.approx(12 - 3)
     assert spare[4] == 0.0
     assert spare[1] == pytest.approx(3.0 - (basis[1::4] ** 2).sum())

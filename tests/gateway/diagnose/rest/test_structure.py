@@ -22,7 +22,7 @@ from gateway.identify.rest.fit import fit
 from gateway.identify.rest.noise import first_noise
 from sim.effects import apply_effects
 from sim.offline import half_floor
-from tests.resting_arm import Bench, effect, problem_of
+from tests.resting_arm import Bench, basis_of, effect, problem_of
 
 AXES, POSES, LOADS, TAKEN = 6, 12, 2, 24
 DRAWS = 4000
@@ -50,10 +50,17 @@ class Rows:
             axes=AXES,
             visit=self.visit,
             rows=SimpleNamespace(pose=np.tile(np.arange(POSES), loads)),
+            by_group=lambda values=None: np.bincount(self.group, values, 3 * AXES),
         )
         noise = SimpleNamespace(std=np.ones(3 * AXES), least=np.full(3 * AXES, 1e-9))
-        self.fit = SimpleNamespace(orthogonal=self.basis, noise=noise, residual=np.zeros(len(self.group)))
+        residual = np.zeros(len(self.group))
+        self.fit = SimpleNamespace(
+            basis=basis_of(self.basis), taken=self.taken_by(self.basis), noise=noise, residual=residual
+        )
         self.test = StructureTest.of(self.problem, self.fit)
+
+    def taken_by(self, basis: np.ndarray) -> np.ndarray:
+        return np.bincount(self.group, (basis**2).sum(axis=1), 3 * AXES)
 
     def left(self, rows: np.ndarray) -> np.ndarray:
         return rows - self.basis @ (self.basis.T @ rows)
@@ -120,7 +127,8 @@ def test_what_is_on_every_axis_is_seen_where_it_is_too_small_on_each(rows):
 def test_too_few_visits_see_nothing():
     made = Rows(1)
     made.problem.rows = SimpleNamespace(pose=np.arange(POSES * LOADS))  # no pose twice
-    made.fit.orthogonal = np.eye(len(made.group))  # and all rows taken up
+    everything = np.eye(len(made.group))
+    made.fit.basis, made.fit.taken = basis_of(everything), made.taken_by(everything)
     assert misfit(made.problem, made.fit) == 1.0
     told = structure_seen_nm(made.problem, made.fit, np.ones(AXES))
     assert told == {"structure_seen_nm": [None] * AXES, "structure_seen_on_all_nm": [None] * AXES}
