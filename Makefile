@@ -114,7 +114,7 @@ space: venv
 strangers: venv
 	$(BIN)/python -m benchmarks.strangers --out out/strangers
 
-# Two arms: the numpy tier and two seeds over PyBullet and twelve CAN drives; all rows on ten seeds, with verdicts.
+# Two arms over PyBullet and twelve CAN drives: main rows on two seeds; all rows on ten seeds, with verdicts.
 pair: venv
 	$(BIN)/python -m benchmarks.pair --out out/pair
 

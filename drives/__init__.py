@@ -1,4 +1,4 @@
-"""Drives on a CAN bus: CANopen (CiA 301) and CiA 402, nothing of robots."""
+"""CANopen drives on a CAN bus (CiA 301, CiA 402), independent of the robot."""
 
 from drives.lean_can import keep_lean
 

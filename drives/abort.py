@@ -1,4 +1,4 @@
-"""SDO abort codes in words, with what is likely behind them (CiA 301, table 22)."""
+"""SDO abort codes: meaning and probable cause (CiA 301, table 22)."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ NO_OBJECT: Final = 0x06020000
 NO_SUBINDEX: Final = 0x06090011
 NO_DATA: Final = 0x08000024
 
-#: What a drive answers where it does not have what is asked for. An object that exists but must not be read this way
-#: (0x06010000, 0x06010001) is not absent: there the profile is wrong.
+#: Abort codes for a missing object. An object that exists but must not be read this way (0x06010000, 0x06010001) is not
+#: absent: there the profile is wrong.
 ABSENT: Final = frozenset({NO_OBJECT, NO_SUBINDEX, NO_DATA})
 
-#: Abort code -> (what it says, what is likely behind it); CiA 301, table 22.
+#: Abort code -> (meaning, probable cause); CiA 301, table 22.
 ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
     TOGGLE_NOT_ALTERNATED: ("toggle bit not alternated", "a frame was lost or doubled; try again"),
     TIMED_OUT: ("SDO protocol timed out", "the drive is busy or the bus overloaded; try again"),
@@ -54,7 +54,7 @@ ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
 
 
 def abort_error(node_id: int, address: tuple[int, int], code: int) -> SdoAbort:
-    """The refusal of a drive, its code in words and with its likely cause."""
+    """Return the error for an SDO abort, with the meaning of its code and the probable cause."""
     what, advice = ABORT_CODES.get(code, ("code unknown to CiA 301", "see the drive's manual"))
     return SdoAbort(
         f"SDO abort 0x{code:08X}, {what}", node=node_id, index=address[0], subindex=address[1], code=code, advice=advice

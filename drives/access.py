@@ -1,4 +1,4 @@
-"""Objects of one node: read, write under an allow-list with a ledger entry before and a read-back after."""
+"""Read and write objects of one node: writes need an allow-list, a ledger entry before and a read-back after."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Address = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class AccessRules:
-    """What may be written to a node, by the profile of this name, and how long its answers may take."""
+    """Objects that the profile of this name allows to write, and the SDO timeouts of the node."""
 
     name: str
     allow: Collection[int]
@@ -50,7 +50,7 @@ class NodeAccess:
     node_id : int
     rules : AccessRules
     ledger : WriteLedger
-        Where every write is entered before it happens.
+        Every write is entered here before it is sent.
     """
 
     def __init__(self, bus: Bus, node_id: int, rules: AccessRules, ledger: WriteLedger) -> None:
@@ -58,11 +58,11 @@ class NodeAccess:
         self.rules = rules
         self.bus = bus
         self.sdo = SdoClient(bus, node_id, rules.timeout_s, rules.slow_timeout_s)
-        #: By which the ledger knows the node; its identity is added once it is read.
+        #: Key of the node in the ledger; its identity is added once it is read.
         self.device = KnownDevice(node_id, bus.spec.name)
-        #: What `restore` found written by somebody else since: it was left as it is.
+        #: Objects that `restore` left unchanged because another tool has written them since.
         self.superseded: tuple[LedgerEntry, ...] = ()
-        #: What the node held of the objects that were configured when each was last read back: type and value.
+        #: Type and value of each configured object when it was last read back.
         self._configured: dict[Address, tuple[str, int]] = {}
         self._ledger = ledger
 
@@ -76,7 +76,7 @@ class NodeAccess:
         return self.sdo.read(entry.index, entry.subindex, entry.type, options)
 
     def read_optional(self, entry: Entry) -> int | None:
-        """Read an object that the drive may not have; None = it does not."""
+        """Read an object that the drive may lack; None = it lacks it."""
         try:
             return self.read(entry)
         except SdoAbort as abort:
@@ -162,11 +162,11 @@ class NodeAccess:
 
     @property
     def noted(self) -> tuple[LedgerEntry, ...]:
-        """What the ledger holds of this device."""
+        """Ledger entries of this device."""
         return self._ledger.of(self.device)
 
     def undo(self, old: dict[Address, tuple[str, int]], noted: tuple[LedgerEntry, ...]) -> list[str]:
-        """Put back what was written since a moment; the ledger is then as it was at that moment.
+        """Restore values to those of an earlier moment; the ledger is restored to the same moment.
 
         Parameters
         ----------
@@ -198,7 +198,8 @@ class NodeAccess:
             return None
 
     def _send_back(self, old: dict[Address, tuple[str, int]]) -> dict[Address, DriveError]:
-        """Write values back, entered in the ledger before; goes on past a refusal, and ends at a silent device.
+        """Write values back, entered in the ledger before. Continue after a refusal, stop at a device that does not
+        respond.
 
         Returns
         -------
@@ -246,7 +247,7 @@ class NodeAccess:
         return any(entry.index in indices for entry in self.noted)
 
     def refuse_unfinished(self) -> None:
-        """See that no `config apply` was cut off, which would leave a part of a configuration in the device.
+        """Refuse a device in which an interrupted `config apply` left part of a configuration.
 
         Raises
         ------
@@ -264,7 +265,7 @@ class NodeAccess:
             )
 
     def adopt_applied(self) -> None:
-        """Take what `config apply` wrote for the original: a run configures the device on top of it."""
+        """Treat the values written by `config apply` as the original values."""
         self._ledger.forget(*(entry for entry in self.noted if entry.writer == "applied"))
 
     def finish_applying(self, devices: Sequence[KnownDevice]) -> None:
@@ -357,9 +358,9 @@ class NodeAccess:
             raise
 
     def restore(self) -> list[DriveError]:
-        """Put back what the ledger holds of this device; only what reads back as its original leaves the ledger.
+        """Restore the original values of this device; an entry is removed once its original value reads back.
 
-        An object that somebody else has written since keeps its value, and leaves the ledger too: `superseded`.
+        An object that another tool has written since keeps its value and is removed from the ledger too (`superseded`).
 
         Returns
         -------
@@ -429,9 +430,10 @@ class NodeAccess:
         return held
 
     def _without_superseded(self, entries: list[LedgerEntry], held: dict[Address, int]) -> list[LedgerEntry]:
-        """Entries whose objects hold what the gateway wrote or the original; the others leave the ledger.
+        """Return the entries whose objects hold the original value or one of the gateway's; remove the others from the
+        ledger.
 
-        Within the record of a PDO that is put back, what somebody else has written becomes the original.
+        Within the record of a PDO that is restored, a value written by another tool becomes the original.
         """
 
         def is_others(entry: LedgerEntry) -> bool:

@@ -1,4 +1,6 @@
-"""Whom the master takes: simulators alone in lockstep and on networks, and nobody whose emergencies it cannot hear."""
+"""Decide which nodes may be driven: only simulators in lockstep and on networks, only nodes whose EMCY can be
+received.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,7 @@ class Admission:
     spec : BusSpec
     pacing : "lockstep" or "real"
     allow_real_drive : bool
-        A node that is no simulator may be driven over a network; never in lockstep.
+        A node that is not a simulator may be driven over a network; never in lockstep.
     """
 
     spec: BusSpec
@@ -33,7 +35,7 @@ class Admission:
     allow_real_drive: bool
 
     def check(self, node: Cia402Drive | Instrument) -> None:
-        """See that a node that is no simulator gets SYNC by the clock alone, and not over a network without leave.
+        """Refuse a real drive in lockstep, and over a network unless `allow_real_drive` is set.
 
         Raises
         ------
@@ -44,9 +46,9 @@ class Admission:
         if not (lockstep or network) or is_simulator(node.access.sdo):
             return
         if lockstep:
-            what = "is no simulator (object 0x5FFE): in lockstep it would get SYNC as fast as it answers"
+            what = "is not a simulator (object 0x5FFE): in lockstep it would get SYNC as fast as it answers"
             raise ConfigurationRefused(what, node=node.node_id, advice='write pacing = "real" for this bus in the cell')
-        what = f"is no simulator (object 0x5FFE), and anybody on {self.spec} can write frames to it"
+        what = f"is not a simulator (object 0x5FFE), and any computer on {self.spec} can write frames to it"
         advice = "connect it by an adapter of its own; allow_real_drive = true for this bus takes the risk"
         raise ConfigurationRefused(what, node=node.node_id, advice=advice)
 

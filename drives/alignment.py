@@ -1,8 +1,8 @@
-"""By the clock: which SYNC a TPDO answers, when an earlier answer of the same TPDO has stayed away.
+"""In real time: assign a TPDO to its SYNC when an earlier TPDO of the same node is missing.
 
-TPDOs carry no number, but each node answers in order. A TPDO that left a SYNC unanswered may still be under way, and
-would then be taken for the answer to the next one. Its frames are not assigned until as many have come as SYNCs were
-sent, or until three SYNCs in a row have brought exactly one frame each, as soon as usual: then the missing one is lost.
+TPDOs carry no number, but each node answers in order. A missing TPDO may still be in transit, and would then be taken
+for the answer to the next SYNC. Its frames are not assigned until as many have come as SYNCs were sent, or until three
+SYNCs in a row have brought exactly one frame each, as soon as usual: then the missing one is lost.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Alignment:
         self._open = False
 
     def forget(self) -> None:
-        """Begin a new run: nothing is under way any more."""
+        """Begin a new run: no TPDO is in transit."""
         self.astray.clear()
         self._open = False
 
@@ -71,7 +71,7 @@ class Alignment:
         astray.usual &= 0.0 <= after_s <= _SLOW * (self._usual_s or 0.0) + _SLACK_S
 
     def end(self, frames: Sequence[object | None]) -> None:
-        """Before the next SYNC: look back at what the last one has brought, late or not."""
+        """Before the next SYNC: evaluate the answers to the last one, delayed ones included."""
         if not self._open:
             return
         self._open = False

@@ -1,4 +1,4 @@
-"""What has to be read and set on a CiA 402 drive before it may take part in the SYNC exchange."""
+"""Read and configure a CiA 402 drive before it takes part in the SYNC exchange."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from drives.values import Identity
 #: Time between two readings of what a drive takes a moment to do.
 POLL_S: Final = 0.005
 _SYNC_PRODUCER: Final = 1 << 30
-#: What object 0x5FFE of a simulated node says.
+#: Value of object 0x5FFE of a simulated node.
 SIMULATOR_NAME: Final = "servo-sim"
 #: 0x1014: the emergency object does not exist; and: it has an identifier of 29 bits.
 _EMCY_OFF: Final = 1 << 31
@@ -55,7 +55,7 @@ def read_identity(sdo: SdoClient) -> Identity:
 
 
 def is_simulator(sdo: SdoClient) -> bool:
-    """Whether a node says of itself that it is simulated; one without the object is taken for a real one.
+    """Return whether a node reports that it is simulated; a node without the object counts as real.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def is_simulator(sdo: SdoClient) -> bool:
 
 
 def emergency_id(access: NodeAccess) -> int | None:
-    """CAN id of the emergency messages of a node (0x1014); None = it does not say, and the standard one holds.
+    """CAN id of the emergency messages of a node (0x1014); None = not stated, the standard identifier applies.
 
     Raises
     ------
@@ -112,12 +112,12 @@ def check_identity(identity: Identity, profile: DriveProfile) -> None:
 
 
 def check_at_rest(access: ObjectAccess) -> None:
-    """Make sure that nobody has enabled the drive.
+    """Refuse a drive that is already enabled.
 
     Raises
     ------
     DriveFault
-        Somebody has.
+        The drive is enabled.
     """
     status = access.read(OBJECTS["statusword"])
     if decode_state(status) not in AT_REST:
@@ -131,7 +131,7 @@ def check_at_rest(access: ObjectAccess) -> None:
 
 
 class Readable(Protocol):
-    """Where constants are read from: a drive, or what one was heard to say."""
+    """Source of constants: a drive, or its recorded SDO answers."""
 
     @property
     def profile(self) -> DriveProfile:
@@ -189,7 +189,7 @@ def check_sync(access: NodeAccess) -> None:
     Raises
     ------
     ConfigurationRefused
-        The drive wants another SYNC, or sends one itself.
+        The drive expects another SYNC identifier, or produces SYNC itself.
     """
     cob_id = access.read_optional(OBJECTS["sync_cob_id"])
     if cob_id is not None and (cob_id & 0x7FF != 0x080 or cob_id & _SYNC_PRODUCER):
@@ -203,8 +203,8 @@ def check_sync(access: NodeAccess) -> None:
 def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
     """See that a node does not wait for SYNCs of another period (0x1006) than ours.
 
-    SYNC rests while nothing moves: a node that supervises its period would raise a communication error then. The object
-    is set to 0 (no supervision), or to our period where the node does not take 0.
+    SYNC pauses while nothing moves; a node that supervises the period would raise a communication error then. The
+    object is set to 0 (no supervision), or to our period where the node does not take 0.
 
     Raises
     ------
@@ -223,7 +223,7 @@ def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
             what = f"waits for a SYNC every {found_us} us, the master sends one every {period_us} us"
             access.refuse(entry, what, "set 0x1006 to 0 in the drive, or add 0x1006 to write.allow")
         return
-    reason = "SYNC comes from the master, in its own rhythm"
+    reason = "SYNC is produced by the master with its own period"
     try:
         access.write(entry, 0, reason)
     except SdoAbort:

@@ -1,8 +1,8 @@
 """CAN bus: configuration to an open adapter, and the one receive path of the master.
 
-Beside `frame_log` the only file that imports python-can. Whoever waits for an answer receives, and every frame goes
-through one table of handlers, so that a frame never waits in a cache for its reader. Frames that this master sent and
-that the adapter brings back (udp_multicast) are told apart from those of another master.
+Besides `frame_log` the only file that imports python-can. The thread that waits for an answer receives, and every frame
+goes through one table of handlers, so that no frame waits in a cache. Frames of this master that the adapter echoes
+(udp_multicast) are distinguished from frames of another master.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ SDO_REQUEST_BASE: Final = 0x600
 SDO_ANSWER_BASE: Final = 0x580
 HEARTBEAT_BASE: Final = 0x700
 
-#: Interfaces on which every frame that is sent comes back, with nothing to tell it from a stranger's.
+#: Interfaces that echo every sent frame without marking it.
 _ECHOING: Final = frozenset({"udp_multicast"})
 _WITHOUT_BITRATE: Final = frozenset({"virtual", "udp_multicast", "socketcan"})
 #: What an interface needs beside python-can, by its documentation (python-can, "CAN interface modules").
@@ -60,18 +60,18 @@ _ADVICE: Final = {
 }
 _NO_KERNEL_CAN: Final = (
     "this kernel has no CAN: load it by `modprobe can_raw`, use a kernel with CONFIG_CAN (containers and WSL often have"
-    " none), or an adapter with a driver of its own; `servo-gateway doctor` tells what is there"
+    " none), or an adapter with a driver of its own; `servo-gateway doctor` lists the interfaces"
 )
 #: How long a full transmit queue is waited for before the send counts as failed.
 SEND_TIMEOUT_S: Final = DRIVE_RULES["queue_full"].limit
 #: Receptions that may fail in a row (stray datagrams) before the adapter counts as broken.
 _RECEIVE_FAILURES: Final = 1000
 _CAN_ERROR_BUS_OFF: Final = 0x40
-#: Own frames of one id that may be on their way back at the same time: NMT commands to every node of a bus.
+#: Own frames of one id that may be echoed at the same time: NMT commands to every node of a bus.
 _ECHO_MEMORY: Final = 128
 #: Odd frames that are taken in at once when there is no time left to wait.
 _ODD_AT_ONCE: Final = 64
-#: Longest time to take in what has already arrived, if more and more comes [s].
+#: Longest time for reading frames that have already arrived [s].
 _DRAIN_S: Final = 0.05
 #: Interfaces whose frames carry this computer's wall clock, taken when a frame came in (on virtual: was sent).
 _STAMPING: Final = frozenset({"socketcan", "udp_multicast", "virtual"})
@@ -117,7 +117,7 @@ class Bus:
     Attributes
     ----------
     log : FrameLog or None
-        It switches itself off when it fails; the failure is raised by `__exit__` where nothing else is.
+        It is switched off when it fails; `__exit__` raises the failure unless another error is being raised.
     """
 
     def __init__(self, adapter: Any, spec: BusSpec, trace: Path | None = None) -> None:
@@ -197,7 +197,7 @@ class Bus:
             raise BusError(what, advice=advice) from error
 
     def _hand_to_taps(self, frame: Any, *, received: bool) -> None:
-        """Let whoever overhears store a frame; one that raises is counted and left out from then on."""
+        """Pass a frame to every tap; a tap that raises is counted and removed."""
         for tap in self._taps:
             try:
                 tap(frame, received)
@@ -303,7 +303,7 @@ class Bus:
             self._handlers.pop(can_id, None)
 
     def add_tap(self, tap: Tap) -> None:
-        """Call `tap` for every frame that comes or goes, whatever it is."""
+        """Call `tap` for every frame received or sent."""
         self._taps = (*self._taps, tap)
 
     def remove_tap(self, tap: Tap) -> None:
@@ -424,7 +424,7 @@ class Bus:
 
 
 class _Closed:
-    """Stands in for the adapter of a closed bus."""
+    """Adapter of a closed bus: every use fails."""
 
     def recv(self, timeout: float | None = None) -> None:
         raise BusError("the bus is closed", advice="open it again")

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from drives.errors import BusError
 
-#: Interfaces that are a network: whoever reaches it can send frames to the drives.
+#: Interfaces that are a network: any computer on it can send frames to the drives.
 NETWORKS: Final = frozenset({"udp_multicast", "virtual", "socketcand"})
 #: Options that belong to the address of a bus, and what they are where they are not given.
 _ADDRESS: Final = {"port": {"udp_multicast": 43113}, "host": {}}
@@ -26,7 +26,7 @@ class BusSpec:
     bitrate_bit_s : int
         Of the wire; the planned bus load refers to it also where the interface has no wire.
     options : mapping
-        Further arguments of the interface, as they stand.
+        Further arguments of the interface, unchanged.
     """
 
     interface: str
@@ -61,7 +61,7 @@ class BusSpec:
 
     @property
     def name(self) -> str:
-        """Which bus this is, without the options that only say how it is used."""
+        """Return the address of the bus, without the options that only affect its use."""
         found = {key: self.options.get(key, known.get(self.interface)) for key, known in _ADDRESS.items()}
         address = [f"{key}={value}" for key, value in found.items() if value is not None]
         return ",".join([f"{self.interface}:{self.channel}", *address])

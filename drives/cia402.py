@@ -1,7 +1,7 @@
 """CiA 402 state machine: pure tables and functions (CiA 402-2, clause 8: finite state automaton and statusword).
 
 No route passes through OPERATION ENABLED unless that is the target, transition 16 (quick stop active back to operation
-enabled) is never used, and no controlword of this module has the fault reset bit: a fault is reset by a person.
+enabled) is never used, and no controlword of this module has the fault reset bit: only a person resets a fault.
 """
 
 from __future__ import annotations
@@ -134,12 +134,12 @@ class NoRoute(ValueError):  # noqa: N818 - reads as what happened
 
 
 def decode_state(statusword: int) -> State:
-    """State that a statusword shows; UNDEFINED for a bit pattern that the standard does not know."""
+    """Return the state in a statusword; UNDEFINED for a bit pattern that is not in the standard."""
     return _STATES[statusword & STATE_MASK]
 
 
 def next_controlword(state: State, target: State) -> int:
-    """Controlword of the next transition on the way to `target`; holds the state once it is reached.
+    """Return the controlword of the next transition towards `target`; once reached, the one that keeps the state.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def next_controlword(state: State, target: State) -> int:
     ------
     NoRoute
         From a fault, from QUICK STOP ACTIVE back to OPERATION ENABLED, to QUICK STOP ACTIVE from a state in which
-        nothing moves, or to a state that nobody can ask for.
+        nothing moves, or to a state that cannot be commanded.
     """
     word = _ROUTES.get(target, {}).get(state)
     if word is None:
@@ -176,7 +176,7 @@ def mode_supported(supported_modes: int, mode: Mode) -> bool:
 
 
 def describe(statusword: int) -> str:
-    """Statusword in words, e.g. ``OPERATION ENABLED, internal limit``."""
+    """Describe a statusword, e.g. ``OPERATION ENABLED, internal limit``."""
     words = [str(decode_state(statusword))]
     for bit, text in ((WARNING, "warning"), (INTERNAL_LIMIT, "internal limit"), (FOLLOWING_ERROR, "following error")):
         if statusword & bit:

@@ -1,6 +1,6 @@
-"""When a SYNC is due by the clock: waits on time, never catches up in a burst, and keeps how late each one was.
+"""Schedule SYNC in real time: wait until it is due, never send a burst to catch up, and record the delay of each SYNC.
 
-SYNCs that were missed are left out and the rhythm stays: drives hang their own clocks on it.
+Missed SYNCs are skipped and the phase is kept, because drives synchronise their own clocks to it.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _SPIN_S: Final = 0.00012
 def spare_collections() -> None:
     """Take what lives long out of the garbage collector's sight, until `gc.unfreeze`.
 
-    A collection that looks at everything a gateway has loaded takes 20 to 40 ms, longer than a SYNC period.
+    A full garbage collection of a loaded gateway takes 20 to 40 ms, longer than a SYNC period.
     """
     gc.collect()
     gc.freeze()
 
 
 class SyncClock:
-    """Deadlines of the wall-clock mode.
+    """SYNC deadlines in real time.
 
     Parameters
     ----------
@@ -53,13 +53,13 @@ class SyncClock:
         return 0.0 if self._last_s is None else max(0.0, time.monotonic() - self._last_s - self._period_s)
 
     def sent(self, due_s: float, late_s: float = 0.0) -> None:
-        """A SYNC that was due at a monotonic time [s] has gone out, `late_s` later because the bus was full."""
+        """Record a SYNC that was due at a monotonic time [s] and was sent `delay_s` later because the bus was full."""
         self._last_s = due_s + late_s
         if late_s and self.lateness_s:
             self.lateness_s[-1] += late_s
 
     def follow(self, now_s: float) -> None:
-        """The SYNC of this time [s] is due by another clock; the next one would be by this one again."""
+        """Take the time [s] of this SYNC from another clock; the next one is due by this clock again."""
         self._due_s = now_s + self._period_s
 
     def restart(self, at_s: float | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Frames of one SYNC -> readings, with everything that is known beforehand worked out beforehand."""
+"""Decode the frames of one SYNC into readings; all factors are precomputed."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def single_decoder(node_id: int, slot: int, unpack: Unpack, scale: MotorScale) -
 def double_decoder(
     node_id: int, slot: int, unpack: tuple[Unpack, Unpack], scale: MotorScale, fields: Fields
 ) -> Decoder:
-    """Decoder of a drive with two TPDOs: statusword, position, torque, then what `fields` says, over both frames."""
+    """Return the decoder of a drive with two TPDOs: statusword, position, torque, then the fields of `fields`."""
     count_rad, torque_nm = scale.count_rad, scale.torque_nm
     rad_s, ampere = scale.velocity_rad_s or 0.0, scale.current_a or 0.0
     has_velocity, has_current = fields

@@ -1,4 +1,4 @@
-"""Who of the drives that are wanted is there, and whether each is alone and the right one."""
+"""Check which of the configured drives respond, whether each node id is unique, and whether the identity matches."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from drives.heartbeat import HeartbeatWatch, NmtCommand, NmtState, send_nmt
 from drives.probe import QUESTIONS, probe
 from drives.values import Identity
 
-#: Longest wait for whoever did not answer the first question.
+#: Longest wait for nodes that did not answer the first request.
 _PATIENCE_S: Final = 1.0
 #: Longer than the heartbeat period that most devices come with.
 LISTEN_S: Final = 1.2
 
 
 def count_answers(bus: Bus, node_ids: Iterable[int], timeout_s: float) -> dict[int, int]:
-    """How many devices answer at each node id within a time [s], longer for those asked again.
+    """Count the devices that answer at each node id within a time [s], longer for repeated requests.
 
-    Whoever does not answer may be in NMT state STOPPED: it is told to leave it, and asked again. Two answers are asked
-    for again too, since a frame may have been doubled on its way.
+    A node that does not answer may be in NMT state STOPPED: it gets the command to leave it and a second request. Two
+    answers are requested again too, because a frame may have been duplicated on the bus.
     """
     answers = probe(bus, node_ids, timeout_s)
     again = [node_id for node_id, number in answers.items() if number != 1]
@@ -34,7 +34,7 @@ def count_answers(bus: Bus, node_ids: Iterable[int], timeout_s: float) -> dict[i
 
 
 def nmt_states(bus: Bus, node_ids: Iterable[int], listen_s: float = LISTEN_S) -> dict[int, NmtState | None]:
-    """NMT state of nodes by their heartbeats; None = none was heard. Nothing is sent.
+    """NMT state of nodes by their heartbeats; None = no heartbeat received. Nothing is sent.
 
     Parameters
     ----------
@@ -54,9 +54,9 @@ def nmt_states(bus: Bus, node_ids: Iterable[int], listen_s: float = LISTEN_S) ->
 
 
 def missing(node_id: int, state: NmtState | None) -> NodeMissing:
-    """The error about a node that does not answer SDO, by what its heartbeat says of it."""
+    """Return the error for a node that does not answer SDO, with the NMT state of its heartbeat."""
     if state is None:
-        return NodeMissing("nobody answers", node=node_id, advice="check power, node id, bit rate and cabling")
+        return NodeMissing("no device answers", node=node_id, advice="check power, node id, bit rate and cabling")
     if state is NmtState.STOPPED:
         what = "is in NMT state STOPPED, in which it answers no SDO"
         advice = f"wake it: NMT command 0x80 (frame 000, data 80 {node_id:02X}), or switch it off and on"
@@ -66,7 +66,7 @@ def missing(node_id: int, state: NmtState | None) -> NodeMissing:
 
 
 def require_one(node_id: int, answers: int, state: NmtState | None = None) -> None:
-    """Make sure that one device answers at a node id; `state` is what its heartbeat says, if one was heard.
+    """Make sure that one device answers at a node id; `state` is the NMT state of its heartbeat, if one was received.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def require_one(node_id: int, answers: int, state: NmtState | None = None) -> No
 
 
 def identify(drive: Cia402Drive, answers: int, state: NmtState | None = None) -> Identity:
-    """Read who a drive is and compare it with its profile.
+    """Read the identity of a drive and compare it with its profile.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A CiA 402 drive on CANopen: what the group asks of it."""
+"""A CiA 402 drive on CANopen, as used by the drive group."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drives.values import AxisSetup, DriveCommand, DriveReading, Identity
 __all__ = ["AxisSetup", "Cia402Drive", "DriveCommand", "DriveReading", "Identity"]
 
 _I16_MAX: Final = 0x7FFF
-#: An axis that is held outside its limits stays held where a target leads further out by no more than this: a way
+#: An axis that is held outside its limits stays held where a target leads further out by no more than this: a path
 #: inwards begins at the position that was read, which is not to the count the one that is held.
 POSITION_TOLERANCE_REVOLUTIONS: Final = 1e-3
 
@@ -99,7 +99,7 @@ class Cia402Drive:
     # -- bringing up -------------------------------------------------------------------------------------------------
 
     def identify(self) -> Identity:
-        """Read who answers, and compare it with the profile.
+        """Read the identity and compare it with the profile.
 
         Raises
         ------
@@ -131,7 +131,7 @@ class Cia402Drive:
         Raises
         ------
         DriveFault
-            The drive is enabled by somebody else.
+            The drive is already enabled.
         ConfigurationRefused, SdoError, ProfileError
             As the drive answers.
         """
@@ -153,7 +153,7 @@ class Cia402Drive:
         bringup.set_interpolation_period(access, sync_period_s)
         if heartbeat.producer_ms is not None:
             access.write(OBJECTS["producer_heartbeat"], heartbeat.producer_ms, "sign of life of the drive")
-        reason = "what the drive does when the master is gone"
+        reason = "reaction of the drive when the master's heartbeat stops"
         access.write(OBJECTS["abort_connection_option"], heartbeat.abort_connection, reason)
         self._sync_period_s = sync_period_s
         self._max_step_count = self.setup.max_motor_speed_rad_s * sync_period_s / scale.count_rad + 1.0
@@ -191,7 +191,7 @@ class Cia402Drive:
         return drive_limits.limit_torque(self.access, permille)
 
     def safety_faults(self) -> list[str]:
-        """Which of the profile's conditions for motion do not hold now, in words; empty = all hold.
+        """Return the profile's conditions for motion that do not hold now, as text; empty = all hold.
 
         Emergency stop, safe torque off, and whether the encoder is referenced, as far as the profile names the objects.
         """
@@ -210,7 +210,7 @@ class Cia402Drive:
     def arm(self, master_node_id: int) -> None:
         """Let the drive watch the master's heartbeat, from its first one on."""
         value = master_node_id << 16 | self.setup.profile.heartbeat.consumer_ms
-        self.access.write(OBJECTS["consumer_heartbeat"], value, "the drive stops when the master is gone")
+        self.access.write(OBJECTS["consumer_heartbeat"], value, "the drive stops when the master's heartbeat stops")
 
     def disarm(self) -> None:
         """Let the drive stop watching."""
@@ -225,7 +225,7 @@ class Cia402Drive:
         return self.access.read(OBJECTS["statusword"])
 
     def fault_text(self) -> str:
-        """Error code 0x603F in words, as far as the drive answers."""
+        """Return the text of error code 0x603F, as far as the drive answers."""
         try:
             code = self.access.read(OBJECTS["error_code"], ONCE)
         except DriveError:
@@ -250,7 +250,7 @@ class Cia402Drive:
             offset = self._offset(command.torque_offset_nm) if command.torque_offset_nm else 0
             velocity = self._velocity(command.velocity_offset_rad_s) if command.velocity_offset_rad_s else 0
         except (ValueError, OverflowError) as error:
-            raise CommandRefused(f"{command} is no target: {error}", node=self.node_id) from error
+            raise CommandRefused(f"{command} is not a valid target: {error}", node=self.node_id) from error
         if self.target_count == self._held_count and abs(count - self.target_count) <= self._tolerance_count:
             count = self._no_further_out(count)
         if not self._lowest <= count <= self._highest and not self._inward(count):
@@ -259,7 +259,7 @@ class Cia402Drive:
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         step = count - self.target_count
         if not -self._max_step_count <= step <= self._max_step_count:
-            what = f"target asks for {abs(step) * scale.count_rad / self._sync_period_s:.1f} rad/s"
+            what = f"target requires {abs(step) * scale.count_rad / self._sync_period_s:.1f} rad/s"
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
             raise CommandRefused(what, node=self.node_id, index=0x607A, advice=advice)
         self._staged = (count, offset, velocity)

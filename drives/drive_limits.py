@@ -1,4 +1,4 @@
-"""Limits that the drive itself keeps: position (0x607D) and torque (0x6072), written from the cell, never loosened."""
+"""Write the drive's own limits from the cell file: position (0x607D) and torque (0x6072); they are never loosened."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from drives.errors import DriveFault
 from drives.objects import OBJECTS
 from drives.scaling import Constants
 
-#: How far the drive's own position limits stand outside those that the master keeps, in motor revolutions: a stop that
-#: begins at the master's limit ends before the drive's. Behind a gear of 100 it is 0.03 rad of the joint.
+#: Distance of the drive's own position limits outside those of the master, in motor revolutions: a stop that begins at
+#: the master's limit ends before the drive's. Behind a gear of 100 it is 0.03 rad of the joint.
 LIMIT_MARGIN_REVOLUTIONS: Final = 0.5
 _I32_MAX: Final = 0x7FFFFFFF
 _U16_MAX: Final = 0xFFFF
@@ -33,8 +33,8 @@ def limits_in_counts(limit_rad: tuple[float, float] | None, count_rad: float) ->
 def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts: float) -> bool:
     """Let the drive refuse targets far outside the axis' limits (0x607D), where profile and drive allow it.
 
-    The drive's own limits are narrowed, never widened. They are left alone where their meaning is not certain (home
-    offset 0x607C or reversed positions 0x607E), and where the axis stands outside of what would be written.
+    The drive's own limits are narrowed, never widened. They are left unchanged where their meaning is not certain (home
+    offset 0x607C or reversed positions 0x607E), and where the axis is outside the limits that would be written.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def limit_torque(access: ObjectAccess, permille: int) -> bool:
     Raises
     ------
     DriveFault
-        The drive is enabled: a limit that changes under power lets an axis sag.
+        The drive is enabled: changing the limit under power may let the axis drop.
     ConfigurationRefused, SdoError
         As the drive answers.
     """
@@ -118,7 +118,7 @@ def limit_torque(access: ObjectAccess, permille: int) -> bool:
 
 
 def rated_torque_nm(access: ObjectAccess, constants: Constants) -> float | None:
-    """Nm that 1000 per mille of 0x6072 stand for; None = the profile does not say."""
+    """Return the torque [Nm] of 1000 per mille of 0x6072; None = the profile does not state it."""
     profile = access.profile
     if profile.torque.kind == "permille_rated_torque":
         return constants.torque_rated

@@ -9,7 +9,7 @@ from typing import Final
 
 from drives.profile import DriveProfile
 
-#: Messages that are kept; a storm does not fill the memory, and `EmcyLog.count` goes on.
+#: Messages kept; `EmcyLog.count` counts all of them.
 KEPT: Final = 256
 
 #: Classes of error codes (CiA 301, table 26; CiA 402-1, error codes).
@@ -40,15 +40,15 @@ class Emergency:
     ----------
     node_id : int
     sync_index : int
-        SYNC after which it came.
+        SYNC after which it was received.
     code : int or None
         Error code; None when the frame was too short to hold one.
     register : int or None
         Error register 0x1001.
     vendor : bytes
-        Up to five bytes that only the vendor knows.
+        Up to five bytes with a meaning defined by the vendor.
     text, advice : str
-        In words, by the drive's profile or by the class of the code.
+        From the drive's profile or from the class of the code.
     """
 
     node_id: int
@@ -61,7 +61,7 @@ class Emergency:
 
     @property
     def is_reset(self) -> bool:
-        """Whether it says that an error is gone."""
+        """Return whether it reports that an error was cleared."""
         return self.code is not None and self.code & 0xFF00 == 0
 
     @property
@@ -87,7 +87,7 @@ def parse_emergency(node_id: int, data: bytes, sync_index: int, profile: DrivePr
     sync_index : int
         SYNC after which it came.
     profile : DriveProfile, optional
-        Its table of codes goes before the classes of the standard.
+        Its table of codes takes precedence over the classes of the standard.
     """
     code = int.from_bytes(data[:2], "little") if len(data) >= 2 else None
     register = data[2] if len(data) >= 3 else None
@@ -102,7 +102,7 @@ def parse_emergency(node_id: int, data: bytes, sync_index: int, profile: DrivePr
 
 
 def code_class(code: int) -> str:
-    """Class of an error code in words."""
+    """Return the text of the class of an error code."""
     return next((text for mask, value, text in _CLASSES if code & mask == value), "unknown class")
 
 

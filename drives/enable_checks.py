@@ -1,4 +1,4 @@
-"""Before the way up: no fault, a closed safety chain, and TPDOs that say what SDO says."""
+"""Checks before enabling: no fault, safety chain closed, TPDO values equal to SDO values."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def refuse_fault(drive: Cia402Drive, guard: Guard) -> None:
     Raises
     ------
     DriveFault
-        It is in FAULT, which nobody here resets, or enabled already.
+        It is in FAULT, which the gateway does not reset, or already enabled.
     """
     status = drive.statusword()
     state = decode_state(status)
@@ -104,7 +104,7 @@ def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda 
     ----------
     exchange : SyncExchange
     again : callable
-        Asked after the usual number of SYNCs: whether those that do not answer are to be given more of them.
+        Called after the usual number of SYNCs: whether to wait for more SYNCs for the drives that do not answer.
 
     Raises
     ------
@@ -132,8 +132,9 @@ def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda 
 def refuse_lost_configuration(drive: Cia402Drive) -> None:
     """Refuse a drive that no longer holds what was configured, or is not where it came to rest.
 
-    While the arm waits in its brakes nobody watches the drives: one may restart, be exchanged or be written by another
-    master. Every configured object and every PDO is read again, and the position is compared with the last one known.
+    While the arm is held by its brakes the drives are not monitored: a drive may restart, be exchanged or be written by
+    another master. Every configured object and every PDO is read again, and the position is compared with the last one
+    known.
 
     Raises
     ------
@@ -168,7 +169,7 @@ def refuse_lost_configuration(drive: Cia402Drive) -> None:
 
 
 def compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:
-    """The first TPDO must say what SDO says of the same objects: a shifted mapping shows here.
+    """Refuse a drive whose first TPDO differs from SDO reads of the same objects, as with a shifted mapping.
 
     Raises
     ------
@@ -185,5 +186,5 @@ def compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:
             f"SDO says {describe(status)} at {position} counts",
             node=drive.node_id,
             index=drive.plans[1].mapping,
-            advice="the PDO mapping is shifted, or the axis moves although nobody enabled it",
+            advice="the PDO mapping is shifted, or the axis moves although it is not enabled",
         )

@@ -1,4 +1,4 @@
-"""The way up: from SWITCH ON DISABLED to an open brake, each axis holding the place it was found at."""
+"""Enable all axes: from SWITCH ON DISABLED to an open brake, each axis holding its present position."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from drives.errors import DriveFault, StopRequested, TransitionTimeout, raise_fa
 from drives.exchange import SyncExchange
 from drives.guard import Guard
 
-#: How far an axis may be from where it stood until its brake is open, in motor revolutions: behind a gear of 100 it is
-#: 0.016 rad of the joint. A drive that holds its place stays far below; one that lets its axis sag is stopped here.
+#: Largest movement of an axis until its brake is open, in motor revolutions: behind a gear of 100 it is 0.016 rad of
+#: the joint. A drive that holds its position stays far below; one that lets its axis drop is stopped here.
 BRAKE_DROP_REVOLUTIONS: Final = 0.25
 #: From SWITCH ON DISABLED to OPERATION ENABLED.
 _TRANSITIONS: Final = 3
-#: States on the way up, each higher than the one before.
+#: States of the enabling sequence in ascending order.
 _LADDER: Final = (
     State.NOT_READY,
     State.SWITCH_ON_DISABLED,
@@ -28,17 +28,17 @@ _LADDER: Final = (
 
 
 class EnableSequence:
-    """The way from SWITCH ON DISABLED to an open brake, watched at every SYNC.
+    """Sequence from SWITCH ON DISABLED to an open brake, checked at every SYNC.
 
-    No axis is led up twice: one that falls back to a lower state ends it. The place that each axis is told to hold is
-    the one before the first controlword, so that an axis that sags is pulled back and not followed.
+    No axis is enabled twice: an axis that falls back to a lower state ends the sequence. The target of each axis is its
+    position before the first controlword, so that an axis that drops is pulled back.
 
     Parameters
     ----------
     exchange : SyncExchange
     guard : Guard
     stop_requested : callable
-        Whether a person has asked to stop.
+        Whether a person has requested a stop.
     """
 
     def __init__(self, exchange: SyncExchange, guard: Guard, stop_requested: Callable[[], bool]) -> None:
@@ -51,7 +51,7 @@ class EnableSequence:
         self._held: tuple[int, ...] = ()
 
     def check_stop(self) -> None:
-        """Give way to a person.
+        """Raise if a person has requested a stop.
 
         Raises
         ------
@@ -61,7 +61,7 @@ class EnableSequence:
             raise StopRequested("stopped while the drives were being enabled", advice="all axes have been disabled")
 
     def walk(self, start: Epoch) -> Epoch:
-        """Transitions to OPERATION ENABLED.
+        """Run the transitions to OPERATION ENABLED.
 
         Parameters
         ----------
@@ -102,16 +102,16 @@ class EnableSequence:
                 waited[axis] = waited[axis] + 1 if stands else 0
 
     def check(self, epoch: Epoch) -> None:
-        """What holds at every SYNC until the brakes are open.
+        """Check one SYNC until the brakes are open.
 
         Raises
         ------
         DriveFault
-            An axis moves away from where it stood.
+            An axis moves away from its position.
         TransitionTimeout
-            All of it takes too long.
+            The sequence exceeds its time limit.
         StopRequested
-            A person asked to stop.
+            A person requested a stop.
         """
         self.check_stop()
         raise_failures(self._moved(epoch))
@@ -127,8 +127,8 @@ class EnableSequence:
         failures = []
         for drive, was, now in zip(self._exchange.drives, before, self._exchange.states, strict=True):
             if was in _LADDER and now in _LADDER and _LADDER.index(now) < _LADDER.index(was):
-                what = f"fell back from {was} to {now} on the way up{self._guard.last_emergency(drive.node_id)}"
-                advice = "check power stage, STO and enable input; it is not led up again by itself"
+                what = f"fell back from {was} to {now} while being enabled{self._guard.last_emergency(drive.node_id)}"
+                advice = "check power stage, STO and enable input; it is not enabled again automatically"
                 failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
         raise_failures(failures)
 
@@ -139,13 +139,13 @@ class EnableSequence:
                 continue
             turns = abs(reading.position_count - held) / drive.scale.revolutions(1.0)
             if turns > BRAKE_DROP_REVOLUTIONS:
-                what = f"moves while its brake opens: {turns:.2f} motor revolutions from where it stood"
-                advice = "check the brake, the load and the torque limit 0x6072; the axis may sag when it is enabled"
+                what = f"moves while its brake opens: {turns:.2f} motor revolutions from its position"
+                advice = "check the brake, the load and the torque limit 0x6072; the axis may drop when it is enabled"
                 failures.append(DriveFault(what, node=drive.node_id, index=0x6064, advice=advice))
         return failures
 
     def _late(self, epoch: Epoch) -> list[TransitionTimeout]:
-        advice = "check power stage, STO and enable input; the drive's display tells more"
+        advice = "check power stage, STO and enable input, and the drive's display"
         what = f"after {self._limit_s:.1f} s not all axes are enabled and answer"
         slow = [
             TransitionTimeout(f"{what}: it is in {state}", node=drive.node_id, index=0x6041, advice=advice)
@@ -174,7 +174,7 @@ def _stuck(exchange: SyncExchange, waited: list[int]) -> list[TransitionTimeout]
     for drive, state, cycles in zip(exchange.drives, exchange.states, waited, strict=True):
         limit_s = drive.setup.profile.state_machine.transition_timeout_s
         if cycles * exchange.timing.period_s > limit_s:
-            what = f"stays in {state} for more than {limit_s} s on the way to OPERATION ENABLED"
-            advice = "check power stage, STO and enable input; the drive's display tells more"
+            what = f"stays in {state} for more than {limit_s} s in the transition to OPERATION ENABLED"
+            advice = "check power stage, STO and enable input, and the drive's display"
             failures.append(TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice))
     return failures

@@ -18,9 +18,10 @@ _ASTRAY_S: Final = 0.5
 _SECOND_S: Final = 0.002
 _SLOW: Final = 4.0
 _ASK_AGAIN_S: Final = 0.1
-#: A time stamp that lies further away than this says that a clock was set, and nothing of the frame's age [s].
+#: Largest plausible age of a time stamp [s]; a larger one means that a clock was set.
 _CLOCK_SET_S: Final = 10.0
-#: By the clock: a process that wakes so late was held up itself, and what was answered meanwhile waits to be read [s].
+#: In real time: a process that wakes with this delay was itself stalled, and answers received meanwhile are still to be
+#: read [s].
 _OVERSLEPT_S: Final = 0.001
 #: Where the answers on another bus were waited for first: what those on this one are given at least [s].
 _BESIDE_S: Final = 0.002
@@ -29,10 +30,10 @@ _OTHERS: Final = 0.4
 
 
 class Inquiry(Protocol):
-    """Asks drives whether they are there."""
+    """Query of drives that have not answered."""
 
     def ask(self, slots: Sequence[int]) -> None:
-        """Ask the drives that these slots belong to."""
+        """Query the drives of these slots."""
         ...
 
     def answered(self, slot: int) -> bool:
@@ -49,7 +50,7 @@ class Epoch:
     sync_index : int
         Number of the SYNC, from 1.
     time_s : float
-        Lockstep: SYNC index times period; by the clock: when this SYNC was sent, from the first one on.
+        Lockstep: SYNC index times period; real time: when this SYNC was sent, counted from the first one.
     readings : tuple of DriveReading or None
         One per axis; None = this axis gave no answer, or one that cannot be assigned to this SYNC.
     instruments : tuple of InstrumentReading or None
@@ -88,12 +89,12 @@ class EpochCollector:
 
     TPDOs carry no number, so what arrives outside `collect` belongs to an earlier SYNC: it is counted and dropped.
 
-    In lockstep the next SYNC waits in `settle` until nothing of the last one should be under way any more. A frame that
-    stays away even longer could pass for the answer to a later SYNC: for half a second that slot is watched for a
-    second frame, and two different frames of one TPDO within one SYNC contradict each other: the slot stays empty.
+    In lockstep the next SYNC waits in `settle` until no answer to the last one should be in transit. A frame that is
+    delayed even longer could be taken for the answer to a later SYNC. For half a second that slot is therefore checked
+    for a second frame; two different frames of one TPDO within one SYNC leave the slot empty.
 
-    By the clock nobody waits. A frame whose time stamp lies before its SYNC is an answer to an earlier one, and what
-    else may be one is not assigned (`drives.alignment`): its slot stays empty, `frames` holds what came.
+    In real time there is no wait. A frame with a time stamp before its SYNC answers an earlier SYNC. Other frames that
+    may do so are not assigned (`drives.alignment`): the slot stays empty, `frames` holds the frame.
 
     Parameters
     ----------
@@ -120,7 +121,7 @@ class EpochCollector:
         #: Slots whose answer to an earlier SYNC may still come, and until when.
         self._astray: dict[int, float] = {}
         self._usual_s = 0.0
-        #: When the last SYNC was sent by the wall clock: what is stamped before that is older; -inf = nobody can say.
+        #: Wall clock time of the last SYNC: frames stamped before it are older; -inf = unknown.
         self._sent_s = -math.inf
         self._sent_wall_s = -math.inf
         for can_id in self._slot_of:
@@ -134,15 +135,15 @@ class EpochCollector:
     def collect(self, timeout_s: float, gap_s: float) -> list[bytes | bytearray | None]:
         """In lockstep: answers to the SYNC that was just sent; the caller holds the bus's receive lock.
 
-        A drive that leaves a gap is asked: one that answers the question has lost its TPDO, one that does not is waited
-        for, since it may only be slow.
+        A drive whose answer is missing is queried by SDO. If it answers, its TPDO was lost; if not, it may only be slow
+        and the wait goes on.
 
         Parameters
         ----------
         timeout_s : float
             Longest wait after the SYNC.
         gap_s : float
-            Longest wait for the next answer until those who are missing are asked.
+            Longest wait for the next answer until the missing drives are queried.
 
         Returns
         -------
@@ -162,7 +163,7 @@ class EpochCollector:
         return self._end(left)
 
     def collect_within(self, window_s: float, sent_s: float, sent_wall_s: float) -> list[bytes | bytearray | None]:
-        """By the clock: answers to the SYNC that was just sent; the caller holds the bus's receive lock.
+        """Collect in real time the answers to the SYNC that was just sent; the caller holds the bus's receive lock.
 
         Parameters
         ----------
@@ -192,7 +193,7 @@ class EpochCollector:
         return [None if slot in astray else data for slot, data in enumerate(row)] if astray else row
 
     def sweep(self) -> None:
-        """By the clock, before the next SYNC: take in what has arrived."""
+        """Read in real time, before the next SYNC, the frames that have arrived."""
         self._bus.drain()
         self.alignment.end(self.frames)
 
@@ -265,7 +266,7 @@ class EpochCollector:
             self.alignment.came(slot, after_s)
 
     def _pursue(self, left: int, limit_s: float) -> int:
-        """Ask who has not answered, and wait until each has answered either way."""
+        """Query the drives that have not answered, and wait until each has answered by TPDO or SDO."""
         inquiry = self._inquiry
         if inquiry is None:
             return self._gather(left, limit_s, None)
@@ -283,7 +284,7 @@ class EpochCollector:
         return left
 
     def _take(self, frame: Frame) -> bool:
-        """Put a frame where it belongs; whether it filled a slot."""
+        """Assign a frame to its slot; return whether it filled one."""
         slot = self._slot_of.get(frame.arbitration_id)
         if slot is None:
             self._bus.dispatch(frame)
@@ -333,7 +334,7 @@ class EpochCollector:
                 self._astray.pop(slot, None)
 
     def settle(self, quiet_s: float) -> None:
-        """In lockstep, before the next SYNC: after a gap wait until what is missing is here or gone.
+        """In lockstep, before the next SYNC: after a missing answer, wait until it has arrived or counts as lost.
 
         Parameters
         ----------

@@ -6,22 +6,22 @@ DriveError (4)
 |   +-- BusOff              the controller left the bus
 |   +-- ForeignMaster       SYNC, NMT or SDO requests of another master
 +-- SdoError
-|   +-- SdoAbort            the drive refused, with the abort code in words
+|   +-- SdoAbort            the drive refused, with the meaning of the abort code
 |   +-- SdoTimeout          no answer in time (also TimeoutError)
 |   +-- SdoProtocolError    an answer for another object, a wrong toggle bit, a wrong length
-+-- NodeMissing             nobody answers at this node id
++-- NodeMissing             no device answers at this node id
 +-- DuplicateNode           more than one device answers at this node id
 +-- IdentityMismatch        vendor, product or firmware is not what the profile is for
 +-- ConfigurationRefused    a value that was written does not read back, or must not be written
 +-- CommandRefused          a target outside the limits; nothing was sent (also ValueError)
-+-- DriveFault              FAULT, quick stop or a state that nobody asked for
-|   +-- DriveRebooted       boot-up in the middle of a run: its configuration is gone
++-- DriveFault              FAULT, quick stop or a state that was not commanded
+|   +-- DriveRebooted       boot-up during a run: its configuration is lost
 |   +-- HeartbeatLost       the drive's heartbeat stopped, or never came
 +-- NotOperational          a node does not take the NMT command START
-+-- StopRequested (130)         a person asked to stop while the drives were being enabled
++-- StopRequested (130)         a person requested a stop while the drives were being enabled
 +-- TransitionTimeout       a CiA 402 transition did not happen in time (also TimeoutError)
 +-- IncompleteEpochs        an axis did not answer several SYNCs in a row
-+-- MasterStalled           this computer was held up while the axes moved
++-- MasterStalled           this computer stalled while the axes moved
 +-- ProfileError (3)        a drive profile that cannot be used (also ValueError)
 +-- SeveralFailures         every drive's failure at once
 """
@@ -117,7 +117,7 @@ class SdoProtocolError(SdoError):
 
 
 class NodeMissing(DriveError):  # noqa: N818 - reads as what happened
-    """Nobody answers at this node id."""
+    """No device answers at this node id."""
 
 
 class DuplicateNode(DriveError):  # noqa: N818 - reads as what happened
@@ -141,7 +141,7 @@ class DriveFault(DriveError):  # noqa: N818 - reads as what happened
 
 
 class DriveRebooted(DriveFault):
-    """Boot-up in the middle of a run: the drive's configuration is gone."""
+    """Boot-up during a run: the drive's configuration is lost."""
 
 
 class HeartbeatLost(DriveFault):
@@ -149,11 +149,13 @@ class HeartbeatLost(DriveFault):
 
 
 class NotOperational(DriveError):  # noqa: N818 - reads as what happened
-    """A node does not go to NMT state OPERATIONAL, however often it is told to, or leaves it while axes are enabled."""
+    """A node does not enter NMT state OPERATIONAL in spite of repeated commands, or leaves it while axes are
+    enabled.
+    """
 
 
 class StopRequested(DriveError):  # noqa: N818 - reads as what happened
-    """A person asked to stop while the drives were being enabled; all of them have been disabled."""
+    """A person requested a stop while the drives were being enabled; all of them have been disabled."""
 
     exit_code = 130
 
@@ -167,7 +169,7 @@ class IncompleteEpochs(DriveError):  # noqa: N818 - reads as what happened
 
 
 class MasterStalled(DriveError):  # noqa: N818 - reads as what happened
-    """This computer was held up while the axes moved: what it had to say came too late and was not sent."""
+    """This computer stalled while the axes moved: the setpoint was overdue and was not sent."""
 
 
 class ProfileError(DriveError, ValueError):
@@ -178,7 +180,7 @@ class ProfileError(DriveError, ValueError):
 
     @classmethod
     def of(cls, lines: Sequence[str], advice: str) -> ProfileError:
-        """An error that is told in lines, one a problem, the advice behind the last."""
+        """Build an error with one line per problem and the remedy after the last."""
         error = cls("; ".join(lines), advice=advice)
         error.lines = (*lines[:-1], f"{lines[-1]}; {advice}")
         return error
@@ -208,23 +210,23 @@ class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened
 
 
 def raise_failures(failures: Sequence[DriveError]) -> None:
-    """Raise nothing, the only failure itself, or `SeveralFailures`."""
+    """Raise `SeveralFailures`, or the failure itself where there is one; return where there is none."""
     if len(failures) == 1:
         raise failures[0]
     if failures:
         raise SeveralFailures(failures)
 
 
-# -- in words that fit a screen ----------------------------------------------------------------------------------------
+# -- text that fits a screen ----------------------------------------------------------------------------------------
 
-#: Different failures that are told in one text; the first is the cause.
+#: Number of different failures listed in one text; the first is the cause.
 _MAX_LISTED: Final = 6
 #: Longest text of one list of failures: the advice of all but the first is left out of a longer one.
 _LONGEST: Final = 500
 
 
 def while_stopping(error: Exception, node: int | None = None) -> DriveError:
-    """An exception that was met on the way down, as a failure; the axes that it concerns are not known to have stopped.
+    """Convert an exception raised while stopping into a failure; the axes concerned are not known to have stopped.
 
     Parameters
     ----------
@@ -295,7 +297,7 @@ def _short(listed: list[str]) -> list[str]:
 
 
 def _aftermath(errors: Sequence[DriveError]) -> str:
-    """What went wrong while stopping, without what was said already."""
+    """Return the failures while stopping, without those already listed."""
     said = {(error.node, *_same(error)) for error in _flat(errors)}
     later = _flat([each for error in errors for each in error.while_stopping])
     later += _flat([each for error in later for each in error.while_stopping])

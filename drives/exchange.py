@@ -24,12 +24,12 @@ from drives.values import DriveReading, InstrumentReading
 
 Pacing = Literal["lockstep", "real"]
 
-#: Longest wait for a silent drive while the others have to be stopped.
+#: Longest wait for a drive that does not respond while the others have to be stopped.
 _HURRY_S: Final = 0.1
-#: An axis stands when it moves less than this between two SYNCs, in motor revolutions, several times in a row.
+#: An axis is at rest when it moves less than this between two SYNCs, in motor revolutions, several times in a row.
 _STILL_REVOLUTIONS: Final = 0.001
 _STILL_SYNCS: Final = 3
-#: SYNCs in a row whose answers may come without being assigned, until the axis counts as silent.
+#: SYNCs in a row with unassigned answers until the axis counts as not responding.
 _UNSURE_ROWS: Final = 10
 
 
@@ -40,16 +40,16 @@ class Timing:
     Attributes
     ----------
     period_s : float
-        Time between two SYNCs; in lockstep the time that a SYNC stands for.
+        Time between two SYNCs; in lockstep the simulated time of one SYNC.
     pacing : "lockstep" or "real"
-        Next SYNC as soon as all have answered, or by the clock.
+        Next SYNC as soon as all have answered, or in real time.
     answer_timeout_s : float
-        Lockstep: longest wait for a drive that answers neither the SYNC nor the question whether it is there.
+        Lockstep: longest wait for a drive that answers neither SYNC nor the SDO query.
     gap_timeout_s : float
-        Lockstep: longest wait for the next answer until that question is asked, and before the next SYNC for what is
-        missing.
+        Lockstep: longest wait for the next answer until that query is sent, and before the next SYNC for missing
+        answers.
     window : float
-        By the clock: share of the SYNC period in which an answer counts.
+        Real time: share of the SYNC period in which an answer counts.
     """
 
     period_s: float
@@ -60,13 +60,13 @@ class Timing:
 
 
 class _Inquiry:
-    """Asks nodes by SDO."""
+    """SDO query of nodes."""
 
     def __init__(self, sdo_of_slot: Sequence[SdoClient]) -> None:
         self._sdo = tuple(sdo_of_slot)
 
     def ask(self, slots: Sequence[int]) -> None:
-        """Ask the nodes that these slots belong to, each once."""
+        """Query the nodes of these slots, each once."""
         for sdo in {id(self._sdo[slot]): self._sdo[slot] for slot in slots}.values():
             sdo.ask()
 
@@ -109,11 +109,11 @@ class SyncExchange:
         self.silent = [0] * len(self.drives)
         #: Statusword of each axis whose last answer came, but cannot be assigned to its SYNC; else None.
         self.unassigned: list[int | None] = [None] * len(self.drives)
-        #: Readings in a row in which each axis stood still.
+        #: Readings in a row in which each axis was at rest.
         self.still = [0] * len(self.drives)
         #: Last known position of each axis, counts; None before the first.
         self.position_count: list[int | None] = [None] * len(self.drives)
-        #: An axis was told to be enabled since this was last set back.
+        #: An axis was commanded to enable since this was last reset.
         self.powered = False
         #: How far each axis moved after it was last disabled, motor rad.
         self.brake_drop_rad = (0.0,) * len(self.drives)
@@ -146,16 +146,16 @@ class SyncExchange:
         self._decoders: tuple[Decoder, ...] = ()
         self._allowed_count = [0.0] * len(self.drives)
         self._unsure = [0] * len(self.drives)
-        #: Late answers of each axis when it began to leave SYNCs unanswered.
+        #: Delayed answers of each axis when it began to leave SYNCs unanswered.
         self._late_before = [0] * len(self.drives)
         #: Whether the SYNC before has moved an axis; of the cycle that was begun, whether this one will, or both.
         self._moved = self._moves = self._moving = False
-        #: By the clock, of the cycle that was begun: by which thread, whether its answers are sure, when its SYNC was
-        #: due and when the bus took it.
+        #: In real time, of the cycle that was begun: by which thread, whether its answers are assigned, when its SYNC
+        #: was due and when the bus took it.
         self._begun_by: int | None = None
         self._sure = True
         self._due_s = self._began_s = self._wall_s = 0.0
-        #: Targets of the last SYNC, while those of the next one are on their way.
+        #: Targets of the last SYNC, while those of the next one are being sent.
         self._recall: list[int] | None = None
         self._answer_timeout_s = timing.answer_timeout_s
         self._bus = bus
@@ -170,11 +170,11 @@ class SyncExchange:
 
     @property
     def sync_time_s(self) -> float:
-        """Time that the SYNCs so far stand for."""
+        """Simulated time of the SYNCs so far."""
         return self.sync_index * self.timing.period_s
 
     def restart(self) -> None:
-        """Begin a new run with configured drives: rhythm, silence and patience start afresh."""
+        """Begin a new run with configured drives: phase and counters are reset."""
         self._decoders = tuple(drive.decoder(slot) for drive, slot in zip(self.drives, self._first_slots, strict=True))
         self.clock.restart()
         self.collector.alignment.forget()
@@ -187,7 +187,7 @@ class SyncExchange:
             spare_collections()
 
     def late_answers(self, axis: int) -> int:
-        """Answers of an axis (from 0) that came too late since it began to leave SYNCs unanswered."""
+        """Return the number of delayed answers of an axis (from 0) since it began to leave SYNCs unanswered."""
         return self._late(axis) - self._late_before[axis]
 
     def _late(self, axis: int) -> int:
@@ -195,16 +195,16 @@ class SyncExchange:
         return sum(self.collector.late_count_by_slot[first : first + len(self.drives[axis].answers)])
 
     def stands(self, axis: int) -> bool:
-        """Whether an axis (from 0) was seen to stand at the last SYNCs."""
+        """Return whether an axis (from 0) was at rest at the last SYNCs."""
         return self.still[axis] >= _STILL_SYNCS
 
     @property
     def heartbeat(self) -> bool:
-        """Whether the master's heartbeat goes on."""
+        """Whether the master's heartbeat is being sent."""
         return self._producer.running
 
     def end_heartbeat(self) -> None:
-        """The drives shall stop by themselves: what they were told is not confirmed."""
+        """Stop the master's heartbeat so that the drives stop themselves: a command was not confirmed."""
         self._producer.stop()
 
     def hurry(self) -> None:
@@ -219,8 +219,8 @@ class SyncExchange:
         BusError
             A frame could not be sent.
         MasterStalled
-            By the clock: the axes move, and the SYNC would go out more than two periods late. It was not sent; the last
-            targets are those of the SYNC before, and the next SYNC is due at once.
+            In real time: the axes move, and the SYNC would be sent more than two periods after it was due. It was not
+            sent; the last targets are those of the SYNC before, and the next SYNC is due at once.
         """
         if self.timing.pacing == "lockstep":
             with self._bus.receive_lock:
@@ -239,10 +239,10 @@ class SyncExchange:
             self.abandon()
 
     def begin(self, words: Sequence[int] | None) -> None:
-        """By the clock, first part of a cycle: send what is staged; parameters and errors as `cycle`.
+        """Real time, first part of a cycle: send the staged commands; parameters and errors as `cycle`.
 
-        `prepare`, `sync` and `gather` follow in this thread, or `abandon` if anything fails; nobody else receives until
-        then.
+        `prepare`, `sync` and `gather` follow in this thread, or `abandon` if anything fails; no other thread receives
+        until then.
         """
         self._bus.receive_lock.acquire()
         self._begun_by = threading.get_ident()
@@ -253,7 +253,7 @@ class SyncExchange:
         self._send(frames)
 
     def prepare(self, now_s: float) -> None:
-        """Second part, once the SYNC is due [monotonic s]: take in what has come late; raises `MasterStalled`."""
+        """Second part, once the SYNC is due [monotonic s]: read delayed answers; raises `MasterStalled`."""
         self.collector.sweep()
         self._refuse_late(self._moving)
         self._sure = self.clock.paused_s <= self.timing.period_s
@@ -278,7 +278,7 @@ class SyncExchange:
         return epoch
 
     def abandon(self) -> None:
-        """Leave a cycle that this thread has begun: what has not gone out with a SYNC is taken back."""
+        """Abandon a cycle that this thread has begun: commands not yet sent with a SYNC are discarded."""
         if self._begun_by == threading.get_ident():
             self._take_back()
             self._begun_by = None
@@ -301,14 +301,14 @@ class SyncExchange:
         return self._epoch(now_s, self.sync_time_s, answers)
 
     def _refuse_late(self, moving: bool) -> None:
-        """A set point that comes so late is a jump for axes that move; where nothing moves it is none."""
+        """Refuse an overdue setpoint while axes move, because it would be a jump; at rest it is accepted."""
         rule, paused_s = DRIVE_RULES["stalled"], self.clock.paused_s
         if moving and paused_s > rule.limit * self.timing.period_s:
             self.clock.restart()
-            raise rule.raised(f"this computer was held up for {paused_s:.3f} s while the arm moved")
+            raise rule.raised(f"this computer stalled for {paused_s:.3f} s while the arm moved")
 
     def _pack(self, words: Sequence[int] | None) -> tuple[list[Frame], bool]:
-        """Frames of what is staged, and whether one of them tells an enabled axis to move."""
+        """Return the staged frames, and whether one of them commands a movement of an enabled axis."""
         if words is None:
             return [], False
         self._recall = [drive.target_count for drive in self.drives]
@@ -369,7 +369,7 @@ class SyncExchange:
         return tuple(row)
 
     def _without(self, axis: int, decode: Decoder) -> None:
-        """No answer that can be assigned: is there none, or does it only not say which SYNC it belongs to?"""
+        """Count a SYNC without an assigned answer: as missing, or as received but not assignable."""
         if not self.silent[axis]:
             self._late_before[axis] = self._late(axis)
         came = None if self.timing.pacing == "lockstep" else decode(self.sync_index, self.collector.frames)

@@ -1,4 +1,4 @@
-"""Is the bus free? Listen before anything is sent, and report who is sending; a running arm notices nothing of it."""
+"""Refuse a bus on which another master is active: listen before anything is sent; a running arm is not affected."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
 
 
 def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MASTER_NODE_ID) -> None:
-    """Make sure that no other master is at work on a bus; nothing is sent. From now on `Bus.check_free` watches it.
+    """Refuse a bus on which another master is active; nothing is sent. From now on `Bus.check_free` checks it.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MAS
     Raises
     ------
     ForeignMaster
-        Somebody else sends SYNC, NMT commands, SDO requests, or a heartbeat with the node id of a master.
+        Another master sends SYNC, NMT commands, SDO requests, or a heartbeat with the node id of a master.
     """
     beats = 0
 
@@ -50,13 +50,13 @@ def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MAS
         advice += f"; if node {master_node_id} is a drive, give it another id: masters have this one"
     sent += [f"the heartbeat of node {master_node_id}"] * bool(beats)
     if sent:
-        what = f"another master is at work on {bus.spec}: in {listen_s:g} s it has sent {' and '.join(sent)}"
+        what = f"another master is active on {bus.spec}: in {listen_s:g} s it has sent {' and '.join(sent)}"
         raise ForeignMaster(f"{what}; nothing was sent to the drives", advice=advice)
     bus.free_count = bus.foreign_count
 
 
 def _sent_by_master(frames: Mapping[int, int]) -> list[str]:
-    """What a master has sent, number of frames by CAN id."""
+    """Describe the frames of a master, counted by CAN id."""
     sent = [f"{frames[can_id]} {what}" for can_id, what in _MASTER_ONLY if frames.get(can_id)]
     asked = [can_id - SDO_REQUEST_BASE for can_id in sorted(frames) if can_id > SDO_REQUEST_BASE and frames[can_id]]
     if asked:

@@ -62,7 +62,7 @@ class LoggedFrame:
 
 
 class FrameLog:
-    """Frame log, written by a thread of its own. Whoever sends and receives frames never waits for the disk.
+    """Frame log, written by its own thread, so that sending and receiving never wait for the disk.
 
     The first error switches the log off.
 
@@ -104,7 +104,7 @@ class FrameLog:
         self._waiting.append(frame)
 
     def close(self) -> None:
-        """Write what waits and close the file; never raises, `failure` says what went wrong."""
+        """Write the queued frames and close the file; never raises, `failure` holds an error."""
         self._closing.set()
         self._thread.join(_CLOSE_S)
         if self._thread.is_alive():
@@ -152,7 +152,7 @@ def read_frames(path: Path) -> list[LoggedFrame]:
     Raises
     ------
     ValueError
-        It is no frame log, or damaged.
+        It is not a frame log, or damaged.
     OSError
         It cannot be read.
     """

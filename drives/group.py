@@ -1,10 +1,10 @@
 """The drives of one arm under one SYNC: found, configured, enabled, moved, stopped, put back.
 
-Nothing is automatic: no fault is reset, no axis is enabled, homed or stored without being told to. When an axis leaves
-OPERATION ENABLED by itself, stops answering, boots or falls silent, every axis is stopped before the error is raised.
+Nothing is automatic: faults are reset and axes enabled only on request. When an axis leaves OPERATION ENABLED without a
+command, boots, or stops responding, every axis is stopped before the error is raised.
 
-While axes are enabled, `exchange` or `hold` has to be called again before the drives' heartbeat time is over: the
-heartbeat of the master is sent from there, so that a master that hangs stops the arm as a dead one does.
+While axes are enabled, `exchange` or `hold` has to be called again before the drives' heartbeat time has passed. They
+send the master's heartbeat, so that a blocked master stops the arm as a crashed one does.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class DriveGroup(DriveSetup):
 
     #: Motor angle of each axis from where it was last held to the farthest place after it was disabled; 0.0 = unknown.
     brake_drop_rad: tuple[float, ...] = ()
-    #: What is tried at present; None = nothing.
+    #: Stop test in progress; None = none.
     _test: DriveTest | None = None
 
     # -- moving ------------------------------------------------------------------------------------------------------
@@ -57,7 +57,7 @@ class DriveGroup(DriveSetup):
         Parameters
         ----------
         stop_requested : callable
-            Asked at every SYNC until the brakes are open: whether a person wants to stop.
+            Called at every SYNC until the brakes are open: whether a person has requested a stop.
 
         Returns
         -------
@@ -67,8 +67,8 @@ class DriveGroup(DriveSetup):
         Raises
         ------
         DriveFault, NotOperational, TransitionTimeout, IncompleteEpochs, SeveralFailures
-            What failed; all axes are disabled again. A drive in FAULT is refused and never reset, one that falls back
-            on the way up is not led up again.
+            All axes are disabled again. A drive in FAULT is refused and never reset; one that falls back while being
+            enabled is not enabled again.
         StopRequested
             All axes are disabled again.
         """
@@ -97,7 +97,7 @@ class DriveGroup(DriveSetup):
         self._producer.start(exchange.sync_time_s)
         self._running = True
         epoch = self._start_nodes(exchange, guard, way)
-        guard.forgive_cleared()  # a node may say why it refuses START, and that it does no more
+        guard.forgive_cleared()  # a node may report why it refuses START, and that the cause was cleared
         readings = {reading.node_id: reading for reading in epoch.readings if reading is not None}
         self._for_each(lambda drive: enable_checks.compare_with_sdo(drive, readings[drive.node_id]))
         exchange.clock.restart()
@@ -141,12 +141,12 @@ class DriveGroup(DriveSetup):
         Raises
         ------
         CommandRefused
-            A target outside the limits; nothing was sent, and the axes stand where they were told to before.
+            A target outside the limits; nothing was sent, and the axes hold their last targets.
         DriveFault, DriveRebooted, HeartbeatLost, IncompleteEpochs, ForeignMaster, BusError, SeveralFailures
             All axes have been stopped.
         MasterStalled
-            By the clock: the axes move and this computer was held up. These targets were not sent; all axes have been
-            stopped. Where nothing moved, the row of a late SYNC is incomplete and nothing else happens.
+            In real time: this computer stalled while the axes moved. These targets were not sent; all axes have been
+            stopped. At rest, the row of a delayed SYNC is only marked incomplete.
         """
         self._stage(commands)
         return self._cycle()
@@ -178,10 +178,10 @@ class DriveGroup(DriveSetup):
                 drive.hold(drive.target_count if count is None else count)
 
     def begin(self, commands: Sequence[DriveCommand] | None) -> None:
-        """By the clock, first part of a SYNC that several groups share: targets out; raises as `exchange`.
+        """Real time, first part of a SYNC shared by several groups: send targets; raises as `exchange`.
 
         Then, in the same thread and for all groups before the next part: `prepare`, `sync`, `gather` and `check`. If
-        anything fails, or is not done, the groups that have begun are to be told to `abandon`.
+        anything fails, call `abandon` on the groups that have begun.
 
         Parameters
         ----------
@@ -235,12 +235,12 @@ class DriveGroup(DriveSetup):
             self._looked_at(epoch)
 
     def abandon(self) -> None:
-        """Leave a SYNC that was begun; the axes stay where the last one has told them."""
+        """Abandon a SYNC that was begun; the axes keep their last targets."""
         if self._exchange is not None:
             self._exchange.abandon()
 
     def withhold_heartbeat(self) -> HeartbeatLossTest:
-        """Stop the master's heartbeat on purpose while the axes move: every drive has to stop by itself.
+        """Withhold the master's heartbeat while the axes move: every drive has to stop itself.
 
         `exchange` and `hold` go on, with the controlwords of the test, until `disable`.
 
@@ -255,7 +255,7 @@ class DriveGroup(DriveSetup):
         return test
 
     def try_quick_stop(self) -> QuickStopTest:
-        """Tell every axis to stop by its quick stop ramp; `exchange` and `hold` go on until `disable`.
+        """Command a quick stop of every axis; `exchange` and `hold` go on until `disable`.
 
         Returns
         -------
@@ -288,7 +288,7 @@ class DriveGroup(DriveSetup):
 
     @property
     def stands(self) -> bool:
-        """Whether every axis was seen to stand at the last SYNCs."""
+        """Return whether every axis was at rest at the last SYNCs."""
         exchange, _ = self._parts()
         return all(exchange.stands(axis) for axis in range(len(self.drives)))
 
@@ -329,7 +329,7 @@ class DriveGroup(DriveSetup):
             raise
 
     def _after(self, error: BaseException, stop: Callable[[SyncExchange], list[DriveError]]) -> None:
-        """Stop what runs because of an error, which is about to be raised; what goes wrong is added to it."""
+        """Stop all axes because of an error that is about to be raised; failures while stopping are added to it."""
         self.enabled = False
         if any(isinstance(each, DriveRebooted) for each in getattr(error, "failures", (error,))):
             self._configured = False
@@ -346,7 +346,7 @@ class DriveGroup(DriveSetup):
             _add(error, failure)
 
     def _stopped(self, stop: Callable[[SyncExchange], list[DriveError]]) -> list[DriveError]:
-        """What could not be confirmed: then no heartbeat is sent any more, and the drives are set up anew first."""
+        """Handle unconfirmed commands: the heartbeat stays off, and the drives have to be configured again."""
         exchange, _ = self._parts()
         self._test = None
         try:
@@ -362,12 +362,13 @@ class DriveGroup(DriveSetup):
     # -- stopping ----------------------------------------------------------------------------------------------------
 
     def quick_stop(self) -> None:
-        """Stop every axis by its quick stop ramp and wait until it stands; they stay under power as the drives decide.
+        """Stop every axis by its quick stop ramp and wait until it is at rest; whether power stays on depends on the
+        drive.
 
         Raises
         ------
         SeveralFailures or DriveError
-            Axes of which it is not known that they stand.
+            Axes that are not confirmed to be at rest.
         """
         self.enabled = False
         if self._running and self._exchange is not None:

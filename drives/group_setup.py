@@ -1,4 +1,4 @@
-"""Finding and setting up the drives of one arm, and putting them back: everything that happens while nothing moves."""
+"""Discover, configure and restore the drives of one arm while nothing moves."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class GroupOptions:
     Attributes
     ----------
     ledger_path : Path, optional
-        Where the write ledger is kept, so that a restore is possible after a crash.
+        File of the write ledger, for a restore after a crash.
     answer_timeout_s, gap_timeout_s, window : float
         As in `drives.exchange.Timing`.
     unanswered_syncs : int or None
@@ -52,12 +52,12 @@ class GroupOptions:
     foreign_frames : int
         As in `drives.guard.Limits`.
     load_limit_percent : float
-        By the clock: largest planned worst-case bus load.
+        Real time: largest planned worst-case bus load.
     instruments : tuple of InstrumentSetup
-        Measuring devices on the same bus, read with each row.
+        Measuring devices on the same bus, read at each SYNC.
     allow_real_drive : bool
-        A drive that is no simulator may be driven over an interface that is a network (udp_multicast, virtual,
-        socketcand), although anybody there can write frames. Lockstep stays refused.
+        A real drive may be driven over a network interface (udp_multicast, virtual, socketcand), although any computer
+        there can send frames. Lockstep stays refused.
     """
 
     ledger_path: Path | None = None
@@ -80,9 +80,9 @@ class DriveSetup:
     setups : sequence of AxisSetup
         One per axis, in the order of all commands and readings.
     sync_period_s : float
-        Time between two SYNCs; in lockstep the time that a SYNC stands for.
+        Time between two SYNCs; in lockstep the simulated time of one SYNC.
     pacing : "lockstep" or "real"
-        Next SYNC as soon as all have answered, or by the clock.
+        Next SYNC as soon as all have answered, or in real time.
     master_node_id : int
         Node id of the master's heartbeat.
     options : GroupOptions, optional
@@ -117,12 +117,12 @@ class DriveSetup:
         self.ledger = WriteLedger(self.options.ledger_path)
         self.drives: tuple[Cia402Drive, ...] = ()
         self.instruments: tuple[Instrument, ...] = ()
-        #: PDOs that the gateway does not use and must not switch off, in words, as `configure` found them.
+        #: Text about PDOs that the gateway does not use and must not switch off, as found by `configure`.
         self.left_pdos: tuple[str, ...] = ()
         #: Every axis is in OPERATION ENABLED and follows `exchange`.
         self.enabled = False
-        #: The last row, also the one that led to an error.
-        #: Called before the axes are stopped because of an error: what moves with them is told in the same cycle.
+        #: The last row, also the one that led to an error. Called before the axes are stopped because of an error, so
+        #: that other arms stop in the same cycle.
         self.on_stop: Callable[[], None] = lambda: None
         self._bus = bus
         self._master_node_id = master_node_id
@@ -148,11 +148,11 @@ class DriveSetup:
         Raises
         ------
         NodeMissing, DuplicateNode, IdentityMismatch, SeveralFailures
-            Everything that is wrong, of all drives at once.
+            All problems of all drives at once.
         ConfigurationRefused
-            Lockstep, or a network as the bus, with a node that is no simulator; emergency messages that are off.
+            Lockstep, or a network as the bus, with a real drive; emergency messages switched off.
         ForeignMaster
-            Somebody else leads the bus; nothing was sent.
+            Another master is active on the bus; nothing was sent.
         """
         identities, failures = self._find()
         if not failures:
@@ -189,7 +189,7 @@ class DriveSetup:
         return failures
 
     def _find(self) -> tuple[tuple[Identity, ...], list[DriveError]]:
-        """Ask every node who it is; what failed of all of them beside that."""
+        """Read the identity of every node, and collect the failures of all of them."""
         self._forget()
         refuse_foreign(self._bus, max(FREE_S, 3.0 * self.timing.period_s), self._master_node_id)
         timeout_s = max(setup.profile.sdo.timeout_s for setup in self.setups)
@@ -220,9 +220,9 @@ class DriveSetup:
         Raises
         ------
         BusOverload
-            By the clock: the exchange would fill more of the wire than allowed.
+            Real time: the planned bus load exceeds the limit.
         SeveralFailures or DriveError
-            What failed, of all drives at once.
+            Failures of all drives at once.
         """
         self._require(bool(self.drives) and not self._running, "connect() first, and do not configure while enabled")
         first_index = 0 if self._exchange is None else self._exchange.sync_index
@@ -304,7 +304,7 @@ class DriveSetup:
     # -- putting back ------------------------------------------------------------------------------------------------
 
     def reset_fault(self, node_id: int) -> None:
-        """Reset the fault of one drive, because a person has removed its cause and says so; the axis stays disabled.
+        """Reset the fault of one drive at the request of a person who has removed its cause; the axis stays disabled.
 
         Raises
         ------
@@ -323,7 +323,7 @@ class DriveSetup:
         Raises
         ------
         SeveralFailures or DriveError
-            What could not be put back; it stays in the ledger.
+            Objects that could not be restored; they stay in the ledger.
         """
         self._require(not self._running, "disable() before restoring")
         self._require(bool(self.drives or self.instruments), "connect() first")
@@ -387,7 +387,7 @@ class DriveSetup:
         return 0.0 if self._exchange is None else self._exchange.sent_s
 
     def align(self, at_s: float) -> None:
-        """By the clock: the next SYNC is due at a monotonic time, so that several groups keep one rhythm."""
+        """Real time: set when the next SYNC is due (monotonic), so that several groups share one phase."""
         exchange, _ = self._parts()
         exchange.clock.restart(at_s)
 
@@ -398,6 +398,6 @@ class DriveSetup:
 
 
 def _silence_s(setup: AxisSetup) -> float | None:
-    """Longest silence of a drive's heartbeat: three times its period."""
+    """Longest gap in a drive's heartbeat: three times its period."""
     producer_ms = setup.profile.heartbeat.producer_ms
     return None if producer_ms is None else max(_SHORTEST_SILENCE_S, 3.0 * producer_ms / 1000.0)

@@ -1,4 +1,4 @@
-"""What is watched at every SYNC while axes are enabled; each finding is a typed error that names the node."""
+"""Monitor the drives at every SYNC while axes are enabled; each finding is a typed error that names the node."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Limits:
     unanswered_syncs : int
         SYNCs in a row that an axis may leave unanswered.
     foreign_frames : int
-        SDO requests or set points of another master with one id; of SYNC and NMT commands one frame is enough.
+        SDO requests or setpoints of another master with one id; of SYNC and NMT commands one frame is enough.
     """
 
     unanswered_syncs: int = DRIVE_RULES["silent"].count
@@ -60,7 +60,7 @@ class Guard:
         self._watch = watch
         self._emcy = emcy
         self._symptoms = StatusMonitor(exchange, emcy)
-        #: Axes (from 0) that may leave OPERATION ENABLED: they were told to.
+        #: Axes (from 0) that may leave OPERATION ENABLED because they were commanded to.
         self.excused: frozenset[int] = frozenset()
         self._foreign_before: dict[int, int] = {}
         self._foreign_seen = 0
@@ -74,7 +74,7 @@ class Guard:
         self._foreign_before, self._foreign_seen = dict(self._bus.foreign), self._bus.foreign_count
 
     def forgive_cleared(self) -> None:
-        """Every node has started: forget what it was before, and emergencies that were said to be over since."""
+        """Every node has started: reset its recorded state, and drop emergencies that were reported as cleared."""
         self._symptoms.forgive_cleared()
         self._watch.left.clear()
 
@@ -128,7 +128,7 @@ class Guard:
         return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"
 
     def explain(self, error: DriveError) -> None:
-        """Add to each fault what the drive has said about it meanwhile."""
+        """Add to each fault the emergency message of the drive."""
         for failure in error.failures if isinstance(error, SeveralFailures) else (error,):
             if isinstance(failure, DriveFault) and failure.node is not None:
                 failure.what += self.last_emergency(failure.node)
@@ -161,7 +161,7 @@ class Guard:
         rule = DRIVE_RULES["silent"]
         if not late:
             return rule.raised(f"left {silent} SYNCs in a row unanswered", node=node)
-        what = f"left {silent} SYNCs in a row unanswered in time: {late} answers came late"
+        what = f"left {silent} SYNCs in a row unanswered in time: {late} answers were delayed"
         return replace(rule, advice=_BUSY).raised(what, node=node)
 
     def check_bus(self) -> None:

@@ -1,6 +1,6 @@
 """NMT and heartbeat (CiA 301, 7.2.8): the master's own, and the watch over the drives'.
 
-A drive is watched from its first heartbeat on: one that never sent any is not called lost.
+A drive is monitored from its first heartbeat on.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
-    """NMT states as the heartbeat shows them."""
+    """NMT states in the heartbeat."""
 
     BOOT_UP = 0x00
     STOPPED = 0x04
@@ -48,7 +48,7 @@ def send_nmt(bus: Bus, command: NmtCommand, node_id: int) -> None:
 
 
 class HeartbeatProducer:
-    """Sends the master's heartbeat when it is due, by SYNC time or by the clock, whichever comes first.
+    """Sends the master's heartbeat when it is due, by SYNC time or by the wall clock, whichever comes first.
 
     Parameters
     ----------
@@ -90,18 +90,18 @@ class HeartbeatProducer:
 
 
 class HeartbeatWatch:
-    """State and last sign of life of each drive.
+    """NMT state and time of the last heartbeat of each drive.
 
     Parameters
     ----------
     bus : Bus
     node_ids : sequence of int
-        Whom to watch.
+        Nodes to monitor.
     limits_s : sequence of float or None
-        Longest silence of each, None = its heartbeat is not expected.
+        Longest gap of each, None = its heartbeat is not expected.
     sync_time_s : callable, optional
-        Time by SYNCs. In lockstep a drive may count by SYNCs or by its own clock: it is lost only when it has been
-        silent for too long by both.
+        Time by SYNCs. In lockstep a drive may count by SYNCs or by its own clock: it is lost only when the gap is too
+        long by both.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class HeartbeatWatch:
         self._last_s.clear()
 
     def lost(self) -> tuple[int, ...]:
-        """Nodes whose heartbeat has been silent for longer than their limit."""
+        """Return the nodes whose heartbeat gap exceeds their limit."""
         now, sync_now = time.monotonic(), self._sync_time_s()
         return tuple(
             node_id

@@ -1,7 +1,7 @@
 """A measuring device beside the drives (CiA 404): process values by synchronous TPDO, in the same row as the drives.
 
-It knows no meaning of its channels. All frames of one SYNC make one reading; where one of them is missing there is
-none, and a channel whose status says that it is not valid has no value.
+The meaning of its channels is defined by the cell. All frames of one SYNC make one reading; if a frame is missing there
+is none, and a channel with an invalid status has no value.
 """
 
 from __future__ import annotations
@@ -138,7 +138,7 @@ class Instrument:
         identity = read_identity(self.access.sdo)
         self.access.device = KnownDevice.of(identity, self._bus.spec.name)
         if identity.device_type is not None and identity.device_type & 0xFFFF != PROFILE_NUMBER:
-            what = f"device type {identity.device_type:#010x} is no CiA 404 measuring device"
+            what = f"device type {identity.device_type:#010x} is not a CiA 404 measuring device"
             raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")
 
     def survey(self) -> tuple[OtherPdo, ...]:

@@ -1,4 +1,4 @@
-"""Latency of SDO answers: a histogram per node that costs nothing to keep."""
+"""Latency of SDO answers: one histogram per node."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class SdoStatistics:
     histogram : tuple of int
         Answers per bin; upper edges `LATENCY_EDGES_S`, the last bin is open.
     timeouts, late, foreign, aborts : int
-        Requests without an answer; answers after their time-out; answers to nobody's question; refusals.
+        Requests without an answer; answers after their time-out; answers without a request; refusals.
     """
 
     node_id: int

@@ -37,7 +37,7 @@ class WithoutLibrary(Loader):
 
 
 class LeanFinder(MetaPathFinder):
-    """Finds that one module, and nothing where the library has been loaded by somebody already."""
+    """Finder of that one module; finds nothing where the library is already loaded."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None

@@ -41,7 +41,7 @@ Writer = Literal["run", "applying", "applied"]
 
 @dataclass(frozen=True, slots=True)
 class KnownDevice:
-    """One drive or measuring device, as the ledger tells it from others; None = not known.
+    """Identity of one drive or measuring device in the ledger; None = not known.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class KnownDevice:
 
 
 def without_shared_serials(devices: Sequence[KnownDevice]) -> list[KnownDevice]:
-    """Devices of one bus; a serial number that two of them have tells nothing and is left out."""
+    """Return the devices of one bus; a serial number that two of them share is left out."""
 
     def key(device: KnownDevice) -> tuple[int | None, ...]:
         return device.vendor_id, device.product_code, device.serial_number
@@ -137,7 +137,7 @@ class LedgerEntry:
         return value == self.new or value in self.also
 
     def is_of(self, device: KnownDevice) -> bool:
-        """Whether the object belongs to a device; what is not known of either does not tell them apart."""
+        """Whether the object belongs to a device; unknown fields count as equal."""
         pairs: list[tuple[object, object]] = [
             (self.vendor_id, device.vendor_id),
             (self.product_code, device.product_code),
@@ -164,7 +164,7 @@ class WriteLedger:
     Raises
     ------
     ConfigurationRefused
-        The file exists and is no ledger.
+        The file exists and is not a ledger.
     """
 
     def __init__(self, path: Path | None = None) -> None:
@@ -213,7 +213,7 @@ class WriteLedger:
                 _enter(held, batch)
 
     def expect(self, device: KnownDevice, values: Sequence[tuple[tuple[int, int], int]]) -> None:
-        """Enter further values that are about to be written to objects that have an entry, on the way back."""
+        """Enter further values that a restore is about to write to objects that have an entry."""
         more: dict[tuple[int, int], list[int]] = {}
         for address, value in values:
             more.setdefault(address, []).append(value)
@@ -297,7 +297,7 @@ class WriteLedger:
 
 
 def _enter(held: list[LedgerEntry], batch: Sequence[LedgerEntry]) -> None:
-    """Enter the writes to one object; its original stays unless somebody else has written it since."""
+    """Enter the writes to one object; its original value stays unless another tool has written it since."""
     first, last = batch[0], batch[-1]
     now, values = first.old, [entry.new for entry in batch]
     place = next((at for at, each in enumerate(held) if each.address == first.address and each.is_of(first.device)), -1)
@@ -321,7 +321,7 @@ def _keeps(known: LedgerEntry, now: int, write: LedgerEntry) -> bool:
 
 
 def _stamp(path: Path) -> tuple[int, ...] | None:
-    """What tells one version of a file from another; None = it is not there."""
+    """Return what identifies a version of a file; None = the file does not exist."""
     try:
         found = path.stat()
     except OSError:
@@ -343,7 +343,7 @@ def take_over(ledger: WriteLedger, path: Path, bus: str | None) -> None:
     Raises
     ------
     ConfigurationRefused
-        It is no ledger.
+        It is not a ledger.
     """
     found = load_entries(path)
     left = [entry for entry in found if entry.serial_number in (None, *_NO_SERIAL) and bus is None]
@@ -397,7 +397,7 @@ def load_entries(path: Path) -> list[LedgerEntry]:
         return [_entry(item) for item in document["entries"]]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
         advice = "move the file away if the drives need no restore"
-        raise ConfigurationRefused(f"{path} is no write ledger: {error}", advice=advice) from error
+        raise ConfigurationRefused(f"{path} is not a write ledger: {error}", advice=advice) from error
 
 
 def _entry(item: Any) -> LedgerEntry:

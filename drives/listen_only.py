@@ -1,7 +1,7 @@
-"""A bus that only is listened to: what drives and their master say to each other, nothing is sent.
+"""Observe the traffic between drives and another master in listen-only mode; nothing is sent.
 
-TPDOs are read as the master of this house maps them (`drives.pdo`); what a drive answers to its master by SDO tells the
-constants that raw words need (CiA 301, 7.2.4.3: expedited uploads).
+TPDOs are decoded with the mapping of this gateway (`drives.pdo`). The constants for scaling raw words are taken from
+SDO answers of a drive to its master (CiA 301, 7.2.4.3: expedited uploads).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _COMMAND_BITS: Final = 0xE0
 
 
 class _Answers:
-    """What one drive has answered to its master, as `read_constants` asks for it."""
+    """Recorded SDO answers of one drive, as the source of `read_constants`."""
 
     def __init__(self, node_id: int, profile: DriveProfile) -> None:
         self.profile = profile
@@ -45,16 +45,16 @@ class _Answers:
         return True
 
     def read(self, entry: Entry, /) -> int:
-        """Value of an object that was heard.
+        """Return the recorded value of an object.
 
         Raises
         ------
         ConfigurationRefused
-            It was not heard.
+            It was not received.
         """
         answer = self._answers.get((entry.index, entry.subindex))
         if answer is None:
-            self.refuse(entry, "was not heard", "begin to listen before the master reads it")
+            self.refuse(entry, "was not received", "begin to listen before the master reads it")
         size = SIZE_BYTES[entry.type]
         try:
             return decode_integer(expedited_data(answer, size), size, signed=entry.type.startswith("i"))
@@ -67,7 +67,7 @@ class _Answers:
 
 
 class _ObservedDrive:
-    """One drive as it is heard."""
+    """One observed drive."""
 
     def __init__(self, setup: AxisSetup, constants: Constants | None) -> None:
         self.setup = setup
@@ -92,7 +92,7 @@ class _ObservedDrive:
             self.decoder = double_decoder(setup.node_id, 0, (unpack[0], unpack[1]), scale, fields)
 
     def learn(self) -> None:
-        """Take the constants from what was heard, as soon as all of them were."""
+        """Read the constants from the recorded answers, as soon as they are complete."""
         try:
             self.set_constants(read_constants(self.answers))
         except ConfigurationRefused:
@@ -106,7 +106,7 @@ class _ObservedDrive:
 
 
 class ListenOnlyBus:
-    """The drives of an arm on a bus that somebody else is the master of.
+    """Drives of an arm on a bus with another master.
 
     Parameters
     ----------
@@ -119,9 +119,9 @@ class ListenOnlyBus:
     Attributes
     ----------
     sync_index : int
-        SYNCs that were heard.
+        SYNCs received.
     emergencies : deque of Emergency
-        To be taken by whoever shows them.
+        Queue of received messages; the caller removes them.
     """
 
     def __init__(self, bus: Bus, setups: Sequence[AxisSetup], constants: Sequence[Constants] | None = None) -> None:
@@ -139,17 +139,17 @@ class ListenOnlyBus:
 
     @property
     def unknown(self) -> tuple[int, ...]:
-        """Nodes whose constants were not heard: their words cannot be read."""
+        """Nodes whose constants were not received: their words cannot be scaled."""
         return tuple(drive.setup.node_id for drive in self._drives if drive.scale is None)
 
     def epochs(self) -> list[Epoch]:
-        """SYNCs that were answered since this was asked last."""
+        """Return the answered SYNCs since the last call."""
         done = list(self._done)
         self._done.clear()
         return done
 
     def targets_rad(self) -> list[float | None]:
-        """Position that each drive was last told to go to, motor side; None = not heard, or its scale is not known."""
+        """Return the last target position of each drive, motor side; None = not received, or its scale is not known."""
         return [
             None if drive.scale is None or drive.target_count is None else drive.target_count * drive.scale.count_rad
             for drive in self._drives

@@ -52,7 +52,7 @@ class ObjectEntry:
     name : str
         Name used in messages.
     index, subindex : int
-        Where it stands.
+        Its address.
     type : str
         One of u8 i8 u16 i16 u32 i32, or `str` for a visible string.
     unit : str
@@ -97,7 +97,7 @@ _TABLE: Final[tuple[ObjectEntry, ...]] = (
     ObjectEntry("serial_number", 0x1018, 4, "u32"),
     ObjectEntry("sync_counter_overflow", 0x1019, 0, "u8"),
     ObjectEntry("error_behaviour", 0x1029, 1, "u8"),
-    # manufacturer: what a simulator says of itself
+    # manufacturer: identification of a simulator
     ObjectEntry("simulator_name", 0x5FFE, 0, "str"),
     # CiA 402
     ObjectEntry("abort_connection_option", 0x6007, 0, "i16"),

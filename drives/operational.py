@@ -1,7 +1,7 @@
-"""NMT START, sent until it is seen to be taken: a node may refuse OPERATIONAL while a communication error stands.
+"""Send NMT START until every node is OPERATIONAL: a node may refuse it while a communication error is active.
 
-CiA 301 has no answer to an NMT command. What shows is the node's heartbeat; where the profile sets none, its answers to
-SYNC, which it gives in OPERATIONAL alone.
+CiA 301 defines no answer to an NMT command. The state is taken from the node's heartbeat or, where the profile sets
+none, from its answers to SYNC, which are sent in OPERATIONAL only.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from drives.guard import Guard
 from drives.heartbeat import HeartbeatWatch, NmtCommand, NmtState, send_nmt
 from drives.instrument import Instrument
 
-#: How often a node that is not OPERATIONAL is told again.
+#: Interval at which START is repeated to a node that is not OPERATIONAL.
 REPEAT_S: Final = 0.2
 #: How long.
 PATIENCE_S: Final = 2.0
@@ -35,11 +35,11 @@ class NmtStart:
     bus : Bus
     drives : sequence of Cia402Drive
     instruments : sequence of Instrument
-        Told too, and again while they are silent, but not waited for: a row is complete without them.
+        Started too, repeatedly while they do not respond, but not waited for: a row is complete without them.
     watch : HeartbeatWatch
         Of the drives.
     guard : Guard
-        Watches the bus meanwhile, and knows the drives' last words.
+        Monitors the bus meanwhile, and has the last emergency of each drive.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class NmtStart:
         self._began_s = self._sent_s = 0.0
 
     def begin(self) -> None:
-        """Tell every node; what it said of its state before does not count."""
+        """Send START to every node; earlier reports of its state are discarded."""
         self._bus.drain()
         for drive in self._drives:
             self._watch.states[drive.node_id] = None
@@ -63,19 +63,19 @@ class NmtStart:
         self._send([node.node_id for node in (*self._drives, *self._instruments)])
 
     def confirm(self, check_stop: Callable[[], None]) -> None:
-        """Wait until every drive whose profile sets a heartbeat says OPERATIONAL with it.
+        """Wait until every drive whose profile sets a heartbeat reports OPERATIONAL.
 
         Parameters
         ----------
         check_stop : callable
-            Raises when a person has asked to stop.
+            Raises when a person has requested a stop.
 
         Raises
         ------
         NotOperational, HeartbeatLost, SeveralFailures
-            Drives that do not within the time.
+            Drives that do not report it in time.
         DriveRebooted, ForeignMaster, BusOff
-            What the bus says meanwhile.
+            Other events on the bus meanwhile.
         """
         while waiting := [drive for drive in self._drives if self._beats(drive) and not self._is_up(drive)]:
             if all(time.monotonic() - self._began_s > _patience_s(drive) for drive in waiting):
@@ -86,7 +86,8 @@ class NmtStart:
             self._guard.check_bus()
 
     def again(self, epoch: Epoch) -> bool:
-        """Tell nodes again that leave SYNC unanswered and did not say OPERATIONAL; whether they are to be waited for.
+        """Repeat START to nodes that leave SYNC unanswered and did not report OPERATIONAL; return whether to wait for
+        them.
 
         Raises
         ------
@@ -124,9 +125,11 @@ class NmtStart:
             advice = "check the drive; leave heartbeat.producer_ms out of the profile if it has no heartbeat"
             return HeartbeatLost(what, node=drive.node_id, index=0x1017, advice=advice)
         said = "its NMT state is not known" if state is None else f"it is in NMT state {str(state).upper()}"
-        what = f"does not go to OPERATIONAL, told so for {PATIENCE_S:.0f} s: {said}"
+        what = f"does not go to OPERATIONAL, commanded for {PATIENCE_S:.0f} s: {said}"
         what += self._guard.last_emergency(drive.node_id)
-        advice = "a communication error may stand: see 0x1001, 0x1003, error behaviour 0x1029 and SYNC period 0x1006"
+        advice = (
+            "a communication error may be active: read 0x1001, 0x1003, error behaviour 0x1029 and SYNC period 0x1006"
+        )
         return NotOperational(what, node=drive.node_id, advice=f"{advice}; remove its cause, or switch it off and on")
 
 

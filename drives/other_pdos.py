@@ -1,7 +1,6 @@
-"""PDOs of a node that the exchange does not use: switched off where that is allowed, else counted and named.
+"""Switch off PDOs of a node that the exchange does not use where that is allowed; count and list the others.
 
-Left as they are found, they load the wire with frames that nobody reads, and a stranger's frame in an RPDO can carry a
-controlword.
+They would load the bus with unused frames, and a foreign frame in an RPDO can carry a controlword.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION,
 from drives.pdo import CONTROLWORD, INVALID
 from drives.profile_parts import ObjectReference
 
-#: PDOs of each direction that the predefined connection set of CiA 301 knows.
+#: PDOs of each direction in the predefined connection set of CiA 301.
 _PDOS: Final = 4
 _LAST_SYNCHRONOUS: Final = 240
 _MOST_BYTES: Final = 8
@@ -34,7 +33,7 @@ class OtherPdo:
     communication : int
         Index of its parameter record.
     cob_id : int
-        As it stands there.
+        As stored there.
     transmission : int
         0 to 240 with SYNC, 254 and 255 by event.
     mapped : tuple of int
@@ -58,7 +57,7 @@ class OtherPdo:
 
     @property
     def carries_controlword(self) -> bool:
-        """Whether whoever sends this frame commands the drive."""
+        """Return whether this frame can carry a controlword."""
         return not self.is_sent and any(entry >> 16 == CONTROLWORD.index for entry in self.mapped)
 
     @property
@@ -134,7 +133,7 @@ def switch_off(access: NodeAccess, pdo: OtherPdo) -> bool:
     if pdo.may_be_switched_off and access.write_if_taken(_u32(pdo.communication, 1), pdo.cob_id | INVALID, reason):
         return True
     if pdo.carries_controlword:
-        sender = f"whoever sends id {pdo.cob_id & 0x7FF:03X}"
+        sender = f"the sender of id {pdo.cob_id & 0x7FF:03X}"
         raise ConfigurationRefused(
             f"{pdo.name} takes a controlword from {sender}, and cannot be switched off",
             node=pdo.node_id,

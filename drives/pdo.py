@@ -144,7 +144,7 @@ def _bits(frame: list[tuple[Role, ObjectReference]]) -> int:
 
 
 def differences(plan: PdoPlan, read: Read) -> list[str]:
-    """What the drive holds that is not as planned, in words; empty = nothing has to be written."""
+    """Return the differences between drive and plan as text; empty = nothing has to be written."""
     found = []
     cob_id = read(plan.communication, 1, "u32")
     if cob_id & INVALID:
@@ -187,7 +187,7 @@ def mapping_steps(plan: PdoPlan, cob_id_now: int) -> list[Step]:
 
 
 def restore_steps(old: dict[tuple[int, int], tuple[str, int]]) -> list[Step]:
-    """Writes that put objects back: those that were written first come last; PDO records as `ordered_steps` says.
+    """Return the writes that restore objects, in reverse order of writing; PDO records in the order of `ordered_steps`.
 
     Parameters
     ----------

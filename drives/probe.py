@@ -1,4 +1,4 @@
-"""Who is on the bus: one SDO request to every node id at once, and all answers to it."""
+"""Scan the bus: one SDO request to every node id at once, and all answers to it."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from drives.profile_file import GENERIC, list_profiles, load_profile
 from drives.sdo import SdoClient
 from drives.values import Identity
 
-#: Uploads of what every CANopen device has: device type, vendor id. Who asks again asks for the other one, so that a
-#: late answer to the first question does not count as a second device.
+#: Uploads that every CANopen device supports: device type, vendor id. A repeated request uses the other one, so that a
+#: delayed answer to the first request does not count as a second device.
 QUESTIONS: Final = (bytes.fromhex("4000100000000000"), bytes.fromhex("4018100100000000"))
 #: After the last answer: how long a second device with the same id may still take.
 _QUIET_S: Final = 0.05
@@ -81,7 +81,7 @@ class ScanResult:
     devices : int
         How many answered at this id; more than one is a mistake.
     state : NmtState or None
-        From its heartbeat; None = none was heard.
+        From its heartbeat; None = none was received.
     profiles : tuple of str
         Profiles that come with the package and name this vendor and product; generic ones after them.
     unread : str
@@ -96,7 +96,7 @@ class ScanResult:
 
 
 def scan(bus: Bus, node_ids: Iterable[int] = range(1, 128), listen_s: float = 0.5) -> tuple[ScanResult, ...]:
-    """Find every node, without changing anything on it; first of all, nothing is sent and a master is listened for.
+    """Find every node without changing anything on it; listen for another master before anything is sent.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def scan(bus: Bus, node_ids: Iterable[int] = range(1, 128), listen_s: float = 0.
     Raises
     ------
     ForeignMaster
-        A master is at work: what is asked beside it stops its arm.
+        Another master is active: a request would stop its arm.
     """
     wanted = tuple(node_ids)
     watch = HeartbeatWatch(bus, wanted, [None] * len(wanted))
@@ -136,7 +136,7 @@ def _look_at(bus: Bus, node_id: int, devices: int, state: NmtState | None) -> Sc
 def matching_profiles(identity: Identity) -> tuple[str, ...]:
     """Names of the packaged profiles that fit a device: those that name its vendor first, then the generic one.
 
-    A profile of a make whose vendor id is not known fits nobody by itself: an engineer names it.
+    A profile without a vendor id matches no device automatically; an engineer selects it.
     """
     if not identity.is_drive:
         return ()

@@ -1,4 +1,4 @@
-"""Drive profiles: what the master has to know of one drive model, as data (`profiles/*.toml`).
+"""Drive profiles: data of one drive model that the master needs (`profiles/*.toml`).
 
 Every constant carries its source. A constant that is missing is an error: nothing is ever taken as 1.0.
 """
@@ -50,7 +50,7 @@ _FEEDFORWARD_WRITES = (RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x60B1)
 
 
 class DriveProfile(Strict):
-    """Everything the master has to know of one drive model."""
+    """Data of one drive model that the master needs."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9.-]*$")] = Field(
         description="as cells name it; the file's name"
@@ -63,7 +63,7 @@ class DriveProfile(Strict):
     no_motion: tuple[Annotated[str, Field(min_length=1)], ...] = Field(
         default=(), description="why drives of this model are read and not moved, such as an object that they lack"
     )
-    identity: ExpectedIdentity = Field(default=ExpectedIdentity(), description="what 0x1018 must say")
+    identity: ExpectedIdentity = Field(default=ExpectedIdentity(), description="expected content of 0x1018")
     torque: Signal = Field(description="the measured torque, or the current that it follows from")
     current: Signal | None = Field(default=None, description="actual current beside it, in a second TPDO")
     torque_offset: TorqueOffsetWord | None = Field(
@@ -74,16 +74,16 @@ class DriveProfile(Strict):
         default=None, description="absent: the drive has no 0x60B1, or it is not known how it takes it"
     )
     position: Position = Field(description="actual position and its counts")
-    state_machine: StateMachine = Field(description="times and habits of the CiA 402 state machine")
+    state_machine: StateMachine = Field(description="times and behaviour of the CiA 402 state machine")
     sdo: SdoTimes = Field(description="how long an answer may take")
-    heartbeat: Heartbeat = Field(description="who watches whom, and for how long")
+    heartbeat: Heartbeat = Field(description="heartbeat monitoring in both directions, and its times")
     write: Write = Field(description="every object that the master may write")
     emcy: tuple[EmcyEntry, ...] = Field(default=(), description="meaning of emergency codes")
     safety: tuple[SafetyCondition, ...] = Field(
         default=(), description="conditions of the safety chain that must hold before the drive is enabled"
     )
     reference: Reference | None = Field(
-        default=None, description="absent: the drive cannot tell whether its encoder is referenced"
+        default=None, description="absent: the drive does not report whether its encoder is referenced"
     )
     _text: str = PrivateAttr(default="")
     _folder: Path = PrivateAttr(default=Path())
@@ -127,7 +127,7 @@ class DriveProfile(Strict):
         return tuple(found)
 
     def emcy_entry(self, code: int) -> EmcyEntry | None:
-        """The entry of an emergency code, None if the profile does not know it."""
+        """The entry of an emergency code, None if the profile does not list it."""
         return next((entry for entry in self.emcy if entry.code == code), None)
 
     @model_validator(mode="after")

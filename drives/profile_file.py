@@ -1,4 +1,4 @@
-"""Drive profiles as files: those that come with the package, and an engineer's own."""
+"""Read drive profiles: those of the package, and an engineer's own files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drives.toml_lines import KeyPath
 from drives.validation import Unfit, read_strict
 
 PROFILE_FOLDER = Path(__file__).parent / "profiles"
-#: The profile of a drive that keeps to the standard, whoever made it.
+#: Profile of a standard-conforming drive of any manufacturer.
 GENERIC: Final = "generic-cia402"
 
 

@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, SIZE_BYTES, TPDO_COMMUNICATION, TPDO_MAPPING, DataType
 from drives.validation import Strict
 
-Source = Annotated[str, Field(min_length=1, description="where the number comes from: datasheet page, read, assumed")]
+Source = Annotated[str, Field(min_length=1, description="source of the number: datasheet page, read, assumed")]
 #: What an arithmetic rests upon.
 Basis = Literal["standard", "manual", "measured", "code", "assumed"]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -33,12 +33,12 @@ NEEDED_WRITES = (
 
 
 def is_assumed(source: str) -> bool:
-    """Whether a source says of itself that there is none."""
+    """Return whether a source is stated as assumed."""
     return source.strip().lower().startswith("assumed")
 
 
 class Constant(Strict):
-    """A number and where it comes from."""
+    """A number and its source."""
 
     value: Positive = Field(description="in the unit of the key")
     source: Source
@@ -63,7 +63,7 @@ class ObjectReference(Strict):
 
 
 class ExpectedIdentity(Strict):
-    """What 0x1018 must say; a key that is not given matches anything."""
+    """Expected content of 0x1018; a key that is not given matches anything."""
 
     vendor_id: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="0x1018:01")
     product_code: int | None = Field(default=None, ge=0, le=0xFFFFFFFF, description="0x1018:02")
@@ -118,7 +118,7 @@ class Signal(Strict):
 
     @property
     def assumed(self) -> bool:
-        """Whether nobody knows what one bit is."""
+        """Return whether the value of one bit is assumed."""
         if self.basis is not None:
             return self.basis == "assumed"
         parts = (self.rated, self.internal_unit_a)
@@ -165,7 +165,7 @@ class TorqueOffsetWord(Strict):
 
 
 class Share(Strict):
-    """A part of a whole and where the number comes from."""
+    """A fraction and its source."""
 
     value: float = Field(ge=0, le=1, allow_inf_nan=False, description="0 to 1")
     source: Source
@@ -247,7 +247,7 @@ class Position(Strict):
 
 
 class StateMachine(Strict):
-    """Times and habits of the CiA 402 state machine."""
+    """Times and behaviour of the CiA 402 state machine."""
 
     transition_timeout_s: Positive = Field(description="longest wait for a change of state")
     mode_before_enable: bool = Field(
@@ -281,7 +281,9 @@ class SdoTimes(Strict):
 class Heartbeat(Strict):
     """How the drive watches the master (0x1016, 0x6007), and how the master watches the drive (0x1017)."""
 
-    consumer_ms: int = Field(ge=10, le=65535, description="0x1016: after this silence the drive gives the master up")
+    consumer_ms: int = Field(
+        ge=10, le=65535, description="0x1016: after this time without heartbeat the drive treats the master as lost"
+    )
     abort_connection: Literal[2, 3] = Field(
         description="0x6007: 3 quick stop; a drive with 2, disable voltage, is read and not moved"
     )
@@ -310,11 +312,11 @@ class Condition(Strict):
     source: Source | None = Field(default=None, description="where it comes from: manual and page")
 
     def holds(self, value: int) -> bool:
-        """Whether a value of the object says that all is well."""
+        """Return whether a value of the object satisfies the condition."""
         return value & self.mask == self.good
 
     def describe(self, value: int) -> str:
-        """What a value says, for a message."""
+        """Describe a value, for a message."""
         where = f"{self.object.index:04X}:{self.object.subindex:02X}"
         return f"{where} & {self.mask:#x} is {value & self.mask:#x} instead of {self.good:#x}"
 
@@ -334,7 +336,7 @@ class SafetyCondition(Condition):
 
 
 class Reference(Condition):
-    """How the drive tells whether its encoder is referenced."""
+    """How the drive reports whether its encoder is referenced."""
 
 
 class EmcyEntry(Strict):

@@ -1,11 +1,11 @@
 """Tests of how the drives stop: without the master's heartbeat, by the quick stop word, by the brake of one axis.
 
-CiA 301 7.2.8.3.2.2 (heartbeat consumer, 0x1016) and CiA 402-2 (abort connection option, 0x6007) say what has to happen;
-whether this drive, with this firmware and wiring, does it is only known once it was seen.
+CiA 301 7.2.8.3.2.2 (heartbeat consumer, 0x1016) and CiA 402-2 (abort connection option, 0x6007) define the required
+reaction. The test shows whether this drive, with this firmware and wiring, has it.
 
-A test sends nothing and waits for nothing. It gives the controlwords of the next SYNC and reads the answers, while the
-motion loop sends its set points as in any other motion (`DriveGroup.exchange` and `hold`), so that every request to
-stop and every limit is answered at any SYNC of a test as well.
+A test neither sends nor waits. It returns the controlwords of the next SYNC and reads the answers, while the motion
+loop sends its setpoints as in any other motion (`DriveGroup.exchange` and `hold`). Stop requests and limits are
+therefore checked at every SYNC of a test too.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ PATIENCE_S: Final = 0.2
 _RAMP_S: Final = 2.0
 #: SYNCs without an answer after which an axis is asked by SDO: a drive may leave NMT state OPERATIONAL (0x1029).
 _SILENT: Final = 2
-#: An axis stands when its motor has stayed within so many revolutions for so long [s]: a braked axis shakes while
+#: An axis is at rest when its motor has stayed within so many revolutions for so long [s]: a braked axis shakes while
 #: others are stopped.
 _STILL_REVOLUTIONS: Final = 0.003
 _STILL_S: Final = 0.05
@@ -50,21 +50,21 @@ _STILL_S: Final = 0.05
 _STILL_SHARE: Final = 0.2
 #: Rounding of a sum of SYNC periods [s].
 _TIME_TOLERANCE_S: Final = 1e-9
-#: SYNCs after which a drive that was told to hold its axis again is given the position that it has reached meanwhile.
+#: SYNCs after which a drive that was commanded to hold its axis again gets the position that it has reached meanwhile.
 _ENABLE_SYNCS: Final = 3
 #: Controlwords from SWITCH ON DISABLED to OPERATION ENABLED.
 _LADDER: Final = (SHUTDOWN, SWITCH_ON, ENABLE_OPERATION)
 
 
 class DriveTest(Protocol):
-    """What a drive group asks of a test at every SYNC.
+    """Interface of a stop test, called by the drive group at every SYNC.
 
     Attributes
     ----------
     excused : frozenset of int
         Axes (from 0) that may leave OPERATION ENABLED.
     guards : bool
-        The other axes are watched as in any motion; else only the bus is.
+        The other axes are monitored as in any motion; else only the bus is.
     """
 
     @property
@@ -78,7 +78,7 @@ class DriveTest(Protocol):
         ...
 
     def held_count(self, axis: int) -> int | None:
-        """Position that an axis is told to keep [counts]; None = the set point of the motion."""
+        """Return the commanded position of an axis [counts]; None = the setpoint of the motion."""
         ...
 
     def see(self, epoch: Epoch) -> None:
@@ -96,17 +96,17 @@ class StopTrace:
     stated_s : float
         By when it shall have left OPERATION ENABLED: heartbeat time and one SYNC; two SYNCs after the word.
     enabled_s : float
-        When it was last seen in OPERATION ENABLED, s after the last heartbeat or the word.
+        Last SYNC in OPERATION ENABLED, s after the last heartbeat or the controlword.
     left_s : float or None
-        When it was first seen out of it; None = it went on until the master stopped it.
+        First SYNC in another state; None = it stayed enabled until the master stopped it.
     state : State
         Which state it went to.
     moved_rad, coast_rad : float
-        Largest motor angle travelled from the last heartbeat or the word, and from when it was last seen enabled.
+        Largest motor angle travelled since the last heartbeat or the controlword, and since it was last enabled.
     stood : bool
         Whether it came to rest.
     rest_s : float
-        When it was last seen to move, s after the last heartbeat or the quick stop word.
+        Last SYNC with motion, s after the last heartbeat or the quick stop controlword.
     """
 
     node_id: int
@@ -126,7 +126,7 @@ class StopTrace:
 
 
 class _Axis:
-    """What is seen of one drive."""
+    """Observations of one drive."""
 
     def __init__(self, drive: Cia402Drive, stated_s: float) -> None:
         self.drive = drive
@@ -189,7 +189,7 @@ class _Axis:
         return QUICK_STOP if self.state is State.QUICK_STOP_ACTIVE else DISABLE_VOLTAGE
 
     def trace(self) -> StopTrace:
-        """What was seen."""
+        """Return the result of this drive."""
         rad = self.drive.scale.count_rad
         moved = max((abs(count - self._counts[0]) for count in self._counts), default=0)
         coast = max(
@@ -210,7 +210,7 @@ class _Axis:
 
 
 class StopTest:
-    """Every axis has to leave OPERATION ENABLED and come to rest; it is watched until all have, or time is over.
+    """Test that every axis leaves OPERATION ENABLED and comes to rest, until all have or the time limit has passed.
 
     Parameters
     ----------
@@ -222,7 +222,7 @@ class StopTest:
     Attributes
     ----------
     done : bool
-        Nothing is expected any more. An axis that has not left is told to stop from now on.
+        The test has ended. An axis that has not left OPERATION ENABLED is commanded to stop from now on.
     """
 
     guards = False
@@ -244,7 +244,7 @@ class StopTest:
         return [QUICK_STOP if self._stops(axis) else axis.word() for axis in self._axes]
 
     def held_count(self, axis: int) -> int | None:
-        """As `DriveTest.held_count`: an axis that has left, or is told to stop, keeps its last target."""
+        """As `DriveTest.held_count`: an axis that has left, or is commanded to stop, keeps its last target."""
         seen = self._axes[axis]
         return seen.drive.target_count if seen.left_s is not None or self._stops(seen) else None
 
@@ -262,11 +262,11 @@ class StopTest:
         self.done = all(axis.done for axis in self._axes) or self._over(passed_s)
 
     def traces(self) -> tuple[StopTrace, ...]:
-        """What was seen of each axis."""
+        """Return the result of each axis."""
         return tuple(axis.trace() for axis in self._axes)
 
     def _stops(self, axis: _Axis) -> bool:
-        """Whether an axis is told to stop."""
+        """Return whether an axis is commanded to stop."""
         return self.done and axis.left_s is None
 
     def _without_answer(self, axis: _Axis, passed_s: float) -> None:
@@ -274,7 +274,7 @@ class StopTest:
         axis.ask(passed_s)
 
     def _over(self, passed_s: float) -> bool:
-        """Whether nothing is waited for any more."""
+        """Return whether the time limit has passed."""
         longest_s = max(axis.stated_s for axis in self._axes) + PATIENCE_S
         return passed_s >= longest_s + _RAMP_S or (
             passed_s > longest_s and any(axis.left_s is None for axis in self._axes)
@@ -282,7 +282,7 @@ class StopTest:
 
 
 class HeartbeatLossTest(StopTest):
-    """The master's heartbeat is withheld: every drive has to stop by itself.
+    """Test with the master's heartbeat withheld: every drive has to stop itself.
 
     Parameters
     ----------
@@ -307,7 +307,7 @@ class HeartbeatLossTest(StopTest):
 
 
 class QuickStopTest(StopTest):
-    """Every axis is told to stop by its quick stop ramp.
+    """Test of the quick stop ramp of every axis.
 
     Parameters
     ----------
@@ -336,7 +336,7 @@ class QuickStopTest(StopTest):
 
 
 class BrakeTest:
-    """One axis is disabled and hangs on its brake, while all others hold theirs; it is enabled again where it is.
+    """Test of the brake of one axis: it is disabled and held by its brake, then enabled again at its position.
 
     It is enabled again at the first SYNC at which it has moved beyond the limit, or would have at the next one. Until
     the voltage is disabled the axis stays in SWITCHED ON, from where one controlword is enough.
@@ -446,7 +446,7 @@ class BrakeTest:
         enabled = decode_state(reading.statusword) is State.OPERATION_ENABLED
         if enabled and self.released_syncs == 0 and not self._enables:
             self._held_count = reading.position_count
-            self._wait(f"stays in {State.OPERATION_ENABLED} although it was told to be disabled")
+            self._wait(f"stays in {State.OPERATION_ENABLED} although it was commanded to disable")
             return
         self._moves(reading)
         if not self._enables:
@@ -459,7 +459,7 @@ class BrakeTest:
         else:
             if not 0 < self._enable_syncs <= _ENABLE_SYNCS:
                 self._target = reading.position_count
-            self._wait("was told to hold its axis again after its brake was tried, and is not enabled")
+            self._wait("was commanded to hold its axis again after the brake test, and is not enabled")
 
     def _moves(self, reading: DriveReading) -> None:
         """Largest angle, and whether it is beyond the limit, now or at the next SYNC."""

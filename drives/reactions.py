@@ -1,9 +1,8 @@
-"""What is seen on the bus and in a drive while axes are enabled, and what follows from it: one table, used by the code.
+"""Table of the conditions monitored on the bus and in the drives while axes are enabled, and of the reactions.
 
 `stop`: every axis is stopped by its quick stop ramp, then disabled, and nothing resumes by itself. `along the path`
-(asked for by whoever plans the motion): time along the path is slowed down to a stop, then the axes are disabled.
-`retry`: the SYNC is marked incomplete and whoever sampled it samples again. `count`: it is counted in the statistics
-and nothing else.
+(requested by the motion loop): time along the path is slowed down to a stop, then the axes are disabled. `retry`: the
+SYNC is marked incomplete and the sample is taken again. `count`: it is counted in the statistics and nothing else.
 """
 
 from __future__ import annotations
@@ -32,24 +31,23 @@ Reaction = Literal["stop", "along the path", "retry", "count"]
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One thing that can be seen.
+    """One monitored condition.
 
     Attributes
     ----------
     what : str
-        What is seen.
+        The condition.
     reaction : "stop", "along the path", "retry" or "count"
     limit : float
-        How much of it is needed.
+        Threshold of the reaction.
     unit : str
         Of the limit.
     advice : str
-        What the engineer does.
+        Remedy.
     error : class of DriveError or None
         What is raised; None where nothing is, or not by the drives.
     least_s : float
-        Where SYNCs are paced by the clock: how long it has to last at least, since an operating system may pause
-        whoever sends or answers.
+        In real time: shortest duration [s], because an operating system may pause the sender or the receiver.
     """
 
     what: str
@@ -72,7 +70,7 @@ class Rule:
     def raised(
         self, what: str, *, node: int | None = None, index: int | None = None, code: int | None = None, more: str = ""
     ) -> DriveError:
-        """The error of this rule about a node or the whole bus; `more` is added to the advice."""
+        """The error of this rule about a node or the whole bus; `more` is added to the remedy."""
         advice = "; ".join(part for part in (self.advice, more) if part)
         return (self.error or DriveError)(what, node=node, index=index, code=code, advice=advice)
 
@@ -147,7 +145,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             DriveFault,
         ),
         "heartbeat_lost": Rule(
-            "a drive's heartbeat is missing for three of its periods, by the clock and by SYNCs",
+            "a drive's heartbeat is missing for three of its periods, by wall clock and by SYNCs",
             "stop",
             0.5,
             "s at least",
@@ -171,7 +169,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             ForeignMaster,
         ),
         "foreign_master": Rule(
-            "SDO requests or set points of another master",
+            "SDO requests or setpoints of another master",
             "stop",
             3,
             "frames",
@@ -179,7 +177,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             ForeignMaster,
         ),
         "stalled": Rule(
-            "by the clock: this computer is held up while the axes move; the set point that comes too late is not sent",
+            "in real time: this computer stalls while the axes move; the overdue setpoint is not sent",
             "stop",
             2,
             "SYNC periods late",
@@ -213,6 +211,6 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
         "emergency_reset": Rule("an emergency message that says that all is well again", "count", 1, "message"),
         "warning": Rule("warning (statusword bit 7)", "count", 1, _ONE),
         "error_frames": Rule("error frames, error passive", "count", 1, "frame"),
-        "strange_frames": Rule("extended and remote frames, ids that nobody here uses", "count", 1, "frame"),
+        "strange_frames": Rule("extended and remote frames, unused ids", "count", 1, "frame"),
     }
 )

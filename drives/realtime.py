@@ -1,7 +1,7 @@
-"""What the operating system gives to a loop that must not be held up: a real-time scheduler, memory that stays.
+"""Request real-time scheduling and locked memory from the operating system for the motion loop.
 
-Nothing of it is needed to run, and where it is not permitted nothing happens. It is asked for while arms move and given
-back afterwards: a loop that spins under a real-time scheduler can starve everything else on its processor.
+Both are optional. They are requested while arms move and released afterwards: a loop that spins under a real-time
+scheduler can starve everything else on its processor.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-#: Priority under SCHED_FIFO: above ordinary work, below the threads of interrupts (50) that bring the frames in.
+#: Priority under SCHED_FIFO: above normal threads, below the interrupt threads (50) that bring the frames in.
 _PRIORITY: Final = 40
 #: Of mlockall (sys/mman.h): pages that are there, pages that will be.
 _MCL_CURRENT: Final = 1
@@ -36,7 +36,7 @@ class RealTimeStatus:
     locked : bool
         Memory is not swapped out.
     why : str
-        What is missing and how to permit it; empty where nothing is.
+        What is missing and how to permit it; empty where nothing is missing.
     """
 
     fifo: bool
@@ -52,11 +52,11 @@ class RealTime:
     Attributes
     ----------
     status : RealTimeStatus
-        What was given; nothing before it is entered.
+        Granted rights; none before the context is entered.
     """
 
     def __init__(self) -> None:
-        self.status = RealTimeStatus(fifo=False, locked=False, why="not asked for yet")
+        self.status = RealTimeStatus(fifo=False, locked=False, why="not requested yet")
         self._before: tuple[int, os.sched_param] | None = None
 
     def __enter__(self) -> RealTimeStatus:
@@ -89,7 +89,7 @@ class RealTime:
 
 
 def leave_real_time() -> None:
-    """Ordinary scheduling for the calling thread: threads and processes inherit what started them was given."""
+    """Default scheduling for the calling thread: threads and processes inherit what started them was given."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
@@ -115,7 +115,7 @@ def _no_lock(error: object) -> str:
 
 
 def _limit(name: str) -> float:
-    """Soft limit of this process; infinite where there is none, 0 where the system does not know it."""
+    """Soft limit of this process; infinite where there is none, 0 where the system does not support it."""
     try:
         import resource  # Windows has none
     except ImportError:
@@ -164,6 +164,6 @@ def _libc_has(name: str) -> bool:
 def _libc_call(name: str, *arguments: int) -> str:
     """Call a function of the C library that returns 0 when all is well; otherwise its error in words."""
     if not _libc_has(name):
-        return "this system does not know it"
+        return "not supported by this system"
     ctypes.set_errno(0)
     return "" if getattr(_libc(), name)(*arguments) == 0 else os.strerror(ctypes.get_errno())

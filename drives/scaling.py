@@ -1,6 +1,6 @@
 """Raw words <-> SI on the motor side: pure arithmetic that follows from the profile.
 
-Everything is linear, so the cyclic path multiplies by numbers that are worked out here once.
+Everything is linear, so the cyclic path multiplies by factors that are computed here once.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MotorScale:
     count_rad : float
         rad per position count.
     offset_nm : float or None
-        Nm per bit of 0x60B2; None = the profile does not say, and only zero may be sent.
+        Nm per bit of 0x60B2; None = the profile does not state it, and only zero may be sent.
     """
 
     torque_nm: float
@@ -103,7 +103,7 @@ def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_
 def _ampere_per_bit(profile: DriveProfile, what: str, signal: Signal, rated: float | None) -> float:
     """Nm per bit of a torque, A (of the torque constant) per bit of a current."""
     if signal.is_current and None in (signal.current_reference, signal.torque_constant_per):
-        advice = "give current_reference and torque_constant_per in the profile; nothing is assumed in their place"
+        advice = "give current_reference and torque_constant_per in the profile; no default is assumed"
         raise ProfileError(f"profile {profile.name}: {what} is a current, rms or peak is not known", advice=advice)
     if signal.kind == "internal_unit":
         if signal.internal_unit_a is None:
@@ -131,6 +131,6 @@ def _offset_nm(profile: DriveProfile, constants: Constants, torque_nm: float, kt
 
 def _positive(profile: DriveProfile, what: str, value: float | None) -> float:
     if value is None or not math.isfinite(value) or value <= 0:
-        advice = "set it in the drive or give it in the profile or cell file; nothing is assumed in its place"
+        advice = "set it in the drive or give it in the profile or cell file; no default is assumed"
         raise ProfileError(f"profile {profile.name}: {what} is {value}, a positive number is needed", advice=advice)
     return value

@@ -1,4 +1,4 @@
-"""SDO client that cannot mistake a stale answer for a fresh one (CiA 301, 7.2.4: expedited and segmented transfer).
+"""SDO client that rejects stale answers (CiA 301, 7.2.4: expedited and segmented transfer).
 
 One transfer at a time per node, under a lock. Reads may be repeated, writes never.
 """
@@ -42,7 +42,7 @@ MAX_SIZE_BYTES: Final = 1 << 16
 
 @dataclass(frozen=True, slots=True)
 class Transfer:
-    """How long to wait for an answer, and how often a read asks.
+    """Timeout and number of attempts of a transfer.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
-"""One SDO channel to one node: a request, its answer, and the answers that came too late (CiA 301, 7.2.4.3).
+"""One SDO channel to one node: a request, its answer, and delayed answers (CiA 301, 7.2.4.3).
 
 An answer counts only if its command specifier and, where it has them, its index and subindex are those of the request.
-After a time-out the late answer may still come: the object is kept in quarantine until it has, or until the slow
-time-out has passed, and is not asked again before.
+After a time-out the answer may still arrive. The object is not requested again until it has arrived or the slow
+time-out has passed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CCS_DOWNLOAD_SEGMENT, CCS_DOWNLOAD, CCS_UPLOAD, CCS_UPLOAD_SEGMENT = 0x00, 0x20,
 SCS_UPLOAD_SEGMENT, SCS_DOWNLOAD_SEGMENT, SCS_UPLOAD, SCS_DOWNLOAD, ABORT = 0x00, 0x20, 0x40, 0x60, 0x80
 TOGGLE: Final = 0x10
 EXPEDITED, SIZED = 0x02, 0x01
-#: What `ask` asks for in turn, so that a late answer to one question is not taken for the answer to the next.
+#: Objects that `ask` requests in turn, so that a delayed answer is not taken for the answer to the next request.
 _QUESTIONS: Final = ((0x1000, 0), (0x1018, 1), (0x1001, 0), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 
 
@@ -49,7 +49,7 @@ def expedited_data(answer: bytes, size_bytes: int | None = None) -> bytes:
 
 @dataclass(slots=True)
 class Posted:
-    """A read that nobody waits for.
+    """A read without waiting.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class SdoChannel:
     node_id : int
         1 to 127.
     timeout_s, slow_timeout_s : float
-        Longest wait for an answer; for slow objects, and for what comes late after all.
+        Longest wait for an answer; for slow objects, and for delayed answers.
     """
 
     def __init__(self, bus: Bus, node_id: int, timeout_s: float = 0.3, slow_timeout_s: float = 2.0) -> None:
@@ -145,7 +145,7 @@ class SdoChannel:
     # -- without waiting ---------------------------------------------------------------------------------------------
 
     def ask(self) -> None:
-        """Ask for something that every device has, without waiting; `asked` until the answer comes, also a refusal."""
+        """Request an object that every device has, without waiting; `asked` until an answer or refusal arrives."""
         address = _QUESTIONS[self._questions % len(_QUESTIONS)]
         self._questions += 1
         now = time.monotonic()

@@ -1,4 +1,4 @@
-"""What a run on the bus was like: counts, latencies, load, jitter."""
+"""Statistics of a run on the bus: counts, latencies, load, jitter."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class GroupStatistics:
     late, duplicate, ambiguous, wrong_length : int
         TPDOs that came after their SYNC was closed, twice, twice with different content, with a wrong length.
     unsure : int
-        TPDOs by the clock that may belong to an earlier SYNC that was left unanswered, and were not assigned.
+        TPDOs in real time that may belong to an earlier unanswered SYNC, and were not assigned.
     overruns : int
-        SYNC periods that were missed by the clock.
+        SYNC periods missed in real time.
     warnings : int
         Answers in which a drive warns (statusword bit 7).
     foreign : dict
@@ -46,7 +46,7 @@ class GroupStatistics:
     bus_load_measured_percent : float or None
         Worst-case bits of what was exchanged over the time since the first SYNC; None before the second.
     jitter_p50_s, jitter_p99_s : float or None
-        How late SYNCs were sent by the clock; None in lockstep.
+        Delay of sent SYNCs in real time; None in lockstep.
     """
 
     cycles: int

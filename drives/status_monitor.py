@@ -1,7 +1,7 @@
-"""What a drive tells besides its state: emergencies, statusword bits, answers that are always the same.
+"""Monitor emergencies, statusword bits and repeated identical answers of the drives.
 
-Each of them is a reason to stop: a drive that limits the torque, drags behind, has been taken over by its panel or
-repeats an old answer gives numbers that must not be believed.
+Each of them is a reason to stop: the readings of a drive are invalid when it limits the torque, has a following error,
+is controlled by its panel or repeats an old answer.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from drives.reactions import DRIVE_RULES
 from drives.sdo import Posted
 from drives.values import DriveReading
 
-#: SYNCs in a row that a bit has to stand, in lockstep: one may be the moment of a transition.
+#: SYNCs in a row that a bit has to be set, in lockstep: a single one may be a transition.
 BITS_IN_A_ROW: Final = DRIVE_RULES["internal_limit"].count
-#: SYNCs in a row with the very same answer before the drive is asked by SDO whether it is true.
+#: SYNCs in a row with an identical answer before the drive is queried by SDO.
 SAME_IN_A_ROW: Final = DRIVE_RULES["stale"].count
-#: How far SDO and the repeated answer may lie apart, in motor revolutions: an axis at rest stands still.
+#: Largest difference between SDO and the repeated answer, in motor revolutions.
 SAME_REVOLUTIONS: Final = 0.002
-#: By the clock: how often that is asked before a missing answer counts as none.
+#: Real time: number of queries before a missing answer counts as an error.
 ATTEMPTS: Final = 2
-#: By the clock: SYNCs that the answer to SYNC has to stay the same after SDO has said otherwise.
+#: Real time: SYNCs that the answer to SYNC has to stay the same after SDO has reported another value.
 SETTLED_SYNCS: Final = 2
 
 _MASK: Final = INTERNAL_LIMIT | FOLLOWING_ERROR | REMOTE
@@ -41,7 +41,7 @@ _BITS: Final = (
 
 
 class StatusMonitor:
-    """Looks at every epoch while the axes are enabled.
+    """Checks every epoch while the axes are enabled.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ class StatusMonitor:
         self._good: list[int] = []
         self._same: list[int] = []
         self._last: list[tuple[int, int] | None] = []
-        #: By the clock: questions by SDO that are on their way, and how often they were asked.
+        #: Real time: pending SDO queries, and the number of queries.
         self._open: dict[int, tuple[Posted, Posted, int]] = {}
         self._waited: dict[int, int] = {}
         self.forgive()
@@ -74,13 +74,13 @@ class StatusMonitor:
         self._open.clear()
 
     def forgive_cleared(self) -> None:
-        """Emergencies since the beginning are no reason to stop if every node that sent one says that all is well."""
+        """Forgive emergencies since the start if every node that sent one has reported the error as cleared."""
         new = self._emcy.count - self._seen_count
         if new and all(each.is_reset for each in {each.node_id: each for each in self._emcy.messages[-new:]}.values()):
             self._seen_count = self._emcy.count
 
     def forget(self, axis: int) -> None:
-        """Begin anew with one axis (from 0): its drive is going to leave OPERATION ENABLED."""
+        """Reset the monitoring of one axis (from 0): its drive is going to leave OPERATION ENABLED."""
         self._odd[axis], self._same[axis], self._last[axis], self._good[axis] = 0, 0, None, _GOOD
         self._open.pop(axis, None)
 
@@ -90,7 +90,7 @@ class StatusMonitor:
         Raises
         ------
         DriveFault, SeveralFailures
-            An emergency, a bit that stands, an answer that is not true any more.
+            An emergency, a statusword bit, or a stale answer.
         SdoError
             A drive does not confirm its answer.
         """
@@ -131,9 +131,9 @@ class StatusMonitor:
         )
 
     def _confirm(self, axis: int, reading: DriveReading) -> None:
-        """Ask by SDO what a drive keeps answering; the two ways share nothing but the drive.
+        """Query by SDO the value that a drive keeps answering; PDO and SDO are independent paths.
 
-        By the clock nobody waits for the answer: SYNC goes on, and the answer is looked up at the SYNCs to come.
+        In real time there is no wait for the answer: SYNC goes on, and the answer is read at the following SYNCs.
         """
         if self._exchange.timing.pacing == "real":
             self._ask(axis, 1)

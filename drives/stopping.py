@@ -1,11 +1,10 @@
-"""The way down: quick stop and disable. No word of this module energises an axis or resets a fault.
+"""Quick stop and disable. No controlword of this module energises an axis or resets a fault.
 
-A drive is disabled when it stands, not before: its brake is no service brake. What was told and is not confirmed,
-because an axis does not answer, does not leave OPERATION ENABLED or does not come to rest, ends the master's heartbeat
-at once, before anything else is tried: the drives then stop by themselves.
+A drive is disabled only at rest: a holding brake must not stop a moving axis. An unconfirmed command (no answer,
+OPERATION ENABLED not left, axis not at rest) ends the master's heartbeat at once, so that the drives stop themselves.
 
-Nothing that goes wrong ends the way down: whatever is raised for one axis or by one SYNC is kept as a failure, the
-heartbeat ends, and the stop of all other axes goes on.
+No error ends the sequence: an exception of one axis or SYNC is stored as a failure, the heartbeat ends, and the other
+axes are stopped.
 """
 
 from __future__ import annotations
@@ -33,13 +32,13 @@ from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
 from drives.sdo import ONCE
 
-#: SYNCs without an answer after which an axis is asked by SDO instead.
+#: SYNCs without an answer after which an axis is queried by SDO instead.
 _SILENT: Final = 3
 #: Longest quick stop ramp that is waited for.
 _RAMP_S: Final = 2.0
 #: What an axis is given beyond the time that a step should take, until the step counts as not confirmed.
 _PATIENCE_S: Final = 0.2
-#: How long positions are watched after the brakes have closed; by SYNCs, and at most so long by the clock.
+#: Time for which positions are monitored after the brakes have closed; by SYNCs, and at most by wall clock.
 _DROP_WATCH_S: Final = 0.3
 _DROP_WATCH_MAX_S: Final = 1.0
 #: Where only SDO is left: time between two readings, and by how much they differ at rest, in motor revolutions.
@@ -53,22 +52,22 @@ _HELD: Final = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, Stat
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """One step of the way down.
+    """One step of the stop sequence.
 
     Attributes
     ----------
     word : callable
         Controlword by axis and state.
     disables : bool
-        It ends in SWITCH ON DISABLED.
+        The step ends in SWITCH ON DISABLED.
     done : callable
         Whether an axis has done it.
     leave_s : float
         How long an axis may stay in OPERATION ENABLED.
     limit_s : float
-        How long all of it may take.
+        Time limit of the step.
     reached : frozenset of State
-        States that confirm it to one who asks by SDO.
+        States that confirm the step when read by SDO.
     """
 
     word: Callable[[int, State], int]
@@ -80,7 +79,7 @@ class _Step:
 
 
 class _BrakeDrop:
-    """How far each axis goes from where it was last held.
+    """Largest movement of each axis from its last held position.
 
     Parameters
     ----------
@@ -104,13 +103,13 @@ class _BrakeDrop:
                 self._most_count[axis] = max(self._most_count[axis], abs(reading.position_count - held))
 
     def rad(self) -> tuple[float, ...]:
-        """Largest way of each axis, at the motor."""
+        """Return the largest movement of each axis, motor side."""
         drives = self._exchange.drives
         return tuple(count * abs(drive.scale.count_rad) for drive, count in zip(drives, self._most_count, strict=True))
 
 
 def disabling_controlword(state: State) -> int:
-    """Controlword on the way to SWITCH ON DISABLED; from a fault the word that does nothing."""
+    """Return the controlword towards SWITCH ON DISABLED; in a fault one without effect."""
     try:
         return next_controlword(state, State.SWITCH_ON_DISABLED)
     except NoRoute:
@@ -146,12 +145,12 @@ def _closing_s(drive: Cia402Drive) -> float:
 
 
 def quick_stop(exchange: SyncExchange) -> list[DriveError]:
-    """Stop every axis by its quick stop ramp and wait until it stands.
+    """Stop every axis by its quick stop ramp and wait until it is at rest.
 
     Returns
     -------
     list of DriveError
-        Axes of which it is not known that they stand; if there are any, the master's heartbeat has ended.
+        Axes that are not confirmed to be at rest; if there are any, the master's heartbeat has ended.
     """
 
     def done(axis: int) -> bool:
@@ -166,7 +165,7 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
 
 
 def disable(exchange: SyncExchange) -> list[DriveError]:
-    """Lead every axis to SWITCH ON DISABLED, those that move by their quick stop ramp; a drive in fault stays there.
+    """Bring every axis to SWITCH ON DISABLED, moving axes by their quick stop ramp; a drive in fault stays there.
 
     Afterwards the positions are watched for a while: `SyncExchange.brake_drop_rad`.
 
@@ -192,7 +191,7 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
 
 
 def _moves(exchange: SyncExchange) -> bool:
-    """Whether an axis that answers is held by its drive and was not seen to stand; a ramp is waited for only once."""
+    """Return whether a responding axis is held by its drive and not at rest; a ramp is waited for only once."""
     held = _HELD if exchange.heartbeat else {State.OPERATION_ENABLED}
     return any(
         state in held and not exchange.stands(axis) and exchange.silent[axis] < _SILENT
@@ -215,7 +214,7 @@ def _watch(exchange: SyncExchange, sag: _BrakeDrop) -> list[DriveError]:
 
 
 def _cycle(exchange: SyncExchange, word: Callable[[int, State], int]) -> Epoch:
-    """One SYNC on the way down: every axis is told to stay where it was told to be."""
+    """Run one SYNC of the stop sequence: every axis keeps its last target."""
     for drive in exchange.drives:
         drive.hold(drive.target_count)
     states = enumerate(exchange.states)
@@ -223,7 +222,9 @@ def _cycle(exchange: SyncExchange, word: Callable[[int, State], int]) -> Epoch:
 
 
 def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> list[DriveError]:
-    """Cycle with the words of a step until every axis is done, silent or out of time; then ask the rest by SDO."""
+    """Run SYNCs with the controlwords of a step until every axis is done, not responding or out of time; then use
+    SDO.
+    """
     exchange.hurry()
     axes, period_s = range(len(exchange.drives)), exchange.timing.period_s
     failures: list[DriveError] = []
@@ -278,7 +279,7 @@ def _state(drive: Cia402Drive) -> State:
 
 
 def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
-    """Whether an axis in a state of rest stands, by its answers to SYNC or, without any, by SDO."""
+    """Return whether a stopped axis is at rest, by its answers to SYNC or, without any, by SDO."""
     if step.disables or step.done(axis):
         return True
     if not exchange.silent[axis]:
@@ -287,7 +288,7 @@ def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
 
 
 def _wait_for_rest(drive: Cia402Drive) -> bool:
-    """Wait until two readings by SDO say that the axis stands; whether they do in time."""
+    """Wait until two SDO readings show that the axis is at rest; return whether they do in time."""
     allowed = max(1.0, drive.scale.revolutions(_SDO_STILL_REVOLUTIONS))
     until_s = time.monotonic() + _RAMP_S
     before: int | None = None
@@ -302,5 +303,5 @@ def _wait_for_rest(drive: Cia402Drive) -> bool:
 
 def _still_moving(drive: Cia402Drive) -> DriveError:
     advice = "use the emergency stop; then check its quick stop ramp (0x605A, 0x6085) and its brake"
-    what = f"still moves {_RAMP_S + _PATIENCE_S:.1f} s after it was told to stop"
+    what = f"still moves {_RAMP_S + _PATIENCE_S:.1f} s after the stop command"
     return TransitionTimeout(what, node=drive.node_id, index=0x6064, advice=advice)

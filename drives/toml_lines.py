@@ -1,4 +1,4 @@
-"""On which line of a TOML text each key and each element stands; `tomllib` does not say.
+"""Return the line of each key and element of a TOML text, which `tomllib` does not provide.
 
 The text has been parsed already: what is read here is known to be TOML, so that tokens and brackets are enough.
 """
@@ -56,7 +56,7 @@ class _Scan:
         self._counts: dict[KeyPath, int] = {}
 
     def take(self, token: str, line: int) -> None:
-        """One token that is no remark."""
+        """One token that is not a comment."""
         if self._header is not None:
             if token == "\n":
                 self._open(self._header, line)
@@ -92,7 +92,7 @@ class _Scan:
             frame.key, frame.in_value = [], False
 
     def _open(self, header: list[str], line: int) -> None:
-        """`[a.b]` and `[[a.b]]`: the tables that the next keys stand in."""
+        """`[a.b]` and `[[a.b]]`: the table of the next keys."""
         names = [part for each in header if each not in "[]." for part in _key_parts(each)]
         many = header[:2] == ["[", "["]
         path: KeyPath = ()

@@ -1,4 +1,4 @@
-"""What a key of a TOML file may hold, in words and as it is written; what is wrong with what it holds."""
+"""Describe what a key of a TOML file may hold, and what is wrong with its value."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LIMITS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """Where a path leads in a model: as far as the model knows it, what may stand there, and its field."""
+    """Where a path leads in a model: as far as the model defines it, the allowed type, and its field."""
 
     path: KeyPath
     kind: Any
@@ -211,11 +211,11 @@ def _wrong(detail: Mapping[str, Any], kind: Any) -> str:
     if problem in ("too_short", "string_too_short"):
         return f"is too short, at least {ctx.get('min_length', 1)} are needed"
     if problem == "too_long":
-        return f"is too long, at most {ctx['max_length']} may stand there"
+        return f"is too long, at most {ctx['max_length']} are allowed"
     if problem == "finite_number":
-        return "is no finite number"
+        return "is not a finite number"
     if problem == "literal_error":
-        return "is no word that is known"
+        return "is not an allowed value"
     return f"is no {' and no '.join(dict.fromkeys(map(_name, _alternatives(kind))))}"
 
 
@@ -245,6 +245,6 @@ def placeholder(kind: Any, info: FieldInfo | None) -> Any:
     if origin is dict:
         return {"a": placeholder(arguments[1], None)}
     if first is int:
-        # the largest that is allowed: hardly another axis has that node id
+        # the largest that is allowed: unlikely to be the node id of another axis
         return next((each.le for each in (info.metadata if info else ()) if hasattr(each, "le")), 1)
     return {float: 1.0, bool: False}.get(first, "exact")

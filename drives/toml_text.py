@@ -1,7 +1,7 @@
-"""TOML from strangers: `tomllib` with bounded cost.
+"""Parse untrusted TOML with `tomllib` at bounded cost.
 
 The standard library's parser takes time and memory with the square of the number of parts of a dotted key, recurses
-once per open bracket, and lets the interpreter's own errors through; no honest file comes near these bounds.
+once per open bracket, and lets the interpreter's own errors through; real files are far below these bounds.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the drives say of their torque besides the measured one: demand and current, of the very same instant.
+"""Read torque demand and current of the drives at the same SYNC as the measured torque.
 
 A third TPDO carries the torque object of the profile, the torque demand 0x6074 and the current of each drive, sampled
 at the same SYNC. It is mapped for a check and switched off again; the exchange does not read it.
@@ -28,14 +28,14 @@ _MOST: Final = 100_000
 
 @dataclass(slots=True)
 class TorqueSignals:
-    """Words of one drive, each list one entry per SYNC; empty where the drive has no such object.
+    """Raw values of one drive, one entry per SYNC; empty where the drive lacks the object.
 
     Attributes
     ----------
     node_id : int
     torque, demand, current : lists of int
     missing : str
-        Why there is nothing; empty where there is something.
+        Why there are no values; empty where there are.
     """
 
     node_id: int
@@ -46,7 +46,7 @@ class TorqueSignals:
 
 
 class TorqueSignalReader:
-    """Listens to a third TPDO of each drive.
+    """Receiver of a third TPDO of each drive.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class TorqueSignalReader:
         self._handlers: dict[int, Callable[[int, bytes | bytearray, float], None]] = {}
 
     def open(self) -> None:
-        """Map the TPDO on every drive that can have it; the others say why not."""
+        """Map the TPDO on every drive that supports it; `missing` holds the reason of the others."""
         for drive, own in zip(self._drives, self.signals, strict=True):
             try:
                 entries = self._entries(drive)

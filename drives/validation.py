@@ -1,7 +1,7 @@
-"""Files that people write in TOML, read through pydantic: what their tables have in common, and every problem in words.
+"""Validate TOML files with pydantic; report every problem of a file.
 
-A problem names its line, its key and what to write there. All problems of a file are told at once: what is wrong is
-replaced for the moment by something that fits, so that the checks of whole tables find what else is wrong.
+A problem names its line, its key and the remedy. All problems of a file are reported at once: an invalid value is
+replaced temporarily by a valid one, so that the checks of whole tables still run.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def refuse(found: Sequence[tuple[KeyPath, str]]) -> None:
 
 @dataclass(frozen=True, slots=True)
 class FileProblem:
-    """One thing that is wrong in a file; `line` from 1, 0 of what stands in none; `what` says what to write too."""
+    """One thing that is wrong in a file; `line` from 1, 0 = no line; `what` includes the remedy."""
 
     path: KeyPath
     line: int
@@ -133,7 +133,7 @@ def _validated(model: type[Model], data: dict[str, Any]) -> Model:
 
 
 def not_toml(text: str, error: tomllib.TOMLDecodeError) -> Unfit:
-    """The parser says its line in the message: `(at line 3, column 5)`, `(at end of document)`."""
+    """The parser states the line in its message: `(at line 3, column 5)`, `(at end of document)`."""
     message = str(error)
     what, _, at = message.rpartition(" (at ")
     number = at.removeprefix("line ").partition(",")[0]
@@ -188,7 +188,7 @@ def _problems(model: type[BaseModel], data: dict[str, Any], error: ValidationErr
 
 
 def _mend(model: type[BaseModel], data: dict[str, Any], path: KeyPath) -> None:
-    """Leave out what is not needed, put something that fits where something is."""
+    """Remove optional values, insert a valid one where a value is required."""
     table: Any = data
     try:
         for part in path[:-1]:

@@ -1,4 +1,4 @@
-"""Values of the motor side that cross its border: setup in, commands in, readings out."""
+"""Values exchanged with the drive layer, motor side: setup and commands in, readings out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drives.profile import DriveProfile
 
 @dataclass(frozen=True, slots=True)
 class AxisSetup:
-    """What a drive needs to know from the cell.
+    """Settings of a drive from the cell file.
 
     Attributes
     ----------
@@ -25,9 +25,9 @@ class AxisSetup:
     max_motor_speed_rad_s : float
         Largest speed that may be commanded, motor side.
     position_limit_rad : (float, float), optional
-        Lowest and highest target that may be commanded, motor side; an axis that stands outside may only move inwards.
+        Lowest and highest target that may be commanded, motor side; an axis outside may only move inwards.
     torque_limit_nm : float, optional
-        Lowest torque limit that may be set in the drive (0x6072), motor side; None = the drive's own is left alone.
+        Lowest torque limit that may be set in the drive (0x6072), motor side; None = the drive's own is unchanged.
     feedforward : bool
         The second RPDO with the velocity offset is mapped and sent.
 
@@ -79,7 +79,7 @@ class DriveReading(NamedTuple):
     Attributes
     ----------
     node_id, sync_index : int
-        Who, and after which SYNC.
+        Node, and SYNC after which it was received.
     statusword, position_count, torque_word : int
         As received.
     velocity_word, current_word : int or None
@@ -113,7 +113,7 @@ class InstrumentReading(NamedTuple):
     raw : tuple of int
         As received, one per channel.
     values : tuple of float or None
-        In the SI unit of its setup; None = the device says that this channel has no valid value.
+        In the SI unit of its setup; None = the device reports the channel as invalid.
     """
 
     node_id: int
@@ -124,7 +124,7 @@ class InstrumentReading(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who answers at a node id; None = the drive does not have the object."""
+    """Identity of the device at a node id; None = the drive lacks the object."""
 
     node_id: int
     device_type: int | None
@@ -138,11 +138,11 @@ class Identity:
 
     @property
     def is_drive(self) -> bool:
-        """Whether the device type says CiA 402."""
+        """Return whether the device type is CiA 402."""
         return self.device_type is not None and self.device_type & 0xFFFF == 0x0192
 
     def mismatches(self, profile: DriveProfile) -> list[str]:
-        """What of the profile's identity does not fit, in words."""
+        """Return the mismatches with the profile's identity as text."""
         wanted = profile.identity
         found = []
         for name, want, have in (

@@ -162,7 +162,7 @@ CELLS = [
         "mNm\\? write torque_limit_nm = 420",
     ),
     ("a speed below zero", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = -0.8"), AXIS, "must be more than 0"),
-    ("an offset that is none", ("zero_offset_rad = 0.0", "zero_offset_rad = nan"), AXIS, "is no finite number"),
+    ("an offset that is none", ("zero_offset_rad = 0.0", "zero_offset_rad = nan"), AXIS, "is not a finite number"),
     ("a rotor below zero", ("value = 10.3", "value = -10.3"), AXIS, "must not be negative; leave it out"),
     (
         "a constant known to -5 %",

@@ -200,7 +200,7 @@ CELLS = [
     ("limits in degrees", (LIMIT, "position_limit_rad = [-180, 180]"), AXIS, r"degrees: write .*\[-3.142, 3.142\]"),
     ("limits the wrong way round", (LIMIT, "position_limit_rad = [2.8, -2.8]"), AXIS, "write the lower one first"),
     ("one limit", (LIMIT, "position_limit_rad = [2.8]"), AXIS, r"write position_limit_rad = \[NUMBER, NUMBER\]"),
-    ("a limit that is none", (LIMIT, "position_limit_rad = [nan, 2.8]"), AXIS, "no finite number"),
+    ("a limit that is none", (LIMIT, "position_limit_rad = [nan, 2.8]"), AXIS, "not a finite number"),
     ("a speed in degrees", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 60"), AXIS, "degrees a second: write"),
     ("a speed of nothing", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 0"), AXIS, "must be more than 0: write"),
     ("a number in quotes", ("torque_limit_nm = 420", 'torque_limit_nm = "420"'), AXIS, "is no number: write"),

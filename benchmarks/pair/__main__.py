@@ -2,9 +2,9 @@
 
 python -m benchmarks.pair [--out out/pair] [--full] [--seeds 0,1] [--jobs 2] [--stages plain,stop] [--minutes 60]
 
-Without `--full`: the numpy tier, and two seeds of rows A, B, C1i, C2c, C7, C8 over PyBullet and twelve CAN drives,
-counts without a verdict. With it: ten seeds, all rows, verdicts. A stage that is done stays in `seed-N.json` and is not
-run again; a run that was interrupted, or whose `--minutes` are over, prints what is there.
+Without `--full`: two seeds of rows A, B, C1i, C2c, C7, C8 over PyBullet and twelve CAN drives, without a verdict.
+With it: ten seeds, all rows, verdicts. A completed stage is stored in `seed-N.json` and not run again. A run that was
+interrupted, or whose `--minutes` have passed, prints the completed stages.
 """
 
 from __future__ import annotations
@@ -47,7 +47,6 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--minutes", type=float, default=float("inf"), help="no stage begins after these")
     parser.add_argument("--no-timing", action="store_true", help="leave out cycle times and 100000 cycles")
-    parser.add_argument("--no-model", action="store_true", help="leave out the numpy tier")
     arguments = parser.parse_args(argv)
     seeds = (
         [int(text) for text in arguments.seeds.split(",")]
@@ -58,10 +57,6 @@ def main(argv: list[str]) -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     began = time.monotonic()
     out: dict[str, dict] = {}
-    if not arguments.no_model:
-        from benchmarks.pair.model_figures import model_figures
-
-        out |= model_figures()
     if not arguments.no_timing:
         out |= timing()
     frozen = FROZEN_FULL if arguments.full else FROZEN_SHORT

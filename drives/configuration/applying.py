@@ -58,7 +58,7 @@ def planned_writes(
     rows: Sequence[Compared],
     left_out: Collection[Address] = (),
 ) -> NodeWrites:
-    """Writes that make a drive as its file says, but for what is left out.
+    """Return the writes that bring a drive to the values of its file, except the objects left out.
 
     Raises
     ------
@@ -81,7 +81,9 @@ def planned_writes(
 
 
 def _of_runs(work: NodeWrites) -> list[DriveError]:
-    """The failure that objects are which a run wrote and `restore` has not put back: their original would be lost."""
+    """Return an error for objects that a run wrote and `restore` has not restored: their original value would be
+    lost.
+    """
     wanted = {(step.index, step.subindex) for step in work.steps}
     found = [entry for entry in work.access.noted if entry.writer == "run" and entry.address in wanted]
     if not found:
@@ -156,9 +158,9 @@ def write_all(work: Sequence[NodeWrites], tell: Callable[[int, Step], None] = la
     Raises
     ------
     ConfigurationRefused, SeveralFailures
-        A run wrote one of the objects, and it is not put back; nothing is written.
+        A run wrote one of the objects and it is not restored; nothing is written.
     DriveError
-        The first failure; a note says what was put back, and what could not be.
+        The first failure; a note lists what was restored and what was not.
     """
     raise_failures([failure for each in work for failure in _of_runs(each)])
     done: list[tuple[NodeAccess, dict[Address, tuple[str, int]], tuple[LedgerEntry, ...]]] = []
@@ -177,7 +179,7 @@ def write_all(work: Sequence[NodeWrites], tell: Callable[[int, Step], None] = la
     except BaseException as error:
         left = [name for access, old, noted in reversed(done) for name in access.undo(old, noted)]
         error.add_note(
-            f"{', '.join(left)} could not be put back and stays in the write ledger: `restore` tries again"
+            f"{', '.join(left)} could not be restored and stays in the write ledger: run `restore` again"
             if left
             else "what had been written is put back"
         )

@@ -20,12 +20,12 @@ from drives.objects import object_name
 from drives.values import Identity
 
 Address = tuple[int, int]
-#: A value that is not within a limit of its sheet: address, key of the limit, and the two in words.
+#: A value outside a limit of its sheet: address, key of the limit, text of value and limit.
 BeyondLimit = tuple[Address, str, str]
 _WRONG_FILE: Final = "give the file that `config dump` wrote, or another DCF (CiA 306) of this drive"
 #: Problems of a file that are reported at once.
 _MOST: Final = 10
-#: Who writes complete files: what such a file lacks was lost.
+#: Author of complete files: an object missing in such a file was lost.
 _AUTHOR: Final = "servo gateway"
 
 
@@ -35,7 +35,7 @@ class ConfigurationFileError(ProfileError):
 
 @dataclass(frozen=True, slots=True)
 class NodeConfiguration:
-    """What a device configuration file says of one node.
+    """Content of the device configuration file of one node.
 
     Attributes
     ----------
@@ -44,9 +44,9 @@ class NodeConfiguration:
     sheet : Sheet
         Objects, their limits and defaults.
     values : mapping of (index, subindex) to value
-        What they shall hold.
+        Configured values.
     defaults : mapping of (index, subindex) to value
-        What they hold as the maker delivers them, where the sheet says so.
+        Factory values, where the sheet states them.
     """
 
     path: Path
@@ -57,7 +57,7 @@ class NodeConfiguration:
 
     @property
     def serial_number(self) -> int | None:
-        """0x1018:04 of the drive that the file is of; None = it does not say."""
+        """Serial number (0x1018:04) in the file; None = not stated."""
         value = self.values.get((0x1018, 4))
         return value if isinstance(value, int) and value else None
 
@@ -67,7 +67,7 @@ class NodeConfiguration:
         Returns
         -------
         list of str
-            What else is different: another firmware, another serial number; in words.
+            Other differences as text: firmware, serial number.
 
         Raises
         ------
@@ -99,7 +99,7 @@ def _other(pairs: tuple[tuple[str, int | None, int | None], ...]) -> list[tuple[
 
 @dataclass(frozen=True, slots=True)
 class Commissioning:
-    """Where a drive sits, and who it is: section DeviceComissioning."""
+    """Node id, bit rate and serial number of a drive: section DeviceComissioning."""
 
     node_id: int
     node_name: str
@@ -195,8 +195,8 @@ def read_dcf(path: Path, node_id: int) -> NodeConfiguration:
     Raises
     ------
     ConfigurationFileError
-        It cannot be read, is cut short, is of another node, stores no value, or stores values that are none or out of
-        their limits: the first ten of them at once.
+        The file cannot be read, is truncated, belongs to another node, or stores no values. Invalid values and values
+        outside their limits are listed together, the first ten.
     """
     sheet = _sheet(_text(path), path)
     lacking = sheet.missing if sheet.modified_by == _AUTHOR else ()
@@ -262,7 +262,7 @@ def _values(sheet: Sheet, node_id: int, key: str, problems: list[str]) -> dict[A
         try:
             value = entry.read(text, node_id) if is_held(entry.data_type) else None
         except ValueError:
-            problems.append(f"{object_name(*address)}: '{text}' is no value of its type")
+            problems.append(f"{object_name(*address)}: '{text}' is not a value of its type")
             continue
         if value is not None:
             values[address] = value

@@ -1,4 +1,4 @@
-"""A drive, its configuration file and the maker's defaults: what is different, and who has changed it."""
+"""Compare a drive with its configuration file and the factory defaults."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ class Compared:
         return " ".join(filter(None, (type_name(self.data_type), self.unit)))
 
     def text(self, value: Value | None) -> str:
-        """A value as it is shown; a dash where there is none."""
+        """Return the text of a value; a dash where there is none."""
         return "-" if value is None else written(self.data_type, value)
 
 
 def compare(file: NodeConfiguration, found: Readout) -> tuple[Compared, ...]:
     """Every object of the configuration that the file gives a value, in the order of the addresses.
 
-    Left out: what is no configuration (`kinds`), and entries of a PDO mapping that it does not use.
+    Left out: objects that are not configuration (`kinds`), and entries of a PDO mapping that it does not use.
     """
     mapped = mapped_objects(found.values) | mapped_objects(file.values)
     rows = []

@@ -1,7 +1,8 @@
 """Which objects of a drive are configuration: by access type, by what PDOs carry, and by what CiA 301 and 402 list.
 
-Configuration = it can be read and written, no PDO that is switched on carries it, and no profile has it as a command, a
-set point or a message. All the rest is kept apart: it changes by itself, or writing it does something.
+Configuration = it can be read and written, no PDO that is switched on carries it, and no profile uses it as a command,
+a setpoint or a message. All other objects are excluded: they change without being written, or writing them triggers an
+action.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ Kind = Literal["configuration", "fixed", "actual", "process", "command", "write 
 
 #: Writing to these acts (CiA 301): messages are deleted, parameters stored or lost, a program is loaded.
 _COMMANDS: Final = frozenset({0x1003, 0x1010, 0x1011, 0x1020, 0x1021, 0x1023, 0x1024, 0x1F50, 0x1F51})
-#: What changes by itself, also where a sheet lets it be written (CiA 301: errors, time stamps; CiA 402-2: inputs).
+#: Actual values, even where a sheet declares them writable (CiA 301: errors, time stamps; CiA 402-2: inputs).
 _ACTUAL: Final = frozenset({0x1001, 0x1002, 0x1013, 0x603F, 0x60B9, 0x60FD})
 #: Control word, mode, targets, offsets, touch probe, outputs (CiA 402-2, CiA 402-3).
 _PROCESS: Final = frozenset(
@@ -124,7 +125,7 @@ def beyond_length(address: Address, values: Mapping[Address, Value]) -> bool:
 
 
 def why_never_written(address: Address, profile: DriveProfile) -> str | None:
-    """Why an object is not written, whoever asks for it; None where it may be."""
+    """Return why an object is never written; None where it may be written."""
     index = address[0]
     if any(index in area for area in _SAFETY):
         return "it belongs to a safety function"
@@ -163,7 +164,7 @@ def confirmation_reason(entry: SheetObject, value: Value, others: Collection[int
     if entry.index in _MAKERS:
         letters = _words(entry.name).replace(" ", "")
         if _NODE_ID.search(letters):
-            return "it sets the node id: two drives with one id cannot be told apart on the bus"
+            return "it sets the node id: two drives with one id cannot be distinguished on the bus"
         if _BIT_RATE.search(letters):
             return "it sets the bit rate: with another one the drive cannot be reached, and disturbs the bus"
         if value in _SIGNATURES:

@@ -1,4 +1,4 @@
-"""Read every object of a drive that its data sheet lists; what it refuses is named, never guessed."""
+"""Read every object of a drive that its data sheet lists; refused objects are listed."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Address = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Readout:
-    """What a drive holds.
+    """Values read from a drive.
 
     Attributes
     ----------
@@ -80,11 +80,11 @@ def _value(access: NodeAccess, entry: SheetObject) -> Value:
         raise ValueError(f"type {type_name(data_type)} is not stored")
     value = decoded(data_type, access.sdo.upload(entry.index, entry.subindex, size_bytes=size_bytes(data_type)))
     if not can_hold(entry, value):
-        raise ValueError("its text cannot stand in a DCF")
+        raise ValueError("its text cannot be written in a DCF")
     return value
 
 
 def name_of(sheet: Sheet, address: Address) -> str:
-    """Name of an object as the house has it, else as the sheet does."""
+    """Return the gateway's name of an object, else the name in the sheet."""
     known = object_name(*address)
     return known if "(" in known else f"{known} ({sheet.entries[address].name})"

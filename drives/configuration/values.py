@@ -113,12 +113,12 @@ def written(data_type: int, value: Value) -> str:
 
 
 def understood(data_type: int, text: str, node_id: int) -> Value:
-    """Value of a text in a device configuration file; a number below zero may stand there as two's complement.
+    """Value of a text in a device configuration file; a negative number may be written as two's complement.
 
     Raises
     ------
     ValueError
-        It is no value of this type.
+        It is not a value of this type.
     """
     if data_type in _INTEGERS:
         bits = _INTEGERS[data_type]

@@ -1,1 +1,1 @@
-"""Drafts of drive profiles: what a data sheet says, what it cannot say, and the file that follows from both."""
+"""Draft a drive profile from a data sheet and the engineer's answers."""

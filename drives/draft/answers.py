@@ -1,4 +1,4 @@
-"""What an engineer knows of a drive and its data sheet does not say: answers, one key each."""
+"""Answers of an engineer about values that the data sheet of a drive does not state, one key each."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class ProfileAnswers(Strict):
         Field(default=None, description="what one bit of it is")
     )
     torque_nature: Literal["measured", "demand"] | None = Field(
-        default=None, description="whether it is what flows or what is asked for"
+        default=None, description="whether it is measured or demanded"
     )
     rated_object: ObjectText | None = Field(
         default=None, description="object of the rated torque or current, where it is not 0x6076 or 0x6075"
@@ -54,14 +54,14 @@ class ProfileAnswers(Strict):
     )
     position_source: Text | None = Field(default=None, description="where the counts come from")
     velocity_unit_rad_s: Positive | None = Field(default=None, description="motor speed that one bit of 0x606C is")
-    velocity_source: Text | None = Field(default=None, description="where that comes from")
+    velocity_source: Text | None = Field(default=None, description="source of the value")
     lost_heartbeat: Literal["quick stop", "disable voltage"] | None = Field(
         default=None, description="what stops the drive when the master's heartbeat is lost (0x6007)"
     )
 
     @property
     def torque_is_sourced(self) -> bool:
-        """Whether somebody says where the torque arithmetic comes from."""
+        """Return whether the torque scaling has a stated source."""
         return self.torque_source is not None and not is_assumed(self.torque_source)
 
 

@@ -1,4 +1,4 @@
-"""What is known of a drive before its profile is written: its data sheet, and its answers where it can be asked."""
+"""Information about a drive before its profile exists: data sheet, and SDO answers where it is connected."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drives.values import Identity
 
 Address = tuple[int, int]
 
-#: Read from a drive, if it is there: what a data sheet leaves open or may have otherwise than this firmware.
+#: Objects read from a connected drive: values that a data sheet omits or that may differ in this firmware.
 ASKED: Final = tuple(
     OBJECTS[name].address
     for name in (
@@ -49,7 +49,7 @@ class Device:
     ----------
     sheet : Sheet
     identity : Identity or None
-        Of the drive that was asked; None = only the sheet was read.
+        Of the connected drive; None = only the sheet was read.
     live : mapping of (index, subindex) to int or None
         What the drive answered; None = it does not have the object.
     """
@@ -64,11 +64,11 @@ class Device:
         return address in self.sheet.entries and not (address in self.live and self.live[address] is None)
 
     def type_of(self, index: int, subindex: int = 0) -> DataType | None:
-        """Type of an object; None where it is not there, or of a kind that is no number."""
+        """Type of an object; None where it is not there, or its type is not a number."""
         return self.sheet.type_of(index, subindex) if self.has(index, subindex) else None
 
     def value_of(self, index: int, subindex: int = 0) -> tuple[int, str] | None:
-        """A value and where it comes from: the drive before the sheet; None where neither tells."""
+        """Return a value and its source, the drive before the sheet; None where neither has it."""
         value = self.live.get((index, subindex))
         if value is not None and self.identity is not None:
             return value, f"{object_name(index, subindex)} read from node {self.identity.node_id}"
@@ -103,21 +103,22 @@ def device_of_sheet(path: Path) -> Device:
 
 
 def ask_drive(bus: Bus, node_id: int, device: Device) -> Device:
-    """Ask a drive for what its data sheet leaves open. Nothing is written, and nothing is sent beside a running master.
+    """Read from a drive what its data sheet omits. Nothing is written, and nothing is sent while another master is
+    active.
 
     Parameters
     ----------
     bus : Bus
     node_id : int
     device : Device
-        What its sheet says.
+        From its data sheet.
 
     Raises
     ------
     ForeignMaster
-        Another master is at work on this bus.
+        Another master is active on this bus.
     NodeMissing, DuplicateNode
-        Nobody answers at this node id, or more than one.
+        No device answers at this node id, or more than one.
     IdentityMismatch
         The sheet is that of another drive.
     SdoError

@@ -1,4 +1,4 @@
-"""What an EDS cannot answer, and how an engineer finds out."""
+"""Questions that an EDS cannot answer, and how an engineer finds the answers."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Question:
 
 
 def torque_address(device: Device, answers: ProfileAnswers) -> Address | None:
-    """Where the measured torque stands: as answered, else 0x6077, else 0x6078; None = the sheet has neither."""
+    """Return the object of the measured torque: as answered, else 0x6077, else 0x6078; None = the sheet has neither."""
     if answers.torque_object is not None:
         return address_of(answers.torque_object)
     return next((address for address in (TORQUE, CURRENT) if device.has(*address)), None)
@@ -96,7 +96,7 @@ _TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
     (
         Question(
             "torque_nature",
-            "Is it what flows in the motor, or what the controller asks for? (measured, demand)",
+            "Is it the measured value or the controller's demand? (measured, demand)",
             (
                 "the manual: `actual` values of some drives are the input of the torque controller",
                 "on the drive: compare it with 0x6074; a measured value has noise that the demand has not",
@@ -195,7 +195,7 @@ _TABLE: Final[tuple[tuple[Question, Wanted], ...]] = (
             "What shall stop the drive when the master's heartbeat is lost? (quick stop, disable voltage)",
             (
                 "the manual's page on 0x6007: a drive that takes 2 (disable voltage) alone is read and not moved",
-                "`servo-gateway check CELL --prove-stop` tries it, and nothing else moves before it has passed",
+                "`servo-gateway check CELL --prove-stop` tests it; no other motion is allowed before it has passed",
             ),
         ),
         lambda device, answers: True,
@@ -215,5 +215,5 @@ def open_questions(device: Device, answers: ProfileAnswers) -> tuple[Question, .
 
 
 def next_question(device: Device, answers: ProfileAnswers, asked: Collection[str]) -> Question | None:
-    """The first open one that was not asked yet."""
+    """Return the first open question that was not asked yet."""
     return next((each for each in open_questions(device, answers) if each.key not in asked), None)

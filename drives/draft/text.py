@@ -20,7 +20,7 @@ from drives.toml_text import toml_string
 
 #: Written beside what bringing up needs, where the drive has it.
 USEFUL_WRITES: Final = (0x1006, 0x1017, 0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803, 0x1A01, 0x1A02, 0x60C2)
-#: What a drive counts in a revolution, if nobody says: any number does, since such a drive is not moved.
+#: Placeholder for an unknown encoder resolution; such a drive is not moved.
 COUNTS_ASSUMED: Final = 65536
 _ABORT_CONNECTION: Final = {"quick stop": 3, "disable voltage": 2}
 
@@ -38,7 +38,7 @@ def draft(device: Device, answers: ProfileAnswers, name: str) -> str:
     Returns
     -------
     str
-        TOML that the profile loader takes; what keeps the drive from being moved stands in it.
+        TOML that the profile loader takes; it lists the obstacles that prevent motion.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def profile_name(text: str) -> str:
 
 
 def _reasons(device: Device) -> tuple[str, ...]:
-    """Why this drive cannot be moved, as far as sheet and drive tell."""
+    """Return why this drive cannot be moved, as far as sheet and drive show it."""
     found = []
     modes = device.value_of(0x6502)
     if modes is not None and modes[0] and not mode_supported(modes[0], Mode.CYCLIC_SYNC_POSITION):
@@ -105,7 +105,7 @@ def _head(device: Device, answers: ProfileAnswers, name: str, no_motion: tuple[s
 def _origin(device: Device) -> str:
     text = f"{device.sheet.name}, read by a program"
     if device.identity is not None:
-        firmware = device.identity.software_version or "not told"
+        firmware = device.identity.software_version or "not stated"
         text += f"; node {device.identity.node_id} (firmware {firmware}), read from drive"
     return text
 
@@ -132,7 +132,7 @@ def _torque(device: Device, answers: ProfileAnswers) -> str:
         advice = "answer torque_object with an object of the data sheet that is a number"
         raise ProfileError(f"{device.sheet.name} has no number at {_where(address)}", advice=advice)
     missing = _missing_for_torque(device, answers)
-    source = answers.torque_source or "nobody said where it comes from"
+    source = answers.torque_source or "source not stated"
     if missing:
         source = f"assumed, not answered: {', '.join(missing)}"
     lines = [
@@ -229,7 +229,7 @@ def _counts(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
 
 
 _TIMES: Final = """\
-# Patient values; shorter ones only where the manual gives them.
+# Long timeouts; shorter ones only where the manual gives them.
 [state_machine]
 transition_timeout_s = 2.0
 mode_before_enable = true

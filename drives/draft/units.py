@@ -1,4 +1,4 @@
-"""What a drive says of the unit of its speed: 0x60A9, SI unit velocity (CiA 402-2; notation of CiA 303-2)."""
+"""Decode the unit of the speed of a drive: 0x60A9, SI unit velocity (CiA 402-2; notation of CiA 303-2)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _TIME_S: Final = {0x03: 1.0, 0x47: 60.0}
 
 
 def velocity_unit_rad_s(device: Device) -> tuple[float, str] | None:
-    """Motor speed that one bit of 0x606C is [rad/s], and its source; None where the drive does not tell."""
+    """Return the motor speed of one bit of 0x606C [rad/s] and its source; None where the drive does not report it."""
     found = device.value_of(*ADDRESS)
     if found is None:
         return None
@@ -23,7 +23,9 @@ def velocity_unit_rad_s(device: Device) -> tuple[float, str] | None:
 
 
 def unit_rad_s(code: int) -> float | None:
-    """Unit of a code: power of ten, numerator, denominator, one byte each from the top; None where it is no speed."""
+    """Unit of a code: power of ten, numerator, denominator, one byte each from the top; None where it is not a
+    speed.
+    """
     exponent, numerator, denominator = (code >> 24) & 0xFF, (code >> 16) & 0xFF, (code >> 8) & 0xFF
     turn, time = _TURN_RAD.get(numerator), _TIME_S.get(denominator)
     if turn is None or time is None or code & 0xFF:

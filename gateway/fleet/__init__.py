@@ -1,1 +1,1 @@
-"""Many robots over months: a store of checks, everything estimated anew, what drifts, and who needs a visit."""
+"""Fleet of robots over months: store of checks, repeated estimation, drift detection, and robots that need service."""

@@ -1,4 +1,4 @@
-"""The analysis of a fleet: recordings estimated anew, trends, states; each done robot by robot and kept at once."""
+"""Analyse a fleet: estimate recordings again, compute trends and states, robot by robot, each stored at once."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from gateway.result.values import json_text, plain_values
 
 #: Estimates that are held before they are written.
 _HELD: Final = 32
-#: Robots that the wander of the fleet is learnt from: more would not change it.
+#: Number of robots used to estimate the correlated noise of the fleet: more would not change it.
 _LEARNT_FROM: Final = 64
 #: Robots that a worker is given at a time.
 _TOGETHER: Final = 4
@@ -35,12 +35,12 @@ FLEET_FILE: Final = "fleet.json"
 
 @dataclass(frozen=True, slots=True)
 class AsOf:
-    """What an analysis is asked for.
+    """Parameters of an analysis.
 
     Attributes
     ----------
-    as_of : the time at which nothing later was seen, UTC
-    silent_days : a robot without a check for longer is not seen
+    as_of : time of the analysis, UTC
+    silent_days : a robot without a check for longer counts as not seen
     """
 
     as_of: datetime
@@ -49,7 +49,7 @@ class AsOf:
 
 @dataclass(frozen=True, slots=True)
 class _AssessRobots:
-    """What a worker does for some robots."""
+    """Assess some robots in a worker."""
 
     store: Store
     noise_shapes: NoiseShapes
@@ -71,7 +71,7 @@ class _AssessRobots:
 
 @dataclass(frozen=True, slots=True)
 class _Estimate:
-    """What a worker does with a recording."""
+    """Estimate a recording in a worker."""
 
     now: datetime
 
@@ -81,7 +81,7 @@ class _Estimate:
 
 @dataclass(frozen=True, slots=True)
 class _Learn:
-    """What a worker reads of the wander of one robot."""
+    """Estimate the correlated noise of one robot in a worker."""
 
     store: Store
 
@@ -92,7 +92,7 @@ class _Learn:
 def run_analysis(
     store: Store, spread: Spreading, asked: AsOf, tell: Callable[[str, int], None] = lambda *_: None
 ) -> FleetHealth:
-    """Estimate what is not estimated by this version, and judge every robot.
+    """Estimate the recordings not yet estimated by this version, and assess every robot.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def run_analysis(
     spread : Spreading
     asked : AsOf
     tell : callable
-        Hears what was finished, and how many of it.
+        Called with the completed step and its count.
 
     Returns
     -------
@@ -133,7 +133,7 @@ def run_analysis(
 
 
 def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, asked: AsOf) -> RobotHealth:
-    """All that is said of one robot.
+    """Return the health of one robot.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, asked: AsOf) 
     trends, curves = trends_of(past.series, noise_shapes, first)
     loads = program_loads(past.rows, asked.as_of, asked.silent_days)
     gross = int(past.series.set_aside.sum())
-    remarks = [*past.remarks, *([f"{gross} gross values were set aside"] if gross else [])]
+    remarks = [*past.remarks, *([f"{gross} outliers were rejected"] if gross else [])]
     return RobotHealth(
         line=judged(robot, past, trends, loads, asked.as_of, asked.silent_days),
         as_of=in_words(asked.as_of),
@@ -160,7 +160,7 @@ def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, asked: AsOf) 
 
 
 def _estimate(store: Store, spread: Spreading, failed: list[str], tell: Callable[[str, int], None]) -> int:
-    """Estimate recordings; what is done is written as it comes."""
+    """Estimate recordings; each result is stored as it arrives."""
     now = datetime.now(UTC)
     held: list[Row] = []
     count = 0
@@ -182,13 +182,13 @@ def _estimate(store: Store, spread: Spreading, failed: list[str], tell: Callable
 
 
 def _not_estimated(store: Store) -> Iterator[tuple[str, Path]]:
-    """Recordings that this version has not estimated, one after another."""
+    """Yield recordings that this version has not estimated."""
     known: tuple[str, set[str] | None] = ("", None)
     for robot, path in store.recordings():
         if robot != known[0]:
             try:
                 known = (robot, _estimated(store, robot))
-            except InputError:  # named where the robot is judged; nothing can be added to its files
+            except InputError:  # reported where the robot is assessed; nothing can be added to its files
                 known = (robot, None)
         if known[1] is not None and path.stem not in known[1]:
             yield robot, path
@@ -201,7 +201,7 @@ def _estimated(store: Store, robot: str) -> set[str]:
 
 
 def _add(store: Store, rows: list[Row]) -> tuple[str, ...]:
-    """Add rows; sentences on files that cannot take them."""
+    """Add rows; return messages about files that cannot take them."""
     pa = library("pyarrow")
     told = pa.schema([("robot", pa.string()), ("month", pa.string()), *columns()])
     with store.writing():
@@ -209,7 +209,7 @@ def _add(store: Store, rows: list[Row]) -> tuple[str, ...]:
 
 
 def _learn(store: Store, robots: Sequence[str], spread: Spreading) -> NoiseShapes:
-    """How the fleet wanders, from robots spread evenly over the list."""
+    """Estimate the correlated noise of the fleet from robots spread evenly over the list."""
     step = max(1, len(robots) // _LEARNT_FROM)
     seen = [done for _, done in spread(_Learn(store), robots[::step][:_LEARNT_FROM])]
     return noise_shapes_of([each for each in seen if not isinstance(each, GatewayError)])

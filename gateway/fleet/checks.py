@@ -1,4 +1,4 @@
-"""Rows of checks: of a recording, of a result, and of a recording that is estimated anew."""
+"""Rows of checks: of a recording, of a result, and of a recording that is estimated again."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ EARLIEST: Final = datetime(2000, 1, 1, tzinfo=UTC)
 #: By how much the clock of a robot may be ahead of the clock here [s].
 AHEAD_S: Final = 86400.0
 _ZERO_OFFSET: Final = "joint_zero_offset"
-#: Standard deviation of a gain over that of its constant, below which the data have told something.
+#: Standard deviation of a gain over that of its constant, below which the data were informative.
 _INFORMED_SHARE: Final = 0.9
-#: A result does not say how well the constants were known: a gain is taken as assumed where its standard deviation is
+#: A result does not state how well the constants were known: a gain counts as assumed where its standard deviation is
 #: nearly that of the axis that is known worst, and its value nearly none.
 _LIKE_ASSUMED: Final = 0.9
 _UNMOVED: Final = 0.02
 
 
 def rows_of_recording(path: Path, now: datetime) -> list[Row]:
-    """A row per arm of a recording, without numbers: that it was made is all that is known before it is estimated.
+    """Return a row per arm of a recording, without numbers until it is estimated.
 
     Raises
     ------
     InputError
-        It cannot be used, or does not say when it was made.
+        It cannot be used, or does not state its time.
     """
     recording = read(path)
     at = _when(recording.created, str(path))
@@ -75,12 +75,12 @@ def rows_of_result(path: Path, now: datetime) -> list[Row]:
     drawn = result.data
     if drawn is None or not drawn.cell or not drawn.arm:
         raise InputError(
-            f"{path}: does not say which robot it is of: it was estimated without recording and cell; estimate again"
+            f"{path}: does not state its robot: it was estimated without recording and cell; estimate again"
             " with --cell, or from the recording"
         )
     recorded = [source for source in drawn.sources if source.created]
     if not recorded:
-        raise InputError(f"{path}: does not say when its data were recorded; give the recording, or a summary table")
+        raise InputError(f"{path}: does not state when its data were recorded; give the recording, or a summary table")
     at = _when(str(recorded[0].created), str(path))
     name = robot_name(drawn.cell, drawn.arm, [drive.serial_number for drive in drawn.drives])
     told = _row(
@@ -97,7 +97,7 @@ def rows_of_result(path: Path, now: datetime) -> list[Row]:
 
 
 def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
-    """A recording estimated anew, a row per arm; one that cannot answer is a row without numbers that says why.
+    """Estimate a recording again, a row per arm; where that fails the row has no numbers and states why.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
 
 
 def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
-    """What a result tells of every axis and of every load.
+    """Return the numbers of a result for every axis and every load.
 
     Parameters
     ----------
@@ -166,7 +166,9 @@ def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
 
 
 def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> NuisanceResult | None:
-    """Gains without those that only repeat what was assumed: an axis that carries nothing does not tell its gain."""
+    """Return the gains without those that only repeat the assumption: without load torque a gain is not
+    identifiable.
+    """
     if gain is None or not gain.value:
         return gain
     value, std = np.array(gain.value), np.array(gain.std)
@@ -178,7 +180,7 @@ def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> 
 
 
 def clock_fault(at: datetime, now: datetime) -> str | None:
-    """Why a time cannot be; None where it can."""
+    """Return why a time is implausible; None where it is plausible."""
     if at < EARLIEST:
         return f"its time is {at:%Y-%m-%d}: a clock that was never set"
     if (at - now).total_seconds() > AHEAD_S:
@@ -236,7 +238,7 @@ def _load(load: LoadResult, outcome: Outcome | None) -> Row:
 
 
 def _outcome(result: Result, label: str) -> Outcome | None:
-    """How the load stood against what was expected; the worst of several."""
+    """Return the outcome of the load check; the worst of several."""
     said = [each.outcome for each in result.acceptance if each.load == label]
     for worst in ("fail", "cannot tell", "pass"):
         if worst in said:

@@ -13,7 +13,7 @@ SCHEMA_KEY: Final = b"servo_gateway_fleet_schema"
 TEMPERATURE: Final = "temperature_c"
 #: How a row came into the store: a recording alone, a result of it, one re-estimated here, a row of a table.
 RECORDING, RESULT, ESTIMATE, SUMMARY = "recording", "result", "estimate", "summary"
-#: Columns that tell rows apart: the same file gives the same rows.
+#: Columns that identify a row: the same file gives the same rows.
 IDENTITY: Final = ("sha256", "line", "kind", "software")
 #: Columns of the hive partitions, in the names of the folders.
 PARTITIONS: Final = ("robot", "month")
@@ -50,7 +50,7 @@ def columns() -> Any:
         ("line", pa.int64()),
         ("recordings", pa.list_(pa.string())),
         ("software", pa.string()),
-        # why the time cannot be; null = nothing is wrong with it
+        # why the time is implausible; null = plausible
         ("clock", pa.string()),
         *((name, floats) for name in axis_columns()),
         ("loads", pa.list_(load)),

@@ -1,10 +1,10 @@
-"""Straight lines through noisy checks that also wander slowly: generalised least squares by a Kalman filter.
+"""Straight lines through checks with white and correlated noise: generalised least squares by a Kalman filter.
 
-A check reads `level + drift t + per_k T + per_kg m + wander + noise`. The wander is a stationary process whose
-correlation falls as `exp(-t / tau)`, the noise is independent from check to check. `Shape` says how large the wander
-is over the noise, and how slow; how large the noise is is read from every series by itself. The filter makes the
-checks independent one by one (Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, 6.2.3 for the
-columns of a regression), so that one pass gives the line as it would have been told on any day.
+A check reads `level + drift t + per_k T + per_kg m + correlated noise + white noise`. The correlated noise is a
+stationary process with the autocorrelation `exp(-t / tau)`. `Shape` holds its variance over that of the white noise,
+and its time constant; the variance of the white noise is estimated from each series. The filter makes the checks
+independent one by one (Durbin and Koopman, Time Series Analysis by State Space Methods, 2012, 6.2.3 for the columns of
+a regression), so that one pass gives the line as of every day.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ Ints = NDArray[np.int_]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """A wander: its variance over that of the noise of one check, and its time [a]."""
+    """Correlated noise: its variance over that of the white noise of one check, and its time constant [a]."""
 
     ratio: float
     time_a: float
 
 
-#: Sizes of the wander over the noise of a check, by its time [d]: finer where that decides how sure a drift is.
+#: Variance ratios by time constant [d]: finer where they affect the significance of a drift.
 _SIZES: dict[float, tuple[float, ...]] = {
     10.0: (0.25, 1.0),
     30.0: (0.06, 0.12, 0.25, 0.5, 1.0, 2.0),
@@ -65,9 +65,9 @@ def sums(time_a: Floats, columns: Floats, relative_std: Floats, looks: Ints) -> 
     columns : array of shape (n, M, q)
         Columns of the regression and the values last; a NaN anywhere = no check.
     relative_std : array of shape (n, M)
-        Standard deviation of the noise of every check over that of an ordinary one.
+        Standard deviation of the noise of every check over that of a typical one.
     looks : array of shape (k,)
-        Number of checks, at least 1, after which the sums are told.
+        Number of checks, at least 1, after which the sums are returned.
     """
     count, series, width = columns.shape
     ratio = np.array([shape.ratio for shape in SHAPES])[:, None]
@@ -110,7 +110,7 @@ class FittedLines:
     value : (G, M, p)
     covariance : (G, M, p, p), with the noise as read from the series
     square : (G, M) variance of the noise of one check
-    freedom : (M,) checks beyond the columns; below 1 nothing is known
+    freedom : (M,) checks beyond the columns; below 1 nothing is determined
     log_likelihood : (G, M) of the shape, restricted
     """
 

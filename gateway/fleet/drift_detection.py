@@ -1,11 +1,11 @@
-"""When a drift is told: how much likelier the checks are with a drift than without one.
+"""Detect a drift by the likelihood ratio of the checks with and without a drift.
 
-A drift is held against none: it may be as large as is tolerated, or, less likely, a sixteenth of it to eight times as
-much, up or down. Level, temperature, load and the noise of a check are known under neither (flat priors, 1 / noise),
-and the wander is one of several shapes, as often as the fleet shows it. Without drift this ratio of likelihoods runs
-as a martingale from check to check, so that the chance that it ever reaches 1 / a is at most a, however often and for
-however long it is looked at (Ville, Étude critique de la notion de collectif, 1939; for priors like these Hendriksen,
-de Heide and Grünwald, Optional Stopping with Bayes Factors, 2021).
+The drift hypothesis is a mixture: the tolerated drift or, less likely, a sixteenth of it to eight times as much, in
+both directions. Level, temperature, load and the noise of a check are unknown under both hypotheses (flat priors, 1 /
+noise). The correlated noise has one of several shapes with the frequencies seen in the fleet. Without drift the
+likelihood ratio is a martingale from check to check, so that the probability that it ever reaches 1 / a is at most a,
+for any number of looks (Ville, Étude critique de la notion de collectif, 1939; for priors like these Hendriksen, de
+Heide and Grünwald, Optional Stopping with Bayes Factors, 2021).
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ Floats = NDArray[np.float64]
 
 #: False alarms of a robot in a year, all axes and quantities together.
 FALSE_PER_YEAR: Final = 0.01
-#: A drift is told where it would be missed in 5 %.
+#: Power of the detection: a drift is missed in 5 % of the cases.
 POWER: Final = 0.95
 POWER_SIGMAS: Final = float(ndtri(POWER))
-#: No line is told from less: days from the first to the last check, and checks.
+#: Minimum for a line: days from the first to the last check, and number of checks.
 FEWEST_DAYS: Final = 28.0
 FEWEST_CHECKS: Final = 14
 #: Column of the drift.
@@ -40,12 +40,13 @@ _SHARES: Final = np.where(np.abs(_DRIFTS) == 1.0, _AS_TOLERATED, _ANOTHER) / 2.0
 
 
 def needed_sigmas(series: int) -> float:
-    """From how many sigmas on a drift is told, where so many series of a robot are looked at."""
+    """Return the detection threshold in sigmas for this number of series of a robot."""
     return float(np.sqrt(2.0 * np.log(max(series, 1) / FALSE_PER_YEAR)))
 
 
 def sigmas(of: FittedLines, log_prior: Floats, tolerance: Floats) -> Floats:
-    """How sure a drift is (M,), signed: root of twice the logarithm of the ratio; NaN where there are too few checks.
+    """Return the signed significance (M,) of a drift: root of twice the logarithm of the ratio; NaN where there are too
+    few checks.
 
     Where all else is known this is at most the drift over its standard deviation.
 
@@ -53,7 +54,7 @@ def sigmas(of: FittedLines, log_prior: Floats, tolerance: Floats) -> Floats:
     ----------
     of : FittedLines
     log_prior : array of shape (G, M)
-        How often every shape is seen, as logarithm.
+        Log frequency of every shape.
     tolerance : array of shape (M,)
         Drift a year that is tolerated, in the units of the series; above 0.
     """
@@ -65,7 +66,7 @@ def sigmas(of: FittedLines, log_prior: Floats, tolerance: Floats) -> Floats:
 
 
 def detectable(std: Floats, tolerance: Floats, needed: float) -> Floats:
-    """Drift a year (M,) that would be told with 95 %, where its standard deviation is this; NaN where that is NaN."""
+    """Return the drift a year (M,) that is detected with 95 % for this standard deviation; NaN where that is NaN."""
     drifts = _DRIFTS[:, None] * tolerance
     known = np.where(std > 0.0, np.maximum(std, 1e-6 * tolerance), 1.0)
     low, high = np.zeros_like(known), 1e3 * known + 1e3 * tolerance
@@ -100,7 +101,7 @@ def _log_likelihood(of: FittedLines, drifts: Floats) -> Floats:
 
 
 def weights(of: FittedLines, log_prior: Floats) -> Floats:
-    """How likely every shape is (G, M), given the checks and how often it is seen (G, M) as logarithm."""
+    """Return the posterior weight (G, M) of every shape, given the checks and its log frequency (G, M)."""
     log = of.log_likelihood + log_prior
     raw = np.exp(log - log.max(axis=0))
     return raw / raw.sum(axis=0)

@@ -1,4 +1,4 @@
-"""The checks of one robot as series: a value a check, with what it may hang on."""
+"""Time series of the checks of one robot: one value per check, with temperature and load."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class CheckSeries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """What is used of a robot's rows, and what is said of the others."""
+    """Rows of a robot that are used, and remarks on the others."""
 
     rows: Any
     series: CheckSeries
@@ -63,8 +63,8 @@ class History:
 def history(rows: Any) -> History:
     """Series of the rows of one robot, sorted by time.
 
-    What was estimated anew stands for the recording and for a result of it; of a recording that was resumed the
-    longest is used; a time that cannot be is in no series.
+    A repeated estimate replaces the recording and its result; of a resumed recording the longest is used; rows with an
+    implausible time are excluded.
     """
     pa = library("pyarrow")
     remarks: list[str] = []
@@ -85,7 +85,7 @@ def _names() -> list[str]:
 
 
 def _kept(rows: Any) -> tuple[list[bool], list[str]]:
-    """Which rows are used (n,), and what is odd about the others."""
+    """Return which rows are used (n,), and remarks on the others."""
     kind, recordings = rows["kind"].to_pylist(), rows["recordings"].to_pylist()
     time, duration = rows["time_utc"].to_pylist(), rows["duration_s"].to_pylist()
     software = rows["software"].to_pylist()
@@ -152,7 +152,7 @@ def _as_wide(table: Floats, axes: int) -> Floats:
 
 
 def _centred(values: Floats, of: Floats) -> Floats:
-    """About the mean where the quantity was measured; 0 throughout where most checks do not know it."""
+    """Subtract the mean where the quantity was measured; return 0 where most checks lack it."""
     there, known = np.isfinite(of), np.isfinite(values)
     both = there & known
     if both.sum() < _LEAST_SHARE * max(there.sum(), 1) or not both.any():
@@ -182,7 +182,7 @@ def program_masses(rows: Any) -> dict[str, tuple[Floats, Floats]]:
 
 
 def _without_outliers(values: Floats) -> tuple[Floats, Floats]:
-    """Values (n, M) with gross checks taken out, and how many these are (M,)."""
+    """Return values (n, M) without outliers, and the number of outliers (M,)."""
     count, series = values.shape
     if count < 2 * _NEIGHBOURS + 1 or not series:
         return values, np.zeros(series)

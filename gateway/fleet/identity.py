@@ -1,4 +1,4 @@
-"""Which robot a check is of: cell, arm and the serial numbers of the drives; and when it was made, in UTC."""
+"""Identity of the robot of a check: cell, arm and serial numbers of the drives; and its time in UTC."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class RobotName:
 
     @property
     def key(self) -> str:
-        """A name for folders and pages: readable, and unlike that of any other robot."""
+        """Return a readable and unique name for folders and pages."""
         told = json.dumps([self.cell, self.arm, list(self.serial_numbers)])
         code = hashlib.sha256(told.encode()).hexdigest()[:_CODE]
         return f"{_plain(self.cell)}-{_plain(self.arm)}-{code}"
@@ -35,7 +35,7 @@ def _plain(text: str) -> str:
 
 
 def robot_name(cell: str, arm: str, serial_numbers: Sequence[int | None]) -> RobotName:
-    """A robot; drives of which none tells a serial number are not told apart, and 0 is none."""
+    """Return the robot; drives without serial number (0 counts as none) are not distinguished."""
     told = tuple(number or None for number in serial_numbers)
     return RobotName(cell, arm, told if any(told) else ())
 

@@ -1,4 +1,4 @@
-"""Files into the store: every one that can be used, whatever is wrong with the others."""
+"""Add files to the store: invalid files do not affect the others."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _HELD_OF_TABLES: Final = 100_000
 
 @dataclass(frozen=True, slots=True)
 class Ingested:
-    """What became of the files: `added` rows, `known` rows that were there, `refused` sentences, `clock` remarks.
+    """Result: `added` rows, `known` rows already stored, `refused` messages, `clock` remarks.
 
     Rows that a file of the store cannot take are neither; `refused` names that file.
     """
@@ -47,9 +47,9 @@ def ingest(
     store : Store
     paths : iterable of Path
     now : datetime
-        In UTC: later times cannot be.
+        In UTC: later times are refused.
     tell : callable
-        Hears of every file.
+        Called for every file.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def _blocks(store: Store, path: Path, now: datetime) -> Iterator[Any]:
     if is_recording(path):
         rows = rows_of_recording(path, now)
         if not rows:
-            raise InputError(f"{path}: holds no arm: nothing was recorded")
+            raise InputError(f"{path}: contains no arm: nothing was recorded")
         _keep(store, path, rows[0])
         yield _table(rows)
     elif path.suffix.lower() == ".json":
@@ -127,7 +127,7 @@ def _table(rows: list[Row]) -> Any:
 
 
 def _keep(store: Store, path: Path, row: Row) -> None:
-    """A copy of the recording, which is estimated anew from the store alone."""
+    """Copy the recording to the store, from which it is estimated again."""
     place = store.place_of_recording(row["robot"], row["month"], row["sha256"])
     if place.exists():
         return

@@ -1,4 +1,4 @@
-"""Libraries that only a fleet needs."""
+"""Optional libraries of the fleet commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A row per robot and month: how often and when it was seen, and its means. Fleets are asked for this most often."""
+"""Monthly summary: one row per robot and month with number and times of checks, and means."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def by_axis(column: Any) -> np.ndarray:
 
 
 def _means(column: Any, starts: np.ndarray) -> list[list[float | None]]:
-    """Means per axis of the rows from each start to the next one; axes that nobody measured are null."""
+    """Means per axis of the rows from each start to the next one; axes without measurement are null."""
     values = by_axis(column)
     if not values.shape[1]:
         return [[] for _ in starts[1:]]
@@ -97,7 +97,7 @@ def _means(column: Any, starts: np.ndarray) -> list[list[float | None]]:
 
 
 def with_months(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Put rows in the place of those of the same robot and month.
+    """Replace the rows of the same robot and month.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""From trends and loads to a state: who needs a visit, and what is not known. Missing data is never healthy."""
+"""Derive the state of a robot from trends and loads: visit, not seen, cannot tell, healthy. Missing data never count as
+healthy.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,19 @@ from gateway.result.numerals import plain
 from gateway.result.result import Outcome
 from gateway.result.values import NAN
 
-#: A robot without a check for so long is not seen [days].
+#: A robot without a check for longer counts as not seen [days].
 SILENT_DAYS: Final = 30.0
-#: Share of the tolerance a year from which on a drift that is told is worth a visit.
+#: Share of the tolerance per year from which on a detected drift requires a visit.
 _WORTH: Final = 0.5
 #: A load that is verified weighs what it weighed first, to this share.
 _SAME_MASS: Final = 0.05
-#: A finding that fails comes before any drift.
+#: A failing finding has priority over any drift.
 _FAILING: Final = 100.0
 
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """A sentence, the state that it asks for and how much."""
+    """A message, the resulting state and its weight."""
 
     state: State
     urgency: float
@@ -44,7 +46,7 @@ def judged(
     as_of: datetime,
     silent_days: float,
 ) -> RobotLine:
-    """The line of a robot whose rows are these."""
+    """Return the state of a robot from its rows."""
     rows = history.rows
     last = _last_seen(rows)
     silent = list(_silent(last, as_of, silent_days))
@@ -86,7 +88,7 @@ def _gain_detectable(trend: FleetTrend) -> bool:
 
 
 def _sureness(trend: FleetTrend) -> tuple[float, float]:
-    """How sure a drift is; where the checks speak against any, how far it is from none."""
+    """Return the significance of a drift; where the checks contradict any drift, its distance from zero."""
     return abs(trend.sigmas), abs(trend.drift_per_year) / (trend.drift_std_per_year or math.inf)
 
 
@@ -115,7 +117,7 @@ def _drifting(trends: Sequence[FleetTrend]) -> Iterator[Reason]:
 
 
 def where_of(trend: FleetTrend) -> str:
-    """Axis or load of a trend, in words."""
+    """Return the text of the axis or load of a trend."""
     return f"load '{trend.program}'" if trend.quantity == MASS.key else f"J{trend.joint}"
 
 
@@ -147,16 +149,16 @@ def _silent(last: datetime | None, as_of: datetime, silent_days: float) -> Itera
 
 
 def _untold(history: History, trends: Sequence[FleetTrend]) -> Iterator[Reason]:
-    """Axes of which a drift of the gain would not be told yet, or whose gain nobody measures."""
+    """Return the axes whose gain drift is not yet detectable, or whose gain is not measured."""
     gains = {trend.joint: trend for trend in trends if trend.quantity == GAIN.key}
     missing = [f"J{joint}" for joint in range(1, history.axes + 1) if joint not in gains]
     if not history.axes:
-        yield Reason("cannot tell", 3.0, "no check tells anything of any axis")
+        yield Reason("cannot tell", 3.0, "no check determines any axis")
     elif missing:
         yield Reason("cannot tell", 2.0, f"the gain of {', '.join(missing)} was never measured")
     young = [f"J{joint}" for joint, trend in sorted(gains.items()) if math.isnan(trend.detectable_per_year)]
     if young:
-        yield Reason("cannot tell", 1.5, f"too few checks to tell a drift of {', '.join(young)}")
+        yield Reason("cannot tell", 1.5, f"too few checks to detect a drift of {', '.join(young)}")
     weak = {
         joint: each.detectable_per_year for joint, each in gains.items() if each.detectable_per_year > GAIN.tolerance
     }
@@ -165,12 +167,12 @@ def _untold(history: History, trends: Sequence[FleetTrend]) -> Iterator[Reason]:
         named = ", ".join(f"J{joint}" for joint in sorted(weak))
         yield Reason(
             "cannot tell", 1.0,
-            f"a drift of the gain of {named} below {100 * worst:.1f} % a year would not be told yet",
+            f"a drift of the gain of {named} below {100 * worst:.1f} % a year is not yet detectable",
         )  # fmt: skip
 
 
 def _nearest(trends: Sequence[FleetTrend]) -> float:
-    """How near the nearest trend is to being told."""
+    """Return how close the nearest trend is to detection."""
     near = [abs(trend.sigmas) / trend.needed_sigmas for trend in trends if math.isfinite(trend.sigmas)]
     return max(near, default=0.0)
 
@@ -188,7 +190,7 @@ def program_loads(rows: Any, as_of: datetime, silent_days: float) -> tuple[Progr
 
 
 def _outcomes(rows: Any) -> dict[str, Outcome | None]:
-    """What the last check of every program said."""
+    """Return the result of the last check of every program."""
     return {each["program"]: each["outcome"] for loads in rows["loads"].to_pylist() for each in loads or ()}
 
 
@@ -217,7 +219,7 @@ def _verified(mass: np.ndarray, std: np.ndarray, ends: tuple[int, int], said: Ou
     if said == "pass":
         return "pass", "accepted by the last check"
     if first == last:
-        return "cannot tell", "identified once, with nothing to hold it against"
+        return "cannot tell", "identified once, without a value to compare with"
     change, half = float(mass[last] - mass[first]), half_width(float(np.hypot(std[first], std[last])))
     allowed = _SAME_MASS * abs(float(mass[first]))
     told = f"{plain(mass[last], 2)} kg, first {plain(mass[first], 2)} kg"
@@ -227,4 +229,4 @@ def _verified(mass: np.ndarray, std: np.ndarray, ends: tuple[int, int], said: Ou
         return "pass", f"{told}: the same"
     if abs(change) - half > allowed:
         return "fail", f"{told}: another load"
-    return "cannot tell", f"{told}: ± {plain(half, 2)} kg does not tell whether it is the same"
+    return "cannot tell", f"{told}: ± {plain(half, 2)} kg does not decide whether it is the same"

@@ -2,7 +2,7 @@
 
     STORE/store.json                                      what this folder is
     STORE/checks/robot=R/month=YYYY-MM/checks.parquet     a row per check
-    STORE/recordings/robot=R/month=YYYY-MM/SHA256.h5      copies of the recordings, to be estimated anew
+    STORE/recordings/robot=R/month=YYYY-MM/SHA256.h5      copies of the recordings, to be estimated again
     STORE/months.parquet                                  a row per robot and month: what a fleet is asked for most
     STORE/analysis/                                       what the last analysis said
 
@@ -32,13 +32,13 @@ MARK: Final = "store.json"
 CHECKS: Final = "checks.parquet"
 #: How long another ingest may take to come to its end [s].
 PATIENCE_S: Final = 60.0
-#: Written fast and read fast; a month of one robot is too little for more.
+#: Compression settings: fast to write and read; a month of one robot is small.
 _WRITING: Final[dict[str, Any]] = {"compression": "snappy", "use_dictionary": False, "write_statistics": False}
 
 
 @dataclass(frozen=True, slots=True)
 class AddedRows:
-    """What became of rows: `new` were added, `left_out` belong to files that cannot be read, which `refused` names."""
+    """Result: number of `new` rows, and `left_out` rows of unreadable files listed in `refused`."""
 
     new: int
     left_out: int
@@ -47,7 +47,7 @@ class AddedRows:
 
 @dataclass(frozen=True, slots=True)
 class Store:
-    """A folder that is one."""
+    """A folder that is a fleet store."""
 
     path: Path
 
@@ -76,7 +76,7 @@ class Store:
                 yield folder.name.partition("=")[2], file
 
     def place_of_recording(self, robot: str, month: str, sha256: str) -> Path:
-        """Where the copy of a recording lies."""
+        """Return the path of the copy of a recording."""
         return self.path / "recordings" / f"robot={robot}" / f"month={month}" / f"{sha256}.h5"
 
     def place(self, robot: str, month: str) -> Path:
@@ -97,12 +97,12 @@ class Store:
 
     @contextmanager
     def writing(self) -> Generator[None]:
-        """Nobody else writes meanwhile.
+        """Lock the store for writing.
 
         Raises
         ------
         InputError
-            Another one goes on writing.
+            Another process keeps writing.
         """
         with sole_writer(self.path / "store", PATIENCE_S):
             yield
@@ -119,7 +119,7 @@ class Store:
         Raises
         ------
         InputError
-            Nothing can be written; what was there is untouched.
+            Nothing can be written; the stored data are unchanged.
         """
         added, left_out, refused, ready, places, parts = 0, 0, [], [], [], []
         for robot, month, rows in _by_place(table):
@@ -177,7 +177,7 @@ def read_file(path: Path) -> Any:
 
 
 def open_store(path: Path) -> Store:
-    """The store that a folder is.
+    """Return the store in a folder.
 
     Raises
     ------
@@ -193,7 +193,7 @@ def open_store(path: Path) -> Store:
 
 
 def open_or_make(path: Path) -> Store:
-    """The store that a folder is, or becomes if it is empty or not there.
+    """Return the store in a folder; create it if the folder is empty or missing.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 Needed: `cell`, `time_utc`. Not needed: `arm` (`main`), `software`, `serial1` .., the quantities (`gain1`, `gain1_std`,
 `friction_band1_nm`, `friction_band1_std_nm`, ..), `temp1_c` .., `load` with `mass_kg`, `mass_std_kg`, `com_x_m` ..,
-`outcome`. Rows of one robot stand in the order in which they were measured.
+`outcome`. Rows of one robot are in the order of measurement.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ _UNPACKED_RATIO: Final = 100
 _TEXTS: Final = ("cell", "arm", "software", "load", "outcome", "time_utc")
 _OUTCOMES: Final = ("pass", "fail", "cannot tell")
 _DAY_US: Final = 86_400_000_000
-WENT_BACK: Final = "the clock went back: it stands behind a later one of the same robot"
+WENT_BACK: Final = "the clock went back: it follows a later one of the same robot"
 
 
 def summary_blocks(path: Path, now: datetime) -> Iterator[Any]:
@@ -119,7 +119,7 @@ def _csv(path: Path, stream: IO[bytes], size_bytes: int) -> tuple[int, Iterator[
 def _axes(names: Sequence[str], where: str) -> tuple[int, list[str]]:
     """Number of axes that the columns are of, and the columns that are read; one that is not known is refused."""
     if len(set(names)) != len(names):
-        raise InputError(f"{where}:1: a column stands twice")
+        raise InputError(f"{where}:1: a column occurs twice")
     for needed in ("cell", "time_utc"):
         if needed not in names:
             raise InputError(f"{where}:1: column '{needed}' is missing; a table of summaries has it")
@@ -242,7 +242,7 @@ def _robots(block: Any, axes: int, where: str, first_line: int) -> tuple[Any, li
 
 
 def _clock(times: np.ndarray, which: np.ndarray, keys: Sequence[str], clock: tuple[datetime, dict[str, int]]) -> Any:
-    """Why the time of a row cannot be, null where it can."""
+    """Return why the time of a row is implausible, null where it is plausible."""
     now, seen = clock
     at = times.astype(np.int64)
     latest = int(now.astimezone(UTC).timestamp() * 1e6 + AHEAD_S * 1e6)

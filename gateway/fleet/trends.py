@@ -1,4 +1,4 @@
-"""Trends of a robot: what every quantity does over the months, and on which day a drift was told first."""
+"""Trends of a robot: slope of every quantity over the months, and the day of the first detection of a drift."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ LEVEL, PER_K, PER_KG = 0, 2, 3
 #: Dots of a curve that is drawn.
 _DOTS: Final = 90
 _LINE: Final = 25
-#: A robot whose shape of wander nobody has seen: each is as likely, together as much as one series that is seen.
+#: Prior weight of the noise shapes, equal for all, together that of one observed series.
 _PRIOR_SERIES: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseShapes:
-    """How often each shape of wander is seen in the fleet, by quantity: logarithms, one per shape."""
+    """Log frequency of each shape of correlated noise in the fleet, by quantity."""
 
     log_share: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
@@ -92,14 +92,14 @@ def _changes(value: Floats, table: Floats) -> Flags:
 
 
 def _columns(series: CheckSeries) -> Floats:
-    """(n, M, 5): level, drift, temperature, load and the value, scaled so that a line is told in ones."""
+    """(n, M, 5): level, drift, temperature, load and the value, scaled so that the coefficients are of order one."""
     shape = series.value.shape
     time = np.broadcast_to(series.time_a[:, None], shape)
     return np.stack([np.ones(shape), time, series.temperature_c, series.load_kg, series.value], axis=2)
 
 
 def _relative_std(series: CheckSeries) -> Floats:
-    """Standard deviation of every check over the median one (n, M); 1 where it is not told."""
+    """Standard deviation of every check over the median one (n, M); 1 where it is not stated."""
     known = np.isfinite(series.std) & (series.std > 0.0) & np.isfinite(series.value)
     usual = np.array(
         [np.median(column[flags]) if flags.any() else 1.0 for column, flags in zip(series.std.T, known.T, strict=True)]
@@ -107,7 +107,8 @@ def _relative_std(series: CheckSeries) -> Floats:
     return np.where(known, np.where(known, series.std, 1.0) / np.maximum(usual, 1e-300), 1.0)
 
 
-# -- how the fleet wanders ---------------------------------------------------------------------------------------------
+# -- correlated noise of the fleet
+# ---------------------------------------------------------------------------------------------
 
 
 def seen_likelihoods(series: CheckSeries) -> dict[str, list[Floats]]:
@@ -133,7 +134,7 @@ def _tolerance(series: CheckSeries, line: FittedLines) -> Floats:
 
 
 def noise_shapes_of(seen: Sequence[Mapping[str, Sequence[Floats]]]) -> NoiseShapes:
-    """How often each shape is seen: the shares under which the series of the fleet are most likely (EM)."""
+    """Estimate the frequency of each shape by maximum likelihood over the series of the fleet (EM)."""
     keys = {key for each in seen for key in each}
     shares: dict[str, tuple[float, ...]] = {}
     for key in sorted(keys):
@@ -160,7 +161,7 @@ def trends_of(
     ----------
     series : CheckSeries
     noise_shapes : NoiseShapes
-        How the fleet wanders.
+        Noise shapes of the fleet.
     first : datetime
         Of the first check.
     """
@@ -197,7 +198,7 @@ def trends_of(
 
 
 def _long_enough(series: CheckSeries, look: Look, size: Floats) -> Floats:
-    """Nothing is told of a line from fewer than four weeks or fourteen checks."""
+    """Suppress lines from fewer than four weeks or fourteen checks."""
     there = np.isfinite(series.value[: look.checks])
     day = series.time_a[: look.checks, None] * DAYS_OF_A_YEAR
     span = np.where(there, day, -np.inf).max(axis=0) - np.where(there, day, np.inf).min(axis=0)
@@ -209,7 +210,7 @@ def _day(first: datetime, day: float | None) -> str | None:
 
 
 def _trend(series: CheckSeries, index: int, line: tuple[Floats, Floats], active: Flags, size: float) -> FleetTrend:
-    """What the line says, before it is held against what is needed."""
+    """Return the trend of a line, before comparison with the threshold."""
     mean, covariance = line
     std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     known = np.isfinite(size)

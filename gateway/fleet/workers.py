@@ -1,4 +1,4 @@
-"""Work spread over processes by Dask: those of this machine, or those of a cluster, by the same code.
+"""Distribute work over processes by Dask, on this computer or on a cluster.
 
 Only so much work is handed out as is being done, so that memory does not grow with the number of tasks. What a worker
 was at when it was killed is done again by another one.
@@ -64,7 +64,8 @@ def workers(
     Raises
     ------
     ConfigError
-        Nobody answers there, or no more; a tls:// address without certificates, or certificates that cannot be used.
+        The scheduler does not answer, or stops answering; a tls:// address without certificates, or unusable
+        certificates.
     """
     distributed = library("distributed")
     options: dict[str, Any] = {}
@@ -115,7 +116,7 @@ def _security(files: Certificates) -> Any:
 
 
 def _reach(scheduler: str) -> None:
-    """Make sure that somebody listens there, without waiting for longer than a connection takes.
+    """Refuse a scheduler that does not accept a connection in time.
 
     Raises
     ------
@@ -131,7 +132,7 @@ def _reach(scheduler: str) -> None:
 
 def _no_answer(scheduler: str) -> str:
     return (
-        f"--scheduler {scheduler}: nobody answers there; start one (dask scheduler), or leave --scheduler out to work"
+        f"--scheduler {scheduler}: no scheduler answers there; start one (dask scheduler), or omit --scheduler to work"
         " on this machine"
     )
 

@@ -1,4 +1,4 @@
-"""The drives of N axes as one arm: joint set points out, one sample per SYNC in."""
+"""Joint-side view of the drives of one arm: joint setpoints out, one sample per SYNC in."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from gateway.feedforward.identified import AxisConstants
 
 
 class ArmDrives(Protocol):
-    """What an arm needs of its drives, on whatever fieldbus: CANopen satisfies it by `drives.group.DriveGroup`."""
+    """Interface of the drives of an arm on any fieldbus; `drives.group.DriveGroup` implements it for CANopen."""
 
     def positions_rad(self) -> Sequence[float]:
-        """Where the motors stand, read while they are not enabled."""
+        """Return the motor positions, read while the drives are not enabled."""
         ...
 
     def enable(self, stop_requested: Callable[[], bool], /) -> Epoch:
-        """Power the drives where they stand; `stop_requested` is asked at every SYNC of the way up."""
+        """Enable the drives at their present positions; `stop_requested` is called at every SYNC until the brakes are
+        open.
+        """
         ...
 
     def exchange(self, commands: Sequence[DriveCommand], /) -> Epoch:
@@ -34,7 +36,7 @@ class ArmDrives(Protocol):
         ...
 
     def begin(self, commands: Sequence[DriveCommand] | None, /) -> None:
-        """By the clock, first part of a SYNC that several arms share: targets out, None = the last ones."""
+        """Real time, first part of a SYNC shared by several arms: send targets, None = the last ones."""
         ...
 
     def prepare(self, at_s: float | None, /) -> float:
@@ -54,7 +56,7 @@ class ArmDrives(Protocol):
         ...
 
     def abandon(self) -> None:
-        """Leave a SYNC that was begun."""
+        """Abandon a SYNC that was begun."""
         ...
 
     def disable(self) -> None:
@@ -74,7 +76,7 @@ class ArmDrives(Protocol):
         ...
 
     def align(self, at_s: float, /) -> None:
-        """By the clock: the next SYNC is due at a monotonic time."""
+        """Real time: set when the next SYNC is due (monotonic)."""
         ...
 
     def sync_sent_s(self) -> float:
@@ -83,7 +85,7 @@ class ArmDrives(Protocol):
 
 
 class JointSide:
-    """What drives answered, on the joint side.
+    """Answers of the drives, converted to the joint side.
 
     Parameters
     ----------
@@ -130,7 +132,7 @@ class Arm:
         return self.axes.joint_position(np.array(self.drives.positions_rad()))
 
     def enable(self, stop_requested: Callable[[], bool] = lambda: False) -> ArmSample:
-        """Power the drives; they hold the position they stand at."""
+        """Enable the drives; they hold their present positions."""
         return self._sample(self.drives.enable(stop_requested))
 
     def disable(self) -> None:
@@ -154,7 +156,7 @@ class Arm:
         ----------
         q_rad : array of shape (N,)
         ahead_rad : array of shape (N,), optional
-            Set point of the SYNC after, as far as it is known; for arms that are fed forward.
+            Setpoint of the next SYNC, if known; for arms with feedforward.
         offset_nm : array of shape (N,), optional
             Joint torque that the drives add to their own.
         """

@@ -1,11 +1,11 @@
-"""Arms that move together, each on its bus: brought up, given one SYNC per cycle from one clock, stopped together.
+"""Several arms, each on its own bus: enabled, driven with one SYNC per cycle from one clock, and stopped together.
 
-One thread serves all buses. In lockstep it does so in turn, and a run is the same every time. By the clock set points
-go out on all buses, then all SYNCs at the instant that one clock gives, then answers are gathered; the time between the
-SYNCs is measured. Threads of their own bring arms up and stop them, which each does at its own pace.
+One thread serves all buses. In lockstep it does so in turn, and a run is the same every time. In real time setpoints
+are sent on all buses, then all SYNCs at the instant of one clock, then answers are collected; the time between the
+SYNCs is measured. Each arm is enabled and stopped in a thread of its own.
 
-When a drive of one arm leaves OPERATION ENABLED, falls silent or its bus fails, the other arms are told in the same
-cycle, and all stop by the quick stop ramps of their drives.
+When a drive of one arm leaves OPERATION ENABLED or stops responding, or its bus fails, all arms stop in the same cycle
+by the quick stop ramps of their drives.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from gateway.motion.arm import Arm
 
 Result = TypeVar("Result")
 
-#: Until the first common SYNC by the clock [s].
+#: Real time: until the first common SYNC [s].
 _START_S: Final = 0.02
 #: In lockstep, between two SYNCs of an arm that waits for another one to be ready [s]: nothing else paces it, and where
 #: both are on one plant the other one's drives, which count its time, would give up their master.
@@ -38,7 +38,9 @@ _KEPT: Final = 100_000
 
 
 def _first_cause(failures: Sequence[BaseException]) -> BaseException:
-    """What failed first hand, with the others in its notes; an arm that gave up because another one failed is none."""
+    """Return the first cause with the other failures as notes; an arm that stopped because another one failed is not a
+    cause.
+    """
     first_hand = [error for error in failures if not isinstance(error, StopRequested)]
     cause = (first_hand or failures)[0]
     for error in first_hand:
@@ -48,7 +50,7 @@ def _first_cause(failures: Sequence[BaseException]) -> BaseException:
 
 
 def _each(jobs: Sequence[Callable[[], Result]]) -> tuple[Result, ...]:
-    """What every job returns; what failed first hand is raised when all have ended."""
+    """Run the jobs in threads and return their results; raise the first cause when all have ended."""
     results: list[Result] = []
     failures: list[BaseException] = []
     for job in jobs:
@@ -74,9 +76,9 @@ class Arms:
     ----------
     members : tuple of Arm
     skew_s : deque of float
-        By the clock: time between the SYNCs of the first and the last arm, cycle by cycle.
+        Real time: time between the SYNCs of the first and the last arm, per cycle.
     enabled : bool
-        All of them follow `exchange`.
+        All arms follow `exchange`.
     stopped_by : int or None
         Index of the arm whose error stopped all, None while none did.
     """
@@ -86,7 +88,7 @@ class Arms:
         self.real = pacing == "real"
         self.skew_s: deque[float] = deque(maxlen=_KEPT)
         self.stopped_by: int | None = None
-        # each further arm may be on its way up or down while each arm is being stopped
+        # each further arm may be enabling or disabling while each arm is being stopped
         self._pool = ThreadPoolExecutor(2 * len(arms) - 1, thread_name_prefix="arm") if len(arms) > 1 else None
         self._stopping: list[Future[None]] = []
         self._lock = threading.Lock()
@@ -110,7 +112,7 @@ class Arms:
         Raises
         ------
         DriveError
-            What failed, or that a stop was asked for; all arms are disabled again.
+            A failure, or a requested stop; all arms are disabled again.
         """
         ready, failed = [False] * len(self.members), threading.Event()
 
@@ -124,7 +126,7 @@ class Arms:
                 ready[index] = True
                 while not all(ready) and not given_up():
                     held = arm.hold()
-                    # set points begin at what is returned: a drive that left one SYNC unanswered stands nowhere in it
+                    # setpoints begin at the returned positions: a drive that left one SYNC unanswered has none
                     sample = held if held.complete else sample
                     if not self.real:
                         failed.wait(_PAUSE_S)
@@ -169,7 +171,7 @@ class Arms:
         Raises
         ------
         DriveError
-            An axis of which it is not known that it stands.
+            An axis that is not confirmed to be at rest.
         """
         self.enabled = False
         self._all(lambda index: self.members[index].quick_stop())
@@ -196,7 +198,7 @@ class Arms:
             raise
 
     def _together(self, commands: Sequence[Sequence[DriveCommand] | None]) -> tuple[ArmSample, ...]:
-        """By the clock: each part of the SYNC for all arms before the next one."""
+        """Real time: each part of the SYNC for all arms before the next one."""
         drives = [arm.drives for arm in self.members]
         try:
             for each, targets in zip(drives, commands, strict=True):
@@ -235,13 +237,13 @@ class Arms:
         return _each([lambda: action(0), *(other.result for other in others)])
 
     def _stop_others(self, index: int) -> None:
-        """An arm is about to stop because of an error: the others stop now as well, not when this one stands."""
+        """Stop the other arms at once when one arm is about to stop because of an error."""
         with self._lock:
             if not self.enabled or self._pool is None:
                 return
             self.enabled = False
             self.stopped_by = index
-            self._abandon()  # who is in the middle of a SYNC could not be stopped by another thread
+            self._abandon()  # an arm in the middle of a SYNC could not be stopped by another thread
             for other, arm in enumerate(self.members):
                 if other != index:
                     self._stopping.append(self._pool.submit(arm.quick_stop))

@@ -1,4 +1,4 @@
-"""What is assumed of an arm before anything was measured: noise of its torques, and a load to plan for."""
+"""Assumptions about an arm before it was measured: torque noise, and a reference load for planning."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from gateway.model.regressor import load_regressor
 from gateway.motion.workspace import BAND_SHARE, Workspace
 
-#: What a two-sided approach leaves of the friction band, until a recording has measured it.
+#: Remaining share of the friction band after a two-sided approach, until a recording has measured it.
 LEFT_SHARE = 0.2
 #: Share of the heaviest possible load that the expected uncertainty refers to, if the cell names none.
 REFERENCE_SHARE = 0.5
@@ -15,7 +15,7 @@ NOISE_SOURCE = f"assumed: {LEFT_SHARE:.0%} of a friction band of {BAND_SHARE:.1%
 
 
 def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
-    """Standard deviation (N,) of a joint torque whose friction was taken off, before any was measured.
+    """Return the assumed standard deviation (N,) of a joint torque after friction compensation.
 
     A share of the torque limit, at rest from both sides and in motion alike.
     """
@@ -23,7 +23,7 @@ def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
 
 
 def reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
-    """The cell's heaviest load, else half of what the free share of the torque limits carries at the flange."""
+    """Return the cell's heaviest load, else half of the load that the free share of the torque limits can carry."""
     if workspace.max_load is not None:
         return float(workspace.max_load[0]), workspace.max_load[1:] / workspace.max_load[0]
     com_m = workspace.points_m[0]

@@ -1,4 +1,4 @@
-"""How thick an arm is: its base, its links and its load as convex bodies, and where the size of each comes from."""
+"""Geometry of an arm: base, links and load as convex bodies, each with the source of its size."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from gateway.model.solid import Solid, solid_box, solid_capsule, solid_of
 
 Floats = NDArray[np.float64]
 
-#: Radius of a link that nothing is known of, as a share of the arm's reach: arms of the 10 kg class (reach 1.3 m) have
+#: Assumed radius of a link without geometry, as a share of the arm's reach: arms of the 10 kg class (reach 1.3 m) have
 #: links of 0.10 to 0.15 m in diameter, those of the 165 kg class (2.7 m) of 0.25 to 0.35 m.
 ASSUMED_SHARE = 0.05
 GEOMETRY = "collision geometry of the URDF"
-#: Link of what stands still.
+#: Link index of fixed bodies.
 BASE = -1
-#: Name of the part that hangs on the flange.
+#: Name of the part on the flange.
 LOAD = "load"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """Bodies that belong together.
+    """Bodies of one part of the arm.
 
     Attributes
     ----------
     name : str
         "base", "column", "link 3", "load".
     link : int
-        Link, from 0, that it moves with; `BASE` = it stands still.
+        Link, from 0, that it moves with; `BASE` = fixed.
     solids : tuple of Solid
-        In that link's frame, of what stands still in the base frame.
+        In that link's frame, of fixed parts in the base frame.
     source : str
-        Its size and where that comes from.
+        Its size and the source of it.
     known : bool
         Whether the shape is that of the URDF or of the cell, nothing of it assumed.
     """
@@ -54,7 +54,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """Everything of the arm that may touch something; one row per body.
+    """All bodies of the arm for collision checks; one row per body.
 
     Attributes
     ----------
@@ -126,15 +126,15 @@ def body_of_parts(parts: Sequence[Part]) -> Body:
 def moving_parts(arm: ArmConfig, robot: Robot) -> list[Part]:
     """Links and load of a configured arm.
 
-    A link is what the URDF's collision geometry says; where that says nothing, or cannot be read, a capsule from the
-    link's joint to the next one with the radius of `arm.link_radius_m`, else with an assumed one. Of link 2 such a
-    capsule begins a radius away from its joint: the shoulder itself is carried by link 1.
+    A link has the collision geometry of the URDF; where that is missing or cannot be read, a capsule from the link's
+    joint to the next one with the radius of `arm.link_radius_m`, else with an assumed one. Of link 2 such a capsule
+    begins a radius away from its joint: the shoulder itself is carried by link 1.
     """
     return [*(_link(arm, robot, link) for link in range(robot.axes)), _load(arm, robot)]
 
 
 def stated_radius_m(arm: ArmConfig, robot: Robot, link: int) -> tuple[float, str]:
-    """Radius [m] of a link (from 0) whose shape is not known, and where it comes from."""
+    """Return the radius [m] of a link (from 0) without known shape, and its source."""
     if arm.link_radius_m is None:
         radius = ASSUMED_SHARE * reach_m(robot)
         return radius, f"{radius:.3f} m, assumed: {ASSUMED_SHARE:g} x reach; give arm.link_radius_m"
@@ -179,7 +179,7 @@ def _flange(robot: Robot) -> Floats:
 
 
 def _load(arm: ArmConfig, robot: Robot) -> Part:
-    """The stated box, or from the flange to every stated point, else a ball that stands on the flange."""
+    """Return the stated box, or a body from the flange to every stated point, else a ball on the flange."""
     last, flange = robot.axes - 1, _flange(robot)
     if arm.load_size_m is not None:
         pose = flange.copy()

@@ -1,8 +1,8 @@
-"""What of an arm may touch what, how far apart they are, and whether they stay apart all along a way.
+"""Collision checks of an arm: pairs of bodies, their distances, and whether they stay apart along a path.
 
-A way is proven clear, not sampled: between two postures no point of a body moves farther against another than the joint
-steps between the two times its levers, so that a stretch whose two ends are apart by more than that in sum is clear
-everywhere; any other stretch is halved (as in conservative advancement, Mirtich 1996, section 2.3).
+A path is proven clear, not sampled. Between two postures no point of a body moves farther relative to another than the
+joint steps times its levers. A segment is therefore clear if the distances at its ends exceed that bound in sum; any
+other segment is halved (conservative advancement, Mirtich 1996, section 2.3).
 
 Distances are taken between the capsules around the bodies, all at once, and between the bodies themselves (FCL) only
 where that does not settle it.
@@ -26,16 +26,16 @@ from gateway.motion.surroundings import Plane, surroundings_of
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-#: A stretch of a way along which no body moves farther against another is not halved again; it is blocked unless it is
-#: proven clear, so that a way that passes something closer than half of this is refused.
+#: A segment along which no body moves farther relative to another is not halved again. It is blocked unless it is
+#: proven clear, so that a path that passes an obstacle closer than half of this is refused.
 PATH_RESOLUTION_M = 0.002
 #: Bodies whose capsules are farther apart than this are not looked at closer: it is cheaper to halve the stretch.
 CLOSE_M = 0.03
 #: What is planned keeps apart by this in addition, where two bodies are ever farther apart than that.
 PLANNING_CLEARANCE_M = 0.005
-#: Postures at which two bodies are looked at that may touch wherever the joints stand.
+#: Random postures at which pairs are tested for permanent contact.
 SAMPLES = 200
-#: Share of those at which assumed bodies touch that are then taken to be too thick to tell anything.
+#: Share of those postures with contact from which on assumed bodies count as too thick to be checked.
 ALWAYS = 0.95
 _SEED = 11
 #: Rows that are worked on at once.
@@ -73,7 +73,7 @@ class Pairs:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Space:
-    """An arm's bodies, what stands around them, and which of them are kept apart.
+    """Bodies of an arm, its surroundings, and the pairs that are kept apart.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class Space:
     narrow : bool array of shape (p,)
         Pairs that are never farther apart than `PLANNING_CLEARANCE_M`.
     unchecked : tuple of str
-        What is not kept apart since it touches wherever the joints stand.
+        Pairs that are not checked because they touch at all joint positions.
     exact : Exact
         Distances of the bodies themselves.
     """
@@ -186,7 +186,7 @@ class Space:
         return self.gaps_m(q_rad, posture, pair, np.zeros(len(pair))).reshape(len(q_rad), count)
 
     def touches(self, q_rad: Floats) -> Iterator[tuple[str, NDArray[np.bool_]]]:
-        """What touches what, in words, and at which of the postures (n, N): bool arrays of shape (n,)."""
+        """Return each contact as text with the postures (n, N) at which it occurs: bool arrays of shape (n,)."""
         touching = self._all_gaps(q_rad) <= 0.0
         words = [self._words(row) for row in range(len(self.pairs.kind))]
         for each in dict.fromkeys(words):
@@ -215,7 +215,7 @@ class Space:
         return f"{part.name} ({part.source}) touches {_the(second.name)} ({second.source})"
 
     def blocked_at(self, start_rad: Floats, end_rad: Floats) -> Floats:
-        """Where straight joint motions meet something, or cannot be proven to miss it: share of the way, NaN = clear.
+        """Return where straight joint motions collide or cannot be proven clear: share of the path, NaN = clear.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class Space:
         Returns
         -------
         array of shape (n,)
-            A place on the way that is not clear; not always the first.
+            A position on the path that is not clear; not always the first.
         """
         found = np.full(len(start_rad), np.nan)
         block = max(_BLOCK // max(len(self.pairs.kind), 1), 1)
@@ -291,12 +291,12 @@ def _the(name: str) -> str:
 
 
 def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats) -> Space:
-    """What a configured arm may touch inside its joint range.
+    """Return the collision pairs of a configured arm in its joint range.
 
-    Kept apart are: links and load from planes, boxes, base and column, and from one another where at least one link
-    lies between. Neighbours touch at their joint and are left out. So are bodies that touch wherever the joints stand
-    (at all of `SAMPLES` postures; where one of them is assumed, at `ALWAYS` of them): links about one point, link 1 and
-    what it turns in. Planes and boxes are never left out for a link beyond the first.
+    Pairs that are checked: links and load against planes, boxes, base and column, and against one another where at
+    least one link is between them. Neighbours touch at their joint and are left out. So are bodies that touch at all
+    joint positions (at all of `SAMPLES` postures; where one of them is assumed, at `ALWAYS` of them): links about one
+    point, link 1 and what it turns in. Planes and boxes are never left out for a link beyond the first.
     """
     around = surroundings_of(arm, robot)
     body = body_of_parts([*around.fixed_parts, *moving_parts(arm, robot)])
@@ -340,7 +340,7 @@ def _all_pairs(body: Body, robot: Robot, boxes: int, planes: int) -> Pairs:
 
 
 def _always(space: Space, lower_rad: Floats, upper_rad: Floats) -> NDArray[np.bool_]:
-    """Pairs (p,) that touch wherever the joints stand."""
+    """Return the pairs (p,) that touch at all joint positions."""
     pairs, body = space.pairs, space.body
     middle, half = (upper_rad + lower_rad) / 2, np.minimum((upper_rad - lower_rad) / 2, np.pi)
     q_rad = middle + half * np.random.default_rng(_SEED).uniform(-1, 1, (SAMPLES, space.robot.axes))

@@ -1,9 +1,7 @@
-"""Two signs of contact or of a drive that does not do what it is told: torque that the model does not explain, and a
-joint that stays behind.
+"""Detect contact, or a drive that does not follow its command: unexplained torque, and a following error.
 
-The model does not know the load, nor friction and rotors that were not identified, so the difference between measured
-and modelled torque is compared with its own recent mean: what hangs on the flange changes it slowly, contact changes it
-at once.
+The model lacks the load, and friction and rotors that were not identified. The difference between measured and modelled
+torque is therefore compared with its own recent mean: the load changes it slowly, contact changes it at once.
 """
 
 from __future__ import annotations
@@ -18,18 +16,18 @@ from gateway.motion.workspace import Workspace
 #: A gear that turns from driving to driven back adds (1 / eta - eta) of the torque it carries.
 CONTACT_SHARE = 0.25
 #: The same of a joint of which friction, rotor and links are known: the friction's reversal comes on top, by its size,
-#: since the joint turns round later than its set points.
+#: since the joint reverses later than its setpoints.
 KNOWN_SHARE = 0.15
-#: SYNCs in a row that it has to last, to the same side: set points that come late make the torque swing.
+#: Number of consecutive SYNCs with the same sign: delayed setpoints make the torque oscillate.
 IN_A_ROW = ARM_RULES["contact"].count
 #: Time constant of the recent mean.
 MEMORY_S = 0.5
-#: A SYNC that goes out late makes the drives wait and start again: no contact is looked for until that has faded.
+#: A delayed SYNC makes the drives wait and start again: contact is not checked until the oscillation has decayed.
 DELAY_GRACE_S = ARM_RULES["late_sync"].limit
 #: After the brakes open, the drives take over the torque that the brakes have carried; nothing moves yet.
 TAKE_OVER_S = 0.3
-#: Commanded way over which a joint has to move along, and the share of it that it has to go; one that lags at speed and
-#: is turned round has gone less, but stands close to its target then.
+#: Commanded movement after which a joint has to follow, and the share of it that it has to move. A joint that lags at
+#: speed and reverses has moved less, but is then close to its target.
 FOLLOW_RAD = ARM_RULES["stays_behind"].limit
 FOLLOW_SHARE = 0.2
 
@@ -66,13 +64,15 @@ class Contact:
         self.excused = np.zeros(len(self._limit), dtype=bool)
 
     def excuse(self, joints: np.ndarray) -> None:
-        """Leave joints (N,) of bool out from now on; their drives have to take over again once they no longer are."""
+        """Exclude joints (N,) of bool from now on; once included again, their drives take over the torque as after
+        enabling.
+        """
         if (self.excused & ~joints).any():
             self._taking_over = self._take_over_syncs
         self.excused = joints
 
     def note_delayed_sync(self) -> None:
-        """The next SYNCs show a shaken arm."""
+        """Note a delayed SYNC: the arm oscillates at the next SYNCs."""
         self._grace = self._grace_syncs
 
     def check(self, q_rad: np.ndarray, torque_nm: np.ndarray, modelled_nm: np.ndarray, target_rad: np.ndarray) -> None:
@@ -85,12 +85,12 @@ class Contact:
         torque_nm, modelled_nm : arrays of shape (N,)
             Joint side.
         target_rad : array of shape (N,)
-            What the drives had been told.
+            Setpoints of the drives.
 
         Raises
         ------
         LimitExceeded
-            Contact, or a joint that stays behind.
+            Contact, or a joint that does not follow.
         """
         self._check_following(q_rad, target_rad)
         unexplained_nm = torque_nm - modelled_nm
@@ -140,8 +140,8 @@ class Contact:
         if behind.any():
             joint = int(np.argmax(behind))
             raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} was told to move by {commanded[joint]:.3f} rad and has moved by "
-                f"{q_rad[joint] - start_q[joint]:.3f} rad: "
+                f"arm '{self._arm}', joint {joint + 1} was commanded to move by {commanded[joint]:.3f} rad "
+                f"and has moved by {q_rad[joint] - start_q[joint]:.3f} rad: "
                 f"{ARM_RULES['stays_behind'].advice}",
                 joint=joint + 1,
             )

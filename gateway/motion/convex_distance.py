@@ -1,4 +1,4 @@
-"""Distances of convex bodies to one another and to boxes, one by one: what FCL is asked for."""
+"""Distances between convex bodies, and to boxes, computed with FCL."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Exact:
 
 
 class _Shape:
-    """A body as FCL knows it."""
+    """A body in FCL."""
 
     def __init__(self, solid: Solid) -> None:
         around = solid.around
@@ -87,7 +87,7 @@ def _hull(points_m: Floats) -> Any:
 
 
 def _box(low_m: Floats, high_m: Floats) -> Any:
-    """A box that stands; None where nothing is left of it."""
+    """Return a fixed box; None where it is empty."""
     size = high_m - low_m - 2 * TOLERANCE_M
     if not (size > 0.0).all():
         return None

@@ -1,9 +1,9 @@
-"""Hold to run: the arms move only while a key of the terminal, or a digital input of the cell, is held.
+"""Hold-to-run control: the arms move only while a key of the terminal, or a digital input of the cell, is held.
 
-A terminal sends a held key again and again. A hold begins with the first repeat of a key that was pressed after it was
-asked for: what was typed before is dropped, and a key that is tapped is none. No repeat for `RELEASED_S` is a release,
-which stops the arms along their path. This is no enabling device in the sense of a standard (IEC 60204-1, ISO 10218-1):
-it is read by software, and a terminal that hangs, or a key that sticks, is not told from a key that is held.
+A terminal sends a held key again and again. A hold begins with the first repeat of a key that was pressed after the
+prompt: earlier input is dropped, and a short press does not count. No repeat for `RELEASED_S` is a release, which stops
+the arms along their path. This is no enabling device in the sense of a standard (IEC 60204-1, ISO 10218-1): it is read
+by software, and a blocked terminal or a stuck key cannot be distinguished from a held key.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ PATIENCE_S: Final = 60.0
 
 
 class HeldKey:
-    """A key that has to be held; a source of wishes to stop.
+    """A key that has to be held; a source of stop requests.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class HeldKey:
         self._terminal = terminal
         self._last_s = self._asked_s = -math.inf
         self._repeated = False
-        #: Whoever holds it reads the terminal: a second thread would wait for a key that the first one has taken.
+        #: Lock of the terminal: a second reading thread would wait for a key that the first one has read.
         self._reading = threading.Lock()
 
     def wait(self) -> None:
@@ -88,7 +88,7 @@ class HeldKey:
         return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("stopped: the hold-to-run key was released"))
 
     def _look(self) -> None:
-        """Take in the keys since the last look; after a long time nothing says when they were pressed."""
+        """Read the keys since the last call; after a long pause the time of the key presses is unknown."""
         now_s = time.monotonic()
         unseen_s, self._asked_s = now_s - self._asked_s, now_s
         if self._read(0.0):
@@ -104,10 +104,10 @@ class HeldKey:
 
 
 class HeldInput:
-    """A digital input that has to be held; a source of wishes to stop.
+    """A digital input that has to be held; a source of stop requests.
 
-    It is asked by SDO again and again, without waiting. Where the last question that the drive has answered as held was
-    asked more than `RELEASED_S` ago, that is a release.
+    It is read by SDO repeatedly, without waiting. It counts as released when the last request answered as held was sent
+    more than `RELEASED_S` ago.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def with_held_input(opened: OpenArm, options: MoveOptions) -> MoveOptions:
 
 
 def line_entered(terminal: int) -> Callable[[], bool]:
-    """Return what says whether a line was entered from now on; it never waits.
+    """Return a function that reports whether a line has been entered since; it never waits.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Ways of straight joint motions between postures: places on them, and postures in words."""
+"""Paths of straight joint motions between postures: positions on them, and postures as text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ PATH_STEP_RAD = 0.05
 
 
 def angles(q_rad: Sequence[float] | np.ndarray) -> str:
-    """A posture (N,) in words."""
+    """Return the text of a posture (N,)."""
     return "[" + ", ".join(f"{value:.3f}" for value in q_rad) + "] rad"
 
 
@@ -22,7 +22,7 @@ def path_points(start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
 
 
 def path_positions(path_rad: np.ndarray) -> np.ndarray:
-    """Places (k,) in rows along a way (n, N), at most `PATH_STEP_RAD` apart, all rows included."""
+    """Return positions (k,) in rows along a path (n, N), at most `PATH_STEP_RAD` apart, all rows included."""
     step = np.abs(np.diff(path_rad, axis=0)).max(axis=1)
     count = np.maximum(np.ceil(step / PATH_STEP_RAD), 1).astype(int)
     row = np.repeat(np.arange(len(count)), count)
@@ -31,7 +31,7 @@ def path_positions(path_rad: np.ndarray) -> np.ndarray:
 
 
 def postures_at(path_rad: np.ndarray, place: np.ndarray) -> np.ndarray:
-    """Postures (k, N) at places in rows along a way (n, N)."""
+    """Return postures (k, N) at positions in rows along a path (n, N)."""
     row = np.minimum(place.astype(int), max(len(path_rad) - 2, 0))
     share = (place - row)[:, None]
     return (1.0 - share) * path_rad[row] + share * path_rad[np.minimum(row + 1, len(path_rad) - 1)]

@@ -1,4 +1,4 @@
-"""A SYNC as numbers in a row, for whoever hands it on: the live page, the black box."""
+"""Write the values of one SYNC into a row of numbers, for the live page and the black box."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Who looks on while arms are under power: told everything, asked nothing, and never in the way.
+"""Observers of the motion loop: notified after every SYNC and of every event; they must not block.
 
-The motion loop calls from its own thread, after each SYNC. An observer takes what it is handed and returns at once:
-it does not wait, lock, write to a disk or ask the bus. What it raises reaches nobody who moves: it is told no more.
-Who may stop an arm leaves a wish at the desk (`gateway.motion.stops`) instead.
+The motion loop calls an observer from its own thread, after each SYNC. An observer stores the data and returns at once:
+it does not wait, lock, write to a disk or use the bus. An observer that raises is removed and does not affect the
+motion. To stop an arm, use a stop request (`gateway.motion.stops`) instead.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from gateway.motion.workspace import Workspace
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """What is about to be powered.
+    """Arms that are about to be enabled.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class Scene:
     period_s : float
         SYNC period.
     state : StateTracker
-        Whose `state` says at any time what the arms do.
+        Its `state` is the present state of the arms.
     """
 
     arms: Arms
@@ -43,16 +43,16 @@ class Scene:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """One SYNC as the motion loop saw it; a tuple has one member per arm.
+    """Data of one SYNC; each tuple has one member per arm.
 
     Attributes
     ----------
     samples : tuple of ArmSample
-        What the drives answered.
+        Answers of the drives.
     targets_rad : tuple of arrays of shape (N,)
-        Joint set points that went out with this SYNC.
+        Joint setpoints sent with this SYNC.
     modelled_nm : tuple of arrays of shape (N,)
-        Torque that the model of the arm asks for there, without friction; 0 where the links are unknown.
+        Torque of the arm's model there, without friction; 0 where the links are unknown.
     """
 
     samples: tuple[ArmSample, ...]
@@ -61,7 +61,7 @@ class Observed:
 
 
 class Observer(Protocol):
-    """Looks on; nothing here may take time."""
+    """Observer of the motion loop; its methods must return at once."""
 
     def began(self, scene: Scene, /) -> None:
         """Arms are about to be powered."""
@@ -72,7 +72,7 @@ class Observer(Protocol):
         ...
 
     def reported(self, event: object, /) -> None:
-        """Whoever runs the job told something: an event of `gateway.acquire.events`, or a `MotionProgress`."""
+        """An event of `gateway.acquire.events`, or a `MotionProgress`."""
         ...
 
     def ended(self, failure: BaseException | None, /) -> None:
@@ -82,7 +82,7 @@ class Observer(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class MotionProgress:
-    """Where a motion stands: what is done, the row and the number of rows."""
+    """Progress of a motion: its description, the present row and the number of rows."""
 
     what: str
     row: int
@@ -90,7 +90,7 @@ class MotionProgress:
 
 
 class Observers:
-    """Observers of one command; one that raises is left out from then on.
+    """Observers of one command; one that raises is removed.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ class Observers:
             self._each(lambda observer: observer.sampled(observed))
 
     def reported(self, event: object) -> None:
-        """Something was told."""
+        """Pass on an event."""
         self._each(lambda observer: observer.reported(event))
 
     def ended(self, failure: BaseException | None) -> None:

@@ -1,4 +1,4 @@
-"""Bring an arm's drives up from a cell file: connected, configured, in their brakes."""
+"""Connect and configure the drives of an arm from a cell file; the axes stay held by their brakes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from gateway.result.result import Finding
 
 @dataclass(frozen=True, slots=True)
 class BusOverride:
-    """What differs from the cell file on the bus.
+    """Bus settings that override those of the cell file.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class BusOverride:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenArm:
-    """An arm whose drives are connected and configured, in their brakes.
+    """An arm whose drives are connected and configured, held by its brakes.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class OpenArm:
 
 
 class _GroupDrives:
-    """A drive group as an arm sees it."""
+    """Adapter from a drive group to `ArmDrives`."""
 
     def __init__(self, group: DriveGroup) -> None:
         self.enable: Callable[[Callable[[], bool]], Epoch] = group.enable
@@ -125,7 +125,7 @@ class _GroupDrives:
         self._group.on_stop = report
 
     def align(self, at_s: float) -> None:
-        """By the clock: the next SYNC is due at a monotonic time."""
+        """Real time: set when the next SYNC is due (monotonic)."""
         self._group.align(at_s)
 
     def sync_sent_s(self) -> float:
@@ -134,7 +134,7 @@ class _GroupDrives:
 
 
 def frame_log_watched(opened: OpenArm) -> StopSource:
-    """A source that asks for a stop along the path once the frame log of an arm's bus cannot be written."""
+    """Return a source that requests a stop along the path once the frame log of an arm's bus cannot be written."""
     log = opened.group.bus.log
 
     def failed() -> StopRequest | None:
@@ -144,7 +144,7 @@ def frame_log_watched(opened: OpenArm) -> StopSource:
 
 
 def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
-    """What the drives need to know from the cell.
+    """Return the settings of the drives from the cell file.
 
     Raises
     ------
@@ -169,7 +169,7 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
 def _limit_torques(
     group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight, known: tuple[AxisConstants, ...]
 ) -> None:
-    """Let each drive give no more torque than the arm can need, where links, load and ramps are known.
+    """Limit the torque of each drive to the largest that the arm can need, where links, load and ramps are known.
 
     A motion may accelerate harder than the quick stop brakes: the larger of both counts.
     """
@@ -182,7 +182,7 @@ def _limit_torques(
 
 
 def _refuse_obstacles(setups: Sequence[AxisSetup]) -> None:
-    """See that every drive may be moved by what its profile knows of it, before anything is sent.
+    """Refuse drives whose profile does not allow motion, before anything is sent.
 
     Raises
     ------
@@ -201,7 +201,7 @@ def _refuse_obstacles(setups: Sequence[AxisSetup]) -> None:
 
 
 def _refuse_placeholders(config: ArmConfig) -> None:
-    """See that the torque limits, on which the contact watch rests, are those of this arm.
+    """Refuse placeholder torque limits, because contact detection depends on them.
 
     Raises
     ------
@@ -218,7 +218,7 @@ def _refuse_placeholders(config: ArmConfig) -> None:
 def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Generator[OpenArm]:
     """Connect, check and configure the drives of an arm; on leaving they are disabled and the bus is closed.
 
-    Whatever opens an arm passes the pre-flight check here: nothing is written to a drive that fails it.
+    The pre-flight check runs here: nothing is written to a drive that fails it.
 
     Parameters
     ----------
@@ -232,13 +232,13 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     ConfigError
         Robot or cell cannot be used.
     InputError
-        What the cell says was identified is of another arm, or contradicts it.
+        The identification named by the cell belongs to another arm, or contradicts it.
     ProfileError
-        A drive that its profile reads and does not move.
+        A drive whose profile allows reading only.
     DriveError
-        Bus or drives: missing, twice, of another kind, in fault; all drives' failures at once.
+        Bus or drives: missing, duplicate, of another type, in fault; all drives' failures at once.
     FindingFailed
-        A drive is set up in a way that must not be moved.
+        The settings of a drive do not allow motion.
     """
     override = override or BusOverride()
     config = arm_named(loaded, arm)

@@ -1,7 +1,7 @@
-"""Torque that an arm takes for its own motion beside gravity: friction, rotors and links, where they were identified.
+"""Torque of an arm's own motion besides gravity: friction, rotors and links, where they were identified.
 
-For the contact watch: what is known of the arm is no sign of contact. The set points are what is known of the motion;
-the servos' lag behind them, and the load, stay unexplained.
+Used by contact detection, which compares measured with modelled torque. The motion is taken from the setpoints; the
+servo lag and the load are not modelled.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 
 class OwnTorque:
-    """Friction and inertia of one arm, followed from set point to set point.
+    """Friction and inertia of one arm, updated from setpoint to setpoint.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class OwnTorque:
         self._change = np.zeros_like(self._rotor)
 
     def take(self, target_rad: Floats) -> None:
-        """The set points (N,) [rad] of one more SYNC."""
+        """Take the setpoints (N,) [rad] of one more SYNC."""
         before = target_rad if self._at is None else self._at
         displacement = self._coupling @ (target_rad - before)
         rate = (target_rad - before) / self._period_s
@@ -82,14 +82,14 @@ class OwnTorque:
 
 
 def own_torque(arm: Arm, workspace: Workspace, period_s: float) -> OwnTorque | None:
-    """What is known of the torque that an arm takes for its own motion; None where nothing was identified."""
+    """Return the model of the torque of an arm's own motion; None where nothing was identified."""
     if not any(watched(axis) for axis in arm.known):
         return None
     return OwnTorque(arm.known, arm.axes, workspace, period_s)
 
 
 def watched(axis: AxisConstants) -> bool:
-    """Whether motion told what this axis takes for its own motion, so that the watch reckons with it."""
+    """Return whether the torque of this axis' own motion was identified, so that contact detection uses it."""
     return all(one is not None and one.identified for one in (axis.coulomb_nm, axis.rotor_kg_m2))
 
 

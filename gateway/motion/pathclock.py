@@ -1,10 +1,10 @@
-"""Time along a path: where the next set point lies, and how fast that place moves.
+"""Time scaling along a path: position and rate of the next setpoint.
 
-Set points of a way are rows, one SYNC apart at full rate. The place advances by the rate at every SYNC: 1 = as
-planned, 0.1 = a speed override of 10 %, and on its way to 0 = a stop along the path. With the place s and its rate r,
-a joint has the speed q' r and the acceleration q'' r^2 + q' r', so the rate falls as fast as every joint's
-acceleration limit allows, and its fall begins and ends as softly as the jerk limits allow (path-velocity
-decomposition: Kant and Zucker 1986).
+Setpoints of a trajectory are rows, one SYNC apart at full rate. The position advances by the rate at every SYNC: 1 = as
+planned, 0.1 = a speed override of 10 %, decreasing to 0 = a stop along the path. With the position s and its rate r, a
+joint has the speed q' r and the acceleration q'' r^2 + q' r', so the rate falls as fast as every joint's acceleration
+limit allows, and its fall begins and ends as softly as the jerk limits allow (path-velocity decomposition: Kant and
+Zucker 1986).
 """
 
 from __future__ import annotations
@@ -13,31 +13,31 @@ import math
 
 import numpy as np
 
-#: A way that is at its limits all along leaves nothing to brake with: after the first time [s] it is brought to rest
-#: within the second one all the same.
+#: A trajectory at its limits throughout leaves no acceleration for braking: after the first time [s] it is brought to
+#: rest within the second one all the same.
 PATIENCE_S, LONGEST_S = 1.5, 1.0
 #: A joint that is slower does not limit the rate [rad/s].
 STILL_RAD_S = 1e-9
 
 
 class PathClock:
-    """Where along a way the next set point lies.
+    """Position of the next setpoint along a trajectory.
 
     Parameters
     ----------
     count : int
-        Rows of the way; row 0 is due one SYNC after the start, which counts as row -1.
+        Rows of the trajectory; row 0 is due one SYNC after the start, which counts as row -1.
     period_s : float
         SYNC period.
     acceleration_rad_s2, jerk_rad_s3 : arrays of shape (n,)
         Limits of all joints of all arms.
     most : float
-        Rate when nobody asks for a stop, in (0, 1].
+        Rate without a stop request, in (0, 1].
 
     Attributes
     ----------
     at : float
-        Row of the set point that is due, -1 to count - 1.
+        Row of the next setpoint, -1 to count - 1.
     rate : float
         Rows by which it moves per SYNC.
     """
@@ -60,7 +60,7 @@ class PathClock:
 
     @property
     def done(self) -> bool:
-        """Nothing is left to be sent: the way is at its end, or the stop has come to rest."""
+        """Return whether the end of the trajectory is reached, or the stop has come to rest."""
         return self.arrived or (self.stopping and self.rate == 0.0)
 
     def stop(self) -> None:
@@ -68,12 +68,12 @@ class PathClock:
         self.stopping = True
 
     def advance(self, speed_rad_s: np.ndarray, acceleration_rad_s2: np.ndarray) -> float:
-        """Row of the next set point.
+        """Return the row of the next setpoint.
 
         Parameters
         ----------
         speed_rad_s, acceleration_rad_s2 : arrays of shape (n,)
-            Of the way at full rate, where it is now.
+            Of the trajectory at full rate, at the present position.
         """
         if self.stopping:
             self._slow_down(speed_rad_s, acceleration_rad_s2)

@@ -1,4 +1,4 @@
-"""Arms under power: brought up, handed to whoever moves them, and left standing in their brakes, whatever happens."""
+"""Enable arms for a motion, and leave them at rest with their brakes applied in every case."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ BRAKE_DROP_RAD: Final = 0.005
 
 @contextmanager
 def _on_time(arms: Arms) -> Generator[None]:
-    """By the clock: what the operating system gives to a loop that must not be held up."""
+    """Request real-time scheduling for the motion loop, in real time only."""
     if not arms.real:
         yield
         return
@@ -29,16 +29,16 @@ def _on_time(arms: Arms) -> Generator[None]:
 
 @contextmanager
 def powered(stream: Stream) -> Generator[Stream]:
-    """Power the arms where they stand; on leaving, however that comes about, they stand and their brakes are on.
+    """Enable the arms at their present positions; on every exit they are at rest with their brakes applied.
 
-    The stop fits the cause. Along the path the stream has come to rest by itself. While set points are going out, and
-    after an error of a drive or of a limit, all axes are stopped by their quick stop ramps at once. A stop that is not
-    confirmed ends the heartbeat (`drives.stopping`). Whoever listens is told afterwards.
+    The stop depends on the cause. After a stop along the path the arms are already at rest. While setpoints are being
+    sent, and after an error of a drive or of a limit, all axes are stopped by their quick stop ramps at once. An
+    unconfirmed stop ends the heartbeat (`drives.stopping`). Observers are notified afterwards.
 
     Raises
     ------
     DriveError, LimitExceeded, KeyboardInterrupt
-        Whatever ended the motion, once the arms are safe; what went wrong on the way there is among its notes.
+        The cause that ended the motion, once the arms are safe; failures while stopping are in its notes.
     """
     station = stream.station
     desk, observers = station.options.desk, station.options.observers
@@ -105,7 +105,7 @@ def _report_end(stream: Stream, failure: BaseException | None) -> None:
 
 
 def _brake_drop_text(stream: Stream) -> str:
-    """Joints that have sunk in their brakes, in words."""
+    """Return the text about joints that have dropped after the brakes were applied."""
     found = []
     for arm in stream.station.arms.members:
         brake_drop_rad = arm.brake_drop_rad()

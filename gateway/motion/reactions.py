@@ -1,7 +1,7 @@
-"""Every reaction of a cell under power, in one table: what stops the arm, what is taken again, what only counts.
+"""Table of all reactions of a cell under power: conditions that stop the arm, repeat a sample, or are counted.
 
-The drives' part is `drives.reactions`; here stands what only an arm can see. `python -m gateway.motion.reactions`
-prints the whole table as Markdown.
+The conditions of the drives are in `drives.reactions`; this module adds those of the arm. `python -m
+gateway.motion.reactions` prints the whole table as Markdown.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             _STOPPED + "look for contact, a load that slips, a cable that is caught",
         ),
         "rhythm": Rule(
-            "SYNCs that go out late by more than half a period",
+            "SYNCs delayed by more than half a period",
             "stop",
             0.2,
             "of those within 2 s",
@@ -48,16 +48,16 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             IncompleteEpochs,
         ),
         "late_sync": Rule(
-            "one late SYNC: the drives wait for it, which shakes the arm; contact is not looked for",
+            "one delayed SYNC: the drives wait for it and the arm oscillates; contact is not checked",
             "count",
             0.25,
             "s after it",
         ),
         "stays_behind": Rule(
-            "a joint that is told to move and does not",
+            "a joint that is commanded to move and does not",
             "stop",
             0.04,
-            "rad of commanded way",
+            "rad of commanded movement",
             _STOPPED + "look for a brake that is engaged, commands that do not reach the drive, position_sign and "
             "gear_ratio of this axis",
         ),
@@ -115,7 +115,7 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "release the part before moving on",
         ),
         "force_at_rest": Rule(
-            "two arms: the force in a part that is held on the way to the start above half its limit, beyond doubt",
+            "two arms: force in a part that is already held above half its limit with certainty, approaching the start",
             "along the path",
             0.02,
             "s",
@@ -154,7 +154,7 @@ MEANING: Final[Mapping[str, str]] = MappingProxyType(
 
 def markdown() -> str:
     """The table, one row per rule."""
-    rows = ["| what is seen | how much of it | reaction |", "|---|---|---|"]
+    rows = ["| condition | threshold | reaction |", "|---|---|---|"]
     for reaction in MEANING:
         rows += [
             f"| {rule.what} | {rule.limit:g} {rule.unit} | {reaction} |"

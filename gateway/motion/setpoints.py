@@ -1,4 +1,4 @@
-"""What can be streamed: set points of all arms as a function of the place along a way."""
+"""Sources of setpoints for the motion loop: setpoints of all arms as a function of the position along a trajectory."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PerArm = tuple[np.ndarray, ...]
 
 
 class SetpointSource(Protocol):
-    """Set points of all arms along a way of `count` rows, one row per SYNC at full rate."""
+    """Setpoints of all arms along a trajectory of `count` rows, one row per SYNC at full rate."""
 
     @property
     def count(self) -> int:
@@ -27,23 +27,23 @@ class SetpointSource(Protocol):
         ...
 
     def targets(self, at: float, rate: float) -> PerArm:
-        """Set points of a place between -1 (where the arms stand) and count - 1; asked once per SYNC."""
+        """Return the setpoints at a position between -1 (the start) and count - 1; called once per SYNC."""
         ...
 
     def ahead(self, at: float, rate: float) -> PerArm | None:
-        """Set points of the SYNC after; None where they are not known yet."""
+        """Return the setpoints of the next SYNC; None where they are not known yet."""
         ...
 
     def offsets(self) -> PerArm | None:
-        """Joint torques [Nm] beside the set points that `targets` gave last; None = no offsets."""
+        """Return joint torques [Nm] for the setpoints that `targets` returned last; None = no offsets."""
         ...
 
     def modelled(self, at: float) -> PerArm | None:
-        """Torque [Nm] that a model of the free motion asks for there; None = gravity of the bare arm."""
+        """Return the modelled torque [Nm] of the free motion there; None = gravity of the unloaded arm."""
         ...
 
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
-        """What was measured at the SYNC of these set points."""
+        """Take the measurement at the SYNC of these setpoints."""
         ...
 
 
@@ -53,7 +53,7 @@ class MotionSetpoints:
     Parameters
     ----------
     start_rad : arrays of shape (N,)
-        Where the arms were last told to be.
+        Last setpoints of the arms.
     motions : sequence of Motion
         One per arm, all of the same length, each beginning at rest at its start and ending at rest.
     """
@@ -102,10 +102,10 @@ class MotionSetpoints:
         return None
 
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
-        """Nothing is done with it."""
+        """Ignore the measurement."""
 
     def _place(self, at: float) -> tuple[int, float]:
-        """Row before a place and how far it lies beyond it; rows count from the start here."""
+        """Return the row before a position and the fraction beyond it; rows count from the start here."""
         place = min(max(at + 1.0, 0.0), float(self.count))
         row = min(int(place), self.count)
         return row, place - row

@@ -1,4 +1,4 @@
-"""The state of a whole cell as the master knows it: in which phase, since when, and after a stop what happened."""
+"""State of an arm in the master: phase, time of the change, and the cause after a stop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from enum import Enum
 
 
 class Phase(Enum):
-    """What the arm does."""
+    """Phase of an arm."""
 
     IN_BRAKES = "in its brakes"
     HOLDING = "under power, holding"
@@ -55,13 +55,13 @@ class CellState:
 
 
 class StateTracker:
-    """Keeps the state of one arm and tells when it changes.
+    """State of one arm; every change is reported.
 
     Parameters
     ----------
     arm : str
     report : callable
-        Takes every new state.
+        Called with every new state.
     """
 
     def __init__(self, arm: str, report: Callable[[CellState], None]) -> None:
@@ -69,7 +69,7 @@ class StateTracker:
         self._report = report
 
     def enter(self, phase: Phase, sync_index: int = 0, reason: str = "") -> None:
-        """The arm is in this phase from now on; nothing happens if it is already."""
+        """Enter a phase; no effect if the arm is already in it."""
         if phase is not self.state.phase:
             self.state = CellState(self.state.arm, phase, datetime.now(UTC), sync_index, reason)
             self._report(self.state)

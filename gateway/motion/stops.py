@@ -1,6 +1,6 @@
-"""Who may stop the arms, and how: every wish to stop is left here, and the motion loop looks at every SYNC.
+"""Stop requests: every request is stored here, and the motion loop checks it at every SYNC.
 
-Two ways of stopping are asked for; a third follows where they fail (`drives.stopping`: no more heartbeat).
+Two kinds of stop can be requested; a third follows where they fail (`drives.stopping`: heartbeat stopped).
 
 along the path   all drives are healthy: a person, a question, a recording that falls behind, the force in a part
 quick stop       contact, a limit that was passed, a second signal
@@ -22,42 +22,42 @@ from typing import Any, Final
 
 from gateway.errors import ENDING_SIGNALS
 
-#: Why, where nobody can read any more what is said.
+#: Cause of a stop after the output was closed.
 CLOSED: Final = "stopped: the terminal was closed"
 
 
 class StopKind(IntEnum):
-    """How urgent a stop is; the larger one wins."""
+    """Urgency of a stop; the larger one wins."""
 
     ALONG_PATH = 1
     QUICK_STOP = 2
 
 
 class StoppedByPerson(KeyboardInterrupt):
-    """A person, a signal or a closed terminal asked for it; the text says which."""
+    """A person, a signal or a closed terminal requested a stop; the text names it."""
 
 
 @dataclass(frozen=True, slots=True)
 class StopRequest:
-    """One wish.
+    """One stop request.
 
     Attributes
     ----------
     kind : StopKind
     cause : BaseException
-        Raised once the arms stand.
+        Raised once the arms are at rest.
     """
 
     kind: StopKind
     cause: BaseException
 
 
-#: Asked at every SYNC; None = go on.
+#: Called at every SYNC; None = continue.
 StopSource = Callable[[], StopRequest | None]
 
 
 class StopDesk:
-    """Where wishes to stop are left; `ask` may be called from any thread and from a signal handler.
+    """Store of stop requests; `ask` may be called from any thread and from a signal handler.
 
     Requests are only ever appended: one that interrupts another, in a signal handler or a second thread, cannot
     overwrite it. The most urgent one counts.
@@ -65,7 +65,7 @@ class StopDesk:
     Attributes
     ----------
     under_power : bool
-        Set by the motion loop: a signal then asks for a stop, at other times it interrupts at once.
+        Set by the motion loop: a signal then requests a stop, at other times it interrupts at once.
     """
 
     def __init__(self, *sources: StopSource) -> None:
@@ -82,12 +82,12 @@ class StopDesk:
         self._sources.remove(source)
 
     def ask(self, cause: BaseException, kind: StopKind = StopKind.ALONG_PATH) -> None:
-        """Leave a wish; the first cause is kept, the most urgent kind wins."""
+        """Request a stop; the first cause is kept, the most urgent kind wins."""
         if all(kind > request.kind for request in self._requests):
             self._requests.append(StopRequest(kind, cause))
 
     def look(self) -> StopRequest | None:
-        """The wish that stands, the sources asked."""
+        """Return the present request, after checking all sources."""
         for source in self._sources:
             wish = source()
             if wish is not None:
@@ -98,17 +98,17 @@ class StopDesk:
         return StopRequest(max(request.kind for request in requests), requests[0].cause)
 
     def asked(self) -> bool:
-        """Whether anybody wants the arms to stop."""
+        """Return whether a stop is requested."""
         return self.look() is not None
 
 
 @contextmanager
 def signals_ask(desk: StopDesk) -> Generator[None]:
-    """Let SIGINT, SIGTERM and SIGHUP ask for a stop along the path, and for a quick stop the second time.
+    """Handle SIGINT, SIGTERM and SIGHUP: request a stop along the path, and a quick stop at the second signal.
 
-    While nothing is under power they interrupt at once (`StoppedByPerson`), except a second one that comes after the
-    stop: the command is ending, what was measured is being kept. A signal that was inherited as ignored is heard as
-    well. Outside the main thread, where Python takes no signals, nothing is changed.
+    While nothing is under power they interrupt at once (`StoppedByPerson`), except a second signal after the stop: the
+    command is ending and saves the measured data. A signal inherited as ignored is handled as well. Outside the main
+    thread, where Python handles no signals, nothing is changed.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -133,10 +133,10 @@ def signals_ask(desk: StopDesk) -> Generator[None]:
 
 
 def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
-    """A source that asks for a stop along the path once nobody can read standard output or error any more.
+    """Return a source that requests a stop along the path once standard output or error is closed.
 
-    A terminal or a pipe that was closed is noticed at the next SYNC, not with the next word for the person; one that
-    was closed before lets nothing begin. What is no pipe or terminal is not looked at.
+    A closed terminal or pipe is detected at the next SYNC, not at the next output; one that was closed before prevents
+    the start. Other kinds of output are not checked.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
     asking = threading.Lock()
 
     def closed() -> StopRequest | None:
-        if not asking.acquire(blocking=False):  # the thread of another arm asks at this moment
+        if not asking.acquire(blocking=False):  # the thread of another arm is checking at this moment
             return None
         try:
             if not poll.poll(0):
@@ -165,7 +165,7 @@ def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
 
 
 def output_closed(error: BaseException) -> bool:
-    """Whether an error says that nobody reads the output any more.
+    """Return whether an error means that the output is closed.
 
     What prints for us (rich) ends the program by SystemExit in that case.
     """
@@ -175,7 +175,7 @@ def output_closed(error: BaseException) -> bool:
 
 
 def guarded(listener: Callable[..., None], desk: StopDesk) -> Callable[..., None]:
-    """A listener that cannot break the loop: what it raises becomes a wish to stop along the path."""
+    """Wrap a listener so that an exception becomes a request to stop along the path."""
 
     def safely(*arguments: Any) -> None:
         try:

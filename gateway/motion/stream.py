@@ -1,4 +1,6 @@
-"""The only loop that sends set points: a row for all arms per SYNC, every answer watched, every wish to stop heard."""
+"""The only loop that sends setpoints: one row for all arms per SYNC, every answer checked, every stop request
+handled.
+"""
 
 from __future__ import annotations
 
@@ -35,26 +37,26 @@ Result = TypeVar("Result")
 REPORT_S: Final = 0.25
 #: How soon the loop takes the interpreter back from what is computed beside it [s].
 SWITCH_S: Final = 0.0005
-#: By the clock drives buffer set points, to be independent of when in a period they come.
+#: In real time drives buffer setpoints, so that their arrival time within a period does not matter.
 BUFFERED_SYNCS: Final = 2.0
 #: Speed override of the first motion with a set of drives.
 FIRST_SHARE: Final = 0.1
 #: A stop along the path ends when no joint has moved by more than this [rad] for so long [s], or after the second time.
 REST_RAD: Final = 5e-5
 REST_S, REST_LONGEST_S = 0.02, 0.4
-#: SYNCs that it takes at least: where a joint turns round, or is read late, one of them sees it where the last one did.
+#: Minimum number of SYNCs: at a reversal or with a delayed reading two successive readings may be equal.
 REST_SYNCS: Final = 3
 #: Rounding of a number of periods.
 HAIR: Final = 1e-9
 
 
 def _nothing(_what: str, _row: int, _rows: int) -> None:
-    """Nobody listens."""
+    """Default report: do nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveOptions:
-    """How arms may be moved, and who may stop them.
+    """Options of a motion, and the sources of stop requests.
 
     Attributes
     ----------
@@ -62,12 +64,12 @@ class MoveOptions:
     override : float
         Speed override in (0, 1].
     first_done : callable or None
-        Set where nothing has moved yet with these drives: the first motion then goes at `FIRST_SHARE` of its speed, and
-        this is called once it has ended and the arms are in their brakes.
+        Set where nothing has moved yet with these drives: the first motion then runs at `FIRST_SHARE` of its speed.
+        Called once it has ended and the brakes are applied.
     ready : callable
         Called before power; returns when the person is ready.
     observers : Observers
-        Who looks on.
+        Observers of the motion.
     """
 
     desk: StopDesk = field(default_factory=StopDesk)
@@ -79,7 +81,7 @@ class MoveOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Station:
-    """What moves, inside which limits, and who is asked and told meanwhile.
+    """Arms, their limits, and the options of the motion.
 
     Attributes
     ----------
@@ -103,7 +105,7 @@ class Station:
 
     @property
     def scene(self) -> Scene:
-        """What an observer is shown at first."""
+        """Return the scene for the observers."""
         return Scene(self.arms, self.workspaces, self.period_s, self.state)
 
 
@@ -117,13 +119,13 @@ class Stream:
     Attributes
     ----------
     q_rad : tuple of arrays of shape (N,)
-        Last set points, one per arm.
+        Last setpoints, one per arm.
     samples : tuple of ArmSample
-        What was measured last.
+        Last measurement.
     moving : bool
-        Set points of a way are going out.
+        Setpoints of a trajectory are being sent.
     urgent : bool
-        A quick stop was asked for.
+        A quick stop was requested.
     sync_index : int
         Of the last answer.
     first_moved : bool
@@ -152,14 +154,14 @@ class Stream:
         self._gravity_nm: PerArm = ()
 
     def start(self) -> None:
-        """Power the arms; they hold the position that they stand at.
+        """Enable the arms; they hold their present positions.
 
         Raises
         ------
         DriveError
-            What failed; nothing is under power.
+            A failure; nothing is under power.
         StoppedByPerson
-            A stop was asked for on the way up; nothing is under power.
+            A stop was requested while enabling; nothing is under power.
         """
         try:
             self.samples = self._arms.enable(self._desk.asked)
@@ -175,21 +177,21 @@ class Stream:
         self._model()
 
     def move(self, motions: Sequence[Motion], what: str) -> None:
-        """Stream one prepared motion per arm, from the last set points to rest; raises as `drive`."""
+        """Stream one prepared motion per arm, from the last setpoints to rest; raises as `drive`."""
         if len(motions[0]):
             self.drive(MotionSetpoints(self.q_rad, motions), what)
 
     def drive(self, source: SetpointSource, what: str) -> None:
-        """Stream a way to its end, or to where a stop along it comes to rest.
+        """Stream a trajectory to its end, or to the end of a stop along it.
 
         Raises
         ------
         LimitExceeded
-            The watch has seen a limit left.
+            A monitored limit was exceeded.
         DriveError
             Bus or drive failed.
         BaseException
-            The cause of a wish to stop; the arms stand, or (`urgent`) have to be stopped by their drives' ramps.
+            The cause of a stop request; the arms are at rest, or (`urgent`) have to be stopped by their drives' ramps.
         """
         first_done, self._first_done = self._first_done, None
         share = self.station.options.override
@@ -220,7 +222,7 @@ class Stream:
             raise wish.cause
 
     def _asked_to_stop(self) -> bool:
-        """Whether anybody wants a stop along the path; raises the cause of a quick stop."""
+        """Return whether a stop along the path is requested; raise the cause of a quick stop."""
         wish = self._desk.look()
         if wish is None:
             return False
@@ -230,7 +232,7 @@ class Stream:
         return True
 
     def _come_to_rest(self, source: SetpointSource, at: float) -> None:
-        """Set points stand still: the servos make up for what the joints lag behind before anything is disabled."""
+        """Hold the setpoints until the joints have caught up, before anything is disabled."""
         span = max(REST_SYNCS, round(REST_S / self._period_s))
         seen: deque[np.ndarray] = deque(maxlen=span + 1)
         for _ in range(round(REST_LONGEST_S / self._period_s)):
@@ -264,7 +266,7 @@ class Stream:
         return samples
 
     def stand(self, seconds: float, what: str, listen: Callable[[tuple[ArmSample, ...]], None] | None = None) -> None:
-        """Stand for a time, and hand every SYNC to a listener; raises as `drive`."""
+        """Stay at rest for a time, and pass every SYNC to a listener; raises as `drive`."""
         rows = math.ceil(seconds / self._period_s - HAIR)
         for row in range(rows):
             samples = self.hold(what, row, rows)
@@ -272,7 +274,7 @@ class Stream:
                 listen(samples)
 
     def take_over(self, listen: Callable[[tuple[ArmSample, ...]], None] | None = None) -> None:
-        """Stand until the drives carry what the brakes have carried; parameters as `stand`."""
+        """Stay at rest until the drives carry the torque that the brakes carried; parameters as `stand`."""
         self.stand(TAKE_OVER_S, "open the brakes", listen)
 
     def excuse(self, arm: int, joints: np.ndarray) -> None:
@@ -283,11 +285,11 @@ class Stream:
         """Run a job that takes longer than a SYNC period, and keep the standing arms under SYNC meanwhile.
 
         In lockstep, where no time passes on the bus, the job runs in the calling thread. A stop does not wait for the
-        job: it is raised while the job goes on in its thread, and the result is dropped.
+        job: it is raised while the job continues in its thread, and its result is dropped.
         """
         if not (self._arms.real and self._arms.enabled):
             return job()
-        # the first SYNC of arms that stand still counts as one of moving arms: nothing may delay it
+        # the first SYNC of arms at rest counts as one of moving arms: nothing may delay it
         self.hold(what, 0, 1)
         switch_s = sys.getswitchinterval()
         sys.setswitchinterval(SWITCH_S)
@@ -311,7 +313,7 @@ class Stream:
         self._observers.reported(MotionProgress(what, row, rows))
 
     def _heed(self) -> None:
-        """The arms stand: whoever wants them to stop is answered at once."""
+        """Raise a stop request at once while the arms are at rest."""
         wish = self._desk.look()
         if wish is not None:
             self.urgent = wish.kind is StopKind.QUICK_STOP

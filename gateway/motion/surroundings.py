@@ -1,4 +1,4 @@
-"""What stands around an arm: floor, wall, column and boxes, as the cell says or as is assumed where it says nothing."""
+"""Surroundings of an arm: floor, wall, column and boxes, from the cell file or assumed where it states nothing."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Floats = NDArray[np.float64]
 
 #: A base that leans farther than this from upright is bolted to a wall or a ceiling.
 WALL_ANGLE_RAD = np.pi / 4
-#: One that leans farther than this hangs: a floor at the height of its base would leave no room for the arm.
+#: A base tilted by more than this counts as inverted: a floor at the height of the base would block the arm.
 INVERTED_MOUNT_ANGLE_RAD = np.radians(100.0)
 #: Room that is left below the shoulder's axis, in radii of a link, where floor, wall or column are assumed: a link as
 #: thick as assumed may then lie level, and 30 degrees lower.
 SHOULDER_CLEARANCE = 2.0
-#: A shoulder that lies off the base's origin by less, as a share of the reach, does not tell which way the arm points.
+#: A shoulder offset from the base's origin below this share of the reach does not determine the direction of the arm.
 LEAST_SHARE = 0.01
-#: Radius of a column that nothing is known of, as a share of the reach: bases of the 10 kg class (reach 1.3 m) are 0.25
-#: to 0.35 m wide, those of the 165 kg class (2.7 m) 0.5 to 0.9 m.
+#: Assumed radius of a column, as a share of the reach: bases of the 10 kg class (reach 1.3 m) are 0.25 to 0.35 m wide,
+#: those of the 165 kg class (2.7 m) 0.5 to 0.9 m.
 COLUMN_SHARE = 0.1
 #: Directions of the first joint at which the shoulder's height is looked at.
 _TURNS = 72
@@ -35,7 +35,7 @@ _TURNS = 72
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """Endless surface; the arm stays where `normal . x` is above `height_m`.
+    """Unbounded plane; the arm stays where `normal . x` is above `height_m`.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Plane:
         Unit vector in the base frame, away from it.
     height_m : float
     source : str
-        Its place and where that comes from.
+        Its position and the source of it.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surroundings:
-    """What does not move: planes, boxes (b, 2, 3) [m] by lower and upper corner, and the arm's own base and column."""
+    """Fixed surroundings: planes, boxes (b, 2, 3) [m] by lower and upper corner, and the arm's own base and column."""
 
     planes: tuple[Plane, ...]
     boxes_m: Floats
@@ -110,7 +110,9 @@ def _planes(arm: ArmConfig, robot: Robot) -> Iterator[Plane]:
     up, out, lean = upward(arm, robot), outward(robot), _lean_rad(arm, robot)
     if arm.floor_m is None and lean > INVERTED_MOUNT_ANGLE_RAD:
         height = -reach_m(robot)
-        yield _plane("floor", up, height, f"{height:.3f} m, assumed: a reach below a base that hangs; give arm.floor_m")
+        yield _plane(
+            "floor", up, height, f"{height:.3f} m, assumed: one reach below an inverted base; give arm.floor_m"
+        )
     elif arm.floor_m is None:
         height = _assumed_height_m(arm, robot, up)
         yield _plane("floor", up, height, f"{height:.3f} m, assumed; give arm.floor_m, or false where there is none")

@@ -1,4 +1,4 @@
-"""Torque that each axis has to have in the worst case: what a torque limit may never be lowered below."""
+"""Torque that each axis needs in the worst case: the lower bound of its torque limit."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def needed_torque_nm(
 
     1.3 x (largest gravity torque over the joint range, bare and with the rated and the heaviest load, over the gear's
     efficiency + friction band + what the quick stop of all axes at once needs: the row of the inertia matrix and the
-    rotor times the decelerations). The three maxima are added, wherever each of them lies.
+    rotor times the decelerations). The three maxima are added, although they occur at different postures.
 
     Parameters
     ----------
     workspace : Workspace
     arm : ArmConfig
-        Loads, and rotors and friction where nothing else is known of them.
+        Loads, and rotors and friction where they were not identified.
     decel_rad_s2 : array of shape (N,)
         Ramps of the quick stop at the joints.
     known : tuple of AxisConstants, one per axis, optional
@@ -81,7 +81,7 @@ def needed_torque_nm(
 def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
     """Dry friction (N,) [Nm] of the joints, the most that is known of it, that of the onset of motion included.
 
-    A band as it is assumed before any was seen where nothing is known.
+    Where nothing is known the assumed friction band is used.
     """
     return np.array([_dry_nm(*both) for both in zip(known, arm.axis, strict=True)])
 

@@ -1,8 +1,8 @@
 """Jerk-limited motions of an arm's joints, sampled once per SYNC (ruckig).
 
-All joints share one time law along a straight line in joint space: what was checked as a line is what is driven, also
-while `pathclock` brakes on it. (Phase synchronisation of a separate time law each leaves the line where the joints'
-limits differ.)
+All joints share one time law along a straight line in joint space, so that the checked line is the driven path, also
+while `pathclock` brakes on it. (Phase synchronisation of separate time laws leaves the line where the joints' limits
+differ.)
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class MotionLimits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
-    """Set points, one row per SYNC, the first one period after the start.
+    """Setpoints, one row per SYNC, the first one period after the start.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ def _at_rest(axes: int, period_s: float) -> Motion:
 
 
 def _along(line: np.ndarray, limits: MotionLimits) -> Any:
-    """Request for the way along a line (N,): every joint's limits hold for its share of it."""
+    """Return the ruckig input for a line (N,): the limits of every joint hold for its share of it."""
     request = ruckig.InputParameter(1)
     request.current_position = [0.0]
     share = np.abs(line)

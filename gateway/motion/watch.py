@@ -14,15 +14,15 @@ from gateway.motion.own_torque import OwnTorque
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.workspace import Workspace
 
-#: A limit counts as left after this many SYNCs in a row: one noisy reading stops nothing.
+#: A limit counts as exceeded after this many SYNCs in a row: one noisy reading does not stop the arm.
 IN_A_ROW = ARM_RULES["limits"].count
-#: How far a joint may stand outside its range by control and rounding.
+#: Tolerance of the joint range for control error and rounding.
 POSITION_TOLERANCE_RAD = 0.02
 #: Measured speed, a difference of counts, against the limit.
 SPEED_TOLERANCE = 1.2
 #: Shortest span over which speed is measured.
 SPEED_SPAN_S = 0.02
-#: By the clock: a SYNC is late from this share of a period on, and so many of them are looked at.
+#: Real time: a SYNC counts as delayed from this share of a period on; length of the checked window.
 DELAYED_SHARE = 0.5
 RHYTHM_S = 2.0
 
@@ -42,9 +42,9 @@ class Watch:
     period_s : float
         SYNC period.
     delay_syncs : float
-        SYNCs by which a drive may take its set points over late, beside what its servo lags.
+        SYNCs of delay with which a drive may take over its setpoints, besides its servo lag.
     own : OwnTorque, optional
-        Torque that the arm takes for its own motion.
+        Torque of the arm's own motion.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Watch:
         self._history: deque[tuple[float, np.ndarray]] = deque(maxlen=max(2, round(SPEED_SPAN_S / period_s) + 1))
 
     def start(self, q_rad: np.ndarray) -> None:
-        """Take over an arm that holds joints (N,) [rad]; a joint that stands outside its range may move inwards."""
+        """Start monitoring an arm that holds joints (N,) [rad]; a joint outside its range may move inwards."""
         away = np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD
         self._limits[RANGE] = np.maximum(self._half, away)
 
@@ -83,22 +83,22 @@ class Watch:
         self._contact.excuse(joints)
 
     def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
-        """Torque (n, N) [Nm] that the bare arm's model asks for at positions (n, N); 0 if the links are unknown."""
+        """Return the gravity torque (n, N) [Nm] of the unloaded arm at positions (n, N); 0 if the links are unknown."""
         links = self._workspace.links
         if links is None or not len(q_rad):
             return np.zeros_like(q_rad)
         return gravity_regressor(self._workspace.robot, q_rad, self._workspace.gravity_m_s2) @ links
 
     def moved_torque(self, q_rad: np.ndarray) -> np.ndarray:
-        """Torque (N,) [Nm] that the bare arm asks for on its way to set points (N,).
+        """Return the torque (N,) [Nm] of the unloaded arm moving to setpoints (N,).
 
-        Gravity there, and rotors and links, where they were identified, as of the set points before: joints lag.
+        Gravity there, and rotors and links, where they were identified, of the setpoints before, because joints lag.
         """
         gravity_nm = self.modelled_torque(q_rad[None])[0]
         return gravity_nm if self._own is None else gravity_nm + self._own.inertia_nm
 
     def check(self, sample: ArmSample, target_rad: np.ndarray, modelled_nm: np.ndarray) -> None:
-        """Check one SYNC; one that is not complete shows nothing and is passed over.
+        """Check one SYNC; an incomplete one is skipped.
 
         Parameters
         ----------
@@ -106,7 +106,7 @@ class Watch:
         target_rad : array of shape (N,)
             Joint positions that were sent with this SYNC.
         modelled_nm : array of shape (N,)
-            What a model asks for there, without friction: `modelled_torque`, `moved_torque`, or the way's own.
+            Modelled torque there, without friction: `modelled_torque`, `moved_torque`, or that of the trajectory.
 
         Raises
         ------
@@ -150,14 +150,14 @@ class Watch:
         self._contact.check(q_rad, torque_nm, modelled_nm, expected)
 
     def _narrow(self, q_rad: np.ndarray) -> None:
-        """A joint that was found outside its range comes in and never goes out again."""
+        """Narrow the tolerance of a joint that started outside its range as it moves in."""
         reach = self._limits[RANGE]
         if (reach > self._half).any():
             inward = np.minimum(reach, np.abs(q_rad - self._middle) + POSITION_TOLERANCE_RAD)
             self._limits[RANGE] = np.maximum(self._half, inward)
 
     def _check_rhythm(self, sample: ArmSample) -> None:
-        """Late SYNCs are counted; too many of them stop the arm."""
+        """Count delayed SYNCs; too many of them stop the arm."""
         before, self._sent = self._sent, (sample.sync_index, sample.time_s)
         if before is None:
             return
@@ -168,13 +168,13 @@ class Watch:
         self._contact.note_delayed_sync()
         late, rule = sum(self._delayed), ARM_RULES["rhythm"]
         if late > rule.limit * (self._delayed.maxlen or 1):
-            raise rule.raised(f"arm '{self._arm}': {late} of the last {len(self._delayed)} SYNCs went out late")
+            raise rule.raised(f"arm '{self._arm}': {late} of the last {len(self._delayed)} SYNCs were delayed")
 
     def _refuse(self, values: np.ndarray, q_rad: np.ndarray) -> None:
         if self._count[RANGE].any():
             joint = int(np.argmax(self._count[RANGE]))
             raise LimitExceeded(
-                f"arm '{self._arm}', joint {joint + 1} stands at {q_rad[joint]:.3f} rad, outside its range: "
+                f"arm '{self._arm}', joint {joint + 1} is at {q_rad[joint]:.3f} rad, outside its range: "
                 f"{ARM_RULES['range'].advice}",
                 joint=joint + 1,
             )

@@ -1,4 +1,4 @@
-"""Where the arm may stand and move: joint limits, what it may touch, torque limits. Pure and vectorised."""
+"""Check postures and paths of an arm: joint limits, collisions, torque limits. Pure and vectorised."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ TORQUE_SHARE = 0.9
 TORQUE_SHARE_BARE = 0.5
 #: Postures that are checked at once.
 BLOCK = 20_000
-#: An arm that stands outside its joint range by no more than this may move back in, to this far inside.
+#: An arm outside its joint range by no more than this may move back, to this margin inside.
 MOST_OUTSIDE_RAD = 0.35
 INWARD_MARGIN_RAD = 0.02
 #: Half-width of a friction band as a share of the torque limit, until a recording has measured it.
 BAND_SHARE = 0.013
-#: Speed of that way: this share of the speed limit, and no more than this.
+#: Speed of that motion: this share of the speed limit, and no more than this.
 INWARD_SHARE = 0.1
 INWARD_SPEED_RAD_S = 0.05
 TOO_CLOSE = f"the arm passes something closer than {500 * PATH_RESOLUTION_M:g} mm"
@@ -31,12 +31,12 @@ TOO_CLOSE = f"the arm passes something closer than {500 * PATH_RESOLUTION_M:g} m
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refusal:
-    """What stands against a way.
+    """Reason why a path is refused.
 
     Attributes
     ----------
     row : float
-        Place on the way, in rows: 2.5 is halfway from the third to the fourth posture.
+        Position on the path, in rows: 2.5 is halfway from the third to the fourth posture.
     q_rad : array of shape (N,)
         Posture there.
     reason : str
@@ -104,7 +104,7 @@ class Workspace:
     def violations(
         self, q_rad: np.ndarray, margin_rad: float = 0.0, torque_share: float = TORQUE_SHARE
     ) -> list[tuple[str, np.ndarray]]:
-        """What stands against each posture.
+        """Return the violations of each posture.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class Workspace:
         return good
 
     def why_not(self, q_rad: np.ndarray, torque_share: float = TORQUE_SHARE) -> str | None:
-        """First thing that stands against one posture (N,); None = feasible."""
+        """Return the first violation of one posture (N,); None = feasible."""
         found = self.violations(q_rad[None], torque_share=torque_share)
         return next((words for words, mask in found if mask[0]), None)
 
@@ -197,14 +197,14 @@ class Workspace:
                 clear[owner[first : first + BLOCK][over]] = False
 
     def refused_on(self, path_rad: np.ndarray) -> Refusal | None:
-        """First thing that stands against a way of postures (n, N) with straight joint motions between them.
+        """Return the first violation on a path of postures (n, N) with straight joint motions between them.
 
         What may touch and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
         """
         broken = ~np.isfinite(path_rad).all(axis=1)
         if broken.any():
             row = int(np.argmax(broken))
-            return Refusal(row, path_rad[row], "a joint angle is no finite number")
+            return Refusal(row, path_rad[row], "a joint angle is not a finite number")
         outside = self._out_of_range(path_rad)
         if outside.any():  # joint ranges hold between two rows where they hold at both
             row = int(np.argmax(outside))
@@ -227,19 +227,19 @@ class Workspace:
         return Refusal(first, q_rad, self.why_not(q_rad) or TOO_CLOSE)
 
     def why_not_path(self, q_rad: np.ndarray) -> str | None:
-        """First thing that stands against a sampled way (n, N), the posture included; None = feasible all along."""
+        """Return the first violation on a sampled path (n, N) with its posture; None = feasible."""
         refusal = self.refused_on(q_rad)
         return None if refusal is None else f"at {angles(refusal.q_rad)}: {refusal.reason}"
 
     def path_into_range(self, q_rad: np.ndarray) -> np.ndarray | None:
-        """Nearest posture (N,) inside the joint range, for an arm that stands outside; None = it stands inside.
+        """Return the nearest posture (N,) inside the joint range for an arm outside it; None = the arm is inside.
 
-        Joints outside move in, by `INWARD_MARGIN_RAD`, the others stand; the straight way there is checked.
+        Joints outside move in, by `INWARD_MARGIN_RAD`, the others stay; the straight path there is checked.
 
         Raises
         ------
         PlanRefused
-            A joint is too far outside, or something that is touched or a torque limit stands against the way.
+            A joint is too far outside, or a collision or torque limit prevents the path.
         """
         if not self._out_of_range(q_rad[None])[0]:
             return None
@@ -258,13 +258,13 @@ class Workspace:
         reason = wider.why_not_path(np.array([q_rad, target]))
         if reason is not None:
             raise PlanRefused(
-                f"on the way of joint {', '.join(map(str, np.flatnonzero(beyond > 0) + 1))} back into its range, "
+                f"on the path of joint {', '.join(map(str, np.flatnonzero(beyond > 0) + 1))} back into its range, "
                 f"{reason}; move the arm clear by hand or jog it with the drive's own tool"
             )
         return target
 
     def inward_speed_rad_s(self) -> np.ndarray:
-        """Speed (N,) of the way back into the joint range."""
+        """Return the speed (N,) of the motion back into the joint range."""
         return np.minimum(INWARD_SHARE * self.speed_rad_s, INWARD_SPEED_RAD_S)
 
     def travel_time(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:

@@ -2,7 +2,8 @@
 
 After CN104379308. What carries the coordination is arithmetic without bus, clock or files:
 
-- `transform`, `relation`, `function`, `path`: poses, eqs. (3) and (4), the relation as a function of the way, the path;
+- `transform`, `relation`, `function`, `path`: poses, eqs. (3) and (4), the relation as a function of arc length, the
+path;
 - `inverse`, `force`, `calibration`: joint positions for poses, force from joint torque, its internal part;
 - `impedance`, `adjust`, `distance`, `guard`: how a hand yields, teaching, distance instead of force, the limit;
 - `representative`, `store`, `selection`, `learning`, `learner`: what is learned from corrections, and where;

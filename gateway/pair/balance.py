@@ -27,26 +27,26 @@ from gateway.pair.model_uncertainty import (
 )
 from gateway.pair.transform import Floats
 
-#: Force inside the part that is expected at rest, standard deviation, and by the speed of the hand, as servos lag
-#: unlike each other [N], [N s/m]; moments by a lever [m].
+#: Expected internal force at rest, standard deviation, and per speed of the hand, because servos lag differently [N],
+#: [N s/m]; moments by a lever [m].
 USUAL_N, USUAL_N_S_M, LEVER_M = 40.0, 320.0, 0.2
-#: Share of its friction that a joint may be off while it turns one way, and while that is not settled.
+#: Uncertainty of friction as a share of it, in steady motion and while friction has not settled.
 TURNING_SHARE, EITHER_SHARE = 0.04, 1.0 / math.sqrt(3.0)
 #: What a torque sample may be off, as a share of the largest torque of the axis: noise, vibration of the gear.
 SAMPLE_SHARE = 0.002
 #: What no mean of neighbours makes less, the same share by the square of the speed of the hand [s^2/m^2]: what no model
-#: follows then (vibration of the gears, drives that filter unlike each other).
+#: follows then (vibration of the gears, different filters of the drives).
 UNFOLLOWED_S2_M2 = 0.003
 #: Hands do not yield to what joints that have not turned yet may feign of a force, so many standard deviations of it:
 #: where nothing is between them they would squeeze the part by what they yield.
 CERTAIN_STD = 2.0
-#: What is out of balance on a way, as the square of what is expected there: above it something beside the part and what
-#: is unsure of the arms has pulled at them.
+#: Mean square of the unexplained torque over its expectation: above it something besides the part and what is unsure of
+#: the arms has pulled at them.
 UNEXPLAINED_RATIO = 4.0
 
 
 class ForceBalance:
-    """Wrench inside the part, SYNC by SYNC on one way, and of the whole way once it is over.
+    """Estimate of the internal wrench at every SYNC of a trajectory, and of the completed trajectory.
 
     Parameters
     ----------
@@ -57,21 +57,21 @@ class ForceBalance:
 
     Attributes
     ----------
-    count : commands of the way
-    delay : how many commands before the last one the arms are
+    count : commands of the trajectory
+    delay : number of commands by which the arms lag
     uncertainty : ModelUncertainty
     wrench, covariance : array of shape (6,), None before the first, and its covariance (6, 6)
     fresh : bool
-        The last SYNC has told it.
+        The last SYNC updated it.
     pulled : bool
-        Something has pulled at the arms on the last way that was learned from, and not on the one before.
+        An external force acted on the arms on the last trajectory used for learning, and not on the one before.
     """
 
     def __init__(
         self, arms: tuple[ExternalTorque, ExternalTorque], maps: PathWrenches, dt_s: float, cutoff_hz: float
     ) -> None:
         self._arms, self._maps = arms, maps
-        #: SYNCs over which a way that is over is averaged.
+        #: SYNCs over which a completed trajectory is averaged.
         self._size = max(1, round(AVERAGED_S / dt_s)) | 1
         self._low_pass = 1.0 - math.exp(-2.0 * math.pi * cutoff_hz * dt_s)
         self.count = len(arms[0].delay)
@@ -103,7 +103,7 @@ class ForceBalance:
         self.begin(ModelUncertainty(constants_of(len(limit_nm))))
 
     def begin(self, uncertainty: ModelUncertainty) -> None:
-        """Forget the way before, and take the arms' constants as they are known by now."""
+        """Reset the estimate, and take the present uncertainty of the arms' constants."""
         self.uncertainty = uncertainty
         self._unsure = self._nominal @ uncertainty.covariance @ np.swapaxes(self._nominal, 1, 2)
         self._value = uncertainty.value.copy()
@@ -114,9 +114,10 @@ class ForceBalance:
             arm.reset()
 
     def take(self, m: int, seen: tuple[Shown | None, Shown | None], row: int | None) -> None:
-        """What both arms showed at the SYNC before that of command m, kept as row `row` of the way if it is one.
+        """Take the observations of both arms at the SYNC before that of command m, stored as row `row` of the
+        trajectory.
 
-        A SYNC of which one arm has told nothing leaves the wrench as it is, not `fresh`.
+        A SYNC without data of one arm leaves the wrench unchanged and not `fresh`.
         """
         first, second = seen
         self.fresh = first is not None and second is not None
@@ -138,7 +139,9 @@ class ForceBalance:
         self._feigned = self._feigned + self._low_pass * (feigned - self._feigned)
 
     def inputs(self, m: int) -> tuple[Floats, Floats] | None:
-        """Wrenches (6,) on both fingertips, base axes [N, Nm], that hold the part and the force beyond doubt."""
+        """Return wrenches (6,) on both fingertips, base axes [N, Nm], of the part's weight and the certain internal
+        force.
+        """
         if self.wrench is None:
             return None
         maps, certain = self._maps, self._certain_force(self.wrench)
@@ -158,17 +161,18 @@ class ForceBalance:
         return certain
 
     def mean_to_and_fro(self) -> Floats:
-        """Wrench (6,) of the mean torque of a way that goes to and fro, so that friction cancels."""
+        """Return the wrench (6,) of the mean torque of a forward and backward motion, so that friction cancels."""
         torque, turned, speed, acceleration = np.nanmean(self._seen, axis=1)
         left = torque - self._share[0] - self.columns.torque(0, self._value, turned, speed, acceleration)
         beside = OF_MOTION * len(torque)
         columns, unsure = self.columns.along[0], self.uncertainty.covariance[beside:, beside:]
         return self._solved(0, left, columns @ unsure @ columns.T + np.diag(self._sample_nm**2))[0]
 
-    # -- a way that is over ------------------------------------------------------------------------------------------
+    # -- a completed trajectory
+    # ------------------------------------------------------------------------------------------
 
     def learn(self) -> None:
-        """Let the way tell the arms' constants, unless something has pulled at the arms on this way alone."""
+        """Update the arms' constants from the trajectory, unless an external force acted on the arms on it alone."""
         unexplained = self._out_of_balance() > UNEXPLAINED_RATIO
         self.pulled, self._unexplained = unexplained and not self._unexplained, unexplained
         if self.pulled:
@@ -179,7 +183,7 @@ class ForceBalance:
         self.uncertainty.learn(columns[there], left[there], self._force[there], std[there])
 
     def _out_of_balance(self) -> float:
-        """Mean square along the way of what no force inside the part explains, over what is expected of it."""
+        """Return the mean square of the torque not explained by an internal force, over its expectation."""
         left, weight, information = self._weighed()
         pulled = np.einsum("nij,nj->ni", information, left)
         explained = np.einsum("ni,ni->n", pulled, np.linalg.solve(information @ self._force, pulled[..., None])[..., 0])
@@ -187,7 +191,9 @@ class ForceBalance:
         return float(np.mean(square)) / (left.shape[1] - self._force.shape[2])
 
     def internal_force(self) -> InternalForce:
-        """Wrench along the way with all that is known at its end: averaged to both sides, so never late."""
+        """Return the internal wrench along the completed trajectory, averaged symmetrically and therefore without
+        delay.
+        """
         left, _, information = self._weighed()
         covariance = np.linalg.inv(information @ self._force + self._usual)
         wrench = np.einsum("nij,njk,nk->ni", covariance, information, left)
@@ -196,7 +202,7 @@ class ForceBalance:
         )
 
     def _weighed(self) -> tuple[Floats, Floats, Floats]:
-        """Averaged torques (M, J) that the constants leave, their weights (M, J, J), and those by wrench (M, 6, J)."""
+        """Return averaged residual torques (M, J), their weights (M, J, J), and those by wrench (M, 6, J)."""
         left, columns, hidden = self._averaged()
         left = left - columns @ self.uncertainty.value
         unsure = columns @ self.uncertainty.covariance @ np.swapaxes(columns, 1, 2)
@@ -207,8 +213,8 @@ class ForceBalance:
     def _averaged(self) -> tuple[Floats, Floats, Floats]:
         """Torques (M, J) less the part's share, what is unsure of them (M, J, K), and what dry friction hides (M, J).
 
-        Over neighbours alike: an instant that a SYNC or an encoder is off feigns an acceleration of many times the
-        true one, and with it a torque and an inertia that is none; a mean of both knows neither.
+        Torque and inertia are averaged over the same neighbours: a timing error of a SYNC or an encoder simulates a
+        large acceleration, and the mean of both suppresses it.
         """
         torque, turned, speed, acceleration = np.stack([_filled(each) for each in self._seen])
         each = torque - self._share, self.columns.of(turned, speed, acceleration), self._hidden(turned)
@@ -220,7 +226,7 @@ class ForceBalance:
         return np.hypot(TURNING_SHARE * self._coulomb_nm, self._open(turned))
 
     def _open(self, turned: Floats) -> Floats:
-        """The same for friction that may still act either way, as a joint has not turned yet or just turned round."""
+        """Return the same for friction of unknown direction, where a joint has not moved yet or has just reversed."""
         return EITHER_SHARE * self._coulomb_nm * np.sqrt(1.0 - turned**2)
 
     def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats, Floats]:

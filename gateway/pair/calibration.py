@@ -1,4 +1,4 @@
-"""What the coordination must know of the cell, and the wrenches and poses of a whole path prepared from it."""
+"""Calibration of the cell for the coordination, and linear maps of wrenches and poses along a path."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def _typical_stiffness() -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairCalibration:
-    """The cell as the controller knows it.
+    """Calibration data of the cell used by the controller.
 
     Attributes
     ----------
@@ -32,12 +32,12 @@ class PairCalibration:
         Bases of master and slave in the world [m].
     e1_t_part : array of shape (4, 4)
         Part's centre in gripper 1.
-    part_mass_kg : 0 = unknown; half of it is taken to hang on each gripper.
+    part_mass_kg : 0 = unknown; half of it is assumed at each gripper.
     gravity_m_s2 : array of shape (3,), world axes.
     chain_stiffness : array of shape (6, 6)
         Of gears and part between the hands about fingertip 2, `[N/m; Nm/rad]`.
     loop_time_s : servo lag + bus delay + force filter + half a cycle.
-    force_limit_n : what the part may feel; as long as it feels more, learning is in a hurry.
+    force_limit_n : limit of the internal force; above it learning is faster.
     """
 
     w_t_b1: Floats
@@ -65,7 +65,7 @@ class PairCalibration:
 
 
 class PathWrenches:
-    """Linear maps along a path between what the arms feel and what squeezes the part.
+    """Linear maps along a path between the wrenches at the fingertips and the internal wrench.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""How far the hands give way to the force between them: gears of both arms and part, told by the cycles that were run.
+"""Estimate the compliance between the hands (gears of both arms and part) from completed cycles.
 
-What is stated of the chain is its stiffest direction. Across it gears give way several times as far, and a step for
-the force that was left would be several times too short there. Two cycles that were commanded differently show by how
-much: the compliance at the slave's fingertip is that of the stated stiffness and of each joint's gear,
-`S = inv(K) + sum_j c_j g_j g_j^T` with `g_j` the move of the fingertips against each other per turn of joint j, linear
-in the c_j of all joints, none of which is negative.
+The stated stiffness is that of the stiffest direction. In other directions the gears are several times more compliant,
+and a correction of the remaining force would be several times too small. Two cycles that were commanded differently
+show by how much: the compliance at the slave's fingertip is that of the stated stiffness and of each joint's gear, `S =
+inv(K) + sum_j c_j g_j g_j^T` with `g_j` the move of the fingertips against each other per turn of joint j, linear in
+the c_j of all joints, none of which is negative.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from scipy.optimize import nnls
 
 from gateway.pair.transform import Floats, cross_matrix
 
-#: Compliance of a joint that is expected before any was seen, standard deviation [rad/Nm].
+#: Prior standard deviation of the compliance of a joint [rad/Nm].
 USUAL_RAD_NM = 5e-5
-#: What servos and gears do otherwise from one cycle to the next, turns by `LEVER_M` [m]; SYNCs over which it is alike.
+#: Repeatability of servos and gears from cycle to cycle, rotations by `LEVER_M` [m]; its correlation length in SYNCs.
 DISTANCE_REPEAT_M, CORRELATED_SYNCS = 5e-5, 10
-#: By which turns count into ways [m].
+#: Lever that converts rotations to lengths [m].
 LEVER_M = 0.25
 
 
@@ -44,7 +44,7 @@ class GearChain:
     Attributes
     ----------
     joints_rad_nm : array of shape (J,)
-        Compliance of each joint beside the stated stiffness, as far as cycles have told it.
+        Estimated compliance of each joint in addition to the stated stiffness.
     """
 
     def __init__(self, hands: tuple[Hand, Hand], bases: tuple[Floats, Floats], stiffness: Floats) -> None:
@@ -73,9 +73,9 @@ class GearChain:
         Parameters
         ----------
         command : array of shape (M, 6)
-            Of the slave's hand, off any fixed one, base axes [m, rad].
+            Of the slave's hand relative to any fixed one, base axes [m, rad].
         wrench : array of shape (M, 6)
-            At its fingertip where the arms did what the command says, base axes [N, Nm].
+            At its fingertip at the time of the command, base axes [N, Nm].
         """
         last, self._last = self._last, (command, wrench)
         if last is None:

@@ -1,8 +1,8 @@
 """The pair, one control cycle at a time: forces in, commands of both grippers out. No clock, no I/O.
 
-Per command `m` the slave's command is the master's through the function of the way, `B2_T_E2 = inv(W_T_B2) W_T_B1
-command T(s[m])` (CN104379308 eq. (4)), plus what the yielding hands add. Function and corrections change only between
-two cycles: functions are exchanged at m = 0, corrections start from nothing there.
+Per command `m` the slave's command is the master's through the function of arc length, `B2_T_E2 = inv(W_T_B2) W_T_B1
+command T(s[m])` (CN104379308 eq. (4)), plus the corrections of the yielding hands. Function and corrections change only
+between two cycles: functions are exchanged at m = 0, corrections start from zero there.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from gateway.pair.transform_function import TransformFunction
 from gateway.result.pair import CycleSummary
 
 LENGTH_TOLERANCE = 1e-4
-#: Force that a taught function leaves at rest, and by how much the servos of two arms lag unlike each other, standard
-#: deviations [N], [s].
+#: Force that a taught function leaves at rest, and difference of the servo lags of two arms, standard deviations [N],
+#: [s].
 TAUGHT_N, LAG_DIFFERENCE_STD_S = 8.0, 0.002
 #: How much later than at its command a gap is read that is left there, by the loop time: hands that answer it meanwhile
 #: are ahead of the loop. From 0 to 1 learning settled, at 1.5 it built up from cycle to cycle (example cell).
@@ -58,7 +58,7 @@ class PairController:
     calibration : PairCalibration
     first_function : TransformFunction
     chain : GearChain, optional
-        What the hands give way to; by the calibration's stiffness alone if none is given.
+        Compliance between the hands; by default from the calibration's stiffness.
 
     Raises
     ------
@@ -78,7 +78,7 @@ class PairController:
     ) -> None:
         if first_function.s_m[-1] > path.length_m * (1.0 + LENGTH_TOLERANCE):
             raise InputError(
-                f"the function's last knot lies at {first_function.s_m[-1]:.4g} m, the path is only"
+                f"the function's last knot is at {first_function.s_m[-1]:.4g} m, the path is only"
                 f" {path.length_m:.4g} m long: the function belongs to another path"
             )
         self._config, self._path, self._calibration, self._chain = config, path, calibration, chain
@@ -115,12 +115,12 @@ class PairController:
         self._cycle, self._frozen, self._running = 0, False, False
 
     def start_cycle(self, begun: Floats | None = None) -> None:
-        """Begin a cycle, standing still at the start: corrections back to nothing, function exchanged if it is due.
+        """Begin a cycle at rest at the start: reset the corrections, exchange the function if it is due.
 
         Parameters
         ----------
         begun : array of shape (n, 6), optional
-            Corrections of the slave beside its own, at the first commands: from where it stands into the function.
+            Additional corrections of the slave at the first commands, from its present pose to the function.
         """
         self._begun = np.zeros((0, 6)) if begun is None else begun
         count, commands = len(self._path), self._path.commands
@@ -206,7 +206,9 @@ class PairController:
         return correction
 
     def beside(self, slave: Floats) -> Floats:
-        """Correction (6,) from the slave's first command of the next cycle to where it stands (4, 4), base axes."""
+        """Return the correction (6,) from the slave's first command of the next cycle to its present pose (4, 4), base
+        axes.
+        """
         plain = self._shared @ self._path.commands[0] @ self.function.at(float(self._path.s_m[0]))
         return correction_between(slave, plain)
 
@@ -218,7 +220,7 @@ class PairController:
         complete : bool
             False when an epoch was incomplete or the arms were stopped.
         internal_force : InternalForce, optional
-            The force of the whole way, if it is known better now than on it.
+            The internal force of the completed trajectory, where it is available.
         """
         self._running = False
         all_visited = complete and bool(self._visited.all())
@@ -255,7 +257,7 @@ class PairController:
         )
 
     def _reason(self, complete: bool, internal_force: InternalForce | None) -> str:
-        """Why a cycle is not learned from; "" when it is, or when nothing is ever learned."""
+        """Return why a cycle is not used for learning; "" when it is, or when learning is off."""
         rule = self._config.learning
         if rule is None:
             return ""
@@ -267,7 +269,7 @@ class PairController:
             return "learning is off"
         if self._blind >= 0:
             what = "gap" if self._distance else "force"
-            return f"no {what} could be told at command {self._blind + 1}"
+            return f"no {what} could be determined at command {self._blind + 1}"
         if rule.source != "command" and np.isnan(self._measured).any():
             return "present positions are missing"
         if internal_force is not None and internal_force.pulled:
@@ -285,7 +287,7 @@ class PairController:
         return corrections
 
     def _left(self, internal_force: InternalForce | None) -> Floats | None:
-        """What the slave's hand would still have to move (M, 6) [m, rad], at the commands that it belongs to."""
+        """Return the remaining correction (M, 6) [m, rad] of the slave's hand, at the commands that it belongs to."""
         rule = self._config.learning
         if rule is None or rule.source != "command" or self._hands[1] is None:
             return None
@@ -301,10 +303,10 @@ class PairController:
         return self._chain.move(at_tip)
 
     def _trust(self, internal_force: InternalForce | None) -> Floats | None:
-        """How much of what was learned is believed (M,), against a first function that was taught at rest.
+        """Return the weight (M,) of the learned function against a first function that was taught at rest.
 
-        What is hidden by friction at rest was taught there; what is taught at rest is wrong on the way by what the
-        servos of both arms lag unlike each other.
+        Teaching at rest includes errors hidden by friction; in motion it is wrong by the difference of the servo lags
+        of both arms.
         """
         if internal_force is None or self._config.first != "taught":
             return None

@@ -1,4 +1,4 @@
-"""How far both hands are off while a way is streamed: told by the force in the part, or by distance sensors."""
+"""Deviation of both hands during a trajectory: from the internal force, or from distance sensors."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from gateway.pair.joint_targets import ExternalTorque
 from gateway.pair.transform import Floats
 
 Samples = tuple[ArmSample, ...]
-#: How far from the beginning of a way the torques that hold the arms there still tell the force [rad].
+#: Largest distance from the start of a trajectory at which the holding torques there still give the force [rad].
 NEAR_RAD = 5e-3
 
 
 class Deviation(Protocol):
-    """What a stream asks, cycle by cycle, and what it has gathered in the end (see `motion.Streamed`)."""
+    """Interface of the deviation estimate, called every cycle, and its result (see `Streamed`)."""
 
     force: Floats
     gaps_m: Floats
 
     def listen(self, samples: Samples) -> None:
-        """Take in a cycle at standstill, before the way begins."""
+        """Take one cycle at standstill, before the trajectory begins."""
         ...
 
     def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
-        """What the commander is told for command m."""
+        """Return the inputs of the commander for command m."""
         ...
 
     def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:
@@ -42,11 +42,11 @@ class Deviation(Protocol):
         ...
 
     def size_n(self, m: int) -> float:
-        """Force inside the part at command m [N]; 0 where nothing feels it."""
+        """Return the internal force at command m [N]; 0 where it is not measured."""
         ...
 
     def doubtful(self, m: int) -> bool:
-        """Whether what was felt at command m may be friction, where joints come to rest."""
+        """Return whether the force at command m may be friction, where joints come to rest."""
         ...
 
 
@@ -59,9 +59,9 @@ class DeviationFromForce:
     balance : ForceBalance of the way, begun
     guard : ForceGuard
     still : ForceGuard
-        On the way to the beginning, where no force is expected.
+        During the approach to the start, where no force is expected.
     dt_s : control cycle
-    friction_uncertainty_n : a force that friction may feign [N]
+    friction_uncertainty_n : a force that friction may simulate [N]
     """
 
     def __init__(
@@ -87,11 +87,11 @@ class DeviationFromForce:
         self._balance.take(m, (first, second), row)
 
     def listen(self, samples: Samples) -> None:
-        """Torques become wrenches, so that a way begins with forces and not without."""
+        """Convert torques to wrenches, so that forces are available at the start of a trajectory."""
         self._update(0, samples, 1.0, None)
 
     def rest(self, samples: Samples) -> str:
-        """Take in a cycle on the way to the beginning; why both arms must stop, "" = they need not.
+        """Take one cycle of the approach to the start; return why both arms must stop, "" = continue.
 
         Only near the beginning: its weights are known.
         """
@@ -108,7 +108,7 @@ class DeviationFromForce:
         if not self._still.step(size_n - 2.0 * std_n):
             return ""
         return (
-            f"the force inside the part rose to {size_n:.0f} N on the way to the start, above"
+            f"the internal force rose to {size_n:.0f} N during the approach to the start, above"
             f" {self._still.threshold_n:g} N: both arms stop; a part that is held is gripped elsewhere than the"
             " function has it: open the grippers, check the grasp of both arms, then close them at the start"
         )
@@ -132,11 +132,11 @@ class DeviationFromForce:
             return ""
         self.force[m] = self._balance.wrench
         size_n = self.size_n(m)
-        # a SYNC that has told nothing is no evidence that a force lasts; who tells nothing for long is stopped for that
+        # a SYNC without data does not prove that a force persists; long gaps stop the arm for another reason
         if not self._balance.fresh or not self._guard.step(size_n):
             return ""
         return (
-            f"the force inside the part was above {self._guard.threshold_n:.0f} N for more than"
+            f"the internal force was above {self._guard.threshold_n:.0f} N for more than"
             f" {1e3 * self._guard.time_s:.0f} ms ({size_n:.0f} N at command {m + 1} of {self._balance.count}):"
             f" both arms stop; release the part before moving on; {self._cause(m)}"
         )
@@ -153,9 +153,9 @@ class DeviationFromDistance:
     Parameters
     ----------
     watch : GapWatch
-        Already takes in every cycle.
+        Already takes every cycle.
     slave : array of shape (M, 4, 4)
-        Nominal commands of the slave along the way.
+        Nominal commands of the slave along the trajectory.
     """
 
     def __init__(self, watch: GapWatch, slave: Floats) -> None:
@@ -165,7 +165,7 @@ class DeviationFromDistance:
         self._watch, self._slave = watch, slave
 
     def listen(self, samples: Samples) -> None:
-        """Nothing to do: the watch has listened."""
+        """Nothing to do: the watch takes every cycle."""
 
     def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
         """None, and the move (6,) [m, rad] in the slave's base axes; None too where the last SYNC had no value."""
@@ -175,7 +175,7 @@ class DeviationFromDistance:
         return None, self._watch.layout.estimator.error_in_base(readings, self._slave[m])
 
     def size_n(self, m: int) -> float:
-        """0: nothing is held in common."""
+        """Return 0: no common part."""
         return 0.0
 
     def doubtful(self, m: int) -> bool:

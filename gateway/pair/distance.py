@@ -1,8 +1,8 @@
 """Distance sensors in place of force: two hands that keep a gap without touching (CN104379308 embodiment 5).
 
-Sensors on one gripper look at planes of what the other one carries. From their readings follows how the slave's
-fingertip is displaced against the wanted relation, in as many components as the sensors determine; only the selected
-ones are corrected. All else (functions, learning) is as with force.
+Sensors on one gripper measure the distance to planes on the other one. Their readings give the displacement of the
+slave's fingertip from the demanded relation, in as many components as the sensors determine; only the selected ones are
+corrected. Functions and learning are as with force.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DistanceSensors:
     Attributes
     ----------
     origin_m, beam : arrays of shape (n, 3)
-        Where a sensor sits and the unit direction it looks in, frame of the gripper that carries it.
+        Position and unit direction of a sensor, frame of the gripper that carries it.
     point_m, normal : arrays of shape (n, 3)
         A point of the plane and its unit normal, frame of the other gripper.
     on_master : array of bool of shape (n,)
@@ -78,7 +78,7 @@ class DistanceSensors:
 
 
 class DistanceEstimator:
-    """What the slave's fingertip still has to move, from distances.
+    """Remaining displacement of the slave's fingertip, from distances.
 
     Parameters
     ----------

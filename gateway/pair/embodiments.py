@@ -1,7 +1,7 @@
-"""The embodiments of CN104379308 as configurations of the same parts, and the rows of the comparison.
+"""Embodiments of CN104379308 as configurations of the same components, and the rows of the comparison.
 
-Each row names the first function that it needs, which hand yields to force, and what is learned. Nothing in the
-controller asks for a row's name.
+Each row names the first function that it needs, which hand yields to force, and what is learned. The controller does
+not depend on a row's name.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Hands = Literal["none", "slave", "master", "both"]
 
 @dataclass(frozen=True, slots=True)
 class Embodiment:
-    """One way to run the pair.
+    """One configuration of the pair.
 
     Attributes
     ----------
@@ -35,7 +35,7 @@ class Embodiment:
     corrects : which hands yield to force
     gains : impedance of a yielding hand; doubled by the controller when both yield
     dead_band : (force [N], moment [Nm]) that is not corrected
-    sensing : "force", or "distance" (then `[m]`, `[rad]` stand where `[N]`, `[Nm]` stand, and damping is in s)
+    sensing : "force", or "distance" (then `[m]`, `[rad]` replace `[N]`, `[Nm]`, and damping is in s)
     learning : None = the first function stays
     points : learning points of the first function
     """
@@ -68,7 +68,7 @@ _ROWS = (
         first="fixed",
         sensing="distance",
         gains=DISTANCE_GAINS,
-        # a gap is measured as it is: no stiffness stands between it and the move that closes it
+        # a gap is measured directly: its correction does not depend on a stiffness
         learning=LearningRule(left_share=1.0),
         points=100,
     ),
@@ -93,5 +93,5 @@ EMBODIMENTS: Mapping[str, Embodiment] = {row.name: row for row in _ROWS}
 
 
 def with_gains(embodiment: Embodiment, gains: Gains) -> Embodiment:
-    """The same row with another impedance."""
+    """Return the same row with another impedance."""
     return replace(embodiment, gains=gains)

@@ -1,4 +1,4 @@
-"""The force on a gripper from joint torques, and which part of it squeezes the workpiece (CN104379308 [0063]).
+"""Wrench on a gripper from joint torques, and its internal part that loads the workpiece (CN104379308 [0063]).
 
 A wrench `[F (3) N; M (3) Nm]` is what the WORKPIECE exerts ON THE GRIPPER, about the fingertip, in the axes of that
 robot's base. Joint torque is actuator torque, positive in +q: `tau_motor = tau_model + tau_friction - J^T W`.
@@ -19,7 +19,7 @@ GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
 
 
 def dead_band(value: ArrayLike, band: ArrayLike) -> Floats:
-    """Value (..., 6) without what lies inside the band (6,); continuous at its edge."""
+    """Apply a dead band (6,) to a value (..., 6); continuous at its edge."""
     values = np.asarray(value, dtype=float)
     return np.sign(values) * np.maximum(np.abs(values) - np.asarray(band), 0.0)
 

@@ -1,4 +1,4 @@
-"""When the force between the arms must stop both of them."""
+"""Stop both arms when the force between them exceeds its limit."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import numpy as np
 from gateway.errors import ConfigError
 from gateway.pair.transform import Floats
 
-#: Share of the threshold below which nothing was wrong yet, and a rise from there that no path makes so fast [s].
+#: Share of the threshold that counts as normal, and a rise time from there that no path causes [s].
 CALM_SHARE, SUDDEN_S = 0.4, 0.1
-#: Drives take over a set point about half a period after its SYNC. One that is later than this share of a period may
+#: Drives take over a setpoint about half a period after its SYNC. One delayed by more than this share of a period may
 #: miss that: joints jerk, each with the lag of its servo, and what that does to the force is over after so long [s].
 DELAYED_SHARE, DELAY_MEMORY_S = 0.4, 0.2
 DELAY_TEXT = "a SYNC shortly before was"
@@ -21,7 +21,7 @@ class ForceGuard:
     Parameters
     ----------
     limit_n : float
-        What the part may feel.
+        Limit of the internal force.
     dt_s : float
     time_s : float
     factor : float
@@ -43,23 +43,23 @@ class ForceGuard:
 
 
 def cause_of(force_n: Floats, threshold_n: float, dt_s: float, delay_s: float = 0.0) -> str:
-    """What a force (n,) [N] that has tripped the guard at its last cycle comes from, by how it got there.
+    """Return the probable cause of a force (n,) [N] that has tripped the guard, from its history.
 
     Parameters
     ----------
     force_n : array of shape (n,)
     threshold_n : of the guard
     dt_s : SYNC period
-    delay_s : by how much a SYNC of the last `DELAY_MEMORY_S` was late
+    delay_s : largest delay of a SYNC of the last `DELAY_MEMORY_S`
     """
     if delay_s > DELAYED_SHARE * dt_s:
         return (
-            f"{DELAY_TEXT} {1e3 * delay_s:.1f} ms late, of {1e3 * dt_s:g} ms, and drives may have missed a set point:"
+            f"{DELAY_TEXT} {1e3 * delay_s:.1f} ms late, of {1e3 * dt_s:g} ms, and drives may have missed a setpoint:"
             " end other work on this computer, give it a real-time scheduler, or raise sync_period_s"
         )
     calm = np.flatnonzero(force_n < CALM_SHARE * threshold_n)
     if not len(calm):
-        return "it was there from the beginning of the way: check the grasp of both arms, then teach again"
+        return "it was present from the start of the trajectory: check the grasp of both arms, then teach again"
     rose_s = (len(force_n) - 1 - calm[-1]) * dt_s
     if rose_s <= SUDDEN_S:
         return (

@@ -71,12 +71,12 @@ def from_json(text: str, where: str) -> StoredFunction:
 
 
 def refuse_foreign(stored: StoredFunction, path_hash: str, cell_hash: str, where: str) -> None:
-    """Make sure that a stored function is for this path and this cell.
+    """Refuse a stored function of another path or cell.
 
     Raises
     ------
     InputError
-        Says which of both differs, and what to do.
+        States which of both differs, and what to do.
     """
     if stored.cell_hash != cell_hash:
         raise InputError(

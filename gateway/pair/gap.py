@@ -1,4 +1,4 @@
-"""Distance sensors of a cell: which device says what, what follows from it, and when the gap must stop both arms."""
+"""Distance sensors of a cell: devices and channels, plausibility check, and conditions that stop both arms."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.data.sample import ArmSample
 from gateway.pair.distance import DistanceEstimator, DistanceSensors
 from gateway.pair.transform import Floats, inverse
 
-#: By how much sensors may be off what the hands' motion asks for: share of it, and at least [m]; for so many SYNCs.
+#: Largest difference between sensors and the hands' motion: share of it, and at least [m]; number of SYNCs.
 SENSOR_MISMATCH, LEAST_MOVED_M, SENSOR_MISMATCH_SYNCS = 0.3, 1.5e-4, 2
 
 
@@ -41,7 +41,7 @@ class GapLayout:
 
 
 def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
-    """Sensors of a cell file, each a demanded gap from its plane at the wanted relation (4, 4).
+    """Sensors of a cell file, each a demanded gap from its plane at the demanded relation (4, 4).
 
     Raises
     ------
@@ -54,7 +54,7 @@ def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
     beam = np.array([np.array(one.beam) / np.linalg.norm(one.beam) for one in config.channel])
     gap = np.array([[one.gap_m] for one in config.channel])
     on_master = np.array([one.on == "master" for one in config.channel])
-    # a plane is fixed to the other gripper: that is where the beam ends at the wanted relation
+    # a plane is fixed to the other gripper: the beam ends on it at the demanded relation
     spots = [
         _moved(inverse(wanted) if master else wanted, start, along)
         for master, start, along in zip(on_master.tolist(), origin + gap * beam, -beam, strict=True)
@@ -66,7 +66,7 @@ def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
 
 
 def instruments_on(bus: str, pair: PairConfig | None) -> tuple[InstrumentSetup, ...]:
-    """Measuring devices of a cell on a bus, without what their channels mean."""
+    """Return the measuring devices of a cell on a bus, without the meaning of their channels."""
     distance = None if pair is None else pair.distance
     return () if distance is None or distance.bus != bus else (_instrument(distance),)
 
@@ -87,7 +87,7 @@ def _moved(relation: Floats, point: Floats, direction: Floats) -> tuple[Floats, 
 
 
 class SensorCheck:
-    """Whether each sensor follows the hands while these move by a little, as their encoders have it.
+    """Check that each sensor follows small movements of the hands measured by the encoders.
 
     Where the hands are is not known as well as the sensors measure; how far they have moved since is, as geometry is
     off by the same as before.
@@ -136,7 +136,7 @@ class SensorCheck:
             why = f"sensors {one} and {other} are swapped: each moves as the other one should; exchange their channels"
         else:
             why = (
-                f"sensor {number[worst]} moved by {1e3 * moved[worst]:.2f} mm where the hands' own motion asks for"
+                f"sensor {number[worst]} moved by {1e3 * moved[worst]:.2f} mm where the hand motion gives"
                 f" {1e3 * expected[worst]:.2f} mm: check its place, direction and wiring"
             )
         return f"distance {why}; both arms were stopped"
@@ -157,7 +157,7 @@ class GapTrouble:
 
 
 class GapWatch:
-    """Takes in the distances of every SYNC; keeps none that is older.
+    """Monitors the distances of every SYNC; no older value is used.
 
     Parameters
     ----------
@@ -196,7 +196,7 @@ class GapWatch:
         if self._missing < config.missing_cycles:
             return None
         without = [one.subindex for one, value in zip(config.channel, values, strict=False) if value is None]
-        why = f"sensor {without[0]} reports no valid value" if without else "its frames are missing or late"
+        why = f"sensor {without[0]} reports no valid value" if without else "its frames are missing or delayed"
         return GapTrouble(
             f"node {config.node_id} on bus '{config.bus}': no distances for {self._missing} cycles, {why}: both arms"
             " were stopped; check the measuring device",

@@ -1,7 +1,7 @@
 """Impedance between hand and workpiece, `M x'' + D x' + K x = h`, as a correction per control cycle.
 
-Discretised implicitly, which is stable for any cycle time by itself. What makes it oscillate is the loop around it: the
-hand moves late by `T` (servo, buses, force filter, half a cycle), and the chain of gears and part answers with its
+Discretised implicitly, which is stable for any cycle time by itself. The loop around it may oscillate: the hand moves
+with the delay `T` (servo, buses, force filter, half a cycle), and the chain of gears and part responds with its
 stiffness. With the crossover at `K_tot/D` the loop oscillates below `D = (2/pi) K_tot T`; in several directions the
 largest eigenvalue of `D^-1 K_tot` counts.
 """
@@ -26,8 +26,8 @@ LEAST_MARGIN = 1.0
 class Gains:
     """Impedance, the same along x, y, z: force part and moment part.
 
-    `damping` [N s/m, Nm s/rad], `stiffness` [N/m, Nm/rad], `inertia` [kg, kg m2]. Stiffness 0 makes pure integral
-    action: the correction goes on until the force has gone.
+    `damping` [N s/m, Nm s/rad], `stiffness` [N/m, Nm/rad], `inertia` [kg, kg m2]. Stiffness 0 is pure integral action:
+    the correction continues until the force is zero.
     """
 
     damping: tuple[float, float]
@@ -153,6 +153,8 @@ def refuse_unstable(
 
 
 def lag_of_correction_s(gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float) -> float:
-    """How long a correction comes after the force that caused it: `D/K_tot + T` [s], by the mean force stiffness."""
+    """Return the delay of a correction after the force that caused it: `D/K_tot + T` [s], by the mean force
+    stiffness.
+    """
     stiffness = np.asarray(chain_stiffness, dtype=float)
     return gains.damping[0] / float(np.trace(stiffness[:3, :3]) / 3.0) + loop_time_s

@@ -1,4 +1,4 @@
-"""Force inside the part along a way that is over."""
+"""Internal force of the part along a completed trajectory."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 from gateway.pair.transform import Floats
 
-#: Time over which torques are averaged for a way that is over: one vibration of a gear [s].
+#: Averaging time of torques of a completed trajectory: one vibration of a gear [s].
 AVERAGED_S = 0.06
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InternalForce:
-    """Wrench inside the part along a way that is over.
+    """Internal wrench of the part along a completed trajectory.
 
     Attributes
     ----------
     wrench : array of shape (M, 6)
-        About the part's centre, world axes [N, Nm], where the arms did what command m says.
+        About the part's centre, world axes [N, Nm], at the time when the arms followed command m.
     covariance : array of shape (M, 6, 6)
     pulled : bool
-        Something beside the part has pulled at the arms, on this way and not on the one before.
+        An external force acted on the arms, on this trajectory and not on the one before.
     """
 
     wrench: Floats

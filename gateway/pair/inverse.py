@@ -1,11 +1,11 @@
-"""Joint positions for gripper poses, by the nominal geometry, and how far each posture is from a singular one.
+"""Joint positions for gripper poses by the nominal geometry, and the distance of each posture from a singularity.
 
 Newton's method on `[dp; log(R_target R^T)]` with a damping that fades with the error (Levenberg-Marquardt), so that it
 converges quadratically near the solution and does not run away far from it. The branch of the solution is that of the
 seed: along a path every posture is the seed of the next one.
 
-An arm of more than six axes has many postures for one pose. It takes the one nearest to the posture it is said to rest
-in: no matter by which way it got there, so that ways that meet in a pose meet in all joints too.
+An arm of more than six axes has many postures for one pose. The one nearest to the stated rest posture is chosen,
+independent of the path to it, so that paths that meet in a pose meet in all joints too.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SEED_EVERY = 10
 #: How near to the nearest posture an arm of more than six axes is brought [rad], and the least curvature of the
 #: distance that a step towards it is measured by.
 NEAREST_RAD, LEAST_CURVATURE = 1e-6, 0.25
-#: How far a gripper is moved to see how its joints follow, a turn as a way at 1 m.
+#: Displacement of a gripper for a finite difference of its joints, a rotation by a lever of 1 m.
 NEARBY_M = 1e-3
 
 
@@ -40,7 +40,7 @@ NEARBY_M = 1e-3
 class ForwardChain:
     """Constants of a robot's forward kinematics, prepared for one call per control cycle.
 
-    `rest_rad` (N,) is the posture that an arm of more than six axes stays near; None = near each seed.
+    `rest_rad` (N,) is the reference posture of an arm of more than six axes; None = near each seed.
     """
 
     fixed: Floats
@@ -95,7 +95,8 @@ def chain_of(robot: Robot, rest_rad: Floats | None = None) -> ForwardChain:
 
 
 def solve(chain: ForwardChain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floats:
-    """Joint positions (n, N) [rad] for gripper poses (n, 4, 4), each from its own seed (n, N); limits not looked at.
+    """Return joint positions (n, N) [rad] for gripper poses (n, 4, 4), each from its own seed (n, N); limits not
+    checked.
 
     Raises
     ------
@@ -132,8 +133,8 @@ def solve(chain: ForwardChain, targets: ArrayLike, seeds_rad: ArrayLike) -> Floa
 def _towards(away_rad: Floats, jacobian: Floats) -> Floats:
     """Step (n, N) [rad], gripper left where it is, to the posture nearest to another one that is `away` (n, N) [rad].
 
-    Newton's step of `|q - rest|^2` along the projection p of the way there on what the gripper does not see: with the
-    multipliers l of `rest - q = J^T l + p`, the distance curves by `1 + l . (dJ/dt p)/|p|^2` along it.
+    Newton's step of `|q - rest|^2` along the projection p of `rest - q` on the null space: with the multipliers l of
+    `rest - q = J^T l + p`, the distance curves by `1 + l . (dJ/dt p)/|p|^2` along it.
     """
     turned = np.swapaxes(jacobian, 1, 2)
     normal = jacobian @ turned + 1e-14 * np.eye(ROWS)

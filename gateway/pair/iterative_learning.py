@@ -1,4 +1,4 @@
-"""First and second function of the pair, and how the second one comes about while the pair runs."""
+"""Iterative learning control: the second function of the pair is learned while the pair runs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ SETTLED_CYCLES = 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cycle:
-    """What one complete cycle has shown.
+    """Data of one complete cycle.
 
     Attributes
     ----------
@@ -39,9 +39,9 @@ class Cycle:
     corrections : array of shape (M, 2, 6)
     force : array of shape (M, 6), internal wrench
     left : array of shape (M, 6), optional
-        What the slave's hand would still have to move at each command for the force that was left [m, rad], base axes.
+        Remaining correction of the slave's hand at each command for the remaining force [m, rad], base axes.
     trust : array of shape (M,), optional
-        From 0 to 1: how much of the way from the first function to what was learned is believed.
+        From 0 to 1: weight of the learned function against the first one.
     """
 
     master_base: Floats
@@ -54,7 +54,7 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """What a learning step has done; `change` is that of the function at its knots."""
+    """Result of a learning step; `change` is that of the function at its knots."""
 
     updated: bool
     knots: int
@@ -63,7 +63,7 @@ class Learned:
 
 
 class IterativeLearning:
-    """Learns the second function by a rule; holds no time and does no I/O.
+    """Iterative learning of the second function by a rule; no clock, no I/O.
 
     Parameters
     ----------
@@ -77,9 +77,9 @@ class IterativeLearning:
     Attributes
     ----------
     master_offset : array of shape (M, 6)
-        What the master has taken over of its own corrections (fig. 15). A mean that is only lent to the slave would
-        outlive its cause: once the function holds what both hands did, the force goes, the master no longer yields,
-        and the slave would still follow where it had.
+        Own corrections that the master has adopted (fig. 15). A mean applied to the slave alone would persist after its
+        cause: once the function holds the corrections of both hands, the force vanishes, the master no longer yields,
+        and the slave would still follow its old correction.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class IterativeLearning:
         return self._points.copy()
 
     def learn(self, cycle: Cycle) -> Learned:
-        """Take in one complete cycle; rebuilds the second function when the rule says so.
+        """Take one complete cycle; rebuild the second function when the rule requires it.
 
         A block is not waited for until the force has once been inside its limit: what is far off is far off in every
         cycle, and the part is to be spared another one.
@@ -147,10 +147,10 @@ class IterativeLearning:
         return self._take(function, cycle, typical[:, 0] if taken_over else np.zeros_like(typical[:, 0]))
 
     def _asked(self, cycle: Cycle) -> Floats:
-        """Corrections (M, 2, 6) that a cycle asks for, each at the command that it belongs to.
+        """Return the corrections (M, 2, 6) of a cycle, each at the command that it belongs to.
 
-        A correction comes later than the force that caused it. Where the force that was left is known, what the hands
-        did stays where they did it, and what they should have done beside it is added.
+        A correction is delayed against the force that caused it. Where the remaining force is known, the corrections
+        stay at their commands, and the missing part is added.
         """
         width = round(0.5 * self._rule.smooth_s / self._path.dt_s)
         corrections = smoothed(cycle.corrections, width)
@@ -167,7 +167,7 @@ class IterativeLearning:
         return shared @ apply_correction(cycle.master_base, typical[:, 0]) @ self.in_use.many(self._path.s_m)
 
     def _choose_points(self, correction: Floats, wanted: Floats | None) -> None:
-        """Where the next function has its points; `wanted` (M, 4, 4) is the relation that is known at every command."""
+        """Return the points of the next function; `wanted` (M, 4, 4) is the known relation at every command."""
         selection = self._rule.selection
         if selection is None:
             return
@@ -221,5 +221,5 @@ class IterativeLearning:
 
 
 def largest_n(cycle: Cycle) -> float:
-    """Largest force inside the part that a cycle has shown [N]."""
+    """Return the largest internal force of a cycle [N]."""
     return float(np.linalg.norm(cycle.force[:, :3], axis=1).max())

@@ -1,4 +1,4 @@
-"""From gripper commands to joint targets and from joint torques to wrenches, prepared for a whole path."""
+"""Convert gripper commands to joint targets and joint torques to wrenches, precomputed for a path."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.pair.pair_cell import PairArm
 from gateway.pair.presliding import Presliding
 from gateway.pair.transform import Floats, correction_between
 
-#: SYNCs that follow each other sooner than this share of a period do not tell an acceleration.
+#: SYNCs closer than this share of a period give no usable acceleration.
 SHORT_PERIODS = 0.5
 #: How far a command may lie from the prepared path; further away the prepared Jacobians no longer hold.
 LARGEST_OFFSET = 0.03
@@ -45,7 +45,7 @@ class JointFollower:
         Raises
         ------
         PlanRefused
-            The command lies more than 30 mm or 30 mrad off the path.
+            The command deviates more than 30 mm or 30 mrad from the path.
         """
         away = correction_between(command, self.poses[m])
         if np.abs(away).max() > LARGEST_OFFSET:
@@ -60,7 +60,7 @@ class JointFollower:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:
-    """What one arm showed at one SYNC; arrays of shape (N,).
+    """Observations of one arm at one SYNC; arrays of shape (N,).
 
     Attributes
     ----------
@@ -76,10 +76,10 @@ class Shown:
 
 
 class ExternalTorque:
-    """Joint torques of one arm that its own motion along a path does not need.
+    """External joint torques of one arm: measured torque less that of its own motion along a path.
 
-    What the drives report belongs to where the arm was when it was sampled: one cycle and the servos' lag behind the
-    command. Friction is that of the measured motion.
+    Readings of the drives belong to the posture at sampling time: one cycle and the servo lag behind the command.
+    Friction is that of the measured motion.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ class ExternalTorque:
     ----------
     arm : PairArm
     delay : array of shape (M,)
-        The command at which the arm is when command m is sent, not rounded.
+        Command (not rounded) at which the arm is when command m is sent.
     q_rad, speed_rad_s, acceleration_rad_s2 : arrays of shape (M, N)
-        Of the nominal motion, that late.
+        Of the nominal motion, with that delay.
     jacobian : array of shape (M, 6, N)
     """
 
@@ -120,7 +120,7 @@ class ExternalTorque:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was seen."""
+        """Reset the history."""
         self._last: ArmSample | None = None
         self._before: ArmSample | None = None
         self._presliding = Presliding(self.arm.axes, self._dt_s)
@@ -128,9 +128,9 @@ class ExternalTorque:
     def update(self, m: int, sample: ArmSample, rate: float = 1.0) -> Shown | None:
         """Take in what was measured at the SYNC of command m; what the SYNC before it showed.
 
-        Only now the acceleration there is known from the encoders. With that of the commands in its place the loop
-        would answer the torque by which its own corrections move the arm. None for an incomplete sample, and for SYNCs
-        that were held up and then followed each other too soon.
+        Only now is the acceleration there available from the encoders. With commanded accelerations the loop would
+        react to the torque of its own corrections. None for an incomplete sample, and for SYNCs that were delayed and
+        then followed each other too soon.
 
         `rate` is how fast time passes along the path.
         """

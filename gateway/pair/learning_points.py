@@ -1,10 +1,10 @@
-"""Where along the path the learning points belong (CN104379308 embodiment 8, fig. 16).
+"""Choose the learning points along the path (CN104379308 embodiment 8, fig. 16).
 
 Every feature gives a value per command; divided by its threshold it is a score, and commands whose score reaches 1 are
-candidates at its local maxima (all of a level stretch). The best ones are accepted first, apart in time and in way.
-Position and time confine the other features under "all". Start and end always belong. Old points stay (union): a region
-that is well learned shows no force any more, and without its points the force would come back. Taking the new points
-alone (replace) is the patent's text, kept for comparison.
+candidates at its local maxima (all of a level stretch). The best ones are accepted first, with a minimum distance in
+time and arc length. Position and time confine the other features under "all". Start and end are always included. Old
+points stay (union): a well learned region has no force any more, and without its points the force would return. Taking
+the new points alone (replace) is the patent's text, kept for comparison.
 """
 
 from __future__ import annotations
@@ -78,7 +78,8 @@ class Selection:
     largest_count: int = 20
     apart_s: float = 0.03
     apart_m: float = 0.005
-    #: A point is added where the function without it would leave more than this force, 0 = nowhere; up to this count.
+    #: A point is added where the function without it would leave more than this force, 0 = nowhere; largest number of
+    #: points.
     gain_n: float = 0.0
     refined_count: int = 60
     prune_m: float = 0.02e-3
@@ -91,7 +92,7 @@ class Selection:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """What one block of cycles has shown, per command: force and correction (M, 6), force of the block before."""
+    """Data of one block of cycles, per command: force and correction (M, 6), force of the block before."""
 
     force: Floats
     correction: Floats
@@ -153,14 +154,14 @@ def refine(
     ----------
     selection : Selection
     wanted : array of shape (M, 4, 4)
-        Relation that every command asks for.
+        Demanded relation of every command.
     path : PairPath
     present : array of int, rising
     stiffness : of the chain, straight [N/m] and turned [Nm/rad]
 
     Returns
     -------
-    array of int, rising, at most `refined_count`; apart in time and in way
+    array of int, rising, at most `refined_count`; with a minimum distance in time and arc length
     """
     chosen = np.unique(present)
     straight, turned = np.asarray(stiffness, dtype=float)
@@ -181,9 +182,9 @@ def refine(
 
 
 def prune(selection: Selection, function: TransformFunction) -> TransformFunction:
-    """The function without knots whose absence nobody would notice; first and last stay.
+    """Remove knots that change the function by less than the tolerance; first and last stay.
 
-    A knot goes when the straight line between its neighbours passes within `prune_m` and `prune_rad` of it.
+    A knot is removed when the straight line between its neighbours passes within `prune_m` and `prune_rad` of it.
     """
     s_m, knots = function.s_m, function.knots
     kept = list(range(len(s_m)))

@@ -5,9 +5,9 @@ representative corrections (eqs. (25) to (27)); the learning points are then tak
 
 Three hazards decide the form. A function that is rebuilt each cycle from the mean of the last R corrections applies
 every correction R times and becomes unstable from R = 5 on: either it is rebuilt once per block of R cycles and the
-store cleared, or the stored corrections are re-referenced to the new function. A correction comes later than the force
-that caused it, so the one of `lead` later belongs to a command. And measured positions teach the servos' lag with the
-wrong sign (a lag difference d enters as -d v where +d v is needed), so commands are the default source.
+store cleared, or the stored corrections are re-referenced to the new function. A correction is delayed against its
+force, so the one `lead` later belongs to a command. Measured positions would teach the servo lag with the wrong sign (a
+lag difference d enters as -d v where +d v is needed), so commands are the default source.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ class Forgetting:
     """Learning with forgetting, per knot in coordinates about the first function (u_0 = 0).
 
     `u_(n+1) = (1 - gamma) u_n + phi e_n + psi (e_n - e_(n-1))/Tc` with the proposed change e_n. With trial gain g it
-    converges if `|1 - gamma - g phi| < 1` (psi = 0), and it keeps the share `gamma/(gamma + g phi)` of the way back to
-    the first function: forgetting buys robustness with residual force. gamma 0.02 to 0.1 and phi 0.3 to 0.8 are usual.
+    converges if `|1 - gamma - g phi| < 1` (psi = 0), and it keeps the share `gamma/(gamma + g phi)` of the difference
+    to the first function: forgetting buys robustness with residual force. gamma 0.02 to 0.1 and phi 0.3 to 0.8 are
+    usual.
     """
 
     gamma: float = 0.0
@@ -72,7 +73,7 @@ class LearningRule:
     schedule : "block" rebuilds once per R cycles and clears the store, "rereferenced" every cycle
     source : "command" (corrected commands), "measured" (present positions of both), or "master_measured" (for a
         master whose controller filters its commands: its present positions, the slave's corrected commands)
-    lead_s : how much later than the command its correction is read; None = damping/stiffness + loop time
+    lead_s : delay between a command and its correction; None = damping/stiffness + loop time
     smooth_s : width of the symmetric mean over the commands around the one that is read; what changes faster than the
         correction can follow would otherwise build up from update to update where learning points are close
     left_share : share of the correction for the force that was left at the end of a cycle, where it is known, that is
@@ -121,7 +122,7 @@ class Bases:
 
 
 def led(values: Floats, lead: int) -> Floats:
-    """Values (M, ...) as they are `lead` commands later; the last one holds at the end."""
+    """Return values (M, ...) shifted by `lead` commands; the last one is repeated at the end."""
     return values[np.minimum(np.arange(len(values)) + lead, len(values) - 1)]
 
 
@@ -164,7 +165,9 @@ def from_local(coordinates: Floats, reference: Floats) -> Floats:
 
 
 def at_points(relations: Floats, s_m: Floats, points: np.ndarray) -> TransformFunction:
-    """Function through the relations (M, 4, 4) at chosen commands; of commands at the same way the first is taken."""
+    """Function through the relations (M, 4, 4) at chosen commands; of commands at the same arc length the first is
+    taken.
+    """
     arc_m, first = np.unique(s_m[points], return_index=True)
     return function_of_knots(arc_m, relations[points[first]])
 

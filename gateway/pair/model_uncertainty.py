@@ -1,8 +1,8 @@
-"""What the cell does not say exactly of two arms, and what their torques say of it while they carry a part together.
+"""Uncertainty of the constants of two arms, reduced by the torques measured while they carry a part together.
 
-The torques of two arms of six axes hold six numbers of the force inside the part; the six others belong to both arms'
-models alone, as do those of any axis more. What is not in balance there tells friction, rotors and links by the way,
-without any motion for it.
+Of the twelve torques of two six-axis arms, six components depend on the internal force. The six others, and those of
+any further axis, depend on the models of the arms alone. Their residual estimates friction, rotors and links during
+normal operation.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ COULOMB_SHARE, VISCOUS_SHARE, ROTOR_SHARE, LINK_SHARE = 0.25, 0.3, 0.15, 0.03
 OF_MOTION, OF_PATH, OF_PART = 3, 2, 4
 #: Standard deviation of a part's mass: share of it, and of one that is not stated [kg]; of where its weight acts [m].
 PART_SHARE, UNKNOWN_KG, PART_OFF_M = 0.1, 5.0, 0.03
-#: What each cycle leaves of what was told before: friction changes as arms get warm.
+#: Forgetting factor per cycle: friction changes as arms get warm.
 KEPT = 0.8
-#: SYNCs over which what no column explains stays alike.
+#: Correlation length of the unexplained torque, in SYNCs.
 CORRELATED_SYNCS = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UncertaintyColumns:
-    """Torque (M, J) [Nm] per standard deviation of what is not known exactly, of the J joints of both arms.
+    """Torque (M, J) [Nm] per standard deviation of each uncertain constant, of the J joints of both arms.
 
     Attributes
     ----------
@@ -124,7 +124,7 @@ def part_uncertainty(share_per_kg: Floats, mass_kg: float) -> Floats:
 
 
 class ModelUncertainty:
-    """Constants of both arms in standard deviations from what the cell says, and how well they are known.
+    """Constants of both arms in standard deviations from the values of the cell file, with their covariance.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ class ModelUncertainty:
         self.value, self.covariance = np.zeros(count), np.eye(count)
 
     def learn(self, columns: Floats, torque_nm: Floats, force: Floats, std_nm: Floats) -> None:
-        """Take in one way.
+        """Update from one trajectory.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""What a cell file says about a pair: arms, geometry, path, model; everything that can be known without a bus."""
+"""Read the pair from a cell file: arms, geometry, path, model; needs no bus."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gateway.pair.relation import relation, slave_command
 from gateway.pair.transform import Floats
 
 COLUMNS = ("time_s", "x_m", "y_m", "z_m", "roll_rad", "pitch_rad", "yaw_rad")
-#: Constants of an axis, by key of the cell and as a person is told of them: names in `AxisConstants`.
+#: Constants of an axis by key of the cell file and by name in messages: names in `AxisConstants`.
 CONSTANTS = {
     "rotor_inertia_kg_m2": "rotor_kg_m2",
     "coulomb_nm": "coulomb_nm",
@@ -87,7 +87,7 @@ class PairArm:
 
     @property
     def said(self) -> tuple[str, ...]:
-        """Where rotors and friction come from, and what has to be said of them: a line each."""
+        """Return the source of rotors and friction and remarks on them, a line each."""
         sources: dict[str, list[str]] = {}
         for axis in self.known:
             for name, attribute in STATED_AS.items():
@@ -133,7 +133,7 @@ class PairCell:
         Of the master.
     specs : tuple of two BusSpec
     gap : GapLayout or None
-        Distance sensors, None = the part is felt by force.
+        Distance sensors, None = the internal force is used.
     """
 
     loaded: LoadedCell
@@ -249,7 +249,7 @@ def _arm(loaded: LoadedCell, config: ArmConfig, grasp: Floats) -> PairArm:
         if None in values:
             where = values.index(None) + 1
             raise ConfigError(
-                f"arm '{config.name}', axis {where}: {key} is missing; force from torque needs it, nothing is assumed:"
+                f"arm '{config.name}', axis {where}: {key} is missing; it is needed for force from torque:"
                 " give it, or name under `identified` a result of record --moving that holds it"
             )
         constants.append(np.array([value.value for value in values]))

@@ -1,8 +1,8 @@
-"""Both arms along prepared ways: gripper commands in, set points for the motion loop out, forces and gaps watched.
+"""Motion of both arms along prepared trajectories: gripper commands in, setpoints out, forces and gaps monitored.
 
-What a pair knows beyond its joints is judged here, and asks the motion loop for a stop: a force inside the part above
-twice the limit for more than 20 ms along the path, with the relation kept, and by quick stop if it goes on rising; a
-gap outside its range by quick stop, one without a value along the path. All else is seen by `gateway.motion`.
+Stops requested here: an internal force above twice the limit for more than 20 ms stops along the path, with the
+relation kept, and by quick stop if it goes on rising. A gap outside its range stops by quick stop, one without a value
+along the path. All other limits are checked by `gateway.motion`.
 """
 
 from __future__ import annotations
@@ -39,24 +39,24 @@ from gateway.pair.relation import relation
 from gateway.pair.servo_lag import LagLaw
 from gateway.pair.transform import Floats, inverse
 
-#: How far an arm may stand from where the part is gripped when a run begins [rad].
+#: Largest distance of an arm from the grip posture when a run begins [rad].
 START_TOLERANCE_RAD = 0.02
 #: Speed at which an arm is moved to where the next motion begins, and the shortest time of such a move.
 APPROACH_RAD_S = 0.1
 APPROACH_S = 0.2
-#: The speed near the start where a part may be held already: a force that rises is seen before it is large [rad/s].
+#: Speed near the start where a part may already be held: a rising force is detected before it is large [rad/s].
 HELD_RAD_S = 0.002
-#: Standing still before a way begins, so that the servos have settled [s].
+#: Standstill before a trajectory begins, so that the servos settle [s].
 DWELL_S = 0.1
 #: Over which the end of one motion fades into the next [s].
 FADE_S = 0.4
-#: Standing still before a way, until torques have become wrenches.
+#: Standstill before a trajectory, until wrenches are available.
 LISTEN_CYCLES = 12
-#: What is seen of servos is taken together over so long [s].
+#: Observations of the servos are combined over this time [s].
 TOGETHER_S = 0.4
-#: Share of the limit that may be in a part on the way to the start, beyond all doubt.
+#: Share of the limit allowed as certain force in a part during the approach to the start.
 AT_REST = 0.5
-#: On the way to a stop a force below this share of the limit may be friction: hands do not yield to it.
+#: While stopping, a force below this share of the limit may be friction: hands do not yield to it.
 DOUBTFUL = 0.5
 
 Result = TypeVar("Result")
@@ -64,7 +64,7 @@ Samples = tuple[ArmSample, ...]
 
 
 class PairStopped(PlanRefused):
-    """Both arms were stopped, or are about to be; the message says why."""
+    """Both arms were stopped, or are about to be; the message states the cause."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +74,11 @@ class PairMotionOptions:
     Attributes
     ----------
     speed : speed setting, the cell's if None
-    back_speed : of the way back, as forward if None
-    force_limit_n : twice this force inside the part stops both arms; None = the cell's limit
+    back_speed : of the return, as forward if None
+    force_limit_n : twice this internal force stops both arms; None = the cell's limit
     force_stop_s : after this time
-    laws_s : how each joint (J, 2) follows its set points, as in `TaughtPath`; None = all alike
-    moves : what holds for every motion, a single arm's too
+    laws_s : how each joint (J, 2) follows its setpoints, as in `TaughtPath`; None = all equal
+    moves : options of every motion, also of a single arm
     """
 
     speed: float | None = None
@@ -90,7 +90,7 @@ class PairMotionOptions:
 
 
 def calibration_of(cell: PairCell) -> PairCalibration:
-    """What the controller must know of a cell."""
+    """Return the calibration data of a cell for the controller."""
     first, second = cell.arms
     plain = PairCalibration(
         first.world_from_base,
@@ -122,9 +122,9 @@ class PairMotion:
     Attributes
     ----------
     samples : what both arms reported last
-    uncertainty : constants of both arms as the ways so far have told them
-    laws_s : how each joint (J, 2) follows its set points: every way makes up for what they are unlike
-    following : the same as all motions so far have told it
+    uncertainty : uncertainty of the constants of both arms, updated by every trajectory
+    laws_s : how each joint (J, 2) follows its setpoints: every trajectory compensates the differences
+    following : the same, estimated from all motions so far
     """
 
     def __init__(self, cell: PairCell, stream: Stream, options: PairMotionOptions | None = None) -> None:
@@ -162,7 +162,7 @@ class PairMotion:
         return first, second
 
     def prepare_trajectory(self, path: PairPath, seeds_rad: Pair) -> PreparedTrajectory:
-        """Prepare a way of the master that begins near joint angles (N,) of each arm.
+        """Prepare a trajectory of the master that begins near joint angles (N,) of each arm.
 
         Raises
         ------
@@ -204,12 +204,12 @@ class PairMotion:
         )
 
     def start(self) -> None:
-        """Both arms are powered: stand until the drives carry what the brakes carried."""
+        """Stay at rest after enabling until the drives carry the torque that the brakes carried."""
         self.see(self.stream.samples)
         self.stream.take_over(self.see)
 
     def stand(self, rows: int, what: str = "stand", listen: Callable[[Samples], None] | None = None) -> None:
-        """Stand for some SYNCs at the last targets."""
+        """Stay at rest for some SYNCs at the last targets."""
 
         def pass_on(samples: Samples) -> None:
             self.see(samples)
@@ -219,9 +219,9 @@ class PairMotion:
         self.stream.stand(rows * self.dt_s, what, pass_on)
 
     def approach(self, goal: Pair, dwell_s: float = DWELL_S, held: PreparedTrajectory | None = None) -> None:
-        """Bring each arm to joint targets (N,) slowly, at the same time, then stand still.
+        """Move each arm slowly to joint targets (N,), both at the same time, then stay at rest.
 
-        With `held`, the way that begins there, the force in a part that they may hold already is watched.
+        With `held`, the trajectory that begins there, the force in a part that may already be held is monitored.
         """
         deviation = None if held is None or self._gap is not None else self.prepare(lambda: self._force_deviation(held))
         watch = None if deviation is None else self._asking(deviation.rest)
@@ -244,7 +244,7 @@ class PairMotion:
         self.stand(round(dwell_s / self.dt_s), listen=watch)
 
     def _asking(self, look: Callable[[Samples], str]) -> Watch:
-        """Has both arms stopped once `look`, which takes in every SYNC, says why."""
+        """Return a listener that requests a stop of both arms once `look`, called at every SYNC, returns a cause."""
         asked = False
 
         def watch(samples: Samples) -> None:
@@ -257,11 +257,11 @@ class PairMotion:
         return watch
 
     def prepare(self, job: Callable[[], Result]) -> Result:
-        """Compute what takes longer than a cycle while both arms stand."""
+        """Run a computation that takes longer than a cycle while both arms are at rest."""
         return self.stream.hold_while(job, "compute")
 
     def settle(self, trajectory: PreparedTrajectory, commander: Commander) -> None:
-        """Stand at the beginning of a way until the commander has nothing left to correct."""
+        """Stay at the start of a trajectory until the commander has nothing left to correct."""
         watch = None if self._gap is None else self._asking(self._sensors_follow(self._gap))
         deviation = self.prepare(lambda: self._deviation(trajectory))
         self.stream.drive(Settling(self, trajectory, commander, deviation, watch), "settle")
@@ -281,12 +281,12 @@ class PairMotion:
         return look
 
     def run(self, trajectory: PreparedTrajectory, commander: Commander, *, fade: bool = False) -> Streamed:
-        """Every command of a way; with `fade` what the arms stand off its beginning is faded out.
+        """Run every command of a trajectory; with `fade` the initial deviation of the arms is faded out.
 
         Raises
         ------
         PairStopped, DriveError, LimitExceeded, KeyboardInterrupt
-            Both arms stand, or are stopped when their power is taken away.
+            Both arms are at rest, or are stopped when their power is taken away.
         """
         along = self.prepare(
             lambda: Along(
@@ -306,13 +306,13 @@ class PairMotion:
         )
 
     def _internal_force(self, trajectory: PreparedTrajectory) -> InternalForce:
-        """What a way has shown of both arms and of the force, once it is over."""
+        """Return the internal force along a completed trajectory, and update the model."""
         if self._complete:
             trajectory.balance.learn()
         return trajectory.balance.internal_force()
 
     def _deviation(self, trajectory: PreparedTrajectory) -> Deviation:
-        """What tells on this way how far the hands are off, from standing still on."""
+        """Return the deviation estimate of this trajectory, starting at rest."""
         if self._gap is not None:
             return DeviationFromDistance(self._gap, self.cell.nominal_slave(trajectory.path))
         return self._force_deviation(trajectory)
@@ -325,13 +325,15 @@ class PairMotion:
         return DeviationFromForce(trajectory.torques, trajectory.balance, guard, still, self.dt_s, DOUBTFUL * usual_n)
 
     def offsets(self, q: PerArm) -> PerArm | None:
-        """Friction of free hands; with a common part the torque is what tells the force, and nothing is added to it."""
+        """Return friction offsets of free hands; with a common part the torque measures the force and gets no
+        offset.
+        """
         if not self._friction:
             return None
         return tuple(each.at(target) for each, target in zip(self._friction, q, strict=True))
 
     def see(self, samples: Samples) -> None:
-        """Take in a SYNC wherever the arms are powered, also on the way to the start."""
+        """Take a SYNC whenever the arms are powered, also during the approach to the start."""
         self.samples = samples
         self.following.take(np.concatenate(self.q_rad), np.concatenate([sample.q_rad for sample in samples]))
         if not all(sample.complete for sample in samples):
@@ -346,7 +348,7 @@ class PairMotion:
 
 
 def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
-    """Make sure that both arms stand at the start of the path, where the part is gripped.
+    """Refuse arms that are not at the start of the path, where the part is gripped.
 
     Parameters
     ----------
@@ -356,14 +358,14 @@ def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
     Raises
     ------
     WrongPlace
-        An arm stands elsewhere.
+        An arm is at another posture.
     """
     for arm, q in zip(cell.arms, where, strict=True):
         away = np.abs(q - arm.start_rad)
         if away.max() > START_TOLERANCE_RAD:
             joint = int(np.argmax(away))
             raise WrongPlace(
-                f"arm '{arm.config.name}': joint {joint + 1} stands at {q[joint]:.4f} rad, the part is gripped at"
+                f"arm '{arm.config.name}': joint {joint + 1} is at {q[joint]:.4f} rad, the part is gripped at"
                 f" {arm.start_rad[joint]:.4f} rad; bring both arms to the start of the path first, without the part",
                 arm.config.name,
                 ",".join(f"{value:g}" for value in arm.start_rad),
@@ -371,7 +373,7 @@ def refuse_elsewhere(cell: PairCell, where: Sequence[Floats]) -> None:
 
 
 def refuse_unreachable(name: str, workspace: Workspace, q_rad: Floats, dt_s: float) -> None:
-    """Make sure that a way (M, N) [rad], one row per SYNC, keeps the limits of the cell, between its rows too.
+    """Refuse a trajectory (M, N) [rad], one row per SYNC, that exceeds the limits of the cell, between its rows too.
 
     The other arm and the part are no obstacles here.
 

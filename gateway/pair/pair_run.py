@@ -1,7 +1,7 @@
 """One embodiment on one path, cycle after cycle, over two buses.
 
-A cycle carries the part along the path and back, and each way learns for itself. Learning never sees a way with an
-incomplete epoch or a stop in it.
+A cycle carries the part along the path and back, and both directions learn separately. A trajectory with an incomplete
+epoch or a stop is not used for learning.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from gateway.pair.transform import Floats
 from gateway.pair.transform_function import TransformFunction, function_of_knots
 from gateway.result.pair import CycleSummary
 
-#: Standing at the start until servos have crept to where they were told, through their friction [s].
+#: Standstill at the start until the servos have crept to their targets, against friction [s].
 SETTLED_S = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairCycle:
-    """One way forward.
+    """Result of one forward trajectory.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class PairCycle:
     force : array of shape (M, 6)
         Internal wrench about the part's centre, world axes, as estimated [N, Nm].
     internal_force : InternalForce or None
-        The same with its covariance, None where nothing is held in common.
+        The same with its covariance, None without a common part.
     gaps_m : array of shape (M, n)
         Distances less the demanded ones, NaN where a cycle had no value; n = 0 without sensors.
     learning_s : time that the learning step took
@@ -61,7 +61,7 @@ def reversed_path(path: PairPath) -> PairPath:
 
 
 def reversed_function(function: TransformFunction, length_m: float) -> TransformFunction:
-    """The same relation by the way from the end."""
+    """Return the same relation by the arc length from the end."""
     return function_of_knots(length_m - function.s_m[::-1], function.knots[::-1])
 
 
@@ -77,7 +77,7 @@ class PairRun:
     first : TransformFunction
     options : PairMotionOptions, optional
     back : TransformFunction, optional
-        Of the way back, by the way from the end of the path; as forward if there is none.
+        Of the return, by the arc length from the end of the path; as forward if there is none.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class PairRun:
 
     @property
     def learned_back(self) -> TransformFunction | None:
-        """What was learned of the way back, None = nothing yet."""
+        """Return the learned function of the return, None = nothing yet."""
         return None if self._return is None else self._return.state().second
 
     def start(self) -> None:
@@ -121,16 +121,16 @@ class PairRun:
         self.motion.start()
 
     def stand(self) -> None:
-        """Bring both arms to the start of the path, corrections at nothing: where the grippers close."""
+        """Move both arms to the start of the path with zero corrections, where the grippers close."""
         self.motion.approach(self._trajectory.targets(0, self._stationary()), SETTLED_S, self._trajectory)
 
     def cycle(self) -> PairCycle:
-        """One way forward, from standing at the start; learns from it if it was complete.
+        """Run one forward trajectory from rest at the start; learn from it if it was complete.
 
         Raises
         ------
         PairStopped, DriveError, KeyboardInterrupt
-            Both arms were stopped; nothing was learned from this cycle.
+            Both arms were stopped; this cycle was not used for learning.
         """
         controller, trajectory = self.controller, self._trajectory
         self.motion.prepare(controller.start_cycle)
@@ -167,21 +167,23 @@ class PairRun:
         return command, slave_command(first.world_from_base, command, second.world_from_base, relation)
 
     def back(self) -> bool:
-        """The same way back, which learns for itself: servos and gears answer otherwise; whether it has learned."""
+        """Run the return, which learns separately because servos and gears respond differently; return whether it has
+        learned.
+        """
         controller, begun = self.motion.prepare(self._returning)
         streamed = self.motion.run(self._home, controller.step, fade=begun is None)
         return self.motion.prepare(lambda: controller.end_cycle(streamed.complete, streamed.internal_force)).learned
 
     def _begun(self, controller: PairController) -> Floats:
-        """Corrections (n, 6) that take the slave from where it stands into the function."""
+        """Return corrections (n, 6) that lead the slave from its present pose to the function."""
         away = controller.beside(self._cell.arms[1].chain.poses(self.motion.q_rad[1][None])[0][0])
         count = round(FADE_S / self.motion.dt_s)
         return (1.0 - smooth(np.arange(1, count + 1) / count))[:, None] * away
 
     def _returning(self) -> tuple[PairController, Floats | None]:
-        """Controller of the way back, its cycle begun, and by what; None where only set points are faded over.
+        """Return the controller of the return with its cycle begun; None where only setpoints are faded.
 
-        What learns from measured positions or keeps a gap goes back under the function of the way forward.
+        Rows that learn from measured positions or keep a gap return with the forward function.
         """
         rule = self.config.learning
         if rule is None or rule.source != "command" or self.config.sensing != "force":

@@ -1,4 +1,4 @@
-"""What the motion loop streams for a pair: approaches, prepared ways under a commander, gaps closed at rest."""
+"""Setpoint sources of a pair: approaches, prepared trajectories under a commander, corrections at rest."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from gateway.pair.transform import Floats
 RISING_S, SETTLE_S = 0.2, 0.4
 #: Share of a correction that is left of it at the next SYNC when closing is broken off.
 LEFT = 0.8
-#: What a place along a way may miss a row by, through rounding.
+#: Rounding tolerance of a position along a trajectory, in rows.
 HAIR = 1e-9
 #: SYNCs after the decision to stop along the path in which the force may still rise, and how many times larger it may
 #: become later: ramps that end one by one squeeze the part by hundreds of newtons, the slowing down itself by less.
 RISING_SYNCS, RISING = 3, 2.5
 
 Share = TypeVar("Share", float, Floats)
-#: Takes in every SYNC beside the way itself.
+#: Listener called at every SYNC.
 Watch = Callable[[tuple[ArmSample, ...]], None]
 
 
 class MovedPair(Protocol):
-    """What a way needs of the pair that goes along it."""
+    """Interface of the pair used by its setpoint sources."""
 
     dt_s: float
     cell: PairCell
@@ -83,11 +83,11 @@ class WatchedMotion(MotionSetpoints):
 
 
 class Along:
-    """A prepared way under a commander.
+    """A prepared trajectory under a commander.
 
-    The commander answers what was measured last, at every SYNC. Between two rows, when time along the path is slowed
-    down, set points lie on the straight line from row to row, so that both arms keep their relation, and what the hands
-    yield meanwhile is added to both ends of it. A joint that lags longer than the others is sent ahead by what it does.
+    The commander reacts at every SYNC to the last measurement. Between two rows, when time along the path is slowed
+    down, setpoints are on the straight line from row to row, so that both arms keep their relation; corrections are
+    added to both ends of it. A joint with a longer lag gets a lead.
 
     Attributes
     ----------
@@ -109,7 +109,7 @@ class Along:
         self._ahead = equalised_targets(np.hstack(trajectory.joints), motion.laws_s, motion.dt_s)
         lag_s = motion.cell.config.servo_lag_s + lag_differences(motion.laws_s)[1]
         self._lag = ServoLag(motion.dt_s, lag_s, self._ahead.shape[1])
-        #: SYNCs since a stop was asked for because of the force, and the largest force of the first of them.
+        #: SYNCs since a stop was requested because of the force, and the largest force of the first of them.
         self._since, self._most_n = 0, 0.0
 
     def rates(self, at: float) -> tuple[Floats, Floats]:
@@ -138,7 +138,7 @@ class Along:
         return self._q_rad
 
     def _yield(self, m: int) -> None:
-        """One SYNC more on the way to the same row."""
+        """Repeat a SYNC towards the same row."""
         now = self._compute(m)
         first, second = (to - before for to, before in zip(now, self._after, strict=True))
         self._before = (self._before[0] + first, self._before[1] + second)
@@ -190,7 +190,7 @@ class Along:
 
 
 class Settling:
-    """Rows at the beginning of a way, where the commander closes what is open."""
+    """Rows at the start of a trajectory, where the commander corrects the initial deviation."""
 
     def __init__(
         self,
@@ -212,7 +212,7 @@ class Settling:
         self._still = np.zeros(trajectory.speed_rad_s.shape[1])
 
     def rates(self, at: float) -> tuple[Floats, Floats]:
-        """As `SetpointSource.rates`: nothing goes on along this way, so that it can be left at once."""
+        """As `SetpointSource.rates`: zero, so that it can be ended at once."""
         return self._still, self._still
 
     def targets(self, at: float, rate: float) -> PerArm:

@@ -1,9 +1,9 @@
-"""The master's commands, one per control cycle, and the way along them.
+"""Commands of the master, one per control cycle, and their arc length.
 
 A path is stated once, at its reference speed; other speed settings run the same program faster or slower. Its hash is
 that of the program, so a function that was learned at one speed setting is recognised as valid for the same path at
-another. The way `s` counts turning as well as moving, `ds = sqrt(|dp|^2 + (rho dtheta)^2)`: straight-line distances
-would run backwards on a curve, and a pure turn would have no length at all.
+another. The arc length `s` includes rotation, `ds = sqrt(|dp|^2 + (rho dtheta)^2)`: straight-line distances would run
+backwards on a curve, and a pure turn would have no length at all.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PairPath:
     dt_s : control cycle.
     s_m : array of shape (M,)
         Arc length along the path, never falling, 0 at the start.
-    rho_m : lever by which a turn counts into the way.
+    rho_m : lever of rotations in the arc length.
     hash : SHA-256 of the program (hexadecimal).
     speed : speed setting, 1 = as the program says.
     """
@@ -62,13 +62,13 @@ class PairPath:
         return float(self.s_m[-1])
 
     def nearest(self, s_m: ArrayLike) -> np.ndarray:
-        """Index of the command nearest to each way (n,) [m]; of equal ones the first."""
+        """Return the index of the command nearest to each arc length (n,) [m]; of equal ones the first."""
         arc_m = np.atleast_1d(np.asarray(s_m, dtype=float))
         right = np.clip(np.searchsorted(self.s_m, arc_m), 1, len(self.s_m) - 1)
         return np.where(arc_m - self.s_m[right - 1] <= self.s_m[right] - arc_m, right - 1, right)
 
     def uniform(self, count: int) -> np.ndarray:
-        """Indices of `count` learning points, evenly spread over the way, start and end among them."""
+        """Indices of `count` learning points, evenly spread over the arc length, start and end included."""
         if not 2 <= count < len(self):
             raise InputError(f"learning points must be at least 2 and fewer than the {len(self)} commands, got {count}")
         return np.unique(self.nearest(np.linspace(0.0, self.length_m, count)))

@@ -1,4 +1,4 @@
-"""A way of both arms with all that is prepared for it, and what it has shown."""
+"""A prepared trajectory of both arms, and its result."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ Commander = Callable[[int, Floats | None, Floats | None], Pair]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedTrajectory:
-    """A way with everything prepared for it.
+    """A trajectory with everything precomputed for it.
 
     Attributes
     ----------
     path : PairPath
         Of the master.
-    joints, followers : joint angles (M, N) of each arm by the nominal relation, and targets near them
-    torques, maps, balance : what torques show, wrenches along the way, and the force inside the part from both
+    joints, followers : joint angles (M, N) of each arm by the nominal relation, and followers for targets near them
+    torques, maps, balance : external torques, wrenches along the trajectory, and the internal force from both
     speed_rad_s, acceleration_rad_s2 : arrays of shape (M, J), both arms' joints in one row
-        Of the nominal ways.
+        Of the nominal trajectories.
     free_nm : torque (M, N) of each arm in a free motion
     """
 
@@ -50,14 +50,14 @@ class PreparedTrajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Streamed:
-    """What a way has shown.
+    """Result of a trajectory.
 
     Attributes
     ----------
     force : array of shape (M, 6)
         Internal wrench about the part's centre, world axes, low-passed [N, Nm].
     internal_force : InternalForce or None
-        The same once the way was over, with its covariance; None where nothing is held in common.
+        The same after completion, with its covariance; None without a common part.
     gaps_m : array of shape (M, n)
         Distances less the demanded ones [m], NaN where a cycle had no value; n = 0 without sensors.
     complete : every epoch was complete

@@ -1,4 +1,4 @@
-"""Dry friction of an arm where joints turn round: which way it acts, and the torque offset that makes up for it."""
+"""Dry friction of an arm at reversals (presliding): its direction, and the torque offset that compensates it."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from gateway.pair.transform import Floats
 PRESLIDING_RAD = 5e-5
 #: The same for the torque that makes up for it, sooner: the gear is wound up before the joint turns [rad].
 OFFSET_RAD = 1e-5
-#: A joint slower than this stands [rad/s]. It may hold its friction, or its drive lets go of it, by an integrator or by
-#: trembling: no more than this share is counted on, after this time [s].
+#: A joint slower than this is at rest [rad/s]. It may hold its friction, or the drive releases it, by an integrator or
+#: by trembling: no more than this share is counted on, after this time [s].
 REST_SPEED_RAD_S, REST_SHARE, LET_GO_S = 2e-4, 0.5, 0.1
 
 
 def dahl(turned: Floats, moved_rad: Floats, over_rad: float) -> Floats:
-    """Share of dry friction (n,), from -1 to 1, that acts after ways (n,) [rad]: Dahl's model.
+    """Return the share of dry friction (n,), from -1 to 1, after displacements (n,) [rad]: Dahl's model.
 
-    Over a way d towards s it moves by `1 - exp(-d/over_rad)` of what it lacks to s.
+    Over a displacement d towards s it moves by the share `1 - exp(-d/over_rad)` of the difference to s.
     """
     towards = np.sign(moved_rad)
     return towards - (towards - turned) * np.exp(-np.abs(moved_rad) / over_rad)
 
 
 class Presliding:
-    """Which way dry friction of n joints acts, told by the way they have turned since they turned round.
+    """Direction of dry friction of n joints, from their displacement since the last reversal.
 
-    How fast a joint turns says nothing: one that slows down for the end of its way rubs as before until it stands. Then
-    half of that is doubtful.
+    The speed of a joint does not matter: friction stays constant until the joint is at rest. Then half of it is
+    uncertain.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class Presliding:
     Attributes
     ----------
     turned : array of shape (n,)
-        From -1 to 1; 0 = it may act either way.
+        From -1 to 1; 0 = direction unknown.
     """
 
     def __init__(self, joints: int, dt_s: float) -> None:
@@ -50,7 +50,7 @@ class Presliding:
         self._at_rest_rad, self._lost = REST_SPEED_RAD_S * dt_s, 1.0 - math.exp(-dt_s / LET_GO_S)
 
     def move(self, moved_rad: Floats) -> None:
-        """The joints have turned by these ways (n,) [rad]."""
+        """Update with the displacements (n,) [rad] of the joints."""
         turned, displacement = dahl(self.turned, moved_rad, PRESLIDING_RAD), np.abs(moved_rad)
         surplus = turned - np.clip(turned, -REST_SHARE, REST_SHARE)
         self.turned = turned - np.where(displacement < self._at_rest_rad, self._lost * surplus, 0.0)
@@ -59,7 +59,7 @@ class Presliding:
 class FrictionOffset:
     """Joint torque of the cell's friction constants, for the targets that the servos reach at this cycle.
 
-    A joint that comes to rest keeps its offset: friction holds it as it came, until targets turn round.
+    A joint that comes to rest keeps its offset, because friction keeps its direction until the targets reverse.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""One correction that stands for those of several cycles (CN104379308 [0180], [0189], claim 8).
+"""Representative correction of several cycles (CN104379308 [0180], [0189], claim 8).
 
 Corrections are a few millimetres and milliradians, so each component of the 6-vector is treated by itself; a mean of
-rotation matrices would be no rotation.
+rotation matrices would not be a rotation.
 """
 
 from __future__ import annotations

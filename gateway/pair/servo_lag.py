@@ -1,4 +1,6 @@
-"""What the joints lag behind their set points: told by what was seen, made alike, given back while time slows down."""
+"""Servo lag of the joints: estimated, equalised between joints, and compensated while time along the path slows
+down.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +13,11 @@ from scipy.signal import lfilter
 from gateway.data.sample import ArmSample
 from gateway.pair.transform import Floats
 
-#: Servos whose lag was not seen well enough, and the slowest that is believed [s].
+#: Bounds of a plausible servo lag [s].
 MOST_CONDITION, LONGEST_CATCHING_UP_S = 1e6, 0.3
-#: A lag is known once its standard deviation is this small [s]; neighbouring rows, so many, tell the same.
+#: A lag is known once its standard deviation is this small [s]; number of correlated neighbouring rows.
 KNOWN_S, CORRELATED_ROWS = 0.3e-3, 50
-#: Over the end of a way, so long [s], nothing is left of what was added to make joints alike.
+#: Time at the end of a trajectory over which the equalisation is removed [s].
 ENDING_S = 0.2
 #: Further from the others a lag is not made up for: a drive that is so slow is not tuned [s].
 MAX_LAG_DIFFERENCE_S = 0.02
@@ -25,10 +27,10 @@ Samples = tuple[ArmSample, ...]
 
 
 class LagLaw:
-    """How each joint follows its set points, fitted to all that was seen of it.
+    """Law by which each joint follows its setpoints, fitted to all observations.
 
-    A servo with position gain 1/tau and part of the speed fed forward lags by `e + tau e' = T u'`. What is fitted is
-    the integral of that over some SYNCs: the change of what an encoder shows tells nothing of a slow joint.
+    A servo with position gain 1/tau and part of the speed fed forward lags by `e + tau e' = T u'`. The integral over
+    some SYNCs is fitted, because encoder differences of a slow joint are too coarse.
 
     Parameters
     ----------
@@ -42,7 +44,7 @@ class LagLaw:
     Attributes
     ----------
     lag_rad : array of shape (J,)
-        What the joints lagged when they were seen last [rad].
+        Last observed lag of the joints [rad].
     """
 
     def __init__(self, dt_s: float, joints: int, rows: int = 1) -> None:
@@ -50,13 +52,13 @@ class LagLaw:
         self._sent: Floats | None = None
         self.lag_rad = np.zeros(joints)
         self._sum = np.zeros(joints)
-        #: Set point, lag and integral of the lag at the SYNCs before.
+        #: Setpoint, lag and integral of the lag at the SYNCs before.
         self._before: deque[Floats] = deque(maxlen=rows)
         self._squares, self._products = np.zeros((joints, 2, 2)), np.zeros((joints, 2))
         self._size, self._rows = np.zeros(joints), 0
 
     def take(self, sent_rad: Floats, q_rad: Floats) -> None:
-        """Targets (J,) sent at this SYNC, and where the joints were at it: on their way to what was sent before."""
+        """Take the targets (J,) sent at this SYNC, and the joint positions at it, which follow the targets before."""
         last = self._sent
         self._sent = sent_rad
         if last is None or np.isnan(q_rad).any():
@@ -76,7 +78,7 @@ class LagLaw:
         self._before.append(now)
 
     def skip(self) -> None:
-        """A SYNC that tells nothing of how the joints follow."""
+        """Skip a SYNC without usable data."""
         self._sent = None
         self._before.clear()
 
@@ -106,8 +108,8 @@ class LagLaw:
 def lag_differences(laws_s: Floats) -> tuple[NDArray[np.bool_], Floats]:
     """Which joints (J,) are known, and how much longer (J,) each of them lags than all on average [s], 0 where unknown.
 
-    `laws_s` are T and tau (J, 2). A servo that does not catch up with its set points, or lags too unlike the others, is
-    none of those whose law this is.
+    `laws_s` are T and tau (J, 2). A servo that does not catch up with its setpoints, or whose lag differs too much from
+    the others, does not follow this law.
     """
     lag, tau = laws_s[:, 0], laws_s[:, 1]
     known = (lag > 0.0) & (tau > lag)
@@ -121,8 +123,8 @@ def lag_differences(laws_s: Floats) -> tuple[NDArray[np.bool_], Floats]:
 def equalised_targets(q_rad: Floats, laws_s: Floats, dt_s: float) -> Floats:
     """What has to be added (M, J) [rad] to targets (M, J) that begin at rest, so that all joints follow as one would.
 
-    `u / p = (1 + (tau0 - T0) s) / (1 + tau0 s) * (1 + tau s) / (1 + (tau - T) s)`, where tau0 and T0 are means. What
-    would be left of it when the way ends is taken back towards its end.
+    `u / p = (1 + (tau0 - T0) s) / (1 + tau0 s) * (1 + tau s) / (1 + (tau - T) s)`, where tau0 and T0 are means. The
+    remainder at the end of the trajectory is removed towards its end.
     """
     ahead = np.zeros_like(q_rad)
     known, _ = lag_differences(laws_s)
@@ -146,12 +148,12 @@ def _passed(signal: Floats, over_s: float, under_s: float, dt_s: float) -> Float
 
 
 class ServoLag:
-    """What the joints lag behind their set points is given back as time along the path slows down.
+    """Compensation of the servo lag as time along the path slows down.
 
-    On the way the lags are part of the relation: hands have yielded to them, functions were learned with them. An arm
-    that slows down makes up for its lag, each joint its own, and would leave the relation by it. So set points stay
-    behind the path by what the joints lag at full rate, as fast as the servos catch up, as the way has shown it:
-    nothing is measured and answered in one SYNC.
+    In motion the lags are part of the relation: hands have yielded to them, functions were learned with them. An arm
+    that slows down catches up, each joint by its own lag, and would leave the relation. Setpoints are therefore delayed
+    by the lag at full rate, as fast as the servos catch up according to earlier observations; there is no feedback
+    within one SYNC.
 
     Parameters
     ----------
@@ -175,13 +177,13 @@ class ServoLag:
         return self._rate < self._full
 
     def slow_down(self, rate: float) -> None:
-        """The rate of the set points that are due."""
+        """Set the rate of the next setpoints."""
         if not self.slower and rate >= self._rate:
             self._full = rate
         self._rate = rate
 
     def given_back(self, speed_rad_s: Floats) -> Floats:
-        """By how much (J,) [rad] the set points stay behind, where the path has speeds (J,) at full rate."""
+        """Return the offset (J,) [rad] of the setpoints, where the path has speeds (J,) at full rate."""
         full = self._law.lag_rad + self._lag_s * self._full * (speed_rad_s - self._speed_rad_s)
         goal = (1.0 - self._rate / self._full) * full
         self._back_rad = self._back_rad + self._dt_s / (self._dt_s + self.catching_up_s) * (goal - self._back_rad)
@@ -189,7 +191,7 @@ class ServoLag:
 
     @property
     def catching_up_s(self) -> float:
-        """tau - T of the servos [s]; 0 where the way has not shown it."""
+        """Return tau - T of the servos [s]; 0 where it was not estimated."""
         laws = self._law.together_s
         return 0.0 if laws is None else min(max(laws[1] - laws[0], 0.0), LONGEST_CATCHING_UP_S)
 

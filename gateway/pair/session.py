@@ -70,21 +70,21 @@ def embodiment_of(cell: PairCell, name: str) -> Embodiment:
         )
     if row.sensing == "force" and cell.gap is not None:
         raise ConfigError(
-            f"embodiment '{name}' feels a common part, and the arms of cell '{cell.loaded.cell.name}' keep a gap"
+            f"embodiment '{name}' needs a common part, and the arms of cell '{cell.loaded.cell.name}' keep a gap"
             " ([pair.distance]); choose E5, or A to compare with"
         )
     return with_gains(row, cell_gains(cell))
 
 
 def open_taught_path(cell: PairCell, store: PairStore, resume: bool) -> TaughtPath:
-    """Taught points to go on with, or an empty lesson.
+    """Return the taught points to resume, or an empty taught path.
 
     Raises
     ------
     InputError
-        There are points and nobody asked to go on with them, or they are for another path or cell.
+        There are points and `--resume` was not given, or they are for another path or cell.
     ConfigError
-        The arms of this cell keep a gap: there is no force to teach by.
+        The arms of this cell keep a gap: teaching needs a force.
     """
     if cell.gap is not None:
         raise ConfigError(
@@ -108,7 +108,7 @@ def teach_pair(
     report: Callable[[TaughtPoint, int, int], None],
     options: PairMotionOptions | None = None,
 ) -> TransformFunction:
-    """Teach what the lesson lacks and store the first function.
+    """Teach the missing points and store the first function.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def teach_pair(
     """
     options = options or PairMotionOptions()
     refuse_elsewhere(cell, link.together.where())
-    # slower ways and sweeps are planned, so that forces are felt as they are driven
+    # slower trajectories and sweeps are planned, so that forces are measured at their speed
     stream = Stream(link.station(cell, replace(options.moves, override=1.0)))
     motion = PairMotion(cell, stream, options)
     plain, share = TeachRule(), options.moves.override
@@ -137,12 +137,12 @@ def teach_pair(
 
 
 def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: float) -> tuple[TransformFunction, str]:
-    """Function that a run begins with, and where it comes from.
+    """Return the function that a run begins with, and its origin.
 
     Raises
     ------
     InputError
-        Nothing was taught, or what is stored is for another path or cell.
+        Nothing was taught, or the stored function is for another path or cell.
     """
     if row.first == "fixed":
         return _from_one_relation(cell, store, row, speed)
@@ -160,7 +160,7 @@ def first_function(cell: PairCell, store: PairStore, row: Embodiment, speed: flo
 
 
 def servo_laws(cell: PairCell, store: PairStore, row: Embodiment) -> Floats | None:
-    """How each joint (J, 2) follows, as teaching has told it [s]; None for what does not begin with what was taught.
+    """Return how each joint (J, 2) follows, estimated during teaching [s]; None for a run without taught points.
 
     Raises
     ------
@@ -177,7 +177,7 @@ def servo_laws(cell: PairCell, store: PairStore, row: Embodiment) -> Floats | No
 
 
 def function_back(store: PairStore, row: Embodiment) -> TransformFunction | None:
-    """What this embodiment has learned of the way back, None = nothing.
+    """Return the learned function of the return of this embodiment, None = nothing.
 
     Raises
     ------
@@ -225,7 +225,7 @@ def run_pair(
     report: Callable[[PairCycle], None],
     options: PairMotionOptions | None = None,
 ) -> PairRunResult:
-    """Run cycles of an embodiment, keep what was learned and what the report shows."""
+    """Run cycles of an embodiment; store the learned function and the data of the report."""
     row = embodiment_of(cell, request.embodiment)
     options = options or PairMotionOptions()
     moves = options.moves
@@ -264,7 +264,7 @@ def run_pair(
 
 
 def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
-    """After a cycle that has taught something: the function goes to disk at once."""
+    """Store the function at once after a cycle that changed it."""
     second = run.controller.state().second
     if cycles[-1].summary.learned and second is not None:
         path = store.save("second", second, **_origin(run, cycles))
@@ -272,7 +272,7 @@ def _keep(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
 
 
 def _keep_back(store: PairStore, run: PairRun, cycles: list[PairCycle]) -> None:
-    """The same after a way back."""
+    """Store the function of the return."""
     learned = run.learned_back
     if learned is not None:
         store.save("back", learned, **_origin(run, cycles))

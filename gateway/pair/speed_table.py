@@ -25,7 +25,7 @@ class ExtrapolationWarning(UserWarning):
 
 
 class SpeedTable:
-    """Transform functions by speed setting; 0 stands for the one that was taught at rest.
+    """Transform functions by speed setting; 0 is the one taught at rest.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class SpeedTable:
         share = (speed - slow) / (fast - slow)
         if not 0.0 <= share <= 1.0:
             warnings.warn(
-                f"speed setting {speed} lies outside the stored ones ({self.speeds[0]} to {self.speeds[-1]}):"
+                f"speed setting {speed} is outside the stored ones ({self.speeds[0]} to {self.speeds[-1]}):"
                 f" extrapolated{', clipped' if not 0.0 <= share <= LARGEST_SHARE else ''}",
                 ExtrapolationWarning,
                 stacklevel=2,
@@ -74,7 +74,7 @@ class SpeedTable:
 
 
 def between(slow: TransformFunction, fast: TransformFunction, share: float) -> TransformFunction:
-    """Function at a share of the way from one function to another, on the knots of both."""
+    """Interpolate between two functions by a share, on the knots of both."""
     arc_m = np.union1d(slow.s_m, fast.s_m)
     a, b = slow.many(arc_m), fast.many(arc_m)
     turn = log_rotation(np.swapaxes(a[:, :3, :3], 1, 2) @ b[:, :3, :3])

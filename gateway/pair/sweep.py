@@ -1,7 +1,7 @@
-"""The little way to and fro that takes dry friction out of what is felt at a taught point.
+"""Small back-and-forth sweep that cancels dry friction in the force measurement at a taught point.
 
-Friction cancels over a period of those joints alone that turn both ways. Along the path a joint may all but stand,
-so the part is moved and turned as all joints of both arms turn best.
+Friction cancels over a period only for joints that move in both directions. Along the path a joint may barely move, so
+the part is moved and rotated such that all joints of both arms move.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from gateway.pair.inverse import turns_at
 from gateway.pair.pair_cell import PairCell
 from gateway.pair.transform import Floats, cross_matrix, exp_rotation, inverse, pose
 
-#: A turn counts as a way at this lever [m].
+#: Lever that converts rotations to lengths [m].
 LEVER_M = 0.2
 
 
@@ -27,7 +27,7 @@ def directions() -> Floats:
 
 
 def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats]) -> tuple[Floats, float]:
-    """Twist of the part under which the joint that turns least turns most.
+    """Return the twist of the part that maximises the smallest joint movement.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def liveliest_twist(cell: PairCell, command: Floats, q_rad: tuple[Floats, Floats
 
 
 def swept(cell: PairCell, command: Floats, twist: Floats, offsets_m: Floats) -> Floats:
-    """Master's commands (n, 4, 4) that take the part from a command along a twist by the ways (n,) [m]."""
+    """Return the master's commands (n, 4, 4) that move the part from a command along a twist by offsets (n,) [m]."""
     base = cell.arms[0].world_from_base
     centre = pose(np.eye(3), _centre(cell, command))
     back = inverse(base)

@@ -1,4 +1,4 @@
-"""Points of a path that were taught, and their file (CN104379308 embodiment 1, fig. 5)."""
+"""Taught points of a path, and their file (CN104379308 embodiment 1, fig. 5)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def taught_point(
     Parameters
     ----------
     index : of the command on the path, from 0
-    s_m : way
+    s_m : arc length
     relation : array of shape (4, 4), gripper 2 in gripper 1
     correction : array of shape (6,), of the slave, its base [m, rad]
     forces : force [N] and moment [Nm] of every sweep
@@ -49,8 +49,8 @@ class TaughtPath:
     Attributes
     ----------
     laws_s : array of shape (J, 2)
-        T and tau [s] of `e + tau e' = T u'`, by which each joint of both arms followed its set points meanwhile, NaN
-        where unknown; None = not told.
+        T and tau [s] of `e + tau e' = T u'`, by which each joint of both arms followed its setpoints, NaN where
+        unknown; None = not estimated.
     """
 
     path_hash: str
@@ -59,7 +59,7 @@ class TaughtPath:
     laws_s: Floats | None = None
 
     def update_laws(self, laws_s: Floats) -> None:
-        """T and tau (J, 2) [s] as they are told by now; what is not told any more stays as it was."""
+        """Take the present estimates of T and tau (J, 2) [s]; values that are no longer estimated are kept."""
         before = np.full(laws_s.shape, math.nan) if self.laws_s is None else self.laws_s
         self.laws_s = np.where(np.isnan(laws_s), before, laws_s)
 

@@ -1,7 +1,7 @@
-"""First function from taught points (CN104379308 embodiment 1, fig. 5): point after point, force adjusted away at each.
+"""Teach the first function point by point: the force is reduced at each (CN104379308 embodiment 1, fig. 5).
 
-Both arms hold the part and go slowly from point to point. At rest dry friction hides the force, so both arms sweep
-together a little to and fro: every joint then turns both ways, and over one period friction cancels. The slave's
+Both arms hold the part and move slowly from point to point. At rest dry friction hides the force, so both arms make a
+small sweep together: every joint then moves in both directions, and over one period friction cancels. The slave's
 command is moved against the force until the force is below its set value; what is stored are the commands.
 """
 
@@ -36,7 +36,7 @@ class TeachRule:
     Attributes
     ----------
     force_n, moment_nm : set value: below both a point is done
-    sweep_m, sweep_s : half the way of the sweep, a turn counted at a lever of 0.2 m, and its period
+    sweep_m, sweep_s : half amplitude of the sweep, a rotation by a lever of 0.2 m, and its period
     share : of the correction that would take the whole force away if the stiffness were the cell's
     rounds : sweeps at one point at most
     largest_m, largest_rad : a larger correction is an error, not an adjustment
@@ -55,7 +55,7 @@ class TeachRule:
 
 
 class _Yielding:
-    """Steps against a force whose stiffness is known by its upper bound only.
+    """Correction steps against a force with a known upper bound of the stiffness.
 
     The compliance is corrected by what each step has done to the force (Broyden 1965, second method). When the force
     has grown, the step was too long: it is taken afresh, half of what it was.
@@ -97,7 +97,7 @@ class Teacher:
     motion : PairMotion
         Of powered arms.
     gains : Gains
-        Impedance on the way from point to point.
+        Impedance during motion from point to point.
     rule : TeachRule, optional
     """
 
@@ -113,15 +113,15 @@ class Teacher:
     def run(
         self, taught_path: TaughtPath, indices: np.ndarray, save: Callable[[TaughtPath, TaughtPoint], None]
     ) -> None:
-        """Teach the commands `indices` that the lesson lacks, then go back to the start; both arms stay powered.
+        """Teach the missing commands of `indices`, then return to the start; both arms stay powered.
 
         Parameters
         ----------
         taught_path : TaughtPath
-            Is added to.
+            Extended in place.
         indices : array of int
         save : callable
-            Called with the lesson and each new point.
+            Called with the taught path and each new point.
 
         Raises
         ------
@@ -184,17 +184,18 @@ class Teacher:
         self._motion.run(sweep, self._commands(sweep, function))
         return sweep.balance.mean_to_and_fro()
 
-    # -- ways --------------------------------------------------------------------------------------------------------
+    # -- trajectories
+    # --------------------------------------------------------------------------------------------------------
 
     def _commands(self, trajectory: PreparedTrajectory, function: TransformFunction) -> Callable[[int, Any, Any], Pair]:
-        """Both gripper commands of a way under a function and the present correction."""
+        """Return both gripper commands of a trajectory under a function and the present correction."""
         first, second = self._motion.cell.arms
         relations = function.many(trajectory.path.s_m)
         slave = slave_command(first.world_from_base, trajectory.path.commands, second.world_from_base, relations)
         return lambda m, _one, _two: (trajectory.path.commands[m], apply_correction(slave[m], self._correction))
 
     def _trajectory(self, commands: Floats, arcs_m: Floats) -> PreparedTrajectory:
-        """The master's commands (n, 4, 4), one per control cycle, near the path at the ways (n,) [m]."""
+        """The master's commands (n, 4, 4), one per control cycle, near the path at the arc lengths (n,) [m]."""
         path, dt_s = self._path, self._motion.dt_s
         near = int(path.nearest(arcs_m[:1])[0])
         along = replace(path, commands=commands, s_m=arcs_m, dt_s=dt_s)
@@ -209,7 +210,7 @@ class Teacher:
         return self._trajectory(commands, np.full(len(phase), self._path.s_m[index]))
 
     def _go(self, taught_path: TaughtPath, to_m: float) -> None:
-        """Along the path to a way [m], yielding to force; the correction is kept."""
+        """Move along the path to an arc length [m], yielding to force; the correction is kept."""
         function = taught_path.function(self._motion.cell.nominal_relation)
         length = abs(to_m - self._arc_m)
         count = max(10, round(max(0.5, length / self._rule.path_speed_m_s) / self._motion.dt_s))
@@ -231,7 +232,9 @@ class Teacher:
 
 
 def commands_at(path: PairPath, arcs_m: Floats) -> Floats:
-    """Commands (n, 4, 4) of a path at the ways (n,) [m], between its own by a straight line and a turn."""
+    """Return commands (n, 4, 4) of a path at the arc lengths (n,) [m], interpolated by a straight line and a
+    rotation.
+    """
     ways, first = np.unique(path.s_m, return_index=True)
     function = function_of_knots(ways, path.commands[first])
     return function.many(np.clip(arcs_m, 0.0, path.length_m))

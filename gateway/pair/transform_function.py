@@ -1,9 +1,9 @@
-"""The relation between the grippers as a function of the way along the path (CN104379308 eqs. (5) to (16)).
+"""Relation between the grippers as a function of the arc length of the path (CN104379308 eqs. (5) to (16)).
 
-Between two knots the position goes straight and the rotation turns about a fixed axis: `P(rate) = P_k + dP_k rate`,
-`R(rate) = R_k Rot(k, a rate)` with `dR_k = R_k^T R_(k+1)`, which meets both knots exactly. (The printed pair, eq. (8)
-`dR = R_k inv(R_(k+1))` with eq. (15) `R_k dR`, misses the second one.) Before the first knot and behind the last one
-the function keeps its value.
+Between two knots the position is linear and the rotation is about a fixed axis: `P(rate) = P_k + dP_k rate`, `R(rate) =
+R_k Rot(k, a rate)` with `dR_k = R_k^T R_(k+1)`, which meets both knots exactly. (The printed pair, eq. (8) `dR = R_k
+inv(R_(k+1))` with eq. (15) `R_k dR`, misses the second one.) Before the first knot and behind the last one the function
+keeps its value.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from gateway.pair.transform import Floats, cross_matrix, log_rotation, pose
 
 LARGEST_TURN_RAD = math.pi - 1e-3
 ORTHONORMAL = 1e-6
-#: Largest number of a function: no way and no position is longer [m].
+#: Largest arc length and position of a function [m].
 LARGEST = 1e6
 
 
 class TransformFunction:
-    """Knots of the relation and what lies between them; immutable.
+    """Knots of the relation with interpolation between them; immutable.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ class TransformFunction:
         return len(self._list)
 
     def at(self, s_m: float) -> Floats:
-        """Relation (4, 4) at one way [m]; the scalar path that runs each SYNC."""
+        """Return the relation (4, 4) at one arc length [m]; scalar version, called every SYNC."""
         arc_m = self._list
         segment = bisect_right(arc_m, s_m) - 1
         result = self._knots[max(segment, 0)].copy()
@@ -81,7 +81,7 @@ class TransformFunction:
         return result
 
     def many(self, s_m: ArrayLike) -> Floats:
-        """Relation (n, 4, 4) at many ways (n,) [m]."""
+        """Return relations (n, 4, 4) at arc lengths (n,) [m]."""
         arc_m = np.asarray(s_m, dtype=float)
         segment = np.searchsorted(self.s_m, arc_m, side="right") - 1
         inside = (segment >= 0) & (segment < len(self) - 1)
@@ -104,13 +104,13 @@ def constant_function(e1_t_e2: ArrayLike) -> TransformFunction:
 
 
 def function_of_knots(s_m: ArrayLike, knots: ArrayLike) -> TransformFunction:
-    """Function through the poses (N, 4, 4) at the ways (N,) [m]."""
+    """Return the function through the poses (N, 4, 4) at the arc lengths (N,) [m]."""
     values = np.asarray(knots, dtype=float)
     return TransformFunction(s_m, values[:, :3, 3], values[:, :3, :3])
 
 
 def sampled(function: TransformFunction, s_m: ArrayLike) -> TransformFunction:
-    """The same function with knots at other ways (N,) [m], to learn there; exact at these ways."""
+    """Return the same function with knots at other arc lengths (N,) [m]; exact at these."""
     return function_of_knots(s_m, function.many(s_m))
 
 
@@ -131,7 +131,7 @@ def _checked(s_m: ArrayLike, position_m: ArrayLike, rotation: ArrayLike) -> tupl
     arc_m, place, turn = (np.array(value, dtype=float) for value in (s_m, position_m, rotation))
     if arc_m.ndim != 1 or len(arc_m) < 1 or place.shape != (len(arc_m), 3) or turn.shape != (len(arc_m), 3, 3):
         raise InputError(
-            "a transform function needs N ways (N,), positions (N, 3) and rotations (N, 3, 3), got"
+            "a transform function needs N arc lengths (N,), positions (N, 3) and rotations (N, 3, 3), got"
             f" {arc_m.shape}, {place.shape}, {turn.shape}"
         )
     if not all(np.isfinite(value).all() for value in (arc_m, place, turn)):

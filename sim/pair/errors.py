@@ -1,13 +1,13 @@
-"""What separates the two real arms from their data sheets: drawn by the simulator from a seed, told to nobody."""
+"""Draw from a seed how the two simulated arms differ from their data sheets; the gateway does not read these values."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.pair.geometry import ArmGeometry, bases, nominal_arm, translation
+from sim.pair.geometry import ArmGeometry, nominal_arm, translation
 
 Array = NDArray[np.float64]
 
@@ -30,13 +30,11 @@ CYCLIC_PERIODS = 2.0
 SKEW_S = 1.0e-3
 GRAVITY_SHARE, FRICTION_SHARE = 0.02, 0.20
 COULOMB_SHARE, VISCOUS_SHARE = 0.03, 0.02
-DRIFT_M = 0.1e-3
-DRIFT_S = 600.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSheet:
-    """One arm as its data sheet says.
+    """Nominal values of one arm from its data sheet.
 
     Attributes
     ----------
@@ -51,7 +49,7 @@ class ArmSheet:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmErrors:
-    """One real arm.
+    """True values of one simulated arm.
 
     Attributes
     ----------
@@ -61,7 +59,7 @@ class ArmErrors:
     backlash_rad : array of shape (N,), full play of the gear
     cyclic_rad, cyclic_phase_rad : arrays of shape (N,), amplitude and phase of the gear's cyclic error
     cyclic_per_rev : array of shape (N,), periods per revolution of the joint
-    gravity_scale, friction_scale : arrays of shape (N,), what the controller's model says over what is true
+    gravity_scale, friction_scale : arrays of shape (N,), ratio of the controller's model to the true value
     """
 
     geometry: ArmGeometry
@@ -77,7 +75,7 @@ class ArmErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairErrors:
-    """Both arms, and how much later than the master's bus the slave's bus has its SYNC [s]."""
+    """True values of both arms, and the delay of the slave's SYNC after the master's [s]."""
 
     seed: int
     master: ArmErrors
@@ -86,7 +84,7 @@ class PairErrors:
 
 
 def draw(seed: int, nominal_bases: tuple[Array, Array]) -> PairErrors:
-    """Errors of both reference arms; the same seed gives the same errors.
+    """Draw the errors of both reference arms; the same seed gives the same errors.
 
     Parameters
     ----------
@@ -99,55 +97,20 @@ def draw(seed: int, nominal_bases: tuple[Array, Array]) -> PairErrors:
 
 
 def draw_of(seed: int, sheets: tuple[ArmSheet, ArmSheet]) -> PairErrors:
-    """Errors of the arms of two data sheets; the same seed gives the same errors."""
+    """Draw the errors of the arms of two data sheets; the same seed gives the same errors."""
     rng = np.random.default_rng([seed, 0xA51])
     master, slave = (_draw_arm(rng, sheet, lag) for sheet, lag in zip(sheets, SERVO_LAG_S, strict=True))
     return PairErrors(seed, master, slave, float(rng.uniform(0.0, SKEW_S)))
 
 
 def as_stated(sheets: tuple[ArmSheet, ArmSheet], lag_s: float) -> PairErrors:
-    """Arms as their data sheets say, with servos that lag alike [s]."""
+    """Return arms with the values of their data sheets and equal servo lag [s]."""
     arms = []
     for sheet in sheets:
         one, zero = np.ones(sheet.gear_ratio.shape), np.zeros(sheet.gear_ratio.shape)
         geometry, stiffness = sheet.geometry, sheet.gear_stiffness_nm_rad
         arms.append(ArmErrors(geometry, stiffness, lag_s * one, zero, zero, zero, one, one, one))
     return PairErrors(-1, arms[0], arms[1], 0.0)
-
-
-def without_local(errors: PairErrors) -> PairErrors:
-    """The same arms without backlash and cyclic gear error."""
-    master, slave = (
-        replace(arm, backlash_rad=np.zeros_like(arm.backlash_rad), cyclic_rad=np.zeros_like(arm.cyclic_rad))
-        for arm in (errors.master, errors.slave)
-    )
-    return replace(errors, master=master, slave=slave)
-
-
-def without_lag(errors: PairErrors) -> PairErrors:
-    """The same arms with servos that follow at once, and both buses in step."""
-    master, slave = (replace(arm, lag_s=np.zeros_like(arm.lag_s)) for arm in (errors.master, errors.slave))
-    return replace(errors, master=master, slave=slave, skew_s=0.0)
-
-
-def ideal(errors: PairErrors) -> PairErrors:
-    """Reference arms by their data sheets, servos that follow at once; only what the force estimate is told is off."""
-    plain = without_local(without_lag(errors))
-    master, slave = (
-        replace(arm, geometry=nominal_arm(base)) for arm, base in zip((plain.master, plain.slave), bases(), strict=True)
-    )
-    return replace(plain, master=master, slave=slave)
-
-
-def warmed(errors: PairErrors, time_s: float) -> PairErrors:
-    """The same arms after some time of work: both upper arms have grown, 0.1 mm in the first 10 min."""
-    share = min(time_s / DRIFT_S, 1.0)
-    grown = []
-    for arm in (errors.master, errors.slave):
-        a_m = arm.geometry.a_m.copy()
-        a_m[1] += DRIFT_M * share
-        grown.append(replace(arm, geometry=replace(arm.geometry, a_m=a_m)))
-    return replace(errors, master=grown[0], slave=grown[1])
 
 
 def _draw_arm(rng: np.random.Generator, sheet: ArmSheet, lag_s: float) -> ArmErrors:
@@ -176,7 +139,7 @@ def _draw_arm(rng: np.random.Generator, sheet: ArmSheet, lag_s: float) -> ArmErr
 
 
 def _small_pose(rng: np.random.Generator, position_m: float, angle_rad: float) -> Array:
-    """A pose (4, 4) a little off: exact rotation about a drawn vector."""
+    """Draw a small displacement (4, 4): translation, and an exact rotation about a random vector."""
     vector = rng.normal(0.0, angle_rad, 3)
     angle = float(np.linalg.norm(vector))
     x, y, z = vector / angle

@@ -221,7 +221,7 @@ def test_an_entry_with_any_damaged_number_is_refused(tmp_path, change):
     path.write_text(json.dumps({"schema": 1, "entries": [entry]}))
     assert WriteLedger(path).entries == (LedgerEntry(**entry),)
     path.write_text(json.dumps({"schema": 1, "entries": [entry | change]}))
-    with pytest.raises(ConfigurationRefused, match="is no write ledger"):
+    with pytest.raises(ConfigurationRefused, match="is not a write ledger"):
         WriteLedger(path)
 
 

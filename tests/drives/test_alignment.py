@@ -173,7 +173,7 @@ def test_answers_that_can_never_be_assigned_are_no_answers_in_the_end(rig_of: Ca
         for _ in range(50):
             rig.step()
 
-    with pytest.raises(IncompleteEpochs, match=r"node 2.*unanswered in time: \d+ answers came late") as stopped:
+    with pytest.raises(IncompleteEpochs, match=r"node 2.*unanswered in time: \d+ answers were delayed") as stopped:
         go_on()
     assert "cabling" not in str(stopped.value)
     assert rig.wrong == 0

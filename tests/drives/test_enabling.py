@@ -106,7 +106,7 @@ def test_an_axis_that_falls_back_is_not_led_up_again(group, slaves, place, below
     if place == "switched on":
         slaves[1].stuck_in = place
     slaves[1]._control = control
-    with pytest.raises(DriveFault, match="node 2.*fell back from .* on the way up") as caught:
+    with pytest.raises(DriveFault, match="node 2.*fell back from .* while being enabled") as caught:
         group.enable()
     assert caught.value.node == 2
     assert {slaves[1].state, slaves[2].state} == {OFF}

@@ -110,7 +110,7 @@ def test_what_is_mapped_is_what_the_device_sends(ends: tuple[str, FakeMeasuringD
         (InstrumentSetup(21, 0x9130, "i32", (1,), 1e-5), ConfigurationRefused, "the cell 1e-05 per bit"),
         (InstrumentSetup(21, 0x9130, "i32", (1,), 1e-6, unit=0x02), ConfigurationRefused, "says unit 0xfa010000"),
         (InstrumentSetup(21, 0x7130, "i16", (1,), 1e-6), DriveError, "object does not exist"),
-        (InstrumentSetup(22, 0x9130, "i32", (1,), 1e-6), NodeMissing, "nobody answers"),
+        (InstrumentSetup(22, 0x9130, "i32", (1,), 1e-6), NodeMissing, "no device answers"),
     ],
 )
 def test_a_device_that_does_not_fit_is_refused(
@@ -126,7 +126,7 @@ def test_a_device_that_does_not_fit_is_refused(
 
 def test_another_kind_of_device_is_refused(ends: tuple[str, FakeMeasuringDevice]) -> None:
     ends[1].store.constant((0x1000, 0), "u32", 0x0002_0192)
-    with pytest.raises(IdentityMismatch, match="no CiA 404"):
+    with pytest.raises(IdentityMismatch, match="not a CiA 404"):
         opened(ends[0], SETUP, Instrument.identify)
 
 

@@ -106,7 +106,7 @@ def test_what_stays_on_by_event_is_named_and_not_counted(bus, slaves, setups, lo
 
 def test_a_controlword_for_a_stranger_is_refused(bus, slaves, setups, locked):
     slaves[0]._pdo(0x1403, 0x1603, 0x501, [TARGET, CONTROLWORD])
-    with pytest.raises(ConfigurationRefused, match="node 1:1403.*RPDO4 takes a controlword from whoever sends id 501"):
+    with pytest.raises(ConfigurationRefused, match="node 1:1403.*RPDO4 takes a controlword from the sender of id 501"):
         configured(bus, with_profile(setups(1), locked))
 
 

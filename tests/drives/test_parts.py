@@ -263,7 +263,7 @@ def test_the_ledger_is_on_disk_before_the_write_and_keeps_the_first_old_value(tm
 def test_a_damaged_ledger_is_refused(tmp_path, text):
     path = tmp_path / "ledger.json"
     path.write_text(text)
-    with pytest.raises(ConfigurationRefused, match="no write ledger"):
+    with pytest.raises(ConfigurationRefused, match="not a write ledger"):
         WriteLedger(path)
 
 

@@ -40,7 +40,7 @@ def test_lockstep_is_refused_with_one_drive_that_is_no_simulator(bus, slaves, se
 def test_every_drive_that_is_real_is_named(bus, slaves, setups):
     for slave in slaves[1:]:
         del slave.texts[SIMULATED]
-    with pytest.raises(SeveralFailures, match=r"nodes 2, 3: is no simulator"):
+    with pytest.raises(SeveralFailures, match=r"nodes 2, 3: is not a simulator"):
         connect(bus, setups, "lockstep")
 
 
@@ -56,7 +56,7 @@ def test_a_real_drive_on_a_network_needs_leave(wire, slaves, setups, interface):
         if interface == "socketcan":
             connect(bus, setups, "real")
             return
-        with pytest.raises(ConfigurationRefused, match="node 2: .*anybody on .* can write frames") as caught:
+        with pytest.raises(ConfigurationRefused, match="node 2: .*any computer on .* can write frames") as caught:
             connect(bus, setups, "real")
         assert "allow_real_drive" in caught.value.advice
         connect(bus, setups, "real", GroupOptions(allow_real_drive=True))

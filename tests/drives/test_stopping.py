@@ -79,7 +79,7 @@ def test_a_master_that_was_held_up_while_moving_stops_and_sends_no_further_set_p
     else:
         wire.held_up_s = 0.345
         woken_s = wire.now_s + 0.345
-    with pytest.raises(MasterStalled, match=r"held up for 0\.3[345]. s while the arm moved") as caught:
+    with pytest.raises(MasterStalled, match=r"stalled for 0\.3[345]. s while the arm moved") as caught:
         move(real)
     sync_s = [at for (can_id, _), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == 0x080]
     assert sync_s[syncs - slaves[0].sync_seen] - woken_s < 2 * PERIOD_S

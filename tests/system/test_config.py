@@ -226,8 +226,8 @@ def test_parameters_are_stored_only_where_that_is_asked_for(config, drives, plac
         ("DeviceComissioning", "NodeID=2", "NodeID=3", 3, "it is of node 3, not of node 2"),
         ("6066", "PDOMapping=0", "PDOMapping=0\nHighLimit=10", 3, "6066:00.*20 is above its HighLimit 10"),
         ("6066", "PDOMapping=0", "PDOMapping=0\nLowLimit=0x20", 3, "6066:00.*20 is below its LowLimit 32"),
-        ("6066", "0x0014", "twenty", 3, "6066:00.*'twenty' is no value of its type"),
-        ("6066", "0x0014", "0x10014", 3, "6066:00.*'0x10014' is no value of its type"),
+        ("6066", "0x0014", "twenty", 3, "6066:00.*'twenty' is not a value of its type"),
+        ("6066", "0x0014", "0x10014", 3, "6066:00.*'0x10014' is not a value of its type"),
     ],
 )
 def test_a_file_that_does_not_fit_is_refused_in_one_sentence(config, place, section, old, new, code, says):

@@ -87,7 +87,7 @@ def test_a_drive_of_another_make(place, gateway, serve):
 
 def test_no_drive_at_all(place, gateway):
     done = gateway("record", place.cell, "--bus", "virtual:nobody", "--load", "none", "-o", place.run, "--yes")
-    complains(done, 4, "nodes 1 to 6", "nobody answers")
+    complains(done, 4, "nodes 1 to 6", "no device answers")
     complains(gateway("scan", "--bus", "virtual:nobody", "--listen", 0.1), 4, "nobody answered")
     complains(gateway("scan", "--bus", "virtual"), 4, "INTERFACE:CHANNEL")
 
@@ -96,7 +96,7 @@ def test_no_drive_at_all(place, gateway):
 @pytest.mark.parametrize(
     ("kind", "says"),
     [
-        ("node_missing", ["node 3", "nobody answers"]),
+        ("node_missing", ["node 3", "no device answers"]),
         ("duplicate_node", ["node 3", "devices answer"]),
         ("sdo_aborted", ["node 3"]),
         ("sdo_silent", ["node 3"]),

@@ -60,7 +60,7 @@ def test_at_a_longer_period_hands_are_damped_as_far_above_oscillation(tmp_path: 
 @pytest.mark.parametrize(
     ("error", "counted"),
     [
-        (MasterStalled("this computer was held up for 0.019 s"), "stalled"),
+        (MasterStalled("this computer was stalled for 0.019 s"), "stalled"),
         (PairStopped(f"above 80 N; {cause_of(np.full(9, 90.0), 80.0, 0.004, 0.003)}"), "late"),
         (PairStopped(f"above 80 N; {cause_of(np.full(9, 90.0), 80.0, 0.004, 0.001)}"), "stopped"),
         (DriveFault("left OPERATION ENABLED: FAULT", node=3), "stopped"),

@@ -154,7 +154,7 @@ def test_an_arm_that_stands_elsewhere_is_refused() -> None:
     with pair_rig(None) as rig:
         rig.world.motors.theta[2] += 0.1
         rig.world.motors.show()
-        with pytest.raises(PlanRefused, match="joint 3 stands at"):
+        with pytest.raises(PlanRefused, match="joint 3 is at"):
             refuse_elsewhere(rig.cell, rig.link.together.where())
         assert all(drive.automaton.state is not PdsState.OPERATION_ENABLED for drive in drives(rig))
 

@@ -169,7 +169,7 @@ def test_a_part_that_is_held_elsewhere_is_felt_on_the_way_to_the_start() -> None
         wrong[0, 3] += 2e-3
         again = PairRun(rig.cell, run.motion.stream, run.config, constant_function(wrong), run.motion.options)
         rig.world.recording = True
-        with pytest.raises(PairStopped, match="on the way to the start, above 20 N: .* check the grasp"):
+        with pytest.raises(PairStopped, match="during the approach to the start, above 20 N: .* check the grasp"):
             rig.power.attempt(again.cycle)
         rig.world.catch_up(0)
     assert np.linalg.norm(np.array(rig.world.record)[:, 1:4], axis=1).max() < 80.0

@@ -134,7 +134,7 @@ def test_a_file_with_several_faults_names_them_all(tmp_path):
         read_dcf(sheet, 3)
     assert len(caught.value.lines) == 2
     assert "2000:00: 4 is above its HighLimit 3" in str(caught.value)
-    assert "2001:00: 'nine' is no value" in str(caught.value)
+    assert "2001:00: 'nine' is not a value" in str(caught.value)
 
 
 def _written(folder: Path, lines: list[tuple[int, int, str]]) -> Path:

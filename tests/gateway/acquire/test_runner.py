@@ -192,7 +192,7 @@ def test_the_state_of_the_cell_is_told_all_the_way(station, plan, fake):
 
 def test_a_joint_that_does_not_follow(station, plan, fake):
     fake.jam_at = 60
-    with pytest.raises(LimitExceeded, match=r"joint 2 (is .* off its target|was told to move by)"):
+    with pytest.raises(LimitExceeded, match=r"joint 2 (is .* off its target|was commanded to move by)"):
         run_plan(station, RunRequest(plan, "none"))
     assert fake.log == ["enable", "quick stop", "disable"]
 

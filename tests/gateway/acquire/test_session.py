@@ -155,7 +155,7 @@ def test_a_whole_file_is_gone_on_with_without_power(recorded, simulation, small_
 
 def test_nobody_on_the_bus(small_cell):
     with (
-        pytest.raises((NodeMissing, SeveralFailures), match="nobody answers") as refused,
+        pytest.raises((NodeMissing, SeveralFailures), match="no device answers") as refused,
         open_arm(small_cell, BusOverride(BusSpec.parse(f"virtual:{uuid.uuid4()}"))),
     ):
         pass

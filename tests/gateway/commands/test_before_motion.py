@@ -11,7 +11,7 @@ from gateway.cli import main
 from tests.wrong_inputs import recording
 
 SMALL = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
-ANSWERED = "nobody answers"
+ANSWERED = "no device answers"
 
 
 @pytest.fixture

@@ -129,7 +129,7 @@ def test_result_that_names_no_robot_is_refused(store: Store, tmp_path: Path) -> 
     path = tmp_path / "result.json"
     path.write_text(to_json(Result(robot="r", loads=(LoadResult("a", 1.0, 0.1),))))
     (said,) = ingest(store, [path], NOW).refused
-    assert "which robot it is of" in said
+    assert "does not state its robot" in said
 
 
 def test_clock_that_went_back_is_told_and_nothing_is_lost(store: Store, tmp_path: Path) -> None:

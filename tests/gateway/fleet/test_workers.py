@@ -66,7 +66,7 @@ def test_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    with pytest.raises(ConfigError, match=f"--scheduler {address}: nobody answers there"), workers(address):
+    with pytest.raises(ConfigError, match=f"--scheduler {address}: no scheduler answers there"), workers(address):
         pass
 
 

@@ -62,7 +62,7 @@ def test_torque_has_to_last(watch, workspace):
 
 def test_range_is_refused_at_once(watch, workspace):
     q = joint(2, workspace.upper_rad[1] + 0.03)
-    with pytest.raises(LimitExceeded, match="joint 2 stands at .* outside its range") as refused:
+    with pytest.raises(LimitExceeded, match="joint 2 is at .* outside its range") as refused:
         watch.check(sample(1, q), q, ZERO)
     assert refused.value.joint == 2
     assert refused.value.exit_code == 5
@@ -199,7 +199,7 @@ def test_a_rhythm_that_is_not_kept_stops_the_arm(watch):
     share = int(ARM_RULES["rhythm"].limit * 2.0 / PERIOD_S)
     for k in range(30, share + 1):
         watch.check(late(k, 0.02 * k), ZERO, ZERO)
-    with pytest.raises(IncompleteEpochs, match="SYNCs went out late"):
+    with pytest.raises(IncompleteEpochs, match="SYNCs were delayed"):
         watch.check(late(share + 1, 0.02 * (share + 1)), ZERO, ZERO)
 
 
@@ -290,7 +290,7 @@ def test_a_sync_is_late_from_half_a_period_on(workspace, period_s, late_s, count
 
     assert ARM_RULES["rhythm"].limit < 1 / 3
     if counts:
-        with pytest.raises(IncompleteEpochs, match="SYNCs went out late"):
+        with pytest.raises(IncompleteEpochs, match="SYNCs were delayed"):
             run()
     else:
         run()
@@ -301,7 +301,9 @@ def test_a_stuck_joint_is_named_with_what_it_was_told(watch, workspace):
         for k in range(200):
             watch.check(sample(k, ZERO), joint(4, -0.001 * k), ZERO)
 
-    with pytest.raises(LimitExceeded, match=r"joint 4 was told to move by -0\.\d+ rad and has moved by 0\.000 rad"):
+    with pytest.raises(
+        LimitExceeded, match=r"joint 4 was commanded to move by -0\.\d+ rad and has moved by 0\.000 rad"
+    ):
         told()
 
 

@@ -179,7 +179,7 @@ def test_a_box_on_the_way_in_refuses(workspace):
     boxed = among_boxes(workspace, np.array([[centre - 0.005, centre + 0.005]]), radius_m=0.002)
     wide = replace(boxed, upper_rad=workspace.upper_rad + 1)
     assert wide.feasible(np.array([q_rad, q_rad - [0.32, 0, 0, 0, 0, 0]])).all()
-    with pytest.raises(PlanRefused, match="way of joint 1 back into its range.*keep_out box 1"):
+    with pytest.raises(PlanRefused, match="path of joint 1 back into its range.*keep_out box 1"):
         boxed.path_into_range(q_rad)
     inside_a_box = among_boxes(workspace, np.array([[[-9.0] * 3, [9.0] * 3]]))
     with pytest.raises(PlanRefused, match="keep_out box 1"):
@@ -195,7 +195,7 @@ def test_the_first_bad_place_of_a_way_is_named(workspace):
     assert "joint 1 outside" in refusal.reason
     assert workspace.why_not_path(way).startswith("at [")
     assert workspace.refused_on(way[:2]) is None
-    assert "no finite number" in workspace.why_not_path(np.array([way[0], np.full(6, np.nan)]))
+    assert "not a finite number" in workspace.why_not_path(np.array([way[0], np.full(6, np.nan)]))
     assert workspace.why_not_path(way[:1]) is None
     assert "joint 1 outside" in workspace.why_not_path(way[3:])
 

@@ -172,7 +172,7 @@ def test_cycle_without_observable_force_is_not_learned_from(path: PairPath, bare
     controller.start_cycle()
     for m in range(len(path)):
         controller.step(m, None if m == 40 else np.zeros(6), None if m == 40 else np.zeros(6))
-    assert "no force could be told at command 41" in controller.end_cycle(complete=True).reason
+    assert "no force could be determined at command 41" in controller.end_cycle(complete=True).reason
 
 
 def test_frozen_functions_stay_to_the_last_bit(path: PairPath, bare: PairCalibration) -> None:

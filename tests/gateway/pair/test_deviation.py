@@ -111,7 +111,7 @@ def test_a_force_of_one_sync_does_not_last_because_nothing_is_told_after_it():
 
 @pytest.mark.parametrize(
     ("late_s", "rows_ago", "cause"),
-    [(0.0017, 4, "1.7 ms late, of 4 ms"), (0.0015, 4, "from the beginning"), (0.0017, 60, "from the beginning")],
+    [(0.0017, 4, "1.7 ms late, of 4 ms"), (0.0015, 4, "from the start"), (0.0017, 60, "from the start")],
 )
 def test_a_stop_shortly_after_a_late_sync_names_it(late_s, rows_ago, cause):
     """Drives take set points over half a period after a SYNC, give or take some; 0.2 s are 50 SYNCs."""
@@ -145,7 +145,7 @@ def test_a_part_that_is_held_may_not_be_squeezed_on_the_way_to_the_start():
     assert len(one.calls) == 1
     assert [found.rest(standing(0.004)) for _ in range(2)] == ["", ""]
     why = found.rest(standing(0.004))
-    assert "51 N on the way to the start, above 50 N" in why
+    assert "51 N during the approach to the start, above 50 N" in why
     assert "check the grasp" in why
 
 
@@ -218,7 +218,7 @@ def test_distances_that_stay_away_stop_along_the_path(values):
     trouble = seen.take(told(*values))
     assert trouble is not None
     assert not trouble.urgent
-    says = "sensor 2 reports no valid value" if len(values) == 3 else "its frames are missing or late"
+    says = "sensor 2 reports no valid value" if len(values) == 3 else "its frames are missing or delayed"
     assert f"node 21 on bus 'b': no distances for 3 cycles, {says}" in trouble.why
 
 

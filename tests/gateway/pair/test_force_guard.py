@@ -33,7 +33,7 @@ def test_useless_limits_are_refused() -> None:
 
 @pytest.mark.parametrize(
     ("calm_s", "rise_s", "word"),
-    [(0.0, 0.5, "from the beginning"), (0.4, 0.06, "slipped"), (0.4, 0.3, "it grew for 0.")],
+    [(0.0, 0.5, "from the start"), (0.4, 0.06, "slipped"), (0.4, 0.3, "it grew for 0.")],
 )
 def test_how_the_force_got_there_says_what_is_wrong(calm_s: float, rise_s: float, word: str) -> None:
     dt_s = 0.004

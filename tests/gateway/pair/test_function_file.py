@@ -74,7 +74,7 @@ def damaged(change: dict[str, object]) -> str:
             damaged({"knots": [{"s_m": 0.0, "position_m": [0, 0], "rotation": [[1, 0, 0]]}]}),
             r"knots\[0\]\.position_m: three",
         ),
-        (damaged({"knots": [{"s_m": 0.0, "position_m": [0, 0, 0], "rotation": [[1, 0, 0]]}]}), "needs N ways"),
+        (damaged({"knots": [{"s_m": 0.0, "position_m": [0, 0, 0], "rotation": [[1, 0, 0]]}]}), "needs N arc lengths"),
         (damaged({"knots": [{"s_m": "a", "position_m": [0, 0, 0], "rotation": [[1, 0, 0]] * 3}]}), "f.json"),
     ],
 )

@@ -221,7 +221,7 @@ def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_way_back(pair
 
 
 def test_a_part_that_is_gripped_elsewhere_stops_both_before_the_way_begins(pair, store):
-    with pytest.raises(PairStopped, match=r"on the way to the start, above 2\.5 N: .* check the grasp"):
+    with pytest.raises(PairStopped, match=r"during the approach to the start, above 2\.5 N: .* check the grasp"):
         run(pair, store, "A", force_limit_n=5.0)
     assert [drives.log for drives in pair.drives] == [["enable", "disable"]] * 2
     assert not (store.folder / "run-A.json").exists()
@@ -269,7 +269,7 @@ def test_a_slow_share_is_planned_slower(pair, store):
 
 def test_arms_that_stand_elsewhere_are_not_moved(pair, store):
     pair.part.q_rad[1] = pair.part.q_rad[1] + np.array([0, 0, 0.021, 0, 0, 0])
-    with pytest.raises(PlanRefused, match="joint 3 stands at .* the part is gripped at"):
+    with pytest.raises(PlanRefused, match="joint 3 is at .* the part is gripped at"):
         run(pair, store, "A")
     assert [drives.log for drives in pair.drives] == [[], []]
     refuse_elsewhere(pair.cell, [arm.start_rad + 0.019 for arm in pair.cell.arms])

@@ -45,7 +45,7 @@ dwell_s = 0.2
 """
 #: What a program says that was held up by other work on this computer; it is then run again.
 DISTURBED = re.compile(
-    r"held up for|SYNCs in a row unanswered|this computer wakes a loop|SYNCs went out late|is this computer busy"
+    r"stalled for|SYNCs in a row unanswered|this computer wakes a loop|SYNCs were delayed|is this computer busy"
 )
 TRIES = 5
 VISIT = re.compile(r"visit \d+/\d+: pose (\d+) from (below|above)")

@@ -84,7 +84,7 @@ _WHOLE = Count("incomplete", most=0)
 _GAPS = Count("incomplete", least=1)
 _SILENT = "left 5 SYNCs in a row unanswered"
 _EMERGENCY = r"sent an emergency: 0x7305, encoder signal faulty"
-_BEHIND = r"was told to move by -?0\.04\d rad and has moved by -?0\.0\d\d rad"
+_BEHIND = r"was commanded to move by -?0\.04\d rad and has moved by -?0\.0\d\d rad"
 _EMCY_RESET = (Count("emcy", share=1.0), Count("emcy of the node", share=1.0), Count("emcy of an error", most=0))
 
 STATED: Final[Mapping[str, Stated]] = MappingProxyType(
@@ -165,7 +165,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         ),
         "rated_zero": Stated(ConfigurationRefused, r"6076:00.*rated value is 0"),
         "wrong_vendor": Stated(IdentityMismatch, r"1018:01.*vendor id is 0x[0-9A-F]+ instead of"),
-        "node_missing": Stated(NodeMissing, "nobody answers"),
+        "node_missing": Stated(NodeMissing, "no device answers"),
         "duplicate_node": Stated(DuplicateNode, "2 devices answer at this node id"),
         "fault_at_start": Stated(DriveFault, "is in FAULT.*0x7305, encoder signal faulty"),
         # strict slaves

@@ -33,11 +33,11 @@ from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.simulation import ServeOptions, Simulation
 from tests.support.pair.inline import inline
-from tests.support.pair.model_rows import oscillation
 from tests.support.rigs.pacing import in_lockstep
 
 Array = NDArray[np.float64]
 Done = TypeVar("Done")
+OSCILLATION_HZ = 5.0
 
 CELL = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
 BACK_SPEED = 1.5
@@ -231,3 +231,10 @@ def along_n(run: PairRun, cell: PairCell, record: Array) -> list[float]:
     """Force along the line between the grippers at every command [N]."""
     force = record[::PER_SYNC, 1:4][: len(run.path)]
     return np.round(np.sum(force * line_of_grippers(cell, run.path)[: len(force)], axis=1), 2).tolist()
+
+
+def oscillation(internal: Array, dt_s: float) -> float:
+    """Return the share of the energy of the internal force (M, 3 or 6) above `OSCILLATION_HZ`."""
+    force = internal[:, :3] - internal[:, :3].mean(axis=0)
+    power = (np.abs(np.fft.rfft(force, axis=0)) ** 2).sum(axis=1)
+    return float(power[np.fft.rfftfreq(len(force), dt_s) > OSCILLATION_HZ].sum() / max(power.sum(), 1e-300))
