@@ -1,14 +1,14 @@
-"""servo-gateway: parse, call one function, print, and turn every error into one paragraph and an exit code.
+"""Command line of servo-gateway: every error becomes one paragraph and an exit code.
 
     0    done
-    1    a defect of this program (details go to a log file that the message names)
+    1    a defect of this program (the message names the log file with details)
     2    usage
     3    configuration or input file
     4    bus or drive
     5    plan refused, or motion stopped
-    6    data cannot answer the question
-    7    finished, a failing finding stands
-    130  stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was measured is kept
+    6    data insufficient for the result
+    7    finished with a failing finding
+    130  stopped by the operator, a signal or a closed terminal; brakes engaged, measured data kept
 
 Each command lives in `gateway/commands` and is imported when it is called, so that `--help` stays fast.
 """
@@ -34,38 +34,38 @@ from gateway.motion.stops import StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
 CTRL_C = 130
-#: What the system says of a file that it has no room for.
+#: Error numbers of a full disk.
 NO_SPACE = frozenset({errno.ENOSPC, errno.EFBIG, errno.EDQUOT})
 
 # command -> (module of gateway.commands, one line of help)
 COMMANDS: dict[str, tuple[str, str]] = {
-    "scan": ("bus", "Who is on the bus: identity, firmware, NMT state, matching profile."),
-    "check": ("bus", "Pre-flight check of a cell: drives against profile and cell file."),
-    "live": ("live", "A page in the browser of what happens on the bus: watches, sends nothing."),
-    "restore": ("bus", "Put back what the write ledger holds."),
-    "config": ("config", "Configuration of the drives as DCF: dump, diff, apply."),
-    "move": ("move", "Go home, to where loads are hung, or to joint angles: slowly, asked, inside every limit."),
-    "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (needs no bus)."),
+    "scan": ("bus", "List the nodes on the bus: identity, firmware, NMT state, profile."),
+    "check": ("bus", "Check the drives against profile and cell file before motion."),
+    "live": ("live", "Show the arms of a cell in a browser; the bus is only read."),
+    "restore": ("bus", "Restore the drive parameters recorded in the write ledger."),
+    "config": ("config", "Drive parameters as DCF files: dump, diff, apply."),
+    "move": ("move", "Move an arm to its home or loading posture, or to joint angles."),
+    "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (no bus)."),
     "record": ("measure", "Measure the rest poses under one load into RUN.h5."),
-    "commission": ("guided", "All of it, guided: from the check to the report."),
-    "calibrate": ("calibrate", "Torque constants from a weighed load, guided; stored beside the cell file."),
-    "estimate": ("identification", "Mass and centre of gravity of the load(s) from DATA."),
-    "diagnose": ("identification", "What the model lacks, judged on data that no fit has seen."),
-    "compare": ("compare", "Two results of one robot, before and after service: what changed."),
-    "accept": ("accept", "A load that was entered, judged at unseen poses over the workspace."),
-    "replay": ("replay", "A stored measurement, computed again: what differs."),
-    "report": ("report_export", "One HTML page from a result."),
-    "export": ("report_export", "A load in a robot controller's syntax; a recording for other programs."),
-    "import": ("report_export", "A measured table from another program's log, by a map of its columns."),
-    "follow": ("follow_command", "Following error without, with maximum-load and with identified feedforward."),
-    "teach": ("pair", "Two arms: the first function from points where the force is adjusted away."),
-    "run-pair": ("pair", "Two arms: carry the part along the path, learning from force."),
-    "learn": ("pair", "Two arms: status of what was learned, learning off and on, forget it."),
-    "pair-report": ("pair", "Two arms: one HTML page, force along the path and convergence."),
-    "fleet": ("fleet", "Many robots over months: ingest, analyse, report."),
-    "cell": ("cell", "Cell files: new, schema."),
-    "doctor": ("doctor", "This computer: Python, real time, CAN interfaces, clock, browser, disk."),
-    "completion": ("completion", "Completion of commands and options for bash, zsh or fish."),
+    "commission": ("guided", "Guided commissioning, from the check to the report."),
+    "calibrate": ("calibrate", "Calibrate torque constants with a weighed load."),
+    "estimate": ("identification", "Estimate mass and centre of gravity of each load from DATA."),
+    "diagnose": ("identification", "Find the effects that the model lacks, validated on held-out data."),
+    "compare": ("compare", "Compare two results of one robot, before and after service."),
+    "accept": ("accept", "Validate an entered load at unseen poses over the workspace."),
+    "replay": ("replay", "Recompute a stored measurement and list the differences."),
+    "report": ("report_export", "Write an HTML page from a result."),
+    "export": ("report_export", "Export a load for a robot controller, or a recording for other programs."),
+    "import": ("report_export", "Convert the log of another program to a measured table."),
+    "follow": ("follow_command", "Following error without feedforward, with maximum and with identified load."),
+    "teach": ("pair", "Two arms: teach the first function at points with zero force."),
+    "run-pair": ("pair", "Two arms: carry the part along the path and learn from the force."),
+    "learn": ("pair", "Two arms: status of learning; freeze, resume, reset."),
+    "pair-report": ("pair", "Two arms: HTML page with force along the path and convergence."),
+    "fleet": ("fleet", "Monitor many robots over months: ingest, analyse, report."),
+    "cell": ("cell", "Cell files: new, view, schema."),
+    "doctor": ("doctor", "Check this computer: Python, real time, CAN, clock, browser, disk."),
+    "completion": ("completion", "Shell completion for bash, zsh or fish."),
     "profiles": ("profiles", "Drive profiles: list, show, schema; new drafts one from an EDS."),
 }
 
@@ -90,7 +90,7 @@ class LadderGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does, with commands that are spelled alike, which it only knows of those that are imported."""
+        """As click does; the error proposes commands with a similar name."""
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError:
@@ -107,13 +107,13 @@ class LadderGroup(click.Group):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; click would answer an interrupt and a closed terminal in its own way."""
+        """Run the command; handle an interrupt and a closed terminal here instead of in click."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt as error:
             raise click.exceptions.Exit(report_error(error)) from error
         except BrokenPipeError as error:
-            raise click.exceptions.Exit(_unheard(error)) from error
+            raise click.exceptions.Exit(_code_after_closed_output(error)) from error
 
     def main(
         self,
@@ -138,15 +138,15 @@ class LadderGroup(click.Group):
                 **extra,
             )
         except BaseException as error:
-            code = _unheard(error) if output_closed(error) else report_error(error)
+            code = _code_after_closed_output(error) if output_closed(error) else report_error(error)
         if args is None and code == CTRL_C:
-            _hear_no_signal()
+            _ignore_signals()
         sys.exit(code if isinstance(code, int) else 0)
 
 
-def _unheard(error: BaseException) -> int:
-    """Exit code where nobody reads the output any more: of what had happened before that was noticed, else 0."""
-    _let_go_of_terminal()
+def _code_after_closed_output(error: BaseException) -> int:
+    """Return the exit code after the output was closed: that of an earlier error, otherwise 0."""
+    _discard_output()
     before: BaseException | None = error
     while (before := before.__context__) is not None:
         if isinstance(before, click.Abort | KeyboardInterrupt):
@@ -158,7 +158,7 @@ def _unheard(error: BaseException) -> int:
 
 
 def _end_by_signal() -> None:
-    """Signals that end a program end it as Ctrl-C does, from the start on; what `nohup` has silenced stays so."""
+    """Handle ending signals like Ctrl-C; signals ignored by `nohup` stay ignored."""
 
     def stopped(number: int, _frame: Any) -> None:
         raise StoppedByPerson(f"stopped by {signal.Signals(number).name}")
@@ -168,14 +168,14 @@ def _end_by_signal() -> None:
             signal.signal(number, stopped)
 
 
-def _hear_no_signal() -> None:
-    """A second Ctrl-C while the interpreter ends would replace the exit code."""
+def _ignore_signals() -> None:
+    """Ignore signals while the interpreter ends: a second Ctrl-C would replace the exit code."""
     for number in ENDING_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
-def _let_go_of_terminal() -> None:
-    """What is still written goes nowhere, instead of failing when the program ends."""
+def _discard_output() -> None:
+    """Redirect further output to the null device, so that it does not fail when the program ends."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError, AttributeError):
@@ -190,7 +190,7 @@ def report_error(error: BaseException) -> int:
         if isinstance(error, click.Abort) and str(error):
             _say(str(error))
             return CTRL_C
-        # only a command that had an arm under power knows what it does: that is among the notes
+        # a command that had an arm under power adds its state as a note
         why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
         notes = [note.removesuffix(".") for note in getattr(error, "__notes__", [])]
         known = sorted(notes, key=lambda note: note not in (IN_BRAKES, NOT_CONFIRMED))
@@ -201,7 +201,7 @@ def report_error(error: BaseException) -> int:
         return error.exit_code
     code = getattr(error, "exit_code", None)
     if isinstance(code, int):
-        _say(f"error: {_told(error)}")
+        _say(f"error: {_message(error)}")
         return code
     if isinstance(error, OSError) and error.errno in NO_SPACE:
         _say(f"error: {error.filename or 'a file'}: {paragraph(error)}; free some space or choose another folder")
@@ -214,25 +214,25 @@ def report_error(error: BaseException) -> int:
 
 
 def _say(text: str) -> None:
-    """To stderr, if anybody is there to read it."""
+    """Write to stderr; ignore a closed terminal."""
     try:
         from gateway.result.numerals import with_degrees
 
         click.echo(with_degrees(without_controls(text, keep="\n\t")), err=True)
     except (OSError, AttributeError):
-        _let_go_of_terminal()
+        _discard_output()
 
 
-def _told(error: BaseException) -> str:
-    """One paragraph; a line per problem where a file has several."""
+def _message(error: BaseException) -> str:
+    """Return one paragraph, or a line per problem of a file."""
     lines = getattr(error, "lines", ())
     return "\n".join([*lines, *getattr(error, "__notes__", [])]) if lines else paragraph(error)
 
 
 def paragraph(error: BaseException) -> str:
-    """The message of an error and of its notes on one line; what was said already is not said again.
+    """Return the message of an error and its notes on one line, without repetition.
 
-    A note that begins with a capital letter is a sentence of its own.
+    A note that begins with a capital letter is a separate sentence.
     """
     text = " ".join((str(error) or type(error).__name__).split())
     for note in getattr(error, "__notes__", []):
@@ -245,14 +245,14 @@ def paragraph(error: BaseException) -> str:
 
 def _defect(error: BaseException) -> str:
     try:
-        import tempfile  # these two take as long to load as all else that `--help` needs
+        import tempfile  # these two take as long to load as everything else that `--help` needs
         import traceback
 
         handle, path = tempfile.mkstemp(prefix=f"{PROGRAM}-", suffix=".log")
         with os.fdopen(handle, "w", encoding="utf-8") as log:
             log.write("".join(traceback.format_exception(error)))
     except OSError as failed:
-        path = f"no file, which cannot be written ({failed})"
+        path = f"no file (it could not be written: {failed})"
     return (
         f"this is a defect of {PROGRAM}: {type(error).__name__}: {paragraph(error)}. "
         f"The details are in {path}; please report them"
@@ -264,12 +264,12 @@ def _defect(error: BaseException) -> str:
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="SPEC: INTERFACE:CHANNEL[,key=value]..., such as socketcan:can0 or udp_multicast:239.74.163.2,port=43113",
 )
-@click.option("-v", "--verbose", count=True, help="Say more; twice for every detail.")
+@click.option("-v", "--verbose", count=True, help="More output; twice for all details.")
 @click.option("-q", "--quiet", is_flag=True, help="Errors only.")
 @click.version_option(__version__, prog_name=PROGRAM)
 @click.pass_context
 def main(ctx: click.Context, verbose: int, quiet: bool) -> None:
-    """CANopen master for six-axis robots: what hangs on the flange, how sure that is, and why the residual is there."""
+    """CANopen master for six-axis robots: payload mass and centre of gravity, and the cause of the residual."""
     from gateway.commands.console import Session
 
     ctx.obj = Session(verbosity=verbose - (1 if quiet else 0))

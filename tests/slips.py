@@ -312,12 +312,12 @@ RESULTS: list[tuple[str, Sequence[str], int, str, Make]] = [
         "for a folder that is not there",
         (*REPORT, "--json", "new/r.json"),
         3,
-        "the folder new does not exist: make it",
+        "the folder new does not exist: create it",
         result(),
     ),
     ("for a command misspelt", ("exprot", "out.json"), 2, "Did you mean .*export", result()),
     ("for an option misspelt", ("export", "--fromat", "json", "out.json"), 2, "Did you mean .*--format", result()),
-    ("as if it were a recording", ("export", "out.json", "--format", "csv"), 2, "csv is of a recording", result()),
+    ("as if it were a recording", ("export", "out.json", "--format", "csv"), 2, "csv is for a recording", result()),
 ]
 
 SLIPS: list[Kind] = [

@@ -123,7 +123,7 @@ def diagnose(
     """
     paths, unseen_paths, names = _paths(data), _paths(holdout), (frozenset(only), frozenset(without))
     for name in sorted(frozenset.union(*names) - set(LIBRARY)):
-        raise InputError(f"'{name}' is no effect; known are {', '.join(sorted(LIBRARY))}")
+        raise InputError(f"'{name}' is not an effect; choose from {', '.join(sorted(LIBRARY))}")
     about = given(model, [*paths, *unseen_paths])
     table = read_rows(paths, about)
     seen, unseen = (table, read_rows(unseen_paths, about)) if unseen_paths else split_validation(table)

@@ -1,4 +1,4 @@
-"""scan, check, restore: commands that only talk to the drives."""
+"""Commands `scan`, `check` and `restore`, which communicate with the drives."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
 
 
 DEFAULT_BUS = "socketcan:can0"
-#: Objects that are named one by one where more are left in the ledger.
+#: Number of remaining ledger objects that are listed without -v.
 _LISTED = 6
 
 
 @click.command()
-@click.option("--bus", "bus_spec", metavar="SPEC", default=DEFAULT_BUS, show_default=True, help="Bus to look at.")
+@click.option("--bus", "bus_spec", metavar="SPEC", default=DEFAULT_BUS, show_default=True, help="Bus to scan.")
 @click.option(
     "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.0, show_default=True, help="Seconds."
 )
 @json_option
 @common
 def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
-    """Who is on the bus: identity, firmware, NMT state, matching profile. Nothing is written, nothing moves."""
+    """List the nodes on the bus: identity, firmware, NMT state, matching profile. Nothing is written, nothing moves."""
     from drives.bus import BusSpec, open_bus
     from drives.errors import BusError
     from drives.probe import scan as scan_bus
@@ -53,8 +53,8 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
     with open_bus(BusSpec.parse(bus_spec)) as bus:
         nodes = scan_bus(bus, listen_s=listen_s)
     if not nodes:
-        advice = "check power, wiring, termination and bit rate, and that this is the bus the drives are on"
-        raise BusError(f"{bus_spec}: nobody answered", advice=advice)
+        advice = "check supply, wiring, termination and bit rate, and that the drives are on this bus"
+        raise BusError(f"{bus_spec}: no node answered", advice=advice)
     columns = ["node", "device", "vendor", "product", "revision", "serial", "firmware", "NMT", "profiles"]
     session_of().show(grid(f"nodes on {bus_spec}", columns, [_node_row(node) for node in nodes], left=len(columns)))
     if json_out:
@@ -62,13 +62,16 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
     twice = [str(node.identity.node_id) for node in nodes if node.devices > 1]
     if twice:
         raise FindingFailed(
-            f"{bus_spec}: more than one device answers at node id {', '.join(twice)}: give each an id of its own"
+            f"{bus_spec}: more than one device answers at node id {', '.join(twice)}: set a unique node id on each "
+            f"device"
         )
     unread = [node for node in nodes if node.unread]
     if unread:
         ids = ", ".join(str(node.identity.node_id) for node in unread)
-        what = f"{bus_spec}: the identity of node {ids} could not be read although it answered: {unread[0].unread}"
-        raise BusError(what, advice="scan again; another tool may hold its SDO channel, or it lost its supply")
+        what = f"{bus_spec}: node {ids} answers, but its identity cannot be read: {unread[0].unread}"
+        raise BusError(
+            what, advice="scan again; another tool may be using its SDO channel, or the drive lost its supply"
+        )
 
 
 def _node_row(node: ScanResult) -> list[str]:
@@ -96,11 +99,19 @@ def _hex(value: int | None) -> str:
 
 @click.command()
 @cell_argument
-@click.option("--move", is_flag=True, help="Small moves: signs, axis order, gear ratios, torque, against the model.")
 @click.option(
-    "--prove-stop", is_flag=True, help="Withhold the heartbeat while the arm moves slowly: do the drives stop?"
+    "--move",
+    is_flag=True,
+    help="Move each joint a little: compare signs, axis order, gear ratios and torque with the model.",
 )
-@click.option("--brakes", is_flag=True, help="Let each brake in turn hold its axis, the others under power.")
+@click.option(
+    "--prove-stop",
+    is_flag=True,
+    help="Stop the master's heartbeat during a slow motion and check that the drives stop.",
+)
+@click.option(
+    "--brakes", is_flag=True, help="Test each brake in turn: it holds its axis while the other axes are under power."
+)
 @bus_option
 @json_option
 @move_options
@@ -114,7 +125,7 @@ def check(
     json_out: str | None,
     moving: MoveChoice,
 ) -> None:
-    """Pre-flight check of every drive against profile and cell file.
+    """Check every drive against profile and cell file before motion.
 
     Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks.
     """
@@ -136,7 +147,7 @@ def check(
             items[arm.name] += found
             proofs += seen
     elif wanted.any:
-        session.note("nothing has moved: correct what has failed first")
+        session.note("nothing has moved: correct the failed items first")
     for name, lines in items.items():
         shown = [line for line in lines if session.verbosity > 0 or line.severity in ("warn", "fail")]
         title = f"arm {name}: {_count(lines)}"
@@ -152,7 +163,7 @@ def check(
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """Which checks that move an arm were asked for."""
+    """Checks with motion that the command line requests."""
 
     move: bool
     prove_stop: bool
@@ -160,23 +171,23 @@ class _Wanted:
 
     @property
     def any(self) -> bool:
-        """At least one of them."""
+        """Return whether at least one is requested."""
         return self.move or self.prove_stop or self.brakes
 
 
 def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
     text = f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move a little on every joint"
     if wanted.prove_stop or not context.stop_proof(arm).exists():
-        text += ", and its drives lose the master's heartbeat on purpose (a fault they answer with is reset)"
+        text += ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
     if wanted.brakes:
-        text += ", and each axis in turn is left to its brake (one that does not hold is caught by its drive)"
-    return f"{text}.{context.grippers} Is nobody near it, and the emergency stop at hand?"
+        text += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
+    return f"{text}.{context.grippers} Is the area clear of people and the emergency stop within reach?"
 
 
 def _in_motion(
     context: CellContext, arm: ArmConfig, wanted: _Wanted, moving: MoveChoice
 ) -> tuple[list[Finding], list[dict[str, Any]]]:
-    """Checks that move the arm; the stop is proven before anything else moves."""
+    """Run the checks with motion; the stop is proven first."""
     from gateway.check.brakes import try_brakes
     from gateway.check.proofs import keep_proof, proven_on, slow_at_first
     from gateway.check.stop import prove_stop as prove
@@ -188,7 +199,7 @@ def _in_motion(
     path = context.stop_proof(arm)
     opening = open_arm(context.loaded, context.override(arm), arm.name)
     with (
-        context.way_on(),
+        context.with_move_command(),
         stoppable(moving) as options,
         opening as opened,
         context.last_seconds(options, opened),
@@ -218,7 +229,7 @@ def _small_moves(opened: OpenArm, options: MoveOptions) -> tuple[Finding, ...]:
 
 
 def _checked(context: CellContext, arm: ArmConfig) -> list[Finding]:
-    """Computer, bus and drives of one arm; the computer is told of once."""
+    """Check computer, bus and drives of one arm; the computer is reported once."""
     from drives.realtime import available
     from gateway.preflight.machine import judge_realtime
 
@@ -233,16 +244,18 @@ def _count(lines: Sequence[Finding]) -> str:
 
 @click.command()
 @cell_argument
-@click.option("--forget", is_flag=True, help="Strike off what cannot be put back; it is listed and asked first.")
-@click.option("--yes", is_flag=True, help="Do not ask before striking off.")
+@click.option(
+    "--forget", is_flag=True, help="Remove entries that cannot be restored; they are listed, and you confirm first."
+)
+@click.option("--yes", is_flag=True, help="Remove entries without asking.")
 @bus_option
 @json_option
 @common
 def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out: str | None) -> None:
-    """Put back what the write ledger holds of the drives of a cell, and read it back; the drives must be disabled.
+    """Restore the drive parameters recorded in the write ledger and read them back. The drives must be disabled.
 
-    A drive that does not answer or an object that a drive refuses stops nothing else: it stays in the ledger, is named,
-    and the exit code is 4. An object that somebody else has written since keeps its value.
+    If a drive does not answer or refuses an object, the others are still restored. The entry stays in the ledger, is
+    listed, and the exit code is 4. An object that another tool has written since keeps its value.
     """
     from drives.errors import DriveError, raise_failures
     from gateway.commands.cell_context import open_cell
@@ -264,7 +277,10 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
             back = [entry for entry in before if entry not in left and entry not in superseded]
             _say_restored(arm.name, back, superseded, left)
             if left and forget:
-                confirm(f"{len(left)} objects of arm '{arm.name}' keep the values they have. Strike them off?", yes=yes)
+                confirm(
+                    f"{len(left)} objects of arm '{arm.name}' keep their current values. Remove them from the ledger?",
+                    yes=yes,
+                )
                 group.ledger.forget(*left)
                 left, wrong = (), []
             failures += wrong
@@ -278,19 +294,19 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
 def _say_restored(
     arm: str, back: Sequence[LedgerEntry], superseded: Sequence[LedgerEntry], left: Sequence[LedgerEntry]
 ) -> None:
-    """What was put back, what was not touched, and what is left in the ledger."""
+    """Show what was restored, what was skipped, and what remains in the ledger."""
     session = session_of()
     for entry in back:
-        session.note(f"put back: {entry}", level=1)
-    session.show(f"arm {arm}: {len(back)} objects put back" if back or left else f"arm {arm}: nothing to put back")
+        session.note(f"restored: {entry}", level=1)
+    session.show(f"arm {arm}: {len(back)} objects restored" if back or left else f"arm {arm}: nothing to restore")
     for entry in superseded:
-        session.show(f"  {entry.where} keeps its value: it was written by somebody else since")
+        session.show(f"  {entry.where} keeps its value: another tool has written it since")
     if left:
         session.show(
-            f"arm {arm}: {len(left)} objects are left in the write ledger; remove the cause and restore once more, or"
-            " strike them off with --forget"
+            f"arm {arm}: {len(left)} objects remain in the write ledger; remove the cause and run restore again, or"
+            " remove them with --forget"
         )
     for entry in left if session.verbosity > 0 else left[:_LISTED]:
         session.show(f"  {entry.where}: original {entry.old:#x}, written {entry.new:#x}")
     if len(left) > _LISTED and session.verbosity <= 0:
-        session.show(f"  and {len(left) - _LISTED} more (-v names them)")
+        session.show(f"  and {len(left) - _LISTED} more (list them with -v)")

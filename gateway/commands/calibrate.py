@@ -51,11 +51,11 @@ if TYPE_CHECKING:
     multiple=True,
     metavar="DATA",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Recordings or tables that hold the unloaded arm and the load; nothing moves. Repeatable.",
+    help="Recordings or tables with the unloaded arm and the load; nothing moves. Repeatable.",
 )
 @warm_option
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
-@click.option("--resume", is_flag=True, help="Go on with OUT/calibrate.h5 instead of starting a new one.")
+@click.option("--resume", is_flag=True, help="Continue OUT/calibrate.h5 instead of starting a new recording.")
 @arm_option
 @bus_option
 @json_option
@@ -73,9 +73,9 @@ def calibrate(
     json_out: str | None,
     moving: MoveChoice,
 ) -> None:
-    """Torque constants from a weighed load, guided: unloaded, mounted, unloaded. The arm moves, unless --from is given.
+    """Calibrate torque constants with a weighed load: unloaded, mounted, unloaded. The arm moves, except with --from.
 
-    They are stored beside the cell file, as CELL.calibration.toml; estimate, diagnose and commission use them.
+    The result is stored beside the cell file as CELL.calibration.toml; estimate, diagnose and commission use it.
     """
     from gateway.analyse.calibrate import calibrate as run
     from gateway.analyse.calibration_checks import Weight
@@ -106,7 +106,7 @@ def calibrate(
 
 @dataclass(frozen=True, slots=True)
 class _Measuring:
-    """Where and how it is measured: CELL, OUT, --resume, --bus and MOVE."""
+    """Options of the measurement: CELL, OUT, --resume, --bus and MOVE."""
 
     cell: Path
     out: Path
@@ -138,17 +138,17 @@ def _measured(arm: ArmConfig, about: Given, weight: Weight, how: _Measuring) -> 
         refuse_other_cell(read(recording), context.loaded.text)
     terminal = Terminal(session_of(), context.loaded.cell.name, how.moving, partial(_refuse_plan, arm, about, weight))
     try:
-        with context.way_on(), stoppable(how.moving) as options:
+        with context.with_move_command(), stoppable(how.moving) as options:
             measure(Job(context, arm, (weight.label,), recording, options, is_bracketed=True), terminal)
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
-            error.add_note(f"What was measured is in {recording}; go on with calibrate --resume.")
+            error.add_note(f"Measured data is in {recording}; continue with calibrate --resume.")
         raise
     return recording
 
 
 def _refuse_plan(arm: ArmConfig, about: Given, weight: Weight, plan: Plan) -> None:
-    """Refuse to move where no axis would be calibrated."""
+    """Refuse to move if no axis can be calibrated."""
     import numpy as np
 
     from gateway.analyse.calibration_checks import carried_by_none, load_torque, stated_std
@@ -167,7 +167,10 @@ def _refuse_plan(arm: ArmConfig, about: Given, weight: Weight, plan: Plan) -> No
 
 
 def _hand_over(found: Calibration, cell: Path, json_out: str | None, session: Session) -> None:
-    """Show, compare with the stored calibration, and store; a failing finding stores nothing without --force."""
+    """Show the calibration, compare it with the stored one, and store it.
+
+    A failing finding prevents that without --force.
+    """
     from gateway.analyse.calibration_checks import contradictions
     from gateway.cell.calibration import (
         CalibrationFile,
@@ -190,8 +193,8 @@ def _hand_over(found: Calibration, cell: Path, json_out: str | None, session: Se
         replace_file(path, calibration_toml(whole, cell.name))
     if json_out:
         axes = [plain_values(axis) for axis in found.axes]
-        told = {"axes": axes, "findings": [plain_values(each) for each in findings]}
-        write_json(json_out, {"schema": 1, "arm": new.name, "load": new.load, "mass_kg": new.mass_kg, **told})
+        report = {"axes": axes, "findings": [plain_values(each) for each in findings]}
+        write_json(json_out, {"schema": 1, "arm": new.name, "load": new.load, "mass_kg": new.mass_kg, **report})
     rows = [
         [
             f"J{axis.joint}",
@@ -204,7 +207,7 @@ def _hand_over(found: Calibration, cell: Path, json_out: str | None, session: Se
         ]
         for axis in found.axes
     ]
-    columns = ["axis", "Nm/A", "true/stated", "std [%]", "stated to [%]", "differs by [std]", "stored"]
+    columns = ["axis", "Nm/A", "true/stated", "std [%]", "stated to [%]", "difference [std]", "stored"]
     session.show(grid(f"torque constants, from load {new.load} of {new.mass_kg:.6g} kg", columns, rows))
     if findings:
         session.show(findings_table(findings))

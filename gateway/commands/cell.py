@@ -1,4 +1,4 @@
-"""cell: the file that describes an arm with its drives, and how a stranger's arm gets one."""
+"""Command group `cell`: create and view cell files (the description of an arm with its drives)."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ FILE = click.Path(path_type=Path, dir_okay=False)
 
 @click.group()
 def cell() -> None:
-    """Cell files: an arm, its drives, and what stands between them."""
+    """Cell files: description of an arm, its drives and gears."""
 
 
 @cell.command("schema")
 @common
 def cell_schema() -> None:
-    """JSON schema of a cell file, for editors."""
+    """Print the JSON schema of a cell file, for editors."""
     from gateway.cell.config import cell_schema as schema
 
     write_json("-", schema())
@@ -54,10 +54,10 @@ def cell_schema() -> None:
 @cell.command("view")
 @cell_argument
 @arm_option
-@output_option("-o", "--output", metavar="PAGE.html", help="Page to write; beside the cell if omitted.")
+@output_option("-o", "--output", metavar="PAGE.html", help="Page to write; default: beside the cell file.")
 @common
 def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
-    """Draw the arm at its named postures, the boxes around it, and say what is assumed. Needs no bus."""
+    """Draw the arm at its named postures with the keep-out boxes, and list the assumptions. Needs no bus."""
     from gateway.cell.config import load_cell
     from gateway.commands.pages import write_page
     from gateway.commands.plan_view import space_in_words, view_of_cell
@@ -76,16 +76,20 @@ def cell_view(cell: Path, arm_name: str | None, output: Path | None) -> None:
 
 
 @cell.command("new")
-@click.option("--robot", help="URDF of the arm, or dh: Denavit-Hartenberg rows are asked for.")
+@click.option("--robot", help="URDF of the arm; or `dh` to enter Denavit-Hartenberg parameters.")
 @click.option(
-    "--tip", metavar="LINK", help="Last link of the arm, where the URDF holds more: jaws, fingers, a second arm."
+    "--tip", metavar="LINK", help="Last link of the arm, if the URDF also contains jaws, fingers or a second arm."
 )
-@click.option("--bus", metavar="SPEC", help="Bus of the drives; node ids, ratings and limits are read from them.")
-@click.option("--offline", is_flag=True, help="Look at no bus: EDS and DCF files and answers alone.")
-@click.option("--eds", multiple=True, metavar="FILE", help="EDS or DCF: one per axis from the base on, or one for all.")
-@click.option("--answers", type=FILE, help="Answer file (TOML): nobody is asked.")
-@click.option("--answer", "typed", multiple=True, metavar="KEY=VALUE", help="One answer; before the file's.")
-@output_option("--save-answers", metavar="FILE", help="Write the answers of this run as answer file.")
+@click.option("--bus", metavar="SPEC", help="Bus of the drives; node ids, ratings and limits are read from the drives.")
+@click.option("--offline", is_flag=True, help="Use no bus: only EDS and DCF files and answers.")
+@click.option(
+    "--eds", multiple=True, metavar="FILE", help="EDS or DCF: one per axis starting at the base, or one for all."
+)
+@click.option("--answers", type=FILE, help="Answer file (TOML); no questions are asked.")
+@click.option(
+    "--answer", "typed", multiple=True, metavar="KEY=VALUE", help="One answer; takes precedence over the answer file."
+)
+@output_option("--save-answers", metavar="FILE", help="Write the answers of this run to an answer file.")
 @click.option(
     "--listen", "listen_s", type=click.FloatRange(0.05, 60.0), default=1.0, show_default=True, help="Seconds."
 )
@@ -105,7 +109,7 @@ def cell_new(
     output: Path,
     json_out: str | None,
 ) -> None:
-    """A cell file for an arm that has none: asks for what cannot be read, marks what is assumed.
+    """Create a cell file: reads what it can, asks for the rest, and marks assumed values.
 
     Joint limits come from the URDF; node ids, profiles, ratings and limits from the drives, or from EDS and DCF files.
     Nothing is written to a drive and nothing moves.
@@ -116,21 +120,21 @@ def cell_new(
     from gateway.newcell.reading import BusEyes
 
     session, kept = session_of(), output.with_suffix(".answers.toml")
-    given = {} if answers is None else read_answers(answers)
+    answered = {} if answers is None else read_answers(answers)
     resumed = read_answers(kept) if answers is None and kept.is_file() else {}
     if resumed:
-        session.note(f"{kept}: {len(resumed)} answers of an earlier run are taken; delete the file to be asked again")
-    given |= _options(
+        session.note(f"{kept}: {len(resumed)} answers of an earlier run are reused; delete the file to answer again")
+    answered |= _options(
         {"robot": robot, "tip": tip, "bus": bus, "offline": offline or None, "eds": list(eds) or None}, typed
     )
-    said = CellAnswers(given, str(answers or "answers"), None if answers is not None else _ask, resumed)
+    said = CellAnswers(answered, str(answers or "answers"), None if answers is not None else _ask, resumed)
     try:
         draft = interview(said, BusEyes(listen_s), output.stem, session.note)
         _write(draft, output)
     except BaseException as error:
-        if said.typed:  # nobody types them twice because a drive did not answer
+        if said.typed:  # the answers are kept, so that they need not be typed again when a drive does not answer
             _save(said, kept)
-            error.add_note(f"the answers are kept in {kept}: run the same command again to go on from there")
+            error.add_note(f"the answers are kept in {kept}: run the same command again to continue")
         raise
     finally:
         if save_answers is not None and said.said:
@@ -143,11 +147,11 @@ def cell_new(
         write_json(json_out, _as_json(output, said, left, items))
     from gateway.preflight.drive_check import require_passed
 
-    require_passed(items, f"{output} is written, and the drives do not pass")
+    require_passed(items, f"{output} is written, but the drives fail the check")
 
 
 def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnswer]:
-    """Answers of the command line; names of files start at the working folder."""
+    """Return the answers given as options; file names are relative to the working folder."""
     from gateway.newcell import questions
     from gateway.newcell.answers import GivenAnswer
     from gateway.newcell.forms import typed
@@ -160,7 +164,7 @@ def _options(named: dict[str, Any], pairs: Sequence[str]) -> dict[str, GivenAnsw
 
 
 def _ask(asked: OpenQuestion) -> Answer | None:
-    """Ask at the terminal until the answer has the right form; Enter takes what is offered."""
+    """Ask at the terminal until the answer is valid; Enter accepts the proposed value."""
     from gateway.newcell.cell_text import short
     from gateway.newcell.forms import typed
 
@@ -181,23 +185,23 @@ def _ask(asked: OpenQuestion) -> Answer | None:
 
 
 def _typed_line(question: CellQuestion, default: str | None) -> str:
-    """A line of the terminal; where nobody is there, how the answer is given otherwise."""
+    """Read a line from the terminal; without one, raise an error that names the other ways of answering."""
     try:
         return click.prompt(f"  {question.key}", default=default, show_default=False, err=True)
     except click.Abort as error:
         if sys.stdin.isatty():
             raise
         advice = f"write it into an answer file (--answers FILE), or --answer {question.key}=VALUE"
-        raise ConfigError(f"{question.key}: nobody answered; {advice}") from error
+        raise ConfigError(f"{question.key}: no answer was given; {advice}") from error
 
 
 def _named_from(folder: Path) -> Callable[[str], str]:
-    """Path of a file -> its name from a folder."""
+    """Return a function: path of a file -> its name relative to a folder."""
     return lambda name: os.path.relpath(Path(name).resolve(), folder.resolve())
 
 
 def _write(draft: Draft, output: Path) -> None:
-    """Write the cell, once the strict reader has taken it."""
+    """Write the cell file after it has passed the strict reader."""
     from gateway.cell.config import parse_cell
     from gateway.newcell.cell_text import cell_text
 
@@ -205,9 +209,9 @@ def _write(draft: Draft, output: Path) -> None:
     try:
         parse_cell(text, str(output))
     except ConfigError as error:
-        told = error.lines or (str(error),)
+        shown = error.lines or (str(error),)
         raise ConfigError.of(
-            [*told, "nothing was written: the lines are those of the draft, correct the answers"]
+            [*shown, "nothing was written: the line numbers refer to the draft; correct the answers"]
         ) from error
     replace_file(output, text)
 
@@ -219,7 +223,7 @@ def _save(said: CellAnswers, path: Path) -> None:
 
 
 def _checked(output: Path, draft: Draft) -> list[Finding]:
-    """The pre-flight check as far as it can be done: of the drives where there is a bus, else of the files alone."""
+    """Run the pre-flight check: of the drives if a bus is connected, otherwise of the files only."""
     from gateway.commands.cell_context import open_cell
     from gateway.model.arm_model import arm_robot
 
@@ -232,13 +236,13 @@ def _checked(output: Path, draft: Draft) -> list[Finding]:
 
 def _show(output: Path, said: CellAnswers, left: Sequence[Left], items: Sequence[Finding]) -> None:
     session = session_of()
-    told = [item for item in items if item.severity in ("warn", "fail")]
-    if told:
-        session.show(findings_table(told, "what the drives say to it"))
+    shown = [item for item in items if item.severity in ("warn", "fail")]
+    if shown:
+        session.show(findings_table(shown, "differences between drives and cell file"))
     guesses = [entry for entry in left if entry.key]
     if guesses:
         rows = [[entry.key, entry.value, entry.why, entry.how] for entry in guesses]
-        session.show(grid("assumed, to be found out", ["key", "value", "why", "how to find out"], rows, left=4))
+        session.show(grid("assumed, to be determined", ["key", "value", "why", "how to determine it"], rows, left=4))
     for entry in left:
         if not entry.key:
             session.show(f"to do: {entry.why}")

@@ -1,4 +1,4 @@
-"""A cell file and what the command line says differently: which bus, where the write ledger is kept."""
+"""A cell file with the overrides of the command line (bus, pacing) and the location of the write ledger."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ from gateway.preflight.limits import MOVE_HOME
 from gateway.preflight.machine import judge_surroundings
 from gateway.result.result import Finding
 
-#: From SYNC to SYNC while an arm is moved to learn it, where the cell does not ask for a shorter time [s].
+#: SYNC period of excitation trajectories, unless that of the cell is shorter [s].
 MOVING_SYNC_S: Final = 0.004
-#: The slowest SYNC that may be asked for, where the cell's own is not slower [s].
+#: Longest SYNC period that --rate may request, unless that of the cell is longer [s].
 SLOWEST_MOVING_SYNC_S: Final = 0.01
 #: The write ledger in the state folder.
 LEDGER: Final = "ledger.json"
@@ -45,7 +45,7 @@ INTERPOLATION: Final = 0x60C2
 
 @dataclass(frozen=True, slots=True)
 class CellContext:
-    """A cell as this command uses it.
+    """A cell file with the overrides of the command line.
 
     Parameters
     ----------
@@ -53,11 +53,11 @@ class CellContext:
     path : Path
         The cell file.
     specs : mapping
-        Bus of every name in the cell, as the command line has it.
+        Bus of every name in the cell, after the overrides.
     options : tuple of str
-        Bus and pacing as they were typed, for a command that is shown.
+        Bus and pacing options as typed, for a proposed command.
     sync_period_s : float or None
-        From SYNC to SYNC, where it is another one than the file's.
+        SYNC period, if it differs from that of the file.
     """
 
     loaded: LoadedCell
@@ -73,7 +73,7 @@ class CellContext:
 
     @property
     def grippers(self) -> str:
-        """What is asked besides before one arm of a pair moves alone; empty for any other arm."""
+        """Additional question before one arm of a pair moves alone; empty for a single arm."""
         return "" if self.loaded.cell.pair is None else " Are both grippers open?"
 
     def bus_spec(self, arm: ArmConfig) -> BusSpec:
@@ -99,16 +99,16 @@ class CellContext:
         return judge_bus_load(self.loaded.cell.bus[arm.bus], axes, self.instruments(arm))
 
     def surroundings(self, arm: ArmConfig) -> list[Finding]:
-        """Judge what the drives of an arm are reached by: load of the bus, who can write to it, the SYNC's clock."""
+        """Check the connection to the drives of an arm: bus load, other writers, clock of the SYNC."""
         bus = self.loaded.cell.bus[arm.bus]
         return [self.bus_load(arm), *judge_surroundings(bus, self.bus_spec(arm))]
 
     def instruments(self, arm: ArmConfig) -> tuple[InstrumentSetup, ...]:
-        """Measuring devices on the bus of an arm."""
+        """Return the measuring devices on the bus of an arm."""
         return instruments_on(arm.bus, self.loaded.cell.pair)
 
     def ledger(self, arm: ArmConfig) -> Path:
-        """The write ledger, one for all drives; files of earlier versions are moved into it.
+        """Return the path of the write ledger (one for all drives); files of earlier versions are merged into it.
 
         Raises
         ------
@@ -127,45 +127,44 @@ class CellContext:
         return path
 
     def check(self, arm: ArmConfig) -> list[Finding]:
-        """Pre-flight check of an arm: what its drives are reached by, and the drives themselves; nothing is written."""
+        """Run the pre-flight check of an arm: connection and drives. Nothing is written."""
         return self.surroundings(arm) + self.check_drives(arm)
 
     def check_drives(self, arm: ArmConfig) -> list[Finding]:
-        """What the drives of an arm say to profile and cell; the computer is not judged, nothing is written."""
+        """Check the drives of an arm against profile and cell, without the computer. Nothing is written."""
         with self.open_bus(arm) as bus:
             items = check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
         typed = self.move_command(arm.name, "home")
         return [replace(item, advice=item.advice.replace(MOVE_HOME, typed)) for item in items]
 
     def stop_proof(self, arm: ArmConfig) -> Path:
-        """Where the proof is kept that the drives of an arm stop on loss of the master, under this SYNC."""
+        """Return the path of the proof that the drives of an arm stop on loss of the master, at this SYNC period."""
         return self._state(arm, "-stop" + (f"-{1e6 * self.sync_period_s:.0f}us" if self.sync_period_s else ""))
 
     def for_motion(self, arm: ArmConfig, rate_hz: float | None) -> CellContext:
-        """The same cell with the SYNC that an arm is moved under to learn it.
+        """Return the same cell with the SYNC period for excitation trajectories.
 
-        Set points are joined by straight lines: a drive jerks at each of them, and its torque is read at that instant.
-        The closer they follow one another, the less of the acceleration's torque is lost by that.
+        Drives interpolate linearly between setpoints: acceleration is concentrated at each setpoint, where the torque
+        is read. A shorter period reduces the error of the torque due to acceleration.
 
         Parameters
         ----------
         arm : ArmConfig
         rate_hz : float or None
-            SYNCs per second; None: 1 / `MOVING_SYNC_S` where the cell's are fewer, the bus has room for them, and the
-            drives may be told.
+            SYNCs per second. None: 1 / `MOVING_SYNC_S`, if the cell's rate is lower and bus load and drives allow it.
 
         Raises
         ------
         PlanRefused
-            The rate that was asked for is too slow, does not fit on the bus, or a drive may not be told of it.
+            The requested rate is too low, exceeds the bus load, or cannot be configured in a drive.
         """
         own_s = self.loaded.cell.bus[arm.bus].sync_period_s
         wanted_s = MOVING_SYNC_S if rate_hz is None else 1.0 / rate_hz
         if not wanted_s <= max(own_s, SLOWEST_MOVING_SYNC_S) * (1.0 + 1e-9):
             least_hz = 1.0 / max(own_s, SLOWEST_MOVING_SYNC_S)
             raise PlanRefused(
-                f"arm '{arm.name}': {rate_hz:g} SYNCs per second: drives jerk at every set point, so a motion needs"
-                f" {least_hz:g} or more; ask for as many, or leave --rate out"
+                f"arm '{arm.name}': {rate_hz:g} SYNCs per second are too few for excitation trajectories (minimum "
+                f"{least_hz:g}); raise --rate, or omit it"
             )
         if wanted_s == own_s or (rate_hz is None and own_s < wanted_s):
             return self
@@ -177,7 +176,7 @@ class CellContext:
         if rate_hz is None:
             return self
         why = f"profile {untold[0]} does not let 0x60C2 be written" if untold else f"bus: {load.what}"
-        raise PlanRefused(f"arm '{arm.name}': {rate_hz:g} SYNCs per second: {why}; ask for fewer, or leave --rate out")
+        raise PlanRefused(f"arm '{arm.name}': {rate_hz:g} SYNCs per second: {why}; lower --rate, or omit it")
 
     def _state(self, arm: ArmConfig, kind: str) -> Path:
         key = f"{self.path.resolve()}|{arm.name}|{self.bus_spec(arm)}"
@@ -197,40 +196,43 @@ class CellContext:
 
     @contextmanager
     def last_seconds(self, options: MoveOptions, *opened: OpenArm) -> Generator[None]:
-        """While this is open the last seconds of every arm are kept, and stay beside the ledger if it ends badly."""
+        """Keep the last seconds of every arm while open; on failure they are stored beside the ledger."""
         with ExitStack() as stack:
             for each in opened:
                 stack.enter_context(last_seconds(each, _state_folder(), options.observers))
             yield
 
     def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
-        """What differs from the cell file on the bus of an arm."""
+        """Return the overrides for the bus of an arm."""
         return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger(arm))
 
     @contextmanager
-    def way_on(self) -> Generator[None]:
-        """What is refused because of where an arm stands says by which command it goes elsewhere."""
+    def with_move_command(self) -> Generator[None]:
+        """Append the command that moves the arm to errors caused by its current position."""
         try:
             yield
         except WrongPlace as error:
-            error.add_note(f"The way on, it asks first: {self.move_command(error.arm, error.to)}")
+            error.add_note(f"To continue, move the arm (asks first): {self.move_command(error.arm, error.to)}")
             raise
 
     def move_command(self, arm: str, to: str) -> str:
-        """What a person types to bring an arm somewhere."""
+        """Return the command that moves an arm to a posture."""
         named = ["--arm", arm] if len(self.arms) > 1 else []
         return shlex.join(["servo-gateway", "move", str(self.path), *named, *self.options, "--to", to])
 
     @contextmanager
     def connected(self, arm: ArmConfig) -> Generator[DriveGroup]:
-        """The drives of an arm, and the measuring device on its bus, found and identified, nothing written."""
+        """Connect to the drives of an arm and the measuring device on its bus; identify them, write nothing."""
         with self._group(arm) as group:
             group.connect()
             yield group
 
     @contextmanager
     def connected_for_restore(self, arm: ArmConfig) -> Generator[tuple[DriveGroup, list[DriveError]]]:
-        """As `connected`, without the nodes that do not answer or are others than expected, and why."""
+        """As `connected`, without nodes that do not answer or differ from the expected ones.
+
+        Also return the reasons.
+        """
         with self._group(arm) as group:
             yield group, group.connect_for_restore()
 
@@ -252,7 +254,7 @@ class CellContext:
 
 
 def _state_folder() -> Path:
-    """Where ledgers live (XDG base directory specification)."""
+    """Return the folder of the ledgers (XDG base directory specification)."""
     base = os.environ.get("XDG_STATE_HOME")
     return (Path(base) if base else Path.home() / ".local" / "state") / "servo-gateway"
 
@@ -263,7 +265,7 @@ def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> Ce
     Raises
     ------
     ConfigError
-        The file cannot be used, or it is not said which of its buses is meant.
+        The file cannot be used, or the bus is ambiguous.
     BusError
         The SPEC is not understood.
     """
@@ -272,6 +274,6 @@ def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> Ce
 
 
 def typed_options(bus_spec: str | None, pacing: str | None) -> tuple[str, ...]:
-    """Bus and pacing as words of a command line; what was not typed is left out."""
+    """Return bus and pacing as command line arguments; defaults are omitted."""
     typed = (("--bus", bus_spec), ("--pacing", pacing))
     return tuple(word for name, value in typed if value is not None for word in (name, value))

@@ -1,8 +1,7 @@
-"""The whole job, guided: check, bare arm, each load, diagnosis, back to the robot, fresh poses, result and report.
+"""Guided commissioning: check, unloaded arm, each load, diagnosis, further poses, validation poses, result, report.
 
-Where the cell says where loads are hung, the arm goes there before a person is asked to hang one. The drives are in
-their brakes whenever a person is asked for something. Everything measured is in one file, which is whole after each
-visit.
+If the cell defines a loading posture, the arm moves there before the operator mounts a load. The brakes are engaged
+during every prompt. All data is stored in one file, which is consistent after each visit.
 """
 
 from __future__ import annotations
@@ -59,60 +58,60 @@ from gateway.result.result import Finding, Result
 
 
 class Dialogue(Protocol):
-    """Whoever talks to the person."""
+    """Dialogue with the operator."""
 
     def checked(self, items: Sequence[Finding]) -> None:
-        """The pre-flight check is done."""
+        """Report the result of the pre-flight check."""
         ...
 
     def planned(self, plan: Plan) -> None:
-        """Poses are chosen; ask whether the arm may move."""
+        """Show the chosen poses and ask for permission to move."""
         ...
 
     def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Say where the arm goes, ask, and go there."""
+        """Announce the target, ask for permission, and move there."""
         ...
 
-    def hang(self, label: str) -> None:
-        """Ask for a load to be hung, or (`none`) for an empty flange; returns when that is so."""
+    def mount(self, label: str) -> None:
+        """Ask the operator to mount a load, or (`none`) to clear the flange; return after confirmation."""
         ...
 
     def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
-        """Record and show how far it is."""
+        """Record and show the progress."""
         ...
 
     def measure_until(
         self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
     ) -> UntilSummary:
-        """Record pose by pose until a load is known, and show how far it is."""
+        """Record pose by pose until the load is known as required; show the progress."""
         ...
 
     def say(self, text: str) -> None:
-        """A remark."""
+        """Print a note."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What is to be done.
+    """A commissioning job.
 
     Attributes
     ----------
     context : CellContext
     arm : ArmConfig
     labels : tuple of str
-        Loads, in the order in which they are hung.
+        Loads, in mounting order.
     recording : Path
-        Where everything measured goes; a file that is there is gone on with.
+        Recording; an existing file is continued.
     options : MoveOptions
     operator : str or None
-        Who measures.
+        Name of the operator.
     goal : Goal or None
-        How well each load is to be known; None: all poses of the cell are measured.
+        Required uncertainty of each load; None: measure all poses of the cell.
     thermal : Thermal or None
-        Loads forth and back after a warm-up; None: the bare arm, then each load.
+        Loads in forward and reverse order after a warm-up; None: the unloaded arm, then each load.
     is_bracketed : bool
-        The bare arm, the one load, and the bare arm again.
+        Unloaded arm, the one load, and the unloaded arm again.
     """
 
     context: CellContext
@@ -126,14 +125,14 @@ class Job:
     is_bracketed: bool = False
 
     def blocks(self, poses: Sequence[RestPose]) -> tuple[Block, ...]:
-        """What is measured, in this order."""
+        """Return the labels in the order of measurement."""
         if self.is_bracketed:
             return bracket_of(self.labels[0], poses)
         return blocks_of(self.labels, poses, self.thermal)
 
     @property
     def begins_bare(self) -> bool:
-        """Whether nothing is mounted as it begins: a bare arm that is gone on with may have had a load in between."""
+        """Return whether the flange is known to be empty at the start; a continued job may have had a load mounted."""
         return not self.recording.exists() or (self.thermal is None and not self.is_bracketed)
 
 
@@ -155,7 +154,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     FindingFailed
         The pre-flight check failed and nothing has moved, or a drive does not stop on loss of the master.
     PlanRefused, DriveError, DataUnusable, InputError, KeyboardInterrupt
-        As the parts; the arm stands, what was measured is kept.
+        As the steps; the arm is at rest and measured data is kept.
     """
     with _measuring(job, dialogue) as robot:
         about, table = robot.data()
@@ -180,16 +179,18 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
 
 
 def measure(job: Job, dialogue: Dialogue) -> None:
-    """Check the arm, ask, and record all loads of a job; parameters and errors as `commission`."""
+    """Check the arm, ask for permission, and record all loads of a job; parameters and errors as `commission`."""
     with _measuring(job, dialogue):
         pass
 
 
 @contextmanager
 def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
-    """The arm, open, once all loads of a job are recorded."""
+    """Yield the open arm after all loads of a job are recorded."""
     _check(job, dialogue)
-    if job.arm.loading_rad is not None:  # a posture that is refused is told before an hour of measuring, not after it
+    if (
+        job.arm.loading_rad is not None
+    ):  # refuse an unreachable posture before the measurement (up to an hour), not after it
         destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
     plan = make_plan(job.context.loaded, arm=job.arm.name)
     dialogue.planned(plan)
@@ -209,12 +210,12 @@ def _check(job: Job, dialogue: Dialogue) -> None:
 
 
 class _Robot:
-    """The arm and its recording, as the job sees them."""
+    """An open arm with its recording during a job."""
 
     def __init__(self, job: Job, dialogue: Dialogue, opened: OpenArm, plan: Plan) -> None:
         self._job, self._dialogue, self._opened = job, dialogue, opened
         self._load = BARE_LABEL
-        self._hangs = BARE_LABEL if job.begins_bare else None
+        self._mounted = BARE_LABEL if job.begins_bare else None
         self.fit_poses = [pose for pose in plan.poses if pose.purpose == "fit"]
         self._validation = [pose for pose in plan.poses if pose.purpose == "validation"]
         self._settings = plan.settings
@@ -225,11 +226,11 @@ class _Robot:
 
     @property
     def validation_rad(self) -> np.ndarray:
-        """Poses (k, N) [rad] kept for the proof."""
+        """Return the validation poses (k, N) [rad]."""
         return np.array([pose.q_rad for pose in self._validation]).reshape(-1, len(self._job.arm.axis))
 
     def warm_up(self) -> None:
-        """Move until friction stands still, where drift is to be met and nothing is measured yet."""
+        """Warm up until friction is steady, if requested and nothing is measured yet."""
         thermal, job = self._job.thermal, self._job
         if thermal is None or thermal.warm_up_s == 0.0 or self._stored() is not None:
             return
@@ -237,29 +238,29 @@ class _Robot:
         self._dialogue.say(said)
 
     def measure_load(self, block: Block) -> None:
-        """Hang a load and measure its poses; where all are there, only the load that hangs at last is asked for."""
+        """Have a load mounted and measure its poses; if all are measured, only the last load is requested."""
         self._load = label = block.load
         if label != BARE_LABEL and self._job.goal is not None:
             self._measure_until(label, self._job.goal)
             return
         missing = self._missing(block.poses)
-        if label != self._hangs and (missing or block == self._last):
+        if label != self._mounted and (missing or block == self._last):
             self._go_loading()
-            self._dialogue.hang(label)
-            self._hangs = label
+            self._dialogue.mount(label)
+            self._mounted = label
         if missing:
             self._record(block.poses)
 
     def _measure_until(self, label: str, goal: Goal) -> None:
-        """Hang a load and measure it until it is known; one that is known is only asked for where it hangs at last."""
+        """Have a load mounted and measure until it is known; a known one is only requested if it is the last."""
         opened, job = self._opened, self._job
         request = UntilRequest(label, goal, job.recording, job.context.path)
         search, earlier = search_of(opened.loaded, opened.workspace, opened.config, request, self.validation_rad)
         missing = decide(search, None, opened.arm.where()).plan is not None
         if missing or label == job.labels[-1]:
             self._go_loading()
-            self._dialogue.hang(label)
-            self._hangs = label
+            self._dialogue.mount(label)
+            self._mounted = label
         if not missing:
             return
         done = self._dialogue.measure_until(opened, search, earlier, job.recording, self._job.options)
@@ -272,7 +273,10 @@ class _Robot:
         return () if stored is None else stored.poses
 
     def _go_loading(self) -> None:
-        """Go where loads are hung, slowly, if the cell says where; the load hangs where the arm stands else."""
+        """Move slowly to the loading posture, if the cell defines one.
+
+        Otherwise loads are mounted at the current posture.
+        """
         opened, job = self._opened, self._job
         if opened.config.loading_rad is None:
             return
@@ -280,7 +284,7 @@ class _Robot:
         try:
             plan = plan_way(opened, target)
         except PlanRefused as refused:
-            self._dialogue.say(f"the arm stays where it is, and the load is hung there: {refused}")
+            self._dialogue.say(f"the arm stays at its current posture, mount the load there: {refused}")
             return
         slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
         with job.context.last_seconds(slow, opened):
@@ -288,15 +292,15 @@ class _Robot:
         self._job = replace(job, options=replace(job.options, first_done=None))
 
     def measure_poses(self, q_rad: np.ndarray) -> Table:
-        """Measure poses (k, N) [rad] under the load that hangs now: validation poses, or new ones to fit from."""
+        """Measure poses (k, N) [rad] under the mounted load: validation poses, or further poses for the fit."""
         if np.array_equal(q_rad, self.validation_rad):
             poses = self._validation
-            self._dialogue.say(f"proof on {len(poses)} fresh poses that no fit has seen")
+            self._dialogue.say(f"validation on {len(poses)} poses that were not used in the fit")
         else:
             numbers = range(self._next, self._next + len(q_rad))
             poses = [RestPose(number, tuple(q), "fit") for number, q in zip(numbers, q_rad.tolist(), strict=True)]
             self._next += len(poses)
-            self._dialogue.say(f"back to the robot: {len(poses)} poses that tell the explanations apart")
+            self._dialogue.say(f"measuring {len(poses)} further poses that separate the candidate causes")
         if self._missing(poses):
             self._record(poses)
         table = self.data()[1]
@@ -304,7 +308,7 @@ class _Robot:
         return table.take(chosen)
 
     def data(self) -> tuple[Given, Table]:
-        """Everything measured so far."""
+        """Return all data measured so far."""
         job = self._job
         about = replace(
             given(ModelRequest(cell=job.context.path, arm=job.arm.name), [job.recording]), loaded=job.context.loaded
@@ -316,7 +320,7 @@ class _Robot:
         return read(path).arm(self._job.arm.name) if path.exists() else None
 
     def _missing(self, poses: Sequence[RestPose]) -> bool:
-        """Whether a visit of these poses under the present load is not in the file yet."""
+        """Return whether a visit of these poses under the mounted load is missing in the file."""
         stored = self._stored()
         done = set() if stored is None else set(stored.done(self._load))
         return any((pose.number, side) not in done for pose in poses for side in SIDES)
@@ -326,8 +330,8 @@ class _Robot:
         plan, unreachable = plan_poses(opened.config.name, opened.workspace, poses, self._settings)
         if unreachable:
             raise PlanRefused(
-                f"arm '{opened.config.name}': no path that keeps the limits leads to pose {unreachable[0].number}; "
-                "narrow the joint limits, or say in the cell what is assumed around the arm"
+                f"arm '{opened.config.name}': no path within the limits leads to pose {unreachable[0].number}; "
+                "narrow the joint limits, or correct the surroundings of the arm in the cell file"
             )
         check_plan(plan, opened.workspace)
         request = RecordRequest(self._load, path or self._job.recording, resume=True)

@@ -1,4 +1,4 @@
-"""compare: two results of one robot, before and after service."""
+"""Command `compare`: two results of one robot, before and after service."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ def _tolerance(_ctx: click.Context, _param: click.Parameter, value: str | None) 
     "--tolerance",
     metavar="mass=2%,com=5mm,..",
     callback=_tolerance,
-    help="By how much mass, com, constant and friction may change; without it every significant change counts.",
+    help="Allowed change of mass, com, constant and friction; without it every significant change counts.",
 )
-@output_option("-o", "--output", metavar="REPORT.html", help="Page to write; .pdf is printed by a browser.")
+@output_option("-o", "--output", metavar="REPORT.html", help="Page to write; .pdf is printed by an installed browser.")
 @json_option
 @common
 def compare(
     before: Path, after: Path, tolerance: dict[str, Tolerance], output: Path | None, json_out: str | None
 ) -> None:
-    """Loads, torque constants and friction before and after service: changed, unchanged, or cannot tell.
+    """Compare loads, torque constants and friction before and after service: changed, unchanged, or cannot tell.
 
-    A change beyond the tolerance is exit 7.
+    A change beyond the tolerance gives exit code 7.
     """
     from gateway.commands.pages import write_page
     from gateway.report.comparison_page import COLUMNS, cells, render_compare
@@ -62,4 +62,4 @@ def compare(
         write_page(output, render_compare(found))
         session.show(f"report: {output}")
     if found.verdict == CHANGED:
-        raise FindingFailed(f"{sentence(found)}; see the table, and state what may change by --tolerance")
+        raise FindingFailed(f"{sentence(found)}; see the table, and set the allowed change with --tolerance")

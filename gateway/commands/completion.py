@@ -1,4 +1,4 @@
-"""completion: the script by which a shell completes commands, options and choices."""
+"""Command `completion`: script for shell completion of commands, options and choices."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ SHELLS = ("bash", "zsh", "fish")
 @common
 @click.pass_context
 def completion(ctx: click.Context, shell: str) -> None:
-    """Print the script that completes commands and options; docs/how-to/completion.md says where it goes."""
+    """Print the shell script that completes commands and options; to install it see docs/how-to/completion.md."""
     root = ctx.find_root()
     program = root.info_name or "servo-gateway"
     variable = f"_{program.replace('-', '_').upper()}_COMPLETE"
     kind = get_completion_class(shell)
     if kind is None:
-        raise ConfigError(f"this version of click completes no {shell}; update it: pip install --upgrade click")
+        raise ConfigError(f"this version of click does not support {shell}; update it: pip install --upgrade click")
     click.echo(kind(root.command, {}, program, variable).source())

@@ -1,4 +1,4 @@
-"""config: what the drives of a cell hold, as files; how they differ from them; and the files written to the drives."""
+"""Command group `config`: read drive parameters into DCF files, compare, and write them."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 COLUMNS = ["object", "EDS default", "DCF", "drive", "type", "state"]
-ALSO = "Write this object although it sets a node id, a bit rate or an identifier of another node; repeat it."
-#: Folder beside the cell file where the files of its nodes are.
+ALSO = "Also write this object, which sets a node id, a bit rate or a COB-ID of another node. Repeatable."
+#: Folder of the DCF files, beside the cell file.
 BESIDE = "dcf"
 
 
@@ -53,34 +53,34 @@ def config() -> None:
 
 
 def folder_option(name: str, help: str) -> Callable[[Function], Function]:
-    """Where the files of the nodes are."""
-    return click.option(name, "folder", type=FOLDER, metavar="DIR", help=f"{help}; dcf beside the cell if omitted.")
+    """Return the option for the folder of the DCF files."""
+    return click.option(name, "folder", type=FOLDER, metavar="DIR", help=f"{help}; default: dcf beside the cell file.")
 
 
 @config.command("dump")
 @cell_argument
-@writes(folder_option("--output", "Folder that NODE.dcf is written to"))
-@click.option("--eds", "sheets", multiple=True, metavar="[NODE=]FILE", help="EDS where the profile names none.")
+@writes(folder_option("--output", "Folder for NODE.dcf"))
+@click.option("--eds", "sheets", multiple=True, metavar="[NODE=]FILE", help="EDS of a node whose profile names none.")
 @bus_option
 @json_option
 @common
 def config_dump(
     cell: Path, folder: Path | None, sheets: tuple[str, ...], bus_spec: str | None, json_out: str | None
 ) -> None:
-    """Read every object of every drive's EDS and write DIR/NODE.dcf; nothing is written to a drive.
+    """Read every object in the EDS of every drive and write DIR/NODE.dcf. Nothing is written to a drive.
 
-    What changes by itself or is sent while the arm moves is kept apart from the configuration (--json).
+    Status and process values are not part of the configuration; --json lists them separately.
     """
     from drives.configuration.dcf import beyond_limits, read_data_sheet
     from drives.configuration.reading import read_drive
     from gateway.commands.cell_context import open_cell
 
     context, session = open_cell(cell, bus_spec), session_of()
-    given = _sheets(sheets)
+    by_node = _sheets(sheets)
     nodes: list[dict[str, Any]] = []
     for arm in context.arms:
         paths = {axis.node_id: _path(context, arm, axis.node_id, folder) for axis in arm.axis}
-        sources = _sources(context, arm, given)
+        sources = _sources(context, arm, by_node)
         for path in paths.values():
             refuse_to_replace(path, "--output", session)
         sheets_read = {source: read_data_sheet(source) for source in set(sources.values())}
@@ -98,26 +98,28 @@ def config_dump(
             said = [what for _, _, what in beyond]
             nodes.append(_dumped(arm, readout, paths[node_id]) | {"beyond_limits": said})
             held = readout.of_kind("configuration")
-            session.show(f"node {node_id}: {paths[node_id]}: {len(held)} objects of the configuration")
+            session.show(f"node {node_id}: {paths[node_id]}: {len(held)} configuration objects")
             for address, why in readout.unread.items():
-                session.note(f"node {node_id}: {_named(address)} is not in it: {why}", level=1)
+                session.note(f"node {node_id}: {_named(address)} is not in the file: {why}", level=1)
             for what in said:
-                session.show(f"  {what} of the data sheet; the drive holds it, so the limit is a comment in the file")
+                session.show(
+                    f"  {what} of the data sheet; the drive has this value, so the limit is written as a comment"
+                )
             if readout.unread:
                 session.show(f"  {len(readout.unread)} objects could not be read: {_few(readout.unread)}")
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": nodes})
 
 
-def _sheets(given: Sequence[str]) -> dict[int | None, Path]:
-    """Data sheets of the command line by node; None = of all the others.
+def _sheets(sheets: Sequence[str]) -> dict[int | None, Path]:
+    """Return the data sheets of the command line by node; None = all other nodes.
 
     Raises
     ------
     click.UsageError
     """
     found: dict[int | None, Path] = {}
-    for text in given:
+    for text in sheets:
         node, equals, name = text.partition("=")
         key = int(node) if equals and node.isdecimal() else None
         if key in found:
@@ -126,18 +128,18 @@ def _sheets(given: Sequence[str]) -> dict[int | None, Path]:
     return found
 
 
-def _sources(context: CellContext, arm: ArmConfig, given: dict[int | None, Path]) -> dict[int, Path]:
-    """Data sheet of each node: of the command line, else of its profile.
+def _sources(context: CellContext, arm: ArmConfig, by_node: dict[int | None, Path]) -> dict[int, Path]:
+    """Return the data sheet of each node: from the command line, otherwise from its profile.
 
     Raises
     ------
     ConfigError
-        Nodes without one; all of them at once.
+        Some nodes have none; the error lists all of them.
     """
     sources: dict[int, Path] = {}
     lacking: list[str] = []
     for axis, profile in zip(arm.axis, context.profiles(arm), strict=True):
-        path = given.get(axis.node_id, given.get(None, profile.eds_path))
+        path = by_node.get(axis.node_id, by_node.get(None, profile.eds_path))
         if path is None:
             lacking.append(f"node {axis.node_id}: profile {profile.name} names no data sheet (eds)")
         else:
@@ -148,7 +150,7 @@ def _sources(context: CellContext, arm: ArmConfig, given: dict[int | None, Path]
 
 
 def _path(context: CellContext, arm: ArmConfig, node_id: int, folder: Path | None) -> Path:
-    """File of a node; an arm of several has a folder of its own, node ids are used again on another bus."""
+    """Return the file of a node; each arm of several has its own folder, because node ids repeat on other buses."""
     base = folder if folder is not None else context.path.parent / BESIDE
     return (base / arm.name if len(context.arms) > 1 else base) / f"{node_id}.dcf"
 
@@ -170,16 +172,17 @@ def _text_of(
 
 
 def _stored(readout: Readout) -> dict[tuple[int, int], Any]:
-    """What the file of a node stores."""
+    """Return the content of the file of a node."""
     return readout.of_kind("configuration", "fixed")
 
 
 def _say_what_is_ours(group: DriveGroup) -> None:
-    """Objects that are not as the engineer left them."""
+    """Report objects that the gateway has changed."""
     ours = len(group.noted)
     if ours:
         session_of().show(
-            f"{ours} objects are as the gateway has written them, by its ledger; `restore` puts back what was there"
+            f"{ours} objects hold values written by the gateway (write ledger); `restore` resets them to the "
+            f"original values"
         )
 
 
@@ -205,11 +208,11 @@ def _named(address: tuple[int, int]) -> str:
 
 def _few(addresses: Iterable[tuple[int, int]]) -> str:
     listed = [_named(address) for address in addresses]
-    return ", ".join(listed[:6]) + (f" and {len(listed) - 6} more (-v names them)" if len(listed) > 6 else "")
+    return ", ".join(listed[:6]) + (f" and {len(listed) - 6} more (list them with -v)" if len(listed) > 6 else "")
 
 
 def _plain(value: object) -> object:
-    """A value as JSON has it."""
+    """Return a value for JSON."""
     return value.hex() if isinstance(value, bytes) else value if isinstance(value, int | str) else repr(value)
 
 
@@ -218,7 +221,7 @@ def _plain(value: object) -> object:
 
 @dataclass(frozen=True, slots=True)
 class ComparedNode:
-    """One drive beside its file.
+    """One drive compared with its DCF.
 
     Attributes
     ----------
@@ -228,7 +231,7 @@ class ComparedNode:
     found : Readout
     rows : tuple of Compared
     said : list of str
-        What else is different: firmware, serial number.
+        Other differences: firmware, serial number.
     """
 
     arm: str
@@ -240,13 +243,13 @@ class ComparedNode:
 
     @property
     def different(self) -> tuple[Compared, ...]:
-        """Objects that drive and file have otherwise."""
+        """Objects that differ between drive and file."""
         from drives.configuration.difference import differing
 
         return differing(self.rows)
 
     def as_json(self) -> dict[str, Any]:
-        """For a file: every object that is different, and how many were compared."""
+        """Return all differing objects and the number compared, for JSON."""
         differences = [
             {
                 "object": _named(row.address),
@@ -270,15 +273,15 @@ class ComparedNode:
 
 
 def _files(context: CellContext, arm: ArmConfig, folder: Path | None) -> dict[int, NodeConfiguration]:
-    """The files of an arm's nodes, read before anything is sent."""
+    """Read the DCF files of an arm before anything is sent."""
     from drives.configuration.dcf import read_dcf
 
     paths = {axis.node_id: _path(context, arm, axis.node_id, folder) for axis in arm.axis}
     missing = [str(path) for path in paths.values() if not path.exists()]
     if missing:
         raise ConfigError(
-            f"{', '.join(missing)}: not there; servo-gateway config dump {context.path} writes it"
-            " from what the drives hold"
+            f"{', '.join(missing)}: file missing; create it from the drives with: servo-gateway config dump "
+            f"{context.path}"
         )
     files = {node_id: read_dcf(path, node_id) for node_id, path in paths.items()}
     for file in files.values():
@@ -303,12 +306,12 @@ def _compared(arm: ArmConfig, group: DriveGroup, files: dict[int, NodeConfigurat
         rows = compare(file, found)
         if not rows:
             raise ConfigError(
-                f"{file.path}: none of its {len(file.values)} values is of the configuration: nothing to compare;"
-                " give the file that `config dump` wrote, or another DCF of this drive"
+                f"{file.path}: none of its {len(file.values)} values is a configuration object: nothing to compare;"
+                " use the file written by `config dump`, or another DCF of this drive"
             )
         actions = [address for address in file.values if found.kinds.get(address) == "command"]
         if actions:
-            said[drive.node_id].append(f"never written, because writing acts on the drive: {_few(actions)}")
+            said[drive.node_id].append(f"never written, because they trigger an action in the drive: {_few(actions)}")
         nodes.append(ComparedNode(arm.name, drive, file, found, rows, said[drive.node_id]))
     return nodes
 
@@ -329,16 +332,16 @@ def _show(nodes: Sequence[ComparedNode]) -> None:
 @config.command("diff")
 @cell_argument
 @folder_option("--dcf", "Folder with NODE.dcf")
-@output_option("--junit", "junit_file", metavar="FILE", help="Write what is equal and what is not as JUnit XML.")
+@output_option("--junit", "junit_file", metavar="FILE", help="Write the comparison as JUnit XML.")
 @bus_option
 @json_option
 @common
 def config_diff(
     cell: Path, folder: Path | None, junit_file: Path | None, bus_spec: str | None, json_out: str | None
 ) -> None:
-    """Compare drives, their DCF and the maker's defaults; nothing is written to a drive.
+    """Compare the drives with their DCF and the EDS defaults. Nothing is written to a drive.
 
-    Exit code 0 where every drive is as its file says, 7 where one is not.
+    Exit code 0 if every drive matches its file, otherwise 7.
     """
     from gateway.commands.cell_context import open_cell
 
@@ -362,8 +365,8 @@ def config_diff(
             f"node {odd[0].drive.node_id}:{first.name}: DCF {first.text(first.file)}, drive {first.text(first.drive)}"
         )
         raise FindingFailed(
-            f"the drives are not as their files say: {what}{f' (and {more} more)' if more else ''}; "
-            "`config apply` writes the files, `config dump` keeps what the drives hold"
+            f"drives differ from their DCF files: {what}{f' (and {more} more)' if more else ''}; "
+            "`config apply` writes the files to the drives, `config dump` writes the drive values to files"
         )
 
 
@@ -386,7 +389,7 @@ def _junit(cell: str, nodes: Sequence[ComparedNode]) -> str:
 @cell_argument
 @folder_option("--dcf", "Folder with NODE.dcf")
 @click.option("--also", "also", multiple=True, metavar="INDEX:SUB", help=ALSO)
-@click.option("--store", is_flag=True, help="Have the drives keep it for the next power-up (0x1010).")
+@click.option("--store", is_flag=True, help="Store the parameters in the drives for the next power-up (0x1010).")
 @click.option("--yes", is_flag=True, help="Do not ask before writing.")
 @bus_option
 @json_option
@@ -400,14 +403,14 @@ def config_apply(
     bus_spec: str | None,
     json_out: str | None,
 ) -> None:
-    """Write to the drives what their DCF says otherwise, and read it back; asked first.
+    """Write the values of the DCF that differ to the drives and read them back. Asks first.
 
-    `restore` puts it back until the next run configures the drives: from then on these values are the original.
-    Objects that a run has written and that are not restored are refused: `restore` first.
+    `restore` undoes this until the next run configures the drives; from then on these values are the originals. Objects
+    that a run has written and that are not yet restored are refused: run `restore` first.
 
-    A node id, a bit rate, an identifier of another node is asked for on its own, which --yes does not answer; objects
-    that act on the drive (save, load, reset) are never written. The drives must be disabled. The first value that a
-    drive does not take ends it: what was written is put back.
+    Node ids, bit rates and COB-IDs of other nodes are confirmed one by one, also with --yes. Objects that trigger an
+    action (save, load, reset) are never written. The drives must be disabled. If a drive refuses a value, all values
+    written before are restored.
     """
     from drives.configuration.applying import planned_writes, require_at_rest, write_all
     from drives.configuration.applying import store as keep
@@ -432,7 +435,7 @@ def config_apply(
             if any(counts) or store:
                 confirm(_question(arm, counts, store), yes=yes)
                 require_at_rest(accesses)
-            write_all(work, _tell)
+            write_all(work, _report)
             for access in accesses if store else ():
                 keep(access)
         done += [
@@ -446,13 +449,13 @@ def config_apply(
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": done})
 
 
-def _tell(node_id: int, step: Step) -> None:
+def _report(node_id: int, step: Step) -> None:
     where = object_name(step.index, step.subindex)
     session_of().note(f"node {node_id}:{where}: {step.value:#x} written and read back", level=1)
 
 
 def _left_out(node: ComparedNode, ids: Collection[int], also: Sequence[str], *, ask: bool) -> set[tuple[int, int]]:
-    """Objects of a drive that are not written, because nobody allowed each of them."""
+    """Return the objects that are not written because they were not allowed one by one."""
     from drives.configuration.applying import questions
 
     session, left_out = session_of(), set[tuple[int, int]]()
@@ -461,10 +464,10 @@ def _left_out(node: ComparedNode, ids: Collection[int], also: Sequence[str], *, 
         where = f"node {node.drive.node_id}:{row.name}: {row.text(row.drive)} becomes {row.text(row.file)}"
         if row.address in allowed:
             continue
-        if ask and sys.stdin.isatty() and click.confirm(f"{where}: {why}. Write it all the same?", err=True):
+        if ask and sys.stdin.isatty() and click.confirm(f"{where}: {why}. Write it anyway?", err=True):
             continue
         left_out.add(row.address)
-        session.show(f"not written: {where}: {why} (--also {_named(row.address)} allows it)")
+        session.show(f"not written: {where}: {why} (allow it with --also {_named(row.address)})")
     return left_out
 
 
@@ -478,7 +481,7 @@ def _address(text: str) -> tuple[int, int]:
 
 def _question(arm: ArmConfig, counts: Sequence[int], store: bool) -> str:
     text = f"{sum(counts)} objects of {sum(map(bool, counts))} drives of arm '{arm.name}' will be written;"
-    text += " until the next run `restore` puts them back."
+    text += " `restore` undoes this until the next run."
     if store:
-        text += f" {len(counts)} drives then store all their parameters, which `restore` does not take back."
+        text += f" {len(counts)} drives then store all their parameters; `restore` does not undo that."
     return f"{text} Write them?"

@@ -1,4 +1,4 @@
-"""What the person at the terminal sees: tables, notes, progress with remaining time. Nothing is computed here."""
+"""Terminal output: tables, notes, progress with remaining time. Nothing is computed here."""
 
 from __future__ import annotations
 
@@ -34,24 +34,23 @@ PLAIN_WIDTH = 140
 
 
 class _Terminal(Console):
-    """The one output to the terminal.
+    """Console for the terminal.
 
-    What is printed cannot control the terminal; a closed pipe is an error like any other, where rich would end the
-    program at once, arms or not.
+    Control characters are removed. A closed pipe raises an error; rich would exit at once, even while arms move.
     """
 
     def render(self, renderable: Any, options: ConsoleOptions | None = None) -> Iterable[Segment]:
-        """Render as rich does, without the control characters of names that come from drives and files."""
+        """Render as rich does, without control characters in names from drives and files."""
         for each in super().render(renderable, options):
             yield each if each.control else Segment(without_controls(each.text, keep="\n\t"), each.style)
 
     def on_broken_pipe(self) -> None:
-        """Nobody reads any more."""
+        """Raise an error when the reader has closed the pipe."""
         raise BrokenPipeError(errno.EPIPE, "the terminal was closed")
 
 
 class _PlainFormatter(logging.Formatter):
-    """Log lines that cannot control the terminal."""
+    """Log formatter that removes control characters."""
 
     def format(self, record: logging.LogRecord) -> str:
         return without_controls(super().format(record), keep="\n\t")
@@ -59,7 +58,7 @@ class _PlainFormatter(logging.Formatter):
 
 @dataclass(slots=True)
 class Session:
-    """How much to say, and where.
+    """Settings of the output.
 
     Parameters
     ----------
@@ -68,7 +67,7 @@ class Session:
     data_on_stdout : bool
         True when stdout carries JSON, so that tables go to stderr.
     replaces : bool
-        True when files that are there may be replaced.
+        True if existing files may be replaced.
     in_degrees : bool
         True when joint angles are typed in degrees.
     """
@@ -81,7 +80,7 @@ class Session:
     _outlets: dict[bool, Outlet] = field(default_factory=dict)
 
     def console(self, *, err: bool = False) -> Console:
-        """Console for stdout (or stderr), as wide as the terminal, wide enough for a table elsewhere."""
+        """Return the console of stdout (or stderr); the width is that of the terminal, or fixed for files and pipes."""
         if err not in self._consoles:
             stream = sys.stderr if err else sys.stdout
             width = None if stream.isatty() or "COLUMNS" in os.environ else PLAIN_WIDTH
@@ -92,7 +91,7 @@ class Session:
 
     @contextmanager
     def detached(self) -> Generator[None]:
-        """While arms may move: whatever is printed or logged is queued, and a terminal that hangs delays nothing."""
+        """Queue all output while arms may move, so that a blocked terminal delays nothing."""
         with ExitStack() as stack:
             for err in (False, True):
                 self.console(err=err)
@@ -106,27 +105,27 @@ class Session:
             yield
 
     def settle(self) -> None:
-        """Wait until all that was printed is written, before a person is asked; not while anything moves."""
+        """Wait until all output is written, before a prompt; not to be called during motion."""
         for outlet in self._outlets.values():
             outlet.settle()
 
     def show(self, item: Any) -> None:
-        """Print a table or a line of the answer, as it stands: square brackets are units.
+        """Print a table or a line of the result without markup: square brackets are units.
 
-        A line is left whole, whatever the width: a path or a phrase in it can be found, and a terminal folds it itself.
+        Lines are not wrapped, so that paths and phrases stay searchable.
         """
         if self.verbosity >= 0:
-            told = with_degrees(item) if isinstance(item, str) else item
-            self.console(err=self.data_on_stdout).print(told, markup=False, soft_wrap=isinstance(item, str))
+            text = with_degrees(item) if isinstance(item, str) else item
+            self.console(err=self.data_on_stdout).print(text, markup=False, soft_wrap=isinstance(item, str))
 
     def note(self, text: str, level: int = 0) -> None:
-        """Print a remark to stderr, left whole as every line."""
+        """Print a note to stderr, without wrapping."""
         if self.verbosity >= level:
             self.console(err=True).print(with_degrees(text), markup=False, soft_wrap=True)
 
     @contextmanager
     def progress(self, total: float, text: str) -> Generator[Bar]:
-        """Progress with remaining time on stderr: a bar on a terminal, a line per tenth elsewhere."""
+        """Show progress with remaining time on stderr: a bar on a terminal, otherwise a line every 10 %."""
         console = self.console(err=True)
         if self.verbosity < 0:
             yield Bar()
@@ -139,7 +138,7 @@ class Session:
 
     @contextmanager
     def working(self, text: str) -> Generator[None]:
-        """A sign of life on stderr while something is computed; nothing where there is no terminal."""
+        """Show an activity indicator on stderr during a computation; nothing without a terminal."""
         console = self.console(err=True)
         if self.verbosity < 0 or not console.is_terminal:
             yield
@@ -149,10 +148,10 @@ class Session:
 
 
 class Bar:
-    """Progress that shows nothing."""
+    """Progress without output."""
 
     def set(self, done: float, total: float, what: str) -> None:
-        """Say how much is done, of how much, and what is being done."""
+        """Report the amount done, the total, and the current step."""
 
 
 class RichBar(Bar):
@@ -162,12 +161,12 @@ class RichBar(Bar):
         self._progress, self._task, self._text = progress, task, text
 
     def set(self, done: float, total: float, what: str) -> None:
-        """Move the bar."""
+        """Update the bar."""
         self._progress.update(self._task, completed=done, total=total, description=f"{self._text}: {what}")
 
 
 class LineBar(Bar):
-    """A line of text for every tenth."""
+    """Progress as a line of text every 10 %."""
 
     def __init__(self, session: Session, text: str, total: float) -> None:
         self._session, self._text, self._tenth = session, text, 0
@@ -175,7 +174,7 @@ class LineBar(Bar):
         session.note(f"{text}: about {total:.0f} s of motion")
 
     def set(self, done: float, total: float, what: str) -> None:
-        """Say so when another tenth is done."""
+        """Print a line when another 10 % is done."""
         share = done / total if total > 0 else 1.0
         if int(10 * share) > self._tenth:
             self._tenth = int(10 * share)
@@ -184,8 +183,8 @@ class LineBar(Bar):
 
 
 def grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, left: int = 1) -> Table:
-    """Table with `left` text columns followed by right-aligned ones."""
-    text = escape(title)  # printing without markup spares headers and cells, not the title
+    """Return a table with `left` text columns followed by right-aligned ones."""
+    text = escape(title)  # rich interprets markup in the title even when printing without markup
     table = Table(title=text, title_justify="left", title_style="bold", header_style="bold", box=box.SIMPLE_HEAD)
     for index, name in enumerate(columns):
         table.add_column(name, justify="left" if index < left else "right", overflow="fold")
@@ -195,7 +194,7 @@ def grid(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], *, l
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """A number with fixed decimals, or a dash where there is none."""
+    """Format a number with fixed decimals; a dash for a missing one."""
     return "-" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
@@ -205,7 +204,7 @@ def axis_names(axes: int) -> list[str]:
 
 
 def load_table(result: Result) -> Table:
-    """Mass and centre of gravity of each load, half of its 95 % interval behind each number."""
+    """Return a table of mass and centre of gravity of each load, with half widths of the 95 % intervals."""
     turned = {} if result.data is None else result.data.flange
     rows = []
     for load in result.loads:
@@ -223,7 +222,7 @@ def load_table(result: Result) -> Table:
         )
     frame = result.loads[0].frame if result.loads else "link_6"
     columns = ["load", "mass [kg]", f"centre of gravity in {frame} [mm]", "in the flange frame [mm]"]
-    return grid(f"load: value ± half of the {SAID} interval", columns, rows, left=4)
+    return grid(f"payload: value ± half of the {SAID} interval", columns, rows, left=4)
 
 
 def _with_interval(value: float, std: float, factor: float) -> str:
@@ -238,13 +237,13 @@ def _vector(values: Sequence[float] | None, stds: Sequence[float] | None) -> str
 
 
 def axis_table(title: str, lines: Mapping[str, Sequence[float]]) -> Table:
-    """One row per quantity, one column per axis."""
+    """Return a table with one row per quantity and one column per axis."""
     rows = [[name, *(number(value, 3) for value in values)] for name, values in lines.items()]
     return grid(title, ["", *axis_names(max((len(row) - 1 for row in rows), default=0))], rows)
 
 
 def findings_table(findings: Sequence[Finding], title: str = "findings") -> Table:
-    """Findings with their advice; the severity in colour."""
+    """Return a table of findings with their remedies; the severity is coloured."""
     table = grid(title, ["severity", "where", "what", "advice"], [], left=4)
     for finding in findings:
         severity = Text(finding.severity, style=SEVERITY_STYLE.get(finding.severity, "default"))

@@ -1,4 +1,4 @@
-"""doctor: whether this computer can run an arm, and what to type where it cannot."""
+"""Command `doctor`: check whether this computer can control an arm, and print the commands that fix problems."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from gateway.commands.pages import find_browser
 from gateway.commands.shared_options import common, json_option, session_of, write_json
 from gateway.result.finding import Finding
 
-#: Versions of Python that it is tried on.
+#: Oldest and newest tested versions of Python.
 TRIED: Final = ((3, 11), (3, 13))
-#: What a network device of Linux says of its kind when it is a CAN interface (linux/if_arp.h).
+#: Device type of a CAN interface in Linux (linux/if_arp.h).
 ARPHRD_CAN: Final = "280"
-#: Bit rates of the CiA 301 recommendation that a bus of drives runs at [bit/s].
+#: Bit rates recommended by CiA 301 for a bus of drives [bit/s].
 BITRATES: Final = (125_000, 250_000, 500_000, 800_000, 1_000_000)
-#: Free space below which a day of recordings may not fit [GB].
+#: Least free space for a day of recordings [GB].
 LEAST_GB: Final = 2.0
-#: A wall clock before this is not set [s since 1970]: 2025.
+#: An earlier wall clock time means that the clock is not set [s since 1970]: 2025.
 CLOCK_SET_S: Final = 1_735_689_600.0
 #: Clock sources of Linux that are read without a system call.
 FAST_CLOCKS: Final = frozenset({"tsc", "arch_sys_counter", "kvm-clock", "hyperv_clocksource_tsc_page"})
@@ -40,7 +40,7 @@ BRING_UP: Final = "sudo ip link set {name} txqueuelen 1000 up type can bitrate 1
 @json_option
 @common
 def doctor(json_out: str | None) -> None:
-    """This computer: Python, real-time permission, CAN interfaces, clock, browser, disk; and what to type.
+    """Check this computer: Python, real-time permission, CAN interfaces, clock, browser, disk; print remedies.
 
     Nothing is sent and nothing is changed.
     """
@@ -53,14 +53,14 @@ def doctor(json_out: str | None) -> None:
 
 
 def look(root: Path, folder: Path) -> Iterator[Finding]:
-    """Look at this computer.
+    """Check this computer.
 
     Parameters
     ----------
     root : Path
-        Where the files of the system are found.
+        Root of the system files.
     folder : Path
-        Where recordings are to be written.
+        Folder for recordings.
     """
     yield _python()
     yield _system()
@@ -77,14 +77,16 @@ def _python() -> Finding:
     if TRIED[0] <= now <= TRIED[1]:
         return Finding("ok", "Python", what)
     low, high = (".".join(map(str, each)) for each in TRIED)
-    return Finding("warn", "Python", f"{what}: tried with {low} to {high}", f"python{low} -m venv .venv")
+    return Finding("warn", "Python", f"{what}: tested with {low} to {high}", f"python{low} -m venv .venv")
 
 
 def _system() -> Finding:
     what = f"{platform.system()} {platform.release()}"
     if sys.platform == "linux":
         return Finding("ok", "system", what)
-    return Finding("warn", "system", f"{what}: reads data here, moves arms on Linux only", "use Linux for the bus")
+    return Finding(
+        "warn", "system", f"{what}: offline commands only; arms are controlled on Linux", "use Linux to control an arm"
+    )
 
 
 def _real_time() -> Iterator[Finding]:
@@ -93,15 +95,19 @@ def _real_time() -> Iterator[Finding]:
     status = available()
     advice = 'sudo sh -c \'printf "%s - rtprio 40\\n%s - memlock unlimited\\n" $SUDO_USER $SUDO_USER >>'
     advice = f"{advice} /etc/security/limits.conf', then log in again"
-    for name, given, missing in (
-        ("real-time scheduler", status.fifo, "not permitted (RLIMIT_RTPRIO): the loop may be late under load"),
-        ("locked memory", status.locked, "not permitted (RLIMIT_MEMLOCK): the loop may wait for the disk"),
+    for name, is_permitted, missing in (
+        (
+            "real-time scheduler",
+            status.fifo,
+            "not permitted (RLIMIT_RTPRIO): the motion loop may be delayed under load",
+        ),
+        ("locked memory", status.locked, "not permitted (RLIMIT_MEMLOCK): the motion loop may wait for the disk"),
     ):
         yield Finding("ok", name, "permitted") if given else Finding("warn", name, missing, advice)
 
 
 def kernel_has_can() -> bool:
-    """Whether the kernel opens a raw CAN socket."""
+    """Return whether the kernel opens a raw CAN socket."""
     try:
         socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
     except AttributeError:
@@ -112,21 +118,21 @@ def kernel_has_can() -> bool:
 
 
 def can_interfaces(root: Path, kernel: bool) -> Iterator[Finding]:
-    """CAN interfaces of the system: driver, state and bit rate of each."""
+    """Return the CAN interfaces with driver, state and bit rate."""
     if not kernel:
         yield Finding(
             "warn",
             "CAN",
             "this kernel has no SocketCAN",
-            "sudo modprobe can can_raw; where there is no such module: a kernel with CONFIG_CAN, or an adapter with a"
-            " driver of its own (pcan, kvaser, slcan: see `[bus.X] interface`)",
+            "sudo modprobe can can_raw; without that module: use a kernel with CONFIG_CAN, or an adapter with its "
+            "own driver (pcan, kvaser, slcan: see `[bus.X] interface`)",
         )
         return
     found = [each for each in sorted((root / "sys/class/net").glob("*")) if _text(each / "type") == ARPHRD_CAN]
     if not found:
         serial = sorted(each.name for each in (root / "dev").glob("ttyACM*"))
         slcan = f"; a serial adapter: sudo slcand -o -s8 /dev/{serial[0]} can0" if serial else ""
-        yield Finding("warn", "CAN", "no CAN interface", f"plug in an adapter, and see `dmesg | tail`{slcan}")
+        yield Finding("warn", "CAN", "no CAN interface", f"connect an adapter and check `dmesg | tail`{slcan}")
     for each in found:
         yield _interface(each)
 
@@ -136,7 +142,7 @@ def _interface(place: Path) -> Finding:
     state, rate = _text(place / "operstate"), _bitrate(place.name)
     said = f"driver {driver}, {state or 'state unknown'}" + (f", {rate} bit/s" if rate else "")
     if driver == "virtual":
-        return Finding("ok", place.name, f"{said}: no wire behind it")
+        return Finding("ok", place.name, f"{said}: virtual, no physical bus")
     bring_up = BRING_UP.format(name=place.name)
     if state == "down":
         return Finding("warn", place.name, said, bring_up)
@@ -148,14 +154,14 @@ def _interface(place: Path) -> Finding:
 
 
 def _bitrate(name: str) -> int | None:
-    """Bit rate of an interface, as the program `ip` reports it; None where it is not known."""
+    """Return the bit rate of an interface as reported by `ip`; None if unknown."""
     import json
 
     try:
         words = ["ip", "-details", "-json", "link", "show", name]
         done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=5)
-        told = json.loads(done.stdout or "[]")
-        rate = told[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+        output = json.loads(done.stdout or "[]")
+        rate = output[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
     except (OSError, ValueError, LookupError, TypeError, subprocess.TimeoutExpired):
         return None
     return rate if isinstance(rate, int) else None
@@ -169,14 +175,17 @@ def _clock(root: Path) -> Iterator[Finding]:
         resolution_s = time.get_clock_info("monotonic").resolution
         yield Finding("ok", "clock", f"{source or 'monotonic'}, resolution {1e9 * resolution_s:.0f} ns")
     if time.time() < CLOCK_SET_S:
-        yield Finding("warn", "time of day", "is not set: files carry a wrong date", "sudo timedatectl set-ntp true")
+        yield Finding("warn", "time of day", "is not set: files get a wrong date", "sudo timedatectl set-ntp true")
 
 
 def _browser() -> Finding:
     found = find_browser()
     if found is None:
         return Finding(
-            "warn", "browser", "none that prints PDF", "sudo apt-get install chromium; reports are HTML else"
+            "warn",
+            "browser",
+            "no browser that can print PDF",
+            "sudo apt-get install chromium; without it reports are HTML only",
         )
     return Finding("ok", "browser", found)
 
@@ -185,9 +194,9 @@ def _disk(folder: Path) -> Finding:
     free_gb = shutil.disk_usage(folder).free / 1e9
     what = f"{free_gb:.1f} GB free in {folder}"
     if not os.access(folder, os.W_OK):
-        return Finding("warn", "disk", f"{folder} cannot be written", "cd to a folder of your own")
+        return Finding("warn", "disk", f"{folder} is not writable", "change to a folder with write permission")
     if free_gb < LEAST_GB:
-        return Finding("warn", "disk", what, "free some space, or record elsewhere: -o /other/disk/run.h5")
+        return Finding("warn", "disk", what, "free disk space, or record to another disk: -o /other/disk/run.h5")
     return Finding("ok", "disk", what)
 
 

@@ -1,4 +1,4 @@
-"""fleet: many robots over months, in a store; ingest, analyse, report."""
+"""Command group `fleet`: many robots over months in a store; ingest, analyse, report."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ if TYPE_CHECKING:
     from gateway.result.fleet import FleetHealth
 
 STORE = click.argument("store", type=click.Path(path_type=Path, file_okay=False))
-#: Robots that are named at the terminal.
+#: Number of robots listed at the terminal.
 NAMED = 10
 INDEX = "index.html"
 PEM = click.Path(path_type=Path, dir_okay=False)
-#: Said of a scheduler that is reached without TLS.
+#: Warning for a scheduler without TLS.
 UNAUTHENTICATED = (
-    "--scheduler without TLS: tasks and results pass as pickles, unauthenticated and unencrypted: whoever reaches the"
-    " scheduler's port can run programs here and on the workers. Use tls:// with --tls-ca-file, --tls-cert, --tls-key,"
-    " or a network of its own"
+    "--scheduler without TLS: tasks and results are unauthenticated, unencrypted pickles; anyone with access to the "
+    "scheduler's port can run programs here and on the workers. Use tls:// with --tls-ca-file, --tls-cert, "
+    "--tls-key, or a separate network"
 )
 
 
 @click.group()
 @common
 def fleet() -> None:
-    """Many robots over months: checks into a store, what drifts, who needs a visit."""
+    """Monitor many robots over months: store checks, find drift, rank the robots that need service."""
 
 
 @fleet.command("ingest")
@@ -42,7 +42,7 @@ def fleet() -> None:
 def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> None:
     """Add recordings (.h5), results (.json) and tables of summaries (.csv, .parquet), or folders of them, to STORE.
 
-    What is there already is not added again. A file that cannot be used is named, and the others are added.
+    Data that is already stored is not added again. A file that cannot be used is reported; the others are added.
     """
     from dataclasses import asdict
 
@@ -52,7 +52,7 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
     session = session_of()
     with session.working("ingest"):
         done = ingest(open_or_make(store), files, datetime.now(UTC))
-    session.show(f"{store}: {done.added} checks added, {done.known} were there, of {done.files} files")
+    session.show(f"{store}: {done.added} checks added, {done.known} already stored, from {done.files} files")
     if json_out:
         write_json(json_out, {"schema": 1, **asdict(done)})
     if done.refused or done.clock:
@@ -64,17 +64,17 @@ def fleet_ingest(store: Path, files: tuple[Path, ...], json_out: str | None) -> 
 @click.option(
     "--scheduler",
     metavar="ADDRESS",
-    help="Dask scheduler, tls://HOST:PORT (tcp:// is not authenticated); processes of this machine if omitted.",
+    help="Dask scheduler, tls://HOST:PORT (tcp:// is not authenticated); default: processes on this machine.",
 )
-@click.option("--tls-ca-file", type=PEM, metavar="PEM", help="Of a scheduler at tls://: certificate of its authority.")
-@click.option("--tls-cert", type=PEM, metavar="PEM", help="Of a scheduler at tls://: certificate of this program.")
-@click.option("--tls-key", type=PEM, metavar="PEM", help="Of a scheduler at tls://: key of that certificate.")
+@click.option("--tls-ca-file", type=PEM, metavar="PEM", help="With tls://: certificate of the authority.")
+@click.option("--tls-cert", type=PEM, metavar="PEM", help="With tls://: certificate of this program.")
+@click.option("--tls-key", type=PEM, metavar="PEM", help="With tls://: key of that certificate.")
 @click.option(
-    "--workers", "count", type=click.IntRange(1), help="Processes on this machine; one per processor if omitted."
+    "--workers", "count", type=click.IntRange(1), help="Processes on this machine; default: one per processor."
 )
-@click.option("--as-of", metavar="DATE", help="Judge as on that day (UTC); now if omitted.")
+@click.option("--as-of", metavar="DATE", help="Evaluate as of that day (UTC); default: now.")
 @click.option("--silent-days", type=click.FloatRange(0, min_open=True), default=30.0, show_default=True,
-              help="A robot without a check for longer is not seen.")  # fmt: skip
+              help="Days without a check after which a robot is listed as not seen.")  # fmt: skip
 @json_option
 @common
 def fleet_analyse(
@@ -88,9 +88,9 @@ def fleet_analyse(
     silent_days: float,
     json_out: str | None,
 ) -> None:
-    """Estimate every recording anew with this version, find what drifts, and rank the robots by what needs a visit.
+    """Estimate all recordings with this version, find drift, and rank the robots by need for service.
 
-    A cluster has to see STORE under the same path. What was done is kept: after an interruption the rest is done.
+    A cluster must see STORE under the same path. After an interruption, run it again: finished work is kept.
     """
     from gateway.fleet.analysis import AsOf, run_analysis
     from gateway.fleet.store import open_store
@@ -98,7 +98,7 @@ def fleet_analyse(
     from gateway.result.values import plain_values
 
     if scheduler is not None and count is not None:
-        raise click.UsageError("--workers is of this machine; a scheduler has its own")
+        raise click.UsageError("--workers is for this machine; a scheduler has its own workers")
     certificates = [file for file in (tls_ca_file, tls_cert, tls_key) if file is not None]
     if certificates and (len(certificates) < 3 or not (scheduler or "").startswith("tls://")):
         raise click.UsageError("--tls-ca-file, --tls-cert and --tls-key go together, with --scheduler tls://HOST:PORT")
@@ -141,12 +141,15 @@ def _show(found: FleetHealth) -> None:
 @fleet.command("report")
 @STORE
 @writes(click.option("-o", "--output", metavar="FOLDER", type=click.Path(path_type=Path, file_okay=False),
-                     help="Folder for the pages; STORE/report if omitted."))  # fmt: skip
-@click.option("--robot", "robots", multiple=True, metavar="ROBOT", help="Only the pages of these robots.")
+                     help="Folder for the pages; default: STORE/report."))  # fmt: skip
+@click.option("--robot", "robots", multiple=True, metavar="ROBOT", help="Write only the pages of these robots.")
 @json_option
 @common
 def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json_out: str | None) -> None:
-    """Pages of the last analysis: one of the fleet and one of every robot; they open offline and print on paper."""
+    """Write HTML pages of the last analysis: one of the fleet and one per robot.
+
+    They open offline and can be printed.
+    """
     from gateway.fleet.analysis import FLEET_FILE
     from gateway.fleet.store import open_store
     from gateway.report.fleet_page import render_fleet, render_robot
@@ -160,7 +163,7 @@ def fleet_report(store: Path, output: Path | None, robots: tuple[str, ...], json
     known = [line.robot for line in found.robots if line.first_seen]
     unknown = [name for name in robots if name not in known]
     if unknown:
-        raise InputError(f"{store}: holds no robot '{unknown[0]}'; it holds {', '.join(known[:NAMED])}")
+        raise InputError(f"{store}: contains no robot '{unknown[0]}'; robots in the store: {', '.join(known[:NAMED])}")
     with session.working("pages"):
         for name in robots or known:
             replace_file(folder / f"{name}.html", render_robot(read_robot(opened.analysis / "robots" / f"{name}.json")))

@@ -1,4 +1,7 @@
-"""follow: a path without, with maximum-load and with identified feedforward, and how well the arm follows each time."""
+"""Command `follow`.
+
+Following error without feedforward, with the maximum load assumed, and with the identified load.
+"""
 
 from __future__ import annotations
 
@@ -31,22 +34,24 @@ if TYPE_CHECKING:
     from gateway.result.follow import FollowResult
 
 FILE = click.Path(path_type=Path, dir_okay=False)
-#: A path, its law and its page have so many columns.
+#: Number of axes that path files, feedforward and report support.
 FOLLOWED_AXES = 6
 
 
 @click.command()
 @cell_argument
-@click.option("--path", "path_file", required=True, metavar="FILE", type=FILE, help="Path: joint waypoints or timed.")
-@click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Identified load: a result of estimate.")
-@click.option("--label", metavar="LABEL", help="Which load of the result, if it holds several.")
+@click.option(
+    "--path", "path_file", required=True, metavar="FILE", type=FILE, help="Path file: joint waypoints or timed points."
+)
+@click.option("--load", "load_file", metavar="RESULT.json", type=FILE, help="Identified load: result file of estimate.")
+@click.option("--label", metavar="LABEL", help="Load to use, if the result has several.")
 @click.option(
     "--identified",
     metavar="RESULT.json",
     type=FILE,
-    help="Friction and rotor inertia, in place of the cell's `identified`; else of --load, where it holds them.",
+    help="Friction and rotor inertia, instead of the cell's `identified`; default: from --load, if present.",
 )
-@output_option("--report", "report_file", metavar="REPORT.html", help="Page with the settings side by side.")
+@output_option("--report", "report_file", metavar="REPORT.html", help="Page that compares the settings.")
 @trace_option
 @arm_option
 @operator_option
@@ -68,9 +73,9 @@ def follow(
     json_out: str | None,
     moving: MoveChoice,
 ) -> None:
-    """Follow a path without feedforward, with the maximum load assumed, with the identified load. The arm moves.
+    """Follow a path without feedforward, with the maximum load assumed, and with the identified load. The arm moves.
 
-    The offsets (velocity 0x60B1, torque 0x60B2) are eased in and out at rest and zero outside OPERATION ENABLED.
+    The offsets (velocity 0x60B1, torque 0x60B2) are ramped in and out at rest, and zero outside OPERATION ENABLED.
 
     FILE is TOML (waypoints_rad = [[q1, .., q6], ..], optional name, speed_share, dwell_s, repeat) or CSV
     (q1_rad .. q6_rad: waypoints; with time_s: a timed path through the points).
@@ -92,17 +97,19 @@ def follow(
     context = replace(context, loaded=with_identified(context.loaded, arm.name, identified))
     arm = arm_named(context.loaded, arm.name)
     if len(arm.axis) != FOLLOWED_AXES:
-        raise ConfigError(
-            f"arm '{arm.name}' has {len(arm.axis)} axes: a path is followed by arms of {FOLLOWED_AXES} axes only"
-        )
+        raise ConfigError(f"arm '{arm.name}' has {len(arm.axis)} axes; follow supports {FOLLOWED_AXES} axes only")
     prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
     session = session_of()
     _announce(prepared, session)
-    first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
-    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
+    first = (
+        ""
+        if context.stop_proof(arm).exists()
+        else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
+    )
+    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is the area clear of people?")
     override = replace(context.override(arm, trace), feedforward=True)
     opening = open_arm(context.loaded, override, arm.name)
-    with context.way_on(), stoppable(moving) as options, opening as opened:
+    with context.with_move_command(), stoppable(moving) as options, opening as opened:
         identities = [asdict(identity) for identity in opened.identities]
         options = context.proven(opened, session.note, options)
         with context.last_seconds(options, opened), session.progress(prepared.duration_s, "follow") as bar:
@@ -122,7 +129,7 @@ def follow(
 
 
 def _announce(prepared: Prepared, session: Session) -> None:
-    """Path and settings, and what is used otherwise than the cell says."""
+    """Print path, settings and deviations from the cell file."""
     from gateway.feedforward.identified import notes_of
 
     path = prepared.path

@@ -1,4 +1,4 @@
-"""commission: all of it, guided."""
+"""Command `commission`: guided commissioning."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ if TYPE_CHECKING:
 
 @click.command()
 @cell_argument
-@load_option("labels", "Load to ask for; repeatable.", multiple=True, default=("load",))
+@load_option("labels", "Label of a load to measure; repeatable.", multiple=True, default=("load",))
 @click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
-@click.option("--resume", is_flag=True, help="Go on with OUT/run.h5 instead of starting a new one.")
+@click.option("--resume", is_flag=True, help="Continue OUT/run.h5 instead of starting a new recording.")
 @until_option
 @thermal_option
 @warm_up_option
@@ -76,7 +76,7 @@ def commission(
     bus_spec: str | None,
     moving: MoveChoice,
 ) -> None:
-    """All of it, guided: check, bare arm, each load, diagnosis, fresh poses, report. The arm moves."""
+    """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves."""
     from drives.errors import DriveError
     from gateway.acquire.thermal import WARM_UP_FILE
     from gateway.analyse.accept import accept
@@ -105,12 +105,12 @@ def commission(
         for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
             keep_earlier(path, session_of())
     try:
-        with context.way_on(), stoppable(moving) as options:
+        with context.with_move_command(), stoppable(moving) as options:
             job = Job(context, arm, labels, recording, options, operator, goal, drift)
             result = run(job, Terminal(session_of(), context.loaded.cell.name, moving))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
-            error.add_note(f"What was measured is in {recording}; go on with commission --resume.")
+            error.add_note(f"Measured data is in {recording}; continue with commission --resume.")
         raise
     result = accept(result, expected, arm)
     write_json(str(out / "result.json"), to_dict(result))
@@ -123,27 +123,29 @@ def commission(
 
 
 def _refuse_labels(labels: Sequence[str]) -> None:
-    """The bare arm among the loads, or a load twice."""
+    """Refuse the unloaded arm among the loads, and repeated labels."""
     if BARE_LABEL in labels:
-        raise click.UsageError(f"--load {BARE_LABEL} is the bare arm, which is measured anyway: name the loads alone")
+        raise click.UsageError(
+            f"--load {BARE_LABEL} means the unloaded arm, which is always measured: give only the loads"
+        )
     twice = next((label for label in labels if labels.count(label) > 1), None)
     if twice is not None:
-        raise click.UsageError(f"--load {twice} is given twice: name each load once")
+        raise click.UsageError(f"--load {twice} is given twice: give each load once")
 
 
 def keep_earlier(path: Path, session: Session) -> None:
-    """Keep a file of an earlier job under another name."""
+    """Rename a file of an earlier job."""
     if not path.exists():
         return
     names = (path.with_suffix(f".{number}{path.suffix}") for number in range(1, 10_000))
     kept = next(name for name in names if not name.exists())
     path.rename(kept)
-    session.note(f"{path} is kept as {kept}")
+    session.note(f"{path} renamed to {kept}")
 
 
 @dataclass(frozen=True, slots=True)
 class Terminal:
-    """The person at the terminal; `refuse` refuses a plan before the person is asked to let the arm move."""
+    """Dialogue at the terminal; `refuse` checks a plan before the operator is asked for permission."""
 
     session: Session
     cell: str
@@ -151,29 +153,29 @@ class Terminal:
     refuse: Callable[[Plan], None] = lambda _plan: None
 
     def checked(self, items: Sequence[Finding]) -> None:
-        """Show what is wrong."""
+        """Show warnings and failures."""
         shown = [item for item in items if item.severity in ("warn", "fail")]
         if shown:
             self.session.show(findings_table(shown, "pre-flight check"))
         else:
-            self.session.note("pre-flight check: nothing to complain about")
+            self.session.note("pre-flight check passed")
 
     def planned(self, plan: Plan) -> None:
-        """Show the plan and ask."""
+        """Show the plan and ask for permission to move."""
         self.refuse(plan)
         show_plan(plan)
-        self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is nobody near it?")
+        self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is the area clear of people?")
 
     def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Say where the arm goes, ask, and go there."""
+        """Announce the target, ask for permission, and move there."""
         announce(self.session, opened, target, plan, options)
-        self.moving.ask(f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is nobody near it?")
+        self.moving.ask(f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is the area clear of people?")
         go_with_progress(self.session, opened, target, plan, options)
 
-    def hang(self, label: str) -> None:
-        """Ask for a load, or for an empty flange; a line on stdin says that it is so."""
-        do = "Take everything off the flange" if label == BARE_LABEL else "Hang the load"
-        self.session.note(f"The arm is in its brakes. {do}, then press Enter.")
+    def mount(self, label: str) -> None:
+        """Ask for a load, or for an empty flange; a line on stdin confirms it."""
+        do = "Remove everything from the flange" if label == BARE_LABEL else f"Mount load '{label}' on the flange"
+        self.session.note(f"Brakes engaged. {do}, then press Enter.")
         self.session.settle()
         click.echo(f"HANG LOAD {label}")
         if not sys.stdin.readline():
@@ -188,9 +190,9 @@ class Terminal:
     def measure_until(
         self, opened: OpenArm, search: LoadSearch, earlier: Recording | None, path: Path, options: MoveOptions
     ) -> UntilSummary:
-        """Record pose by pose with a progress bar, and say how it ended."""
+        """Record pose by pose with a progress bar; return how it ended."""
         return PoseByPose(search, path, earlier).run(self.session, opened, options)
 
     def say(self, text: str) -> None:
-        """A remark."""
+        """Print a note."""
         self.session.note(text)

@@ -1,4 +1,4 @@
-"""estimate and diagnose: from data on disk to numbers; no bus."""
+"""Commands `estimate` and `diagnose`: identification from stored data. They need no bus."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def model_request(
     tip: str | None,
     is_warm: bool,
 ) -> ModelRequest:
-    """The options of MODEL as one value."""
+    """Return the options of MODEL as one value."""
     from gateway.analyse.given import ModelRequest
     from gateway.analyse.known import parse_known
     from gateway.identify.nuisance import parse_torque_gain
@@ -57,11 +57,11 @@ def model_request(
 
 
 def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
-    """An estimator of the table; any other name is a usage error."""
+    """Return the name of an estimator; any other name is a usage error."""
     from gateway.estimate import ESTIMATORS
 
     if value not in ESTIMATORS:
-        raise click.BadParameter(f"'{value}' is no method; choose one of {', '.join(ESTIMATORS)}")
+        raise click.BadParameter(f"'{value}' is not a method; choose one of {', '.join(ESTIMATORS)}")
     return value
 
 
@@ -76,14 +76,19 @@ def _method(_ctx: click.Context, _param: click.Parameter, value: str) -> str:
     show_default=True,
     help="joint, difference, posture or coefficient.",
 )
-@click.option("--axis", type=click.IntRange(1, MOST_AXES), help="coefficient: the one axis.")
-@click.option("--lever", metavar="COLUMN", help="coefficient: column x_... of the load's lever about that axis [m].")
-@click.option("--gear-ratio", type=float, help="coefficient: motor turns per joint turn; the cell's if omitted.")
+@click.option("--axis", type=click.IntRange(1, MOST_AXES), help="coefficient: the axis to use.")
 @click.option(
-    "--gear-efficiency", type=click.FloatRange(0, 1, min_open=True), help="coefficient: the cell's if omitted."
+    "--lever", metavar="COLUMN", help="coefficient: column x_... with the lever arm of the load about that axis [m]."
+)
+@click.option("--gear-ratio", type=float, help="coefficient: motor turns per joint turn; default: from the cell.")
+@click.option(
+    "--gear-efficiency", type=click.FloatRange(0, 1, min_open=True), help="coefficient: default: from the cell."
 )
 @click.option(
-    "--rated-torque", type=click.FloatRange(0, min_open=True), metavar="NM", help="coefficient: of the motor."
+    "--rated-torque",
+    type=click.FloatRange(0, min_open=True),
+    metavar="NM",
+    help="coefficient: rated torque of the motor [Nm].",
 )
 @arm_option
 @accept_options
@@ -114,7 +119,7 @@ def estimate(
     archive: Path | None,
     json_out: str | None,
 ) -> None:
-    """Mass and centre of gravity of every unknown load, with 95 % intervals and what cannot be told."""
+    """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
     from dataclasses import replace
 
     from gateway.analyse.accept import accept, check_against_data
@@ -138,7 +143,7 @@ def estimate(
 
 
 def _hand_over(result: Result, json_out: str | None, junit_file: Path | None, archive: Path | None) -> None:
-    """Write and show; a failing finding ends the command."""
+    """Write and show the result; exit with code 7 on a failing finding."""
     from gateway.result.result import to_dict
 
     if json_out:
@@ -153,7 +158,7 @@ def _hand_over(result: Result, json_out: str | None, junit_file: Path | None, ar
 
 @dataclass(frozen=True, slots=True)
 class _Coefficient:
-    """Options of the coefficient method; None = not given."""
+    """Options of the coefficient method; None if not set."""
 
     axis: int | None
     lever: str | None
@@ -162,7 +167,7 @@ class _Coefficient:
     rated_torque: float | None
 
     def of(self, about: Given) -> Coefficient:
-        """The method's own options, completed from the cell."""
+        """Return the options of the method, completed from the cell."""
         from gateway.estimate import Coefficient
 
         if self.axis is None or self.lever is None:
@@ -176,21 +181,26 @@ class _Coefficient:
 
 
 def _names(_ctx: click.Context, _param: click.Parameter, value: str | None) -> frozenset[str]:
-    """Effect names, comma separated; an unknown one is a usage error."""
+    """Return effect names from comma-separated text; an unknown one is a usage error."""
     from gateway.model.effects import LIBRARY
 
     names = frozenset(part.strip() for part in (value or "").split(",") if part.strip())
     unknown = sorted(names - set(LIBRARY))
     if unknown:
-        raise click.BadParameter(f"'{unknown[0]}' is no effect; known are {', '.join(sorted(LIBRARY))}")
+        raise click.BadParameter(f"'{unknown[0]}' is not an effect; choose from {', '.join(sorted(LIBRARY))}")
     return names
 
 
 @click.command()
 @data_argument
 @model_options
-@click.option("--holdout", multiple=True, type=click.Path(path_type=Path, dir_okay=False), help="Data no fit may see.")
-@click.option("--only", callback=_names, metavar="EFFECT,..", help="Try these effects alone.")
+@click.option(
+    "--holdout",
+    multiple=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Data for validation only; not used in any fit.",
+)
+@click.option("--only", callback=_names, metavar="EFFECT,..", help="Try only these effects.")
 @click.option("--without", callback=_names, metavar="EFFECT,..", help="Do not try these effects.")
 @arm_option
 @accept_options
@@ -218,7 +228,10 @@ def diagnose(
     archive: Path | None,
     json_out: str | None,
 ) -> None:
-    """What the model lacks, judged on data that no fit has seen; or that nothing is missing, or undecided."""
+    """Find the effects that the model lacks, validated on data that was not used in the fit.
+
+    The verdict is one of: model complete, explained, improved, unexplained, undecided.
+    """
     from gateway.analyse.accept import accept, check_against_data
     from gateway.analyse.complete import complete
     from gateway.analyse.given import diagnose_arguments, given, read_rows, split_validation
@@ -241,7 +254,7 @@ def diagnose(
 
 
 def postures(about: Given) -> NDArray[np.float64] | None:
-    """Postures (k, N) that a result may ask for; the planning code is loaded here alone."""
+    """Return postures (k, N) that a result may propose; the planning code is imported only here."""
     from gateway.acquire.asking import postures_to_ask
 
     return postures_to_ask(about)

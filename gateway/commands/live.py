@@ -1,4 +1,4 @@
-"""live: a page of what happens on the buses of a cell, whoever moves it."""
+"""Command `live`: page with the state of the arms of a cell, observed on its buses."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from gateway.commands.shared_options import bus_option, cell_argument, common, s
     "--port",
     type=click.IntRange(1, 65535),
     metavar="N",
-    help="Port of the page on this computer; 8460, or the next free one, if not given.",
+    help="Port of the page on this computer; default: 8460 or the next free one.",
 )
 @click.option(
     "--constants",
     "recording",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="RUN.h5",
-    help="Constants of the drives, for a page that is opened after they were read.",
+    help="Constants of the drives, for pages opened later.",
 )
 @bus_option
 @common
 def live(cell: Path, port: int | None, recording: Path | None, bus_spec: str | None) -> None:
-    """A page of what happens on the bus, until Ctrl-C. It only listens: nothing is sent, nothing moves.
+    """Show the arms of a cell in a browser until Ctrl-C. The bus is only read: nothing is sent, nothing moves.
 
-    Every command that moves shows the same page, with a button that stops the arm, when it is given --live.
+    Commands that move an arm show the same page with --live, then with a button that stops the arm.
     """
     from gateway.cell.buses import bus_specs
     from gateway.cell.config import load_cell
@@ -41,9 +41,9 @@ def live(cell: Path, port: int | None, recording: Path | None, bus_spec: str | N
     session = session_of()
     with live_page(f"{loaded.cell.name}, watched", port, stops=False) as page:
         session.show(f"live page: {page.address}")
-        session.note("it listens and sends nothing; Ctrl-C ends it")
+        session.note("read only, nothing is sent; end with Ctrl-C")
         try:
             watch(loaded, specs, page.feed, recording)
-            session.note("ended: the process of the page is gone")
+            session.note("ended: the process of the page has stopped")
         except KeyboardInterrupt:
             session.note("ended")

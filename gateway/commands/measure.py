@@ -1,4 +1,4 @@
-"""plan and record: which poses, and measuring them under one load."""
+"""Commands `plan` and `record`: choose poses, and measure them under one load."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ if TYPE_CHECKING:
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
 
-arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm, if the cell has several.")
+arm_option = click.option("--arm", "arm_name", metavar="NAME", help="Arm to use, if the cell has several.")
 
 
 @click.command()
 @cell_argument
-@click.option("--poses", "n_poses", type=click.IntRange(min=1), metavar="N", help="Poses to fit from.")
+@click.option("--poses", "n_poses", type=click.IntRange(min=1), metavar="N", help="Number of poses for the fit.")
 @click.option("--seed", type=click.IntRange(min=0), help="Seed of the random candidates.")
-@output_option("--view", metavar="PAGE.html", help="Write a page that draws poses, ways and boxes.")
+@output_option("--view", metavar="PAGE.html", help="Write a page that shows poses, paths and keep-out boxes.")
 @moving_plan_options
 @arm_option
 @json_option
@@ -64,11 +64,11 @@ def plan(
     arm_name: str | None,
     json_out: str | None,
 ) -> None:
-    """Choose rest poses, or motions: limits, duration, expected uncertainty. Needs no bus."""
+    """Choose rest poses or excitation trajectories; show limits, duration and expected uncertainty. Needs no bus."""
     choice = MovingChoice(moving, purposes, period_s, periods)
     choice.refuse_without_moving()
     if moving and n_poses is not None:
-        raise click.UsageError("--poses counts rest poses, which --moving has none of: give one of them")
+        raise click.UsageError("--poses is for rest poses, --moving for trajectories: give one of them")
     if moving:
         plan_moving(cell, choice, seed, arm_name, (view, json_out))
         return
@@ -90,7 +90,7 @@ def plan(
     session_of().show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
         write_page(view, view_of_plan(chosen, workspace))
-        session_of().show(f"{view}: poses, ways and boxes")
+        session_of().show(f"{view}: poses, paths and keep-out boxes")
     if json_out:
         write_json(json_out, plan_as_json(chosen))
 
@@ -98,14 +98,14 @@ def plan(
 def _poses(
     ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]
 ) -> tuple[tuple[tuple[float, ...], ...], tuple[int, ...]]:
-    """Postures, and numbers of poses: no arm has one axis, so a number alone is the number of a pose."""
+    """Return postures and pose numbers; a single number is a pose number, because no arm has one axis."""
     numbers = [value for value in values if value.strip().isdecimal()]
     postures = tuple(joint_angles(value, session_of(ctx)) for value in values if value not in numbers)
     return postures, tuple(map(int, numbers))
 
 
 def show_plan(chosen: Plan) -> None:
-    """Print poses, duration and expectation of a plan."""
+    """Print poses, duration and expected uncertainty of a plan."""
     session = session_of()
     rows = [
         [str(pose.number), "fit" if pose.purpose == "fit" else "fresh", *(f"{math.degrees(q):.1f}" for q in pose.q_rad)]
@@ -113,7 +113,7 @@ def show_plan(chosen: Plan) -> None:
     ]
     columns = ["pose", "for", *axis_names(len(chosen.poses[0].q_rad))]
     session.show(grid(f"arm {chosen.arm}: rest poses [deg]", columns, rows, left=2))
-    session.show(f"each pose from both sides, about {chosen.duration_s / 60:.1f} min per load")
+    session.show(f"each pose approached from both directions, about {chosen.duration_s / 60:.1f} min per load")
     expected = chosen.expectation
     if expected is not None:
         x, y, z = (1000 * value for value in expected.com_std_m)
@@ -121,13 +121,15 @@ def show_plan(chosen: Plan) -> None:
             f"expected standard deviation for a load of {expected.reference_load_kg:.3g} kg: "
             f"mass {expected.mass_std_kg:.3g} kg, centre of gravity {x:.2g} {y:.2g} {z:.2g} mm"
         )
-        session.show(axis_table(f"noise put in [Nm], {expected.noise_source}", {"std": expected.noise_nm}))
+        session.show(axis_table(f"noise assumed [Nm], {expected.noise_source}", {"std": expected.noise_nm}))
         percent = [100.0 * std for std in expected.gain_std]
-        session.show(axis_table("torque constants put in [%], std_percent of the cell", {"std": percent}))
+        session.show(
+            axis_table("uncertainty of torque constants assumed [%], std_percent of the cell", {"std": percent})
+        )
 
 
 def plan_as_json(chosen: Plan) -> dict[str, Any]:
-    """A plan as plain values."""
+    """Return a plan as plain values."""
     expected = chosen.expectation
     return {
         "schema": 1,
@@ -149,7 +151,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
 
 @click.command()
 @cell_argument
-@load_option("label", "What hangs on the flange; none = bare.", required=True)
+@load_option("label", "Label of the mounted load; none = unloaded.", required=True)
 @click.option(
     "-o",
     "--output",
@@ -157,9 +159,9 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     metavar="RUN.h5",
     type=click.Path(path_type=Path, dir_okay=False),
     callback=recording_file,
-    help="Recording to write; one that is there is never replaced.",
+    help="Recording to write; an existing one is never replaced.",
 )
-@click.option("--resume", is_flag=True, help="Go on with RUN.h5: measure only what is missing under this load.")
+@click.option("--resume", is_flag=True, help="Continue RUN.h5: measure only what is missing under this load.")
 @trace_option
 @click.option(
     "--pose",
@@ -167,7 +169,7 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     multiple=True,
     callback=_poses,
     metavar="J1,J2,...|N",
-    help="Measure this pose instead of those of the cell, or pose N of RUN.h5 once more; repeatable.",
+    help="Measure this pose instead of those of the cell, or pose N of RUN.h5 again; repeatable.",
 )
 @unit_option
 @click.option(
@@ -175,23 +177,25 @@ def plan_as_json(chosen: Plan) -> dict[str, Any]:
     "result",
     metavar="RESULT.json",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Measure the poses that a result of this arm asks for.",
+    help="Measure the poses that a result of this arm proposes.",
 )
 @reference_options
-@click.option("--moving", "in_motion", is_flag=True, help="Drive excitations instead of measuring rest poses.")
+@click.option(
+    "--moving", "in_motion", is_flag=True, help="Run excitation trajectories instead of measuring rest poses."
+)
 @click.option(
     "--plan",
     "moving_plan",
     metavar="PLAN.json",
     type=click.Path(path_type=Path, dir_okay=False),
-    help="With --moving: drive what `plan --moving --json` wrote.",
+    help="With --moving: plan file written by `plan --moving --json`.",
 )
 @click.option(
     "--rate",
     "rate_hz",
     type=click.FloatRange(min=1, max=1000),
     metavar="HZ",
-    help="With --moving: SYNCs per second; 250 if not given, where bus and drives allow it.",
+    help="With --moving: SYNCs per second; default: 250, if bus and drives allow it.",
 )
 @arm_option
 @bus_option
@@ -215,9 +219,11 @@ def record(
     until: UntilChoice,
     moving: MoveChoice,
 ) -> None:
-    """Measure rest poses or motions under one load. The arm moves; Ctrl-C stops it along its way, nothing is lost.
+    """Measure rest poses or excitation trajectories under one load. The arm moves.
 
-    The first time with these drives, it is proven before anything else that they stop when the master is gone.
+    Ctrl-C stops the arm on its path; the measured data is kept.
+
+    The first time with these drives, the command first proves that they stop on loss of the master.
     """
     from gateway.acquire.session import RecordRequest, open_arm
     from gateway.acquire.until.run import UntilSummary
@@ -247,28 +253,32 @@ def record(
     note_remarks(arm_robot(context.loaded, arm))
     if not moving.yes:
         asked.show(session)
-    first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
-    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is nobody near it?")
+    first = (
+        ""
+        if context.stop_proof(arm).exists()
+        else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
+    )
+    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is the area clear of people?")
     opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
-    with context.way_on(), stoppable(moving) as options, opening as opened:
+    with context.with_move_command(), stoppable(moving) as options, opening as opened:
         options = context.proven(opened, session.note, options)
         done = asked.run(session, opened, options)
     summary, more = (done.recording, {"until": as_json(done)}) if isinstance(done, UntilSummary) else (done, {})
     if json_out:
         write_json(json_out, {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(output), **more})
-    session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} were there already")
+    session.show(f"{output}: {summary.visits} visits under load {label}, {summary.skipped} already recorded")
     session.show(axis_table("friction band [Nm], median over the poses", {"band": summary.friction_band_nm}))
 
 
 @dataclass(frozen=True, slots=True)
 class _Planned:
-    """A recording whose poses are known beforehand."""
+    """A recording of planned poses."""
 
     plan: Plan
     request: RecordRequest
 
     def show(self, _session: Session) -> None:
-        """Show poses and expectation."""
+        """Show poses and expected uncertainty."""
         show_plan(self.plan)
 
     def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> RecordingSummary:
@@ -280,18 +290,18 @@ class _Planned:
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """Which poses are to be measured, and into what.
+    """Poses to measure and the file to write.
 
     Attributes
     ----------
     output : Path
     resume : bool
     poses : tuple of tuples of floats
-        Joint angles that were typed.
+        Joint angles from the command line.
     again : tuple of int
-        Numbers of poses to measure once more.
+        Numbers of poses to measure again.
     result : Path or None
-        Whose `next` asks for poses.
+        Result whose `next` proposes poses.
     """
 
     output: Path
@@ -302,9 +312,9 @@ class _Wanted:
 
 
 def _search_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted, request: UntilRequest) -> PoseByPose:
-    """A recording whose poses are chosen on the way."""
+    """A recording whose poses are chosen during the measurement."""
     if wanted.poses or wanted.again or wanted.result is not None:
-        raise click.UsageError("--until chooses the poses itself: leave out --pose and --next")
+        raise click.UsageError("--until chooses the poses itself: omit --pose and --next")
     _refuse_to_replace(wanted)
     if wanted.output.exists():
         from gateway.data.recording.reader import read
@@ -322,22 +332,24 @@ def _refuse_to_replace(wanted: _Wanted) -> None:
 
 
 def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
-    """Poses that are asked for, else those of the file that is gone on with, else those of the cell."""
+    """Return the requested poses, otherwise those of the continued file, otherwise those of the cell."""
     from gateway.acquire.asking import Asked, asked_by, plan_again, plan_asked
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import refuse_other_cell
 
     if sum(map(bool, (wanted.poses, wanted.again, wanted.result))) > 1:
-        raise click.UsageError("--pose J1,J2,.., --pose N and --next all say which poses: give one of them")
+        raise click.UsageError("--pose J1,J2,.., --pose N and --next exclude each other: give one of them")
     if any(len(q_rad) != len(arm.axis) for q_rad in wanted.poses):
-        raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes, one joint angle each is needed")
+        raise click.UsageError(f"--pose: arm '{arm.name}' has {len(arm.axis)} axes: give one joint angle per axis")
     _refuse_to_replace(wanted)
     earlier = read(wanted.output) if wanted.output.exists() else None
     refuse_other_cell(earlier, loaded.text)
     if wanted.again:
         if earlier is None:
-            raise InputError(f"--pose {wanted.again[0]}: there is no {wanted.output} yet whose pose that would be")
+            raise InputError(
+                f"--pose {wanted.again[0]}: {wanted.output} does not exist yet, so it has no pose with this number"
+            )
         return plan_again(loaded, arm, wanted.again, earlier)
     if wanted.result is not None:
         return plan_asked(loaded, arm, asked_by(wanted.result, loaded, arm), earlier)

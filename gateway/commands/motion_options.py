@@ -1,4 +1,4 @@
-"""What every command that moves an arm has in common: its options, who may stop it, and how it asks first."""
+"""Common parts of commands that move an arm: options, stop sources and the confirmation before motion."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gateway.motion.stops import StopDesk
     from gateway.motion.stream import MoveOptions
 
-#: Speed override [%] of what only goes somewhere: a person may stand nearer to it than to a measurement.
+#: Speed override [%] of transfer motions: people may be closer to the arm than during a measurement.
 SLOW_PERCENT: Final = 10
 FULL_PERCENT: Final = 100
 
@@ -32,13 +32,13 @@ class MoveChoice:
     override : int
         Speed override, percent.
     hold_to_run : bool
-        The arms move only while a key is held.
+        Arms move only while a key is held.
     yes : bool
         Do not ask before moving.
     pacing : str or None
-        Instead of the cell's.
+        Overrides that of the cell.
     live : bool
-        Show in a browser what happens.
+        Show the live page.
     """
 
     override: int
@@ -48,7 +48,7 @@ class MoveChoice:
     live: bool = False
 
     def ask(self, question: str) -> None:
-        """Ask before anything moves; no answer means no."""
+        """Ask for confirmation before motion; no answer means no."""
         confirm(question, yes=self.yes)
 
 
@@ -59,18 +59,18 @@ MOVE: Final = tuple(each.name for each in fields(MoveChoice))
 def move_options(function: Function) -> Function:
     """Add MOVE: --override, --hold-to-run, --yes, --pacing, --live; the command takes them as one argument `moving`.
 
-    A terminal that goes away ends it as a person does, also before anything has moved.
+    A closed terminal stops the command like Ctrl-C, also before motion.
     """
     return _with_move(function, FULL_PERCENT)
 
 
 def slow_move_options(function: Function) -> Function:
-    """As `move_options`, slow unless the person asks for more."""
+    """As `move_options`, with a low default speed."""
     return _with_move(function, SLOW_PERCENT)
 
 
 def _with_move(function: Function, percent: int) -> Function:
-    """Add the options; `percent` is the override that holds where none is given."""
+    """Add the options; `percent` is the default override."""
 
     def gathered(*arguments: Any, **named: Any) -> Any:
         from gateway.motion.stops import CLOSED, StoppedByPerson, output_closed
@@ -87,12 +87,14 @@ def _with_move(function: Function, percent: int) -> Function:
     gathered.__click_params__ = getattr(function, "__click_params__", [])  # type: ignore[attr-defined]
     wrapped: Callable[..., Any] = gathered
     for option in (
-        click.option("--live", is_flag=True, help="Show it in a browser on this computer; the address is printed."),
+        click.option(
+            "--live", is_flag=True, help="Show the live page in a browser on this computer; the address is printed."
+        ),
         click.option("--yes", is_flag=True, help="Do not ask before moving."),
         click.option(
             "--pacing",
             type=one_of(["lockstep", "real"]),
-            help="Instead of the cell's; lockstep with the simulator alone.",
+            help="Overrides that of the cell; lockstep only with the simulator.",
         ),
         click.option("--hold-to-run", is_flag=True, help="Move only while a key is held (no enabling device)."),
         click.option(
@@ -109,29 +111,29 @@ def _with_move(function: Function, percent: int) -> Function:
 
 
 def _moves(named: Mapping[str, Any]) -> bool:
-    """Whether anything was to move: of `check`, only what was asked for does."""
+    """Return whether motion was requested; `check` moves only with its motion options."""
     asked = [named[flag] for flag in ("move", "prove_stop", "brakes") if flag in named]
     return not asked or any(asked)
 
 
 class _Power:
-    """Observer that keeps whether arms were under power, and whether their stop was confirmed."""
+    """Observer that records whether arms were under power and whether their stop was confirmed."""
 
     def __init__(self) -> None:
         self.was_on = self.is_off = False
 
     def began(self, _scene: object) -> None:
-        """Arms are about to be powered."""
+        """Record that arms are about to be enabled."""
         self.was_on, self.is_off = True, False
 
     def sampled(self, _observed: object) -> None:
         """One SYNC."""
 
     def reported(self, _event: object) -> None:
-        """An event of the run."""
+        """Record an event of the run."""
 
     def ended(self, failure: BaseException | None) -> None:
-        """The way down is over; what went wrong on it is part of the failure."""
+        """Record the end of the shutdown; its errors are part of the failure."""
         notes = getattr(failure, "__notes__", [])
         failed = getattr(failure, "while_stopping", ()) or any(note.startswith("while stopping") for note in notes)
         self.is_off = not failed
@@ -139,7 +141,7 @@ class _Power:
 
 @contextmanager
 def _arm_reported(power: _Power) -> Generator[None]:
-    """An interrupt, or a defect, says what is known of the arm; every other error says itself what it stopped."""
+    """Return the known state of the arm for an interrupt or a defect; other errors describe it themselves."""
     try:
         yield
     except BaseException as error:
@@ -154,9 +156,9 @@ def _arm_reported(power: _Power) -> Generator[None]:
 
 @contextmanager
 def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
-    """While this is open, signals and the held key stop what moves; interrupted at once while nothing does.
+    """While open, signals and the hold-to-run key stop the motion; without motion the command ends at once.
 
-    What is printed meanwhile is queued: a terminal that hangs delays no SYNC.
+    Output is queued meanwhile, so that a blocked terminal delays no SYNC.
     """
     from gateway.motion.holdtorun import held_key
     from gateway.motion.observer import Observers
@@ -178,14 +180,14 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
         desk.watch(lambda: key() if desk.under_power else None)
 
         def ready() -> None:
-            session_of().note("hold the space bar: the arm moves while it is held")
+            session_of().note("hold the space bar: the arm moves only while it is held")
             key.wait()
 
         yield replace(options, ready=ready)
 
 
 def support_asked(move: MoveChoice) -> Callable[[str], Callable[[], bool] | None]:
-    """What asks a person to support an arm that is held under power, without keeping the motion loop waiting."""
+    """Return the prompt to support an arm that is held under power; it does not block the motion loop."""
 
     from gateway.motion.holdtorun import line_entered
 
@@ -194,7 +196,7 @@ def support_asked(move: MoveChoice) -> Callable[[str], Callable[[], bool] | None
             session_of().note(f"{text} Then let go of the key.", -1)
             return lambda: False
         if move.yes or sys.stdin is None or not sys.stdin.isatty():
-            session_of().note(f"{text} Nobody is asked to confirm it: this happens after some seconds.", -1)
+            session_of().note(f"{text} This happens after some seconds, without confirmation.", -1)
             return None
         session_of().note(f"{text} Then press Enter.", -1)
         return line_entered(sys.stdin.fileno())
@@ -203,7 +205,7 @@ def support_asked(move: MoveChoice) -> Callable[[str], Callable[[], bool] | None
 
 
 def _shown(stack: ExitStack, desk: StopDesk) -> Observers:
-    """The live page until the command ends: it looks on, and its button is a wish to stop."""
+    """Serve the live page until the command ends; its button requests a stop."""
     from gateway.live.page import live_page
     from gateway.motion.observer import Observers
 

@@ -1,4 +1,4 @@
-"""move: bring an arm to a posture."""
+"""Command `move`: move an arm to a posture."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NAMES = ("home", "loading")
 
 
 def _to(ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[float, ...]:
-    """A name, or joint angles."""
+    """Return a posture name, or joint angles."""
     return value if value in NAMES else joint_angles(value, session_of(ctx))
 
 
@@ -52,10 +52,10 @@ def _to(ctx: click.Context, _param: click.Parameter, value: str) -> str | tuple[
 def move(
     cell: Path, to: str | tuple[float, ...], arm_name: str | None, bus_spec: str | None, moving: MoveChoice
 ) -> None:
-    """Bring the arm to a posture: slowly, over a way that is checked all along, once a person has agreed.
+    """Move the arm to a posture: slowly, along a collision-checked path, after confirmation.
 
-    An arm that stands outside its joint range first moves inwards. The first time with these drives, it is proven
-    before anything else that they stop when the master is gone.
+    An arm outside its joint range first moves inwards. The first time with these drives, the command proves that they
+    stop on loss of the master before it moves.
     """
     from gateway.acquire.goto import destination, plan_way
     from gateway.commands.cell_context import open_cell
@@ -75,16 +75,22 @@ def move(
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
         plan = plan_way(opened, target)
         announce(session, opened, target, plan, options)
-        besides = ("" if proof.exists() else " At first its drives lose the heartbeat on purpose.") + context.grippers
-        moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is nobody near it?")
+        besides = (
+            ""
+            if proof.exists()
+            else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
+        ) + context.grippers
+        moving.ask(
+            f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is the area clear of people?"
+        )
         options = context.proven(opened, session.note, options)
         with context.last_seconds(options, opened):
             go_with_progress(session, opened, target, plan, options)
-    session.show(f"arm '{arm.name}' is in its brakes at {target}")
+    session.show(f"arm '{arm.name}' is at {target}, brakes engaged")
 
 
 def announce(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-    """Say where the arm stands, where it goes, over what, and how long that takes."""
+    """Print current posture, target, via points and duration."""
     from gateway.acquire.goto import remarks
     from gateway.motion.joint_path import angles
 
@@ -98,7 +104,7 @@ def announce(session: Session, opened: OpenArm, target: Destination, plan: Plan,
 
 
 def go_with_progress(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-    """Go there and show how far it is; raises as `way_from_here` and `go` of `gateway.acquire.goto`."""
+    """Move there and show the progress; raises as `way_from_here` and `go` of `gateway.acquire.goto`."""
     from gateway.acquire.goto import go, way_from_here
     from gateway.commands.progress import ProgressListener
 

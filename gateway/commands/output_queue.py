@@ -1,4 +1,4 @@
-"""An output that never makes its writer wait: text goes to a bounded queue, a thread hands it to terminal or pipe."""
+"""Output stream that never blocks its writer: a bounded queue, and a thread that writes to terminal or pipe."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Final, TextIO
 
-#: Text that may wait for the terminal [characters]; further text is dropped and counted.
+#: Capacity of the queue [characters]; further text is dropped and counted.
 MOST_CHARS: Final = 1 << 17
-#: How often whoever waits for the queue looks whether it is empty [s].
+#: Polling interval while waiting for an empty queue [s].
 LOOK_S: Final = 0.05
 
 
 class Outlet:
     """A text stream for one terminal, pipe or file.
 
-    Written directly until `detached` is entered. While that is open, `write` only queues: a terminal that takes no
-    output (Ctrl-S, an ssh connection that hangs) delays nobody. What the queue has no room for is dropped, and the
-    number of dropped lines is written once there is room again.
+    Written directly until `detached` is entered. While that is open, `write` only queues: a blocked terminal (Ctrl-S, a
+    stalled ssh connection) delays nothing. If the queue is full, text is dropped; the number of dropped lines is
+    written when there is space again.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ class Outlet:
     # -- as a stream ---------------------------------------------------------------------------------------------------
 
     def write(self, text: str) -> int:
-        """Write or queue; raises what the thread has met, such as `BrokenPipeError`, at the next call."""
+        """Write or queue text; raises an earlier error of the thread, such as `BrokenPipeError`."""
         if self._failure is not None:
             raise self._failure
         with self._lock:
-            if self._queue is None:  # a terminal that hangs here keeps the lock: `detached` waits for it
+            if self._queue is None:  # a blocked terminal keeps the lock here: `detached` waits for it
                 return self._stream.write(text)
             if self._chars + len(text) > MOST_CHARS:
                 self._dropped_lines += text.count("\n")
@@ -57,26 +57,26 @@ class Outlet:
         return len(text)
 
     def flush(self) -> None:
-        """Flush where text is written directly."""
+        """Flush, if text is written directly."""
         if self._queue is None:
             self._stream.flush()
 
     def isatty(self) -> bool:
-        """Whether a person looks at it."""
+        """Return whether the stream is a terminal."""
         return self._stream.isatty()
 
     def fileno(self) -> int:
-        """Its file descriptor."""
+        """Return the file descriptor."""
         return self._stream.fileno()
 
     # -- detached ------------------------------------------------------------------------------------------------------
 
     @contextmanager
     def detached(self) -> Generator[None]:
-        """Queue what is written; on leaving, what waits is written out. To be entered while nothing moves.
+        """Queue all text; write it out on exit. Must be entered while nothing moves.
 
-        Entering waits for a thread that is being held up by the terminal. Leaving waits for the terminal as any program
-        does; a signal interrupts that.
+        Entering waits for a thread that is blocked by the terminal. Leaving waits for the terminal; a signal
+        interrupts that.
         """
         with self._lock:
             nested, self._closing = self._queue is not None, False
@@ -101,7 +101,7 @@ class Outlet:
             writer.join(LOOK_S)
 
     def settle(self) -> None:
-        """Wait until everything is written; not while anything moves. Nothing to wait for where it fails."""
+        """Wait until everything is written; not to be called during motion. Returns at once after a write error."""
         while self._queue is not None and self._failure is None and (self._chars or self._dropped_lines):
             self._written.wait(LOOK_S)
             self._written.clear()
@@ -122,13 +122,13 @@ class Outlet:
             self._written.set()
 
     def _taken(self) -> str:
-        """What waits, or the number of the lines that were dropped; they count as waiting until they are written."""
+        """Return the queued text, or a line with the number of dropped lines; it counts as queued until written."""
         with self._lock:
             if not self._queue:
                 lines, self._dropped_lines = self._dropped_lines, 0
                 if not lines:
                     return ""
-                text = f"[{lines} lines were dropped: this terminal took no output]\n"
+                text = f"[{lines} lines were dropped: the terminal was blocked]\n"
                 self._chars += len(text)
                 return text
             text = "".join(self._queue)
@@ -136,7 +136,7 @@ class Outlet:
             return text
 
     def _put(self, text: str) -> None:
-        """Hand text to the system. By the descriptor: a thread that hangs there holds no lock of the stream."""
+        """Write text to the file descriptor, so that a blocked thread does not hold the lock of the stream."""
         try:
             number = self._stream.fileno()
         except (OSError, ValueError, AttributeError):

@@ -1,4 +1,4 @@
-"""teach, run-pair, learn and pair-report: two arms that carry one workpiece."""
+"""Commands `teach`, `run-pair`, `learn` and `pair-report` for two arms that carry one workpiece."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ store_option = click.option(
     "--store",
     metavar="FOLDER",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Where functions and runs are kept; beside the cell file if omitted.",
+    help="Folder of functions and runs; default: beside the cell file.",
 )
 
 
@@ -63,7 +63,7 @@ def _ledgers(context: CellContext, pair: PairCell) -> tuple[Path, Path]:
 
 
 def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveOptions:
-    """The stop of both arms was proven before, with the grippers open: that was their first motion, a slow one."""
+    """Refuse unless the stop of both arms was proven before, in slow motion with open grippers."""
     from gateway.check.proofs import require_proven
     from gateway.motion.holdtorun import with_held_input
 
@@ -80,14 +80,14 @@ def _ask(pair: PairCell, what: str, moving: MoveChoice, session: Session) -> Non
     first, second = (arm.config.name for arm in pair.arms)
     held = "with the part gripped" if pair.gap is None else f"with '{second}' clear of the part"
     moving.ask(
-        f"Arms '{first}' and '{second}' of cell '{pair.loaded.cell.name}' stand at the start {held} and will {what}."
-        " Is nobody near them?"
+        f"Arms '{first}' and '{second}' of cell '{pair.loaded.cell.name}' are at the start {held} and will {what}."
+        " Is the area clear of people?"
     )
 
 
 @click.command()
 @cell_argument
-@click.option("--resume", is_flag=True, help="Go on with the points that are still missing.")
+@click.option("--resume", is_flag=True, help="Continue with the missing points.")
 @store_option
 @bus_option
 @move_options
@@ -96,7 +96,10 @@ def _ask(pair: PairCell, what: str, moving: MoveChoice, session: Session) -> Non
 def teach(
     cell: Path, resume: bool, store: Path | None, bus_spec: str | None, moving: MoveChoice, json_out: str | None
 ) -> None:
-    """Teach the first function of CELL: both arms go from point to point, the force is adjusted away at each."""
+    """Teach the first function of CELL.
+
+    Both arms move from point to point, and the force is reduced to zero at each.
+    """
     from gateway.pair.link import open_link
     from gateway.pair.pair_motion import PairMotionOptions
     from gateway.pair.session import open_taught_path, teach_pair
@@ -108,7 +111,7 @@ def teach(
     session = session_of()
     _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
-    with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+    with context.with_move_command(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
         with context.last_seconds(options, *link.opened):
             function = teach_pair(
@@ -135,10 +138,16 @@ def teach(
     default="C8",
     show_default=True,
     metavar="NAME",
-    help="Row of the table in docs/explanation/two-arms.md.",
+    help="Number in the table in docs/explanation/two-arms.md.",
 )
-@click.option("--cycles", type=click.IntRange(min=1), default=1, show_default=True, help="There and back.")
-@click.option("--speed", type=click.FloatRange(0, min_open=True), help="Speed setting; the cell's if omitted.")
+@click.option(
+    "--cycles",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Number of cycles, each to the end of the path and back.",
+)
+@click.option("--speed", type=click.FloatRange(0, min_open=True), help="Speed setting; default: from the cell.")
 @store_option
 @bus_option
 @move_options
@@ -154,7 +163,10 @@ def run_pair(
     moving: MoveChoice,
     json_out: str | None,
 ) -> None:
-    """Carry the part along the path of CELL and back; Ctrl-C stops both arms along it and keeps what was learned."""
+    """Carry the part along the path of CELL and back.
+
+    Ctrl-C stops both arms on the path and keeps the learned function.
+    """
     from gateway.pair.link import open_link
     from gateway.pair.pair_motion import PairMotionOptions
     from gateway.pair.session import PairRunRequest, embodiment_of, first_function
@@ -170,7 +182,7 @@ def run_pair(
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
     _ask(pair, f"run {cycles} cycles at speed {at:g}", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
-    with context.way_on(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+    with context.with_move_command(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
         options = _proven(context, link, options)
         with context.last_seconds(options, *link.opened):
             result = run(
@@ -198,7 +210,7 @@ def _cycle_line(summary: CycleSummary) -> str:
     learned = "learned" if summary.learned else (summary.reason or "not learned")
     if not math.isnan(summary.gap_m):
         return (
-            f"cycle {summary.cycle}: gap off by up to {1e3 * summary.gap_m:.3f} mm, correction up to"
+            f"cycle {summary.cycle}: gap error up to {1e3 * summary.gap_m:.3f} mm, correction up to"
             f" {1e3 * summary.correction_m:.2f} mm, {summary.knots} points, {learned}"
         )
     return (
@@ -214,14 +226,14 @@ def _cycle_line(summary: CycleSummary) -> str:
 @json_option
 @common
 def learn(action: str, cell: Path, store: Path | None, json_out: str | None) -> None:
-    """Status of what was learned in CELL; freeze or resume learning; reset forgets what runs have taught."""
+    """Show the learned function of CELL; freeze or resume learning; reset deletes what runs have learned."""
     from gateway.result.pair import STAGES, LearnStatus
     from gateway.result.values import plain_values
 
     _, kept = _open(cell, None, store)
     session = session_of()
     if action == "reset":
-        session.show("what was learned is forgotten" if kept.forget() else "there was nothing to forget")
+        session.show("the learned function is deleted" if kept.forget() else "there was nothing to delete")
     elif action != "status":
         kept.freeze(action == "freeze")
     status = LearnStatus(
@@ -260,7 +272,7 @@ def _function_row(one: FunctionOrigin) -> list[str]:
 @store_option
 @common
 def pair_report(cell: Path, output: Path, store: Path | None) -> None:
-    """One HTML page: force or gap along the path for every embodiment that was run, learning points, convergence."""
+    """Write one HTML page: force or gap along the path for each embodiment, learning points, convergence."""
     from gateway.errors import DataUnusable
     from gateway.report.pair_page import FORCE, GAP, Limited, render_pair
     from gateway.result.origin import Origin, files_of, in_words, software
@@ -272,7 +284,7 @@ def pair_report(cell: Path, output: Path, store: Path | None) -> None:
         bound = Limited(GAP, pair.gap.limit_m, "as the distance sensors measured it")
     runs = [run for run in kept.runs() if bool(run.last_n) == (pair.gap is None)]
     if not runs:
-        raise DataUnusable(f"{kept.folder}: holds no run; run-pair first")
+        raise DataUnusable(f"{kept.folder}: contains no run; run `servo-gateway run-pair` first")
     origin = Origin(in_words(datetime.now(UTC)), software(), files=files_of((cell, *kept.run_files())))
     write_page(output, render_pair(pair.loaded.cell.name, bound, runs, origin))
     session_of().show(f"{output}: {len(runs)} embodiments")

@@ -1,4 +1,4 @@
-"""plan --moving: motions that an arm and its load are learnt from."""
+"""`plan --moving`: excitation trajectories that identify an arm and its load."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from gateway.excite.expected import Purpose
 
 PURPOSES: tuple[Purpose, ...] = ("load", "friction", "rotor")
-#: Expected standard deviations of each axis: key of the file, words, unit.
+#: Expected standard deviations of each axis: key of the file, text, unit.
 _PER_AXIS = (
     ("friction", "coulomb_std_nm", "dry friction [Nm]"),
     ("friction", "viscous_std_nm_s_rad", "viscous friction [Nm s/rad]"),
@@ -29,7 +29,7 @@ _INERTIA = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
 @dataclass(frozen=True, slots=True)
 class MovingChoice:
-    """The options of `plan` that are for motions.
+    """The options of `plan` for excitation trajectories.
 
     Attributes
     ----------
@@ -46,9 +46,9 @@ class MovingChoice:
     periods: int | None
 
     def refuse_without_moving(self) -> None:
-        """Refuse options that say how to move where nothing is to move."""
+        """Refuse options for trajectories without --moving."""
         if not self.moving and (self.purposes or self.period_s is not None or self.periods is not None):
-            raise click.UsageError("--for, --period and --periods are about motions: give --moving too")
+            raise click.UsageError("--for, --period and --periods need --moving")
 
 
 def _purposes(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[Purpose, ...]:
@@ -62,17 +62,28 @@ def _purposes(_ctx: click.Context, _param: click.Parameter, values: tuple[str, .
 def moving_plan_options(function: Function) -> Function:
     """Add --moving, --for, --period and --periods."""
     for option in (
-        click.option("--periods", type=click.IntRange(min=1), metavar="N", help="With --moving: periods of a series."),
-        click.option("--period", "period_s", type=float, metavar="SECONDS", help="With --moving: of a series."),
+        click.option(
+            "--periods",
+            type=click.IntRange(min=1),
+            metavar="N",
+            help="With --moving: number of periods of a Fourier series.",
+        ),
+        click.option(
+            "--period",
+            "period_s",
+            type=float,
+            metavar="SECONDS",
+            help="With --moving: period of the Fourier series [s].",
+        ),
         click.option(
             "--for",
             "purposes",
             multiple=True,
             callback=_purposes,
             metavar="load|friction|rotor",
-            help="With --moving: what is to be learnt, several by commas; load if absent.",
+            help="With --moving: what to identify, comma separated; default: load.",
         ),
-        click.option("--moving", is_flag=True, help="Motions instead of rest poses."),
+        click.option("--moving", is_flag=True, help="Excitation trajectories instead of rest poses."),
     ):
         function = option(function)
     return function
@@ -81,7 +92,7 @@ def moving_plan_options(function: Function) -> Function:
 def plan_moving(
     cell: Path, choice: MovingChoice, seed: int | None, arm_name: str | None, outputs: tuple[Path | None, str | None]
 ) -> None:
-    """Choose motions, print what they take of the limits and what they promise; `outputs` are page and JSON."""
+    """Choose trajectories, print their use of the limits and the expected uncertainty; `outputs` are page and JSON."""
     from gateway.cell.config import load_cell
     from gateway.commands.plan_view import space_in_words, view_of_moving_plan
     from gateway.excite.plan_file import plan_as_plain
@@ -108,13 +119,13 @@ def plan_moving(
     session.show("\n  ".join(["kept apart:", *space_in_words(workspace)]))
     if view is not None:
         write_page(view, view_of_moving_plan(plan, workspace))
-        session.show(f"{view}: ways, boxes, positions and speeds")
+        session.show(f"{view}: paths, boxes, positions and speeds")
     if json_out:
         write_json(json_out, plan_as_plain(plan))
 
 
 def show_moving_plan(plan: MovingPlan) -> None:
-    """Print motions, what they take of the limits, and what they promise."""
+    """Print trajectories, their use of the limits, and the expected uncertainty."""
     session = session_of()
     rows = [_row(excitation) for excitation in plan.excitations]
     session.show(
@@ -133,10 +144,10 @@ def show_moving_plan(plan: MovingPlan) -> None:
         _show_load(expected["load"])
     stds = {words: expected[part][key] for part, key, words in _PER_AXIS if part in expected}
     if stds:
-        session.show(_small_table("expected standard deviation, from one run bare", stds))
+        session.show(_small_table("expected standard deviation, from one unloaded run", stds))
     if expected["over_random"] is not None:
         session.show(
-            f"expected standard deviations of the series over those of the best of 100 random ones: "
+            f"ratio of expected standard deviations, series over the best of 100 random ones: "
             f"{expected['over_random']:.2f}"
         )
     _show_noise(expected)
@@ -149,40 +160,41 @@ def _row(excitation: Excitation) -> list[str]:
 
 
 def _show_shares(motion: Mapping[str, Any]) -> None:
-    """What a motion takes of the limits that are planned with."""
+    """Return the use of the planning limits by a trajectory."""
     share = dict(motion["share"])
     load = share.pop("load_acceleration", None)
     lines = {kind: [100.0 * value for value in values] for kind, values in share.items()}
     rows = [[kind, *(f"{value:.0f}" for value in values)] for kind, values in lines.items()]
     columns = ["", *axis_names(len(lines["speed"]))]
     session = session_of()
-    session.show(grid(f"{motion['name']}: taken of the limits, less their margins [%]", columns, rows))
+    session.show(grid(f"{motion['name']}: use of the limits after margins [%]", columns, rows))
     if load is not None:
         session.show(f"{motion['name']}: {100.0 * load:.0f} % of load_acceleration_m_s2, less its margin")
 
 
-def _show_load(told: Mapping[str, Any]) -> None:
-    session, about = session_of(), told["reference"]
-    com = ["-" if value is None else f"{1000 * value:.2g}" for value in told["com_std_m"]]
-    mass = "-" if told["mass_std_kg"] is None else f"{told['mass_std_kg']:.3g}"
+def _show_load(about_load: Mapping[str, Any]) -> None:
+    session, about = session_of(), about_load["reference"]
+    com = ["-" if value is None else f"{1000 * value:.2g}" for value in about_load["com_std_m"]]
+    mass = "-" if about_load["mass_std_kg"] is None else f"{about_load['mass_std_kg']:.3g}"
     session.show(
-        f"expected standard deviation for a load of {about['mass_kg']:.3g} kg ({about['source']}), bare and loaded: "
+        f"expected standard deviation for a load of {about['mass_kg']:.3g} kg ({about['source']}), unloaded and "
+        f"loaded: "
         f"mass {mass} kg, centre of gravity {' '.join(com)} mm"
     )
-    lines = {"inertia": about["inertia_kg_m2"], "std": told["inertia_std_kg_m2"]}
+    lines = {"inertia": about["inertia_kg_m2"], "std": about_load["inertia_std_kg_m2"]}
     rows = [[name, *map(_small, values)] for name, values in lines.items()]
     session.show(grid(f"inertia [kg m2], {about['inertia_source']}", ["", *_INERTIA], rows))
 
 
 def _show_noise(expected: Mapping[str, Any]) -> None:
     session = session_of()
-    session.show(axis_table(f"noise put in [Nm], {expected['noise_source']}", {"std": expected["noise_nm"]}))
+    session.show(axis_table(f"noise assumed [Nm], {expected['noise_source']}", {"std": expected["noise_nm"]}))
     session.show(
-        f"it is taken to hang together over {expected['correlation_s']:g} s: one reading counts in "
+        f"assumed autocorrelated over {expected['correlation_s']:g} s: one reading counts in "
         f"{2 * expected['correlation_s']:g} s"
     )
     percent = [100.0 * std for std in expected["gain_std"]]
-    session.show(axis_table("torque constants put in [%], std_percent of the cell", {"std": percent}))
+    session.show(axis_table("uncertainty of torque constants assumed [%], std_percent of the cell", {"std": percent}))
 
 
 def _small(value: float | None) -> str:
@@ -190,6 +202,6 @@ def _small(value: float | None) -> str:
 
 
 def _small_table(title: str, lines: Mapping[str, Sequence[float | None]]) -> Any:
-    """One row per quantity, one column per axis, two digits; a dash where it cannot be told."""
+    """Return a table with one row per quantity and one column per axis, two digits; a dash if not identifiable."""
     rows = [[name, *map(_small, values)] for name, values in lines.items()]
     return grid(title, ["", *axis_names(max(len(row) - 1 for row in rows))], rows)

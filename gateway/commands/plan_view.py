@@ -1,4 +1,4 @@
-"""What is kept apart around an arm, in words, and the pages that draw a plan or a cell."""
+"""Text on the surroundings of an arm, and the pages that draw a plan or a cell."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ if TYPE_CHECKING:
     from gateway.motion.workspace import Workspace
 
 
-#: A period is drawn with so many points, no closer than this [s].
+#: Number of drawn points per period, and least spacing [s].
 CURVE_POINTS, CURVE_STEP_S = 400, 0.01
 
 
 def space_in_words(workspace: Workspace) -> list[str]:
-    """Floor, wall, column, links, load and boxes, each with where its size comes from; then what is not checked."""
+    """Describe floor, wall, column, links, load and boxes with the source of their size; then what is not checked."""
     space = workspace.space
     lines = [f"{plane.name}: {plane.source}" for plane in space.planes]
     lines += [f"{part.name}: {part.source}" for part in space.body.parts]
     lines += [f"boxes of keep_out: {len(space.boxes_m)}"]
     if space.unchecked:
-        lines.append(f"not checked, they touch wherever the joints stand: {'; '.join(space.unchecked)}")
+        lines.append(f"not checked, because they touch at all joint angles: {'; '.join(space.unchecked)}")
     return lines
 
 
 def view_of_plan(plan: Plan, workspace: Workspace) -> str:
-    """HTML text of a page with poses, ways and boxes."""
+    """Return an HTML page with poses, paths and boxes."""
     from gateway.acquire.plan import Approach, MoveTo
     from gateway.model.kinematics import flange_frames
     from gateway.motion.joint_path import path_positions, postures_at
@@ -48,32 +48,32 @@ def view_of_plan(plan: Plan, workspace: Workspace) -> str:
         for row, pose in enumerate(plan.poses)
     ]
     corners = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
-    way = flange_frames(workspace.robot, postures_at(corners, path_positions(corners)))[:, :3, 3]
-    return plan_page(plan.arm, poses, way.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))
+    path = flange_frames(workspace.robot, postures_at(corners, path_positions(corners)))[:, :3, 3]
+    return plan_page(plan.arm, poses, path.tolist(), workspace.space.boxes_m.tolist(), space_in_words(workspace))
 
 
 def view_of_moving_plan(plan: MovingPlan, workspace: Workspace) -> str:
-    """HTML text of a page with the ways of motions, and position and speed of each joint over one period."""
+    """Return an HTML page with the paths of trajectories, and position and speed of each joint over one period."""
     from gateway.excite.limits import PLANNED, states_of
     from gateway.model.kinematics import flange_frames
     from gateway.report.plan import JointCurves, moving_page
 
     curves: list[JointCurves] = []
-    ways: list[tuple[str, list[list[float]]]] = []
+    paths: list[tuple[str, list[list[float]]]] = []
     for excitation in plan.excitations:
         states = states_of(excitation, max(excitation.period_s / CURVE_POINTS, CURVE_STEP_S))
-        way = flange_frames(workspace.robot, np.vstack([excitation.start_rad, states.q_rad]))[:, :3, 3]
-        ways.append((excitation.name, way.tolist()))
+        path = flange_frames(workspace.robot, np.vstack([excitation.start_rad, states.q_rad]))[:, :3, 3]
+        paths.append((excitation.name, path.tolist()))
         share = 100.0 * states.qd_rad_s / (PLANNED.speed * workspace.speed_rad_s)
         time_s = np.linspace(0.0, excitation.period_s, len(share) + 1)[1:]
         curves.append(JointCurves(excitation.name, time_s.tolist(), states.q_rad.T.tolist(), share.T.tolist()))
     boxes = workspace.space.boxes_m.tolist()
     arm = _points(workspace, [plan.excitations[0].start_rad.tolist()])[0].tolist()
-    return moving_page(plan.arm, ways, curves, boxes, space_in_words(workspace), arm)
+    return moving_page(plan.arm, paths, curves, boxes, space_in_words(workspace), arm)
 
 
 def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:
-    """HTML text of a page with the arm where the cell names a posture, and all joints at zero."""
+    """Return an HTML page with the arm at the named postures of the cell and with all joints at zero."""
     from gateway.report.plan import cell_page
 
     named = {"all joints at 0": (0.0,) * workspace.robot.axes, "home": config.home_rad, "loading": config.loading_rad}
@@ -84,7 +84,7 @@ def view_of_cell(config: ArmConfig, workspace: Workspace) -> str:
 
 
 def _points(workspace: Workspace, postures: Sequence[Sequence[float]]) -> np.ndarray:
-    """Places of joints and flange (n, N + 1, 3) [m] at postures, base frame."""
+    """Return positions of joints and flange (n, N + 1, 3) [m] at postures, base frame."""
     from gateway.model.kinematics import flange_frames, link_frames
 
     q_rad = np.array(postures)

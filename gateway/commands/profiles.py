@@ -1,4 +1,4 @@
-"""profiles: what each drive model's numbers mean, and a draft for one that is not there yet."""
+"""Command group `profiles`: list and show drive profiles, and draft new ones."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
     from drives.profile import DriveProfile
 
 FILE = click.Path(path_type=Path, dir_okay=False)
-#: How many ways to find out are printed with a question that stays open.
-WAYS_SHOWN = 1
+#: Number of hints printed with an open question.
+HINTS_SHOWN = 1
 
 
 @click.group()
 def profiles() -> None:
-    """Drive profiles: what each drive model's numbers mean."""
+    """Drive profiles: units, objects and limits of each drive model."""
 
 
 @profiles.command("list")
 @json_option
 @common
 def profiles_list(json_out: str | None) -> None:
-    """Name, description and torque of every profile, and whether its drives are moved."""
+    """List every profile: name, description, torque object, and whether motion is allowed."""
     from drives.profile_file import list_profiles, load_profile
     from gateway.commands.console import grid
 
@@ -60,7 +60,7 @@ def profiles_list(json_out: str | None) -> None:
 @click.argument("name")
 @common
 def profiles_show(name: str) -> None:
-    """The TOML text of one profile (a name of the list, or a file)."""
+    """Print a profile as TOML (a name of the list, or a file)."""
     from drives.profile_file import load_profile
 
     click.echo(load_profile(name).text, nl=False)
@@ -69,7 +69,7 @@ def profiles_show(name: str) -> None:
 @profiles.command("schema")
 @common
 def profiles_schema() -> None:
-    """JSON schema of a profile."""
+    """Print the JSON schema of a profile."""
     from drives.profile_file import profile_schema
 
     write_json("-", profile_schema())
@@ -77,11 +77,13 @@ def profiles_schema() -> None:
 
 @profiles.command("new")
 @click.option("--eds", required=True, metavar="FILE", type=FILE, help="EDS or DCF of the drive.")
-@click.option("--from-drive", "node_id", metavar="NODE", type=click.IntRange(1, 127), help="Ask this drive as well.")
-@click.option("--bus", "bus_spec", metavar="SPEC", help=f"Bus of that drive; {DEFAULT_BUS} if omitted.")
+@click.option("--from-drive", "node_id", metavar="NODE", type=click.IntRange(1, 127), help="Also read this drive.")
+@click.option("--bus", "bus_spec", metavar="SPEC", help=f"Bus of that drive; default: {DEFAULT_BUS}.")
 @click.option("--answers", "answer_file", metavar="FILE", type=FILE, help="Answers as TOML, one key each.")
-@click.option("--answer", "typed", metavar="KEY=VALUE", multiple=True, help="One answer; before the file's.")
-@click.option("--name", metavar="NAME", help="Of the profile; the name of the output file if omitted.")
+@click.option(
+    "--answer", "typed", metavar="KEY=VALUE", multiple=True, help="One answer; takes precedence over the answer file."
+)
+@click.option("--name", metavar="NAME", help="Name of the profile; default: name of the output file.")
 @output_option("-o", "--output", required=True, metavar="PROFILE.toml", help="Draft to write.")
 @json_option
 @common
@@ -95,10 +97,10 @@ def profiles_new(
     output: Path,
     json_out: str | None,
 ) -> None:
-    """Draft a profile from an EDS or DCF; what it cannot tell is asked at a terminal, or answered by --answer.
+    """Draft a profile from an EDS or DCF; missing facts are asked at a terminal, or given with --answer.
 
-    A draft with open questions about the torque is read by every command, and refuses motion. A drive that is asked
-    is only read: listened to first, and left alone where another master is at work.
+    A draft with open questions about the torque can be read by every command, but motion is refused. The drive is only
+    read, and not accessed at all if another master is active on the bus.
     """
     from drives.draft.answers import ProfileAnswers, read_answers, with_answers
     from drives.draft.device import device_of_sheet
@@ -109,11 +111,9 @@ def profiles_new(
     if node_id is None and bus_spec is not None:
         raise click.UsageError("--bus SPEC belongs to --from-drive NODE.")
     if output.suffix != ".toml":
-        raise click.UsageError(f"-o {output}: the name of a profile's file ends with .toml.")
+        raise click.UsageError(f"-o {output}: the file name of a profile must end with .toml.")
     if output.stem in list_profiles():
-        raise ConfigError(
-            f"{output}: a profile of the package has this name, and cells would get that one: choose another"
-        )
+        raise ConfigError(f"{output}: this name is used by a built-in profile: choose another name")
     answers = with_answers(
         read_answers(answer_file) if answer_file else ProfileAnswers(), key_values("--answer", typed)
     )
@@ -126,14 +126,14 @@ def profiles_new(
     text = draft(device, answers, name or profile_name(output.stem))
     profile = parse_profile(text, str(output), output.parent)
     replace_file(output, text)
-    _tell(output, profile, open_questions(device, answers))
+    _report(output, profile, open_questions(device, answers))
     if json_out:
         remarks = {"left_out": [str(remark) for remark in device.sheet.remarks]}
         write_json(json_out, _as_json(output, profile, open_questions(device, answers)) | remarks)
 
 
 def _at_terminal() -> bool:
-    """Whether there is somebody to ask."""
+    """Return whether questions can be asked at a terminal."""
     return sys.stdin.isatty()
 
 
@@ -146,7 +146,7 @@ def _ask_drive(device: Device, node_id: int, bus_spec: str) -> Device:
 
 
 def _ask(device: Device, answers: ProfileAnswers) -> ProfileAnswers:
-    """Put the open questions, one after another; Enter leaves one open."""
+    """Ask the open questions one by one; Enter leaves a question open."""
     from drives.draft.answers import with_answers
     from drives.draft.questions import next_question
     from drives.errors import ProfileError
@@ -154,8 +154,8 @@ def _ask(device: Device, answers: ProfileAnswers) -> ProfileAnswers:
     asked: set[str] = set()
     while (question := next_question(device, answers, asked)) is not None:
         session_of().note(f"\n{question.asks}")
-        for way in question.ways:
-            session_of().note(f"  - {way}")
+        for hint in question.ways:
+            session_of().note(f"  - {hint}")
         text = click.prompt(question.key, default="", show_default=False, err=True).strip()
         try:
             answers = with_answers(answers, {question.key: text} if text else {})
@@ -166,13 +166,13 @@ def _ask(device: Device, answers: ProfileAnswers) -> ProfileAnswers:
     return answers
 
 
-def _tell(output: Path, profile: DriveProfile, left: tuple[Question, ...]) -> None:
+def _report(output: Path, profile: DriveProfile, left: tuple[Question, ...]) -> None:
     session = session_of()
     session.show(f"draft: {output}")
     for question in left:
         session.show(f"open: {question.key}: {question.asks}")
-        for way in question.ways[:WAYS_SHOWN]:
-            session.show(f"      {way}")
+        for hint in question.ways[:HINTS_SHOWN]:
+            session.show(f"      {hint}")
     for obstacle in profile.obstacles:
         session.show(f"refuses motion: {obstacle}")
     if not profile.obstacles:

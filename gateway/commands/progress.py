@@ -1,4 +1,4 @@
-"""A recording with a progress bar: events of the run turned into what the terminal shows."""
+"""Progress bar of a recording: turns events of the run into terminal output."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from gateway.motion.stream import MoveOptions
 
 
 class ProgressListener:
-    """Listens to a run and moves a bar.
+    """Observer of a run that updates a progress bar.
 
     Parameters
     ----------
     session : Session
     bar : Bar
-        Its length is the planned time of the arm, s.
+        Length: planned duration of the motion [s].
     """
 
     def __init__(self, session: Session, bar: Bar) -> None:
@@ -51,26 +51,26 @@ class ProgressListener:
             self._session.note(f"pose {event.pose}, load {event.load}: friction band {band} Nm", level=1)
         elif isinstance(event, SampleRepeated):
             axes = ", ".join(f"J{axis}" for axis in event.axes)
-            self._session.note(f"SYNC {event.sync_index} was not answered by {axes}; sampled again")
+            self._session.note(f"SYNC {event.sync_index} not answered by {axes}; sample repeated")
         elif isinstance(event, Narrowed):
             self._session.note(f"load {event.load}, {event.text}")
         elif isinstance(event, PeriodDone):
-            self._tell_period(event)
+            self._report_period(event)
         elif isinstance(event, StateChanged):
             self._session.note(str(event.state), level=2)
         else:
-            # what is raised says it too, last, where it is still on the screen
+            # the raised error repeats it at the end of the output
             self._session.note(f"stopped: {event.reason}", level=1)
 
-    def _tell_period(self, event: PeriodDone) -> None:
-        """A period that lacks a SYNC is always told of; only whole ones are counted."""
+    def _report_period(self, event: PeriodDone) -> None:
+        """Report every period with a missing SYNC; only complete periods count."""
         speed = f" at {event.speed:.0%}" if event.speed != 1.0 else ""
         name, lost = f"'{event.name}' number {event.period}{speed}", event.incomplete_epochs
         if event.complete:
             self._done += 1
             self._session.note(f"period {self._done}/{self._visits}: {name}", level=1)
         elif lost:
-            self._session.note(f"{name}: {lost} SYNCs were not answered")
+            self._session.note(f"{name}: {lost} SYNCs not answered")
         else:
             self._session.note(f"{name}: cut short", level=1)
 
@@ -78,7 +78,7 @@ class ProgressListener:
 def recording_with_progress(
     session: Session, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions
 ) -> RecordingSummary:
-    """Measure a plan under one load and show how far it is.
+    """Measure a plan under one load and show the progress.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def recording_with_progress(
 def moving_with_progress(
     session: Session, opened: OpenArm, plan: MovingPlan, request: RecordRequest, how: tuple[MoveOptions, float]
 ) -> MovingSummary:
-    """Drive a moving plan under one load and show how far it is; `how` is the options and the time it takes [s].
+    """Run a trajectory plan under one load and show the progress; `how` is the options and the duration [s].
 
     Raises
     ------

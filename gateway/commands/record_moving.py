@@ -1,4 +1,4 @@
-"""record --moving: excitations instead of rest poses."""
+"""`record --moving`: excitation trajectories instead of rest poses."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MovingWish:
-    """What is asked for on the command line.
+    """Options of the command line.
 
     Attributes
     ----------
     label : str
-        Of what hangs on the flange.
+        Label of the mounted load.
     output : Path
     resume : bool
     plan : Path or None
-        That `plan --moving --json` wrote.
+        File written by `plan --moving --json`.
     rate_hz : float or None
         SYNCs per second.
     trace : Path or None
@@ -51,7 +51,7 @@ class MovingWish:
 
 
 def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, moving: MoveChoice) -> None:
-    """Ask, drive the excitations under one load, and say what was measured.
+    """Ask for permission, run the excitation trajectories under one load, and report the result.
 
     Raises
     ------
@@ -77,10 +77,16 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     passes = passes_of(chosen, wish.label, driven, moving.override / 100.0, period_s)
     session = session_of()
     _show(arm.name, passes, period_s)
-    first = "" if context.stop_proof(arm).exists() else " At first its drives lose the heartbeat on purpose."
-    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move fast.{first} Is nobody near it?")
+    first = (
+        ""
+        if context.stop_proof(arm).exists()
+        else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
+    )
+    moving.ask(
+        f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move fast.{first} Is the area clear of people?"
+    )
     opening = open_arm(context.loaded, context.override(arm, wish.trace), arm.name)
-    with context.way_on(), stoppable(moving) as options, opening as opened:
+    with context.with_move_command(), stoppable(moving) as options, opening as opened:
         options = context.proven(opened, session.note, options)
         duration_s = sum(one.duration_s for one in passes)
         request = RecordRequest(wish.label, wish.output, wish.resume)
@@ -89,10 +95,10 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
         body = {"schema": 1, "arm": arm.name, **plain_values(summary), "path": str(wish.output)}
         write_json(wish.json_out, body)
     session.show(
-        f"{wish.output}: {summary.periods} periods under load {wish.label}, {summary.skipped} were there already"
+        f"{wish.output}: {summary.periods} periods under load {wish.label}, {summary.skipped} already recorded"
     )
     for name, period in summary.missed:
-        session.show(f"'{name}', period {period}: SYNCs were left unanswered twice; drive it again by --resume")
+        session.show(f"'{name}', period {period}: SYNCs not answered in two attempts; repeat it with --resume")
 
 
 def _show(arm: str, passes: Sequence[Pass], period_s: float) -> None:
@@ -109,13 +115,11 @@ def _show(arm: str, passes: Sequence[Pass], period_s: float) -> None:
     ]
     session.show(grid(f"arm {arm}: motions", ["motion", "joints", "periods", "each [s]", "speed"], rows, left=2))
     total_s = sum(one.duration_s for one in passes)
-    session.show(
-        f"about {total_s / 60:.1f} min of motion and the ways to its start, {1.0 / period_s:.0f} SYNCs per second"
-    )
+    session.show(f"about {total_s / 60:.1f} min of motion plus transfer motions, {1.0 / period_s:.0f} SYNCs per second")
 
 
 def _plan_for(loaded: LoadedCell, arm: ArmConfig, path: Path | None, earlier: Recording | None) -> MovingPlan:
-    """The plan that is named, else that of the file that is gone on with, else one that is made for the load."""
+    """Return the given plan, otherwise that of the continued file, otherwise a new one for the load."""
     from gateway.excite.excitation import MovingPlan
     from gateway.excite.plan_file import excitation_of
     from gateway.excite.planning import MovingRequest, make_moving_plan, read_moving_plan
@@ -123,7 +127,7 @@ def _plan_for(loaded: LoadedCell, arm: ArmConfig, path: Path | None, earlier: Re
     if path is not None:
         plan = read_moving_plan(path)
         if plan.arm != arm.name:
-            raise InputError(f"{path}: is a plan of arm '{plan.arm}', not of '{arm.name}'; plan for this arm")
+            raise InputError(f"{path}: is a plan for arm '{plan.arm}', not for '{arm.name}'; plan again for this arm")
         return plan
     stored = None if earlier is None else earlier.arm(arm.name)
     if stored is None or not stored.excitations:
@@ -138,7 +142,7 @@ def _plan_for(loaded: LoadedCell, arm: ArmConfig, path: Path | None, earlier: Re
 
 
 def refuse_mixed(moves: bool, poses: Sequence[object], plan: Path | None, rate_hz: float | None) -> None:
-    """Refuse options of one kind of recording with the other.
+    """Refuse options of rest recordings with --moving and vice versa.
 
     Raises
     ------
@@ -146,7 +150,7 @@ def refuse_mixed(moves: bool, poses: Sequence[object], plan: Path | None, rate_h
     """
     if moves and poses:
         raise click.UsageError(
-            "--moving measures motion; --pose, --next and --until ask for rest poses: give one of them"
+            "--moving runs trajectories; --pose, --next and --until are for rest poses: give one of them"
         )
     if not moves and (plan is not None or rate_hz is not None):
-        raise click.UsageError("--plan and --rate belong to --moving")
+        raise click.UsageError("--plan and --rate need --moving")

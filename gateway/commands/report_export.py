@@ -1,4 +1,4 @@
-"""report, export, import: what leaves the room, and what comes in from other programs."""
+"""Commands `report`, `export` and `import`: pages, files for other programs, and logs of other programs."""
 
 from __future__ import annotations
 
@@ -23,14 +23,18 @@ RESULT = click.Path(path_type=Path, dir_okay=False)
 @click.command()
 @click.argument("result", metavar="OUT.json|RUN.h5", type=RESULT)
 @output_option(
-    "-o", "--output", required=True, metavar="REPORT.html", help="Page to write; .pdf is printed by a browser."
+    "-o",
+    "--output",
+    required=True,
+    metavar="REPORT.html",
+    help="Page to write; .pdf is printed by an installed browser.",
 )
 @json_option
 @common
 def report(result: Path, output: Path, json_out: str | None) -> None:
-    """One page from a result: it opens offline and prints on paper; as PDF where a browser is installed.
+    """Write one page from a result. It opens offline and can be printed; PDF needs an installed browser.
 
-    Of a recording that was stopped before its end, or of its black box: the last seconds before the stop.
+    For a stopped recording, or its black box: the page shows the last seconds before the stop.
     """
     from gateway.commands.pages import write_page
     from gateway.data.reading import is_recording
@@ -39,7 +43,7 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
     if is_recording(result):
         _stop_page(result, output, json_out)
         return
-    held = _whole(result)
+    held = _read_result(result)
     write_page(output, render(held))
     if json_out:
         write_json(json_out, {"schema": 1, "report": str(output), "robot": held.robot, "verdict": held.verdict})
@@ -47,7 +51,7 @@ def report(result: Path, output: Path, json_out: str | None) -> None:
 
 
 def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
-    """The page on what the black box beside a recording holds."""
+    """Write the page of the black box beside a recording."""
     from gateway.commands.pages import write_page
     from gateway.data.blackbox.box import read_box
     from gateway.data.blackbox.recovery import salvage
@@ -59,14 +63,14 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     path = box_of(recording)
     if path != recording and not path.exists():
         raise InputError(
-            f"{recording}: no black box ({path.name}) lies beside it: the run was not stopped; for a page on what was "
-            "measured give the OUT.json of estimate or diagnose"
+            f"{recording}: no black box ({path.name}) beside it, because the run was not stopped; for a report of the "
+            "measurement give the OUT.json of estimate or diagnose"
         )
     box = read_box(path)
     write_page(output, render_stop(box))
     if json_out:
-        told = {"schema": 1, "report": str(output), "recording": box.recording, "reason": box.reason}
-        write_json(json_out, told)
+        summary = {"schema": 1, "report": str(output), "recording": box.recording, "reason": box.reason}
+        write_json(json_out, summary)
     session_of().show(f"report: {output}")
 
 
@@ -77,19 +81,19 @@ def _stop_page(recording: Path, output: Path, json_out: str | None) -> None:
     "fmt",
     required=True,
     type=one_of([*EXPORT_FORMATS, CERTIFICATE_FORMAT, *RECORDING_FORMATS]),
-    help=f"Syntax to write; of RUN.h5 {', '.join(RECORDING_FORMATS)}.",
+    help=f"Output format; for RUN.h5 {', '.join(RECORDING_FORMATS)}.",
 )
-@click.option("--load", "label", metavar="LABEL", help="Only this load.")
+@click.option("--load", "label", metavar="LABEL", help="Export only this load.")
 @arm_option
-@output_option("-o", "--output", metavar="FILE", help="File to write; stdout if omitted.")
+@output_option("-o", "--output", metavar="FILE", help="File to write; default: stdout.")
 @common
 def export(result: Path, fmt: str, label: str | None, arm_name: str | None, output: Path | None) -> None:
-    """The load as URDF, JSON, or in the load syntax of a robot controller; a recording as table or for other programs.
+    """Export the load as URDF, JSON or in the syntax of a robot controller; or a recording as table or for other tools.
 
     dcc is a Digital Calibration Certificate (XML): values, expanded uncertainty, budget, traceability.
 
-    csv is the measured table that `estimate` and `diagnose` read: two rows a pose, torque on the side of the joint. The
-    other formats of a recording hold every sample, with units.
+    csv is the measured table that `estimate` and `diagnose` read: two rows per pose, joint-side torque. The other
+    formats of a recording contain every sample, with units.
     """
     from drives.profile_parts import is_assumed
     from gateway.data.reading import is_recording
@@ -97,7 +101,7 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
 
     if is_recording(result) != (fmt in RECORDING_FORMATS):
         kinds = f"{fmt} is" if fmt in RECORDING_FORMATS else f"{', '.join(RECORDING_FORMATS)} are"
-        raise click.UsageError(f"--format {kinds} of a recording (.h5), every other format of a result (.json)")
+        raise click.UsageError(f"--format {kinds} for a recording (.h5); the other formats are for a result (.json)")
     if fmt in RECORDING_FORMATS and fmt != TABLE_FORMAT:
         _every_sample(result, fmt, (arm_name, label), output)
         return
@@ -107,7 +111,7 @@ def export(result: Path, fmt: str, label: str | None, arm_name: str | None, outp
     if fmt == TABLE_FORMAT:
         text = _table(result, arm_name, label)
     else:
-        held = _whole(result)
+        held = _read_result(result)
         text = export_text(held, fmt, label)
         if held.data is not None and is_assumed(held.data.flange_source or ""):
             session_of().note(f"{result}: flange {held.data.flange_source}; state flange_rpy_rad in the cell file")
@@ -124,7 +128,7 @@ def _certificate(path: Path, label: str | None, output: Path | None) -> None:
     from gateway.result.certificate import NOT_TRACEABLE, certificate
     from gateway.result.dcc import certificate_xml
 
-    held = _whole(path)
+    held = _read_result(path)
     stated = certificate(held, label)
     if not stated.loads:
         labels = ", ".join(load.label for load in held.loads)
@@ -145,15 +149,15 @@ def _certificate(path: Path, label: str | None, output: Path | None) -> None:
 
 
 def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], output: Path | None) -> None:
-    """A recording, or its part of one arm and load, in an open format."""
+    """Export a recording, or the part of one arm and load, in an open format."""
     from gateway.formats.registry import exported
 
     if output is None:
-        raise click.UsageError(f"--format {fmt} is no text: name a file by -o")
+        raise click.UsageError(f"--format {fmt} is a binary format: give a file with -o")
     done = exported(path, fmt, *part)
     replace_file(output, done.content)
     if not done.count:
-        session_of().note(f"{path}: holds no sample yet; {output} holds what is known of the run alone")
+        session_of().note(f"{path}: contains no sample yet; {output} contains only the metadata of the run")
     session_of().show(f"{fmt}: {output}, {done.count} {done.what}")
 
 
@@ -165,19 +169,19 @@ def _every_sample(path: Path, fmt: str, part: tuple[str | None, str | None], out
     required=True,
     metavar="MAP.toml|NAME",
     type=RESULT,
-    help="Which column is which; or a ready map: ur-rtde, kuka-rsi, abb-egm, ros-joint-states.",
+    help="Map file of the columns; or a built-in map: ur-rtde, kuka-rsi, abb-egm, ros-joint-states.",
 )
-@click.option("--load", "label", metavar="LABEL", help="What was on the flange, under all rows.")
-@click.option("--joints", metavar="NAME,NAME,..", help="Names of the joints in the log, in the arm's order.")
-@click.option("--dry-run", is_flag=True, help="Show first values, units, ranges and what looks wrong; write nothing.")
+@click.option("--load", "label", metavar="LABEL", help="Load of all rows.")
+@click.option("--joints", metavar="NAME,NAME,..", help="Names of the joints in the log, in the order of the arm.")
+@click.option("--dry-run", is_flag=True, help="Show first values, units, ranges and problems; write nothing.")
 @output_option("-o", "--output", metavar="TABLE.csv", help="Measured table to write.")
 @common
 def import_(
     log: Path, map_file: Path, label: str | None, joints: str | None, dry_run: bool, output: Path | None
 ) -> None:
-    """A measured table from what another program logged: text in columns, MCAP, a ROS 2 bag (.db3).
+    """Convert the log of another program to a measured table: text columns, MCAP, or a ROS 2 bag (.db3).
 
-    The map says which column of the log is which of the table, in which unit, with which sign.
+    The map assigns columns of the log to columns of the table, with units and signs.
     """
     from gateway.formats.log_map import read_map
     from gateway.formats.measured import table_from_log
@@ -186,25 +190,25 @@ def import_(
     if joints is not None:
         names = tuple(name.strip() for name in joints.split(","))
         changes |= {"joints": names, "axes": len(names)}
-    given = read_map(map_file, changes)
+    log_map = read_map(map_file, changes)
     if dry_run:
-        _preview(log, given)
+        _preview(log, log_map)
         return
     if output is None:
-        raise click.UsageError("name the table to write by -o, or look at the log first by --dry-run")
-    done = table_from_log(log, given)
+        raise click.UsageError("give the table to write with -o, or inspect the log first with --dry-run")
+    done = table_from_log(log, log_map)
     replace_file(output, done.text)
     for remark in done.remarks:
         session_of().note(f"{log}: {remark}")
     session_of().show(f"{output}: {done.rows} rows")
 
 
-def _preview(log: Path, given: LogMap) -> None:
-    """First values, ranges and what looks wrong of a log."""
+def _preview(log: Path, log_map: LogMap) -> None:
+    """Show first values, ranges and problems of a log."""
     from gateway.commands.console import grid
     from gateway.formats.measured import preview_of
 
-    columns, remarks = preview_of(log, given)
+    columns, remarks = preview_of(log, log_map)
     rows = [
         [each.name, each.source, each.remark, *("  ".join(f"{value:.5g}" for value in part) for part in
          (each.first, (each.least, each.most)))]
@@ -218,7 +222,7 @@ def _preview(log: Path, given: LogMap) -> None:
 
 
 def _table(path: Path, arm_name: str | None, label: str | None) -> str:
-    """Text of the measured table of one arm, under one load or all."""
+    """Return the measured table of one arm as text, for one load or all."""
     from gateway.data.recording.reader import read
     from gateway.data.table import csv_of
     from gateway.errors import InputError
@@ -226,20 +230,20 @@ def _table(path: Path, arm_name: str | None, label: str | None) -> str:
     recording = read(path)
     names = [arm.name for arm in recording.arms]
     if arm_name not in (None, *names) or (arm_name is None and len(names) > 1):
-        raise InputError(f"{path}: holds the arms {', '.join(names) or 'none'}: name one of them by --arm")
+        raise InputError(f"{path}: contains the arms {', '.join(names) or 'none'}: choose one with --arm")
     table = recording.table(arm_name)
     if label is not None:
         if label not in recording.loads:
-            raise InputError(f"{path}: load '{label}' is not in it; it holds {', '.join(recording.loads)}")
+            raise InputError(f"{path}: load '{label}' not found; loads in the file: {', '.join(recording.loads)}")
         table = table.take(table.load == label)
     return csv_of(table)
 
 
-def _whole(path: Path) -> Result:
-    """A result that was not edited; one of before there were checksums is taken, and named."""
+def _read_result(path: Path) -> Result:
+    """Read a result that was not edited; a file without a checksum is accepted with a note."""
     from gateway.result.result import read_result
 
     result = read_result(path)
     if result.sha256 is None:
-        session_of().note(f"{path}: carries no sha256: whether it was edited since cannot be told")
+        session_of().note(f"{path}: has no sha256, so it cannot be checked whether it was edited")
     return result

@@ -1,4 +1,4 @@
-"""How a result is shown at the terminal, and which exit code it ends with."""
+"""Terminal output of a result, and the exit code."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from gateway.result.names import INERTIA_WHOLE
 if TYPE_CHECKING:
     from gateway.result.result import Finding, LoadResult, NextMeasurement, Result
 
-# Up to this many poses are listed, more are counted.
+# Up to this many poses are listed; more are counted.
 LISTED_POSES = 6
 ACCEPTANCE_COLUMNS = ("load", "measured", "allowed", "outcome")
 
 
 def show_result(result: Result, session: Session) -> None:
-    """Loads, residuals, verdict, what to measure next, findings."""
+    """Show loads, residuals, verdict, poses to measure next, and findings."""
     from gateway.report.summary_text import verdict_sentence
 
     if result.loads:
@@ -44,16 +44,16 @@ def show_result(result: Result, session: Session) -> None:
 def _show_load(load: LoadResult, session: Session) -> None:
     if load.refused:
         return
-    open_ = [name for name in load.unidentifiable if name != INERTIA_WHOLE]  # at rest nobody expects it
+    open_ = [name for name in load.unidentifiable if name != INERTIA_WHOLE]  # not expected from rest poses
     if open_:
-        session.show(f"load {load.label}: cannot be told from these data: {', '.join(open_)}")
+        session.show(f"load {load.label}: not identifiable from these data: {', '.join(open_)}")
     if load.per_pose_mass_kg and session.verbosity > 0:
         rows = [[pose, number(mass, 3)] for pose, mass in load.per_pose_mass_kg.items()]
-        session.show(grid(f"load {load.label}: mass by each pose alone [kg]", ["pose", "mass"], rows))
+        session.show(grid(f"load {load.label}: mass from each pose alone [kg]", ["pose", "mass"], rows))
 
 
 def _show_motion(result: Result, session: Session) -> None:
-    """Inertia of the loads, friction and rotors of the axes, where motion told them."""
+    """Show inertia of the loads, and friction and rotor inertia of the axes, if identified from motion."""
     from gateway.report.moving_section import PARTS, axis_rows, inertia_view
 
     found = [(load.label, inertia) for load in result.loads if (inertia := inertia_view(load)) is not None]
@@ -66,10 +66,12 @@ def _show_motion(result: Result, session: Session) -> None:
         ]
         session.show(grid(title, ["load", *PARTS], rows))
     axes = max((axis.joint for axis in result.motion), default=0)
-    told = axis_rows(result.motion, axes)
-    if told:
-        rows = [[said, *cells] for said, cells in told]
-        session.show(grid(f"what motion tells: value ± half of the {SAID} interval", ["", *axis_names(axes)], rows))
+    separates = axis_rows(result.motion, axes)
+    if separates:
+        rows = [[said, *cells] for said, cells in separates]
+        session.show(
+            grid(f"identified from motion: value ± half of the {SAID} interval", ["", *axis_names(axes)], rows)
+        )
 
 
 def _show_residuals(result: Result, session: Session) -> None:
@@ -84,10 +86,10 @@ def _show_residuals(result: Result, session: Session) -> None:
 
 
 def _show_next(item: NextMeasurement, session: Session) -> None:
-    told = f", tells apart {', '.join(item.tells_apart)}" if item.tells_apart else ""
+    separates = f", separates {', '.join(item.tells_apart)}" if item.tells_apart else ""
     known = math.isfinite(item.reduction)
-    gain = f", interval then about {100 * item.reduction:.0f} % as wide as now" if known else ""
-    session.show(f"next: {item.what}{told}{gain}")
+    gain = f", reduces the interval to about {100 * item.reduction:.0f} %" if known else ""
+    session.show(f"next: {item.what}{separates}{gain}")
     if item.poses_rad and len(item.poses_rad) <= LISTED_POSES:
         rows = [
             [str(count), *(f"{math.degrees(q):.1f}" for q in q_rad)] for count, q_rad in enumerate(item.poses_rad, 1)
@@ -107,14 +109,14 @@ def _show_acceptance(result: Result, session: Session) -> None:
 
 
 def write_junit(path: Path, result: Result) -> None:
-    """Write what passed and what failed for a build server."""
+    """Write the acceptance result as JUnit XML."""
     from gateway.result.junit import junit
 
     replace_file(path, junit(result, datetime.now(UTC)))
 
 
 def fail_on_findings(findings: Sequence[Finding]) -> None:
-    """Leave with exit code 7 when a failing finding stands."""
+    """Exit with code 7 on a failing finding."""
     failed = [finding for finding in findings if finding.severity == "fail"]
     if failed:
         first = failed[0]

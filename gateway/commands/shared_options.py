@@ -22,20 +22,19 @@ if TYPE_CHECKING:
     from gateway.model.robot import Robot
     from gateway.result.acceptance import Expected
 
-#: Lines of a data sheet that are named unasked.
+#: Number of data sheet remarks printed without -v.
 REMARKS_SHOWN = 10
 
 KNOWN_FORM = "LABEL=MASS[,[FRAME=]X,Y,Z]"
 KNOWN_HELP = (
-    "kg and m; FRAME: flange, or link_6 (the last link), which is taken where none is named. Without X,Y,Z the centre"
-    " is estimated."
+    "kg and m. FRAME: flange or link_6 (the last link, default). Without X,Y,Z the centre of gravity is estimated."
 )
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def session_of(ctx: click.Context | None = None) -> Session:
-    """The session of the running command line."""
+    """Return the session of the running command."""
     context = ctx if ctx is not None else click.get_current_context()
     return context.ensure_object(Session)
 
@@ -52,7 +51,7 @@ def _quieter(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
 def common(function: Function) -> Function:
     """Add -v and -q."""
     function = click.option(
-        "-v", "--verbose", count=True, expose_value=False, callback=_louder, help="Say more; twice for every detail."
+        "-v", "--verbose", count=True, expose_value=False, callback=_louder, help="More output; twice for all details."
     )(function)
     return click.option("-q", "--quiet", is_flag=True, expose_value=False, callback=_quieter, help="Errors only.")(
         function
@@ -64,7 +63,7 @@ def _forced(ctx: click.Context, _param: click.Parameter, value: bool) -> None:
 
 
 def new_file(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    """A file to write: one that is there is not replaced unasked.
+    """Return a file to write; an existing one is refused without --force.
 
     Raises
     ------
@@ -76,21 +75,21 @@ def new_file(ctx: click.Context, param: click.Parameter, value: Path | None) -> 
 
 
 def refuse_to_replace(path: Path, option: str, session: Session) -> None:
-    """A file that is there is not replaced unasked.
+    """Refuse to replace an existing file without --force.
 
     Raises
     ------
     InputError
     """
     if path.is_file() and not session.replaces:
-        raise InputError(f"{path} exists and is not replaced: name another file for {option}, or give --force")
+        raise InputError(f"{path} exists: choose another file for {option}, or replace it with --force")
     refuse_unwritable(path, option)
 
 
 def refuse_unwritable(path: Path, option: str) -> None:
-    """Refuse a file that cannot be written where it is to be, before anything moves; nothing is left behind.
+    """Refuse a file that cannot be written, before any motion; no file is created.
 
-    A folder that does not exist yet is taken for one that can be made if that can be written which is there.
+    A missing folder is accepted if its nearest existing parent is writable.
 
     Raises
     ------
@@ -110,13 +109,13 @@ def refuse_unwritable(path: Path, option: str) -> None:
 
 
 def recording_file(_ctx: click.Context, param: click.Parameter, value: Path) -> Path:
-    """A recording to write or to go on with; it is found out before anything moves that it can be written."""
+    """Return a recording to write or continue; refused before any motion if it cannot be written."""
     refuse_unwritable(value, param.opts[0])
     return value
 
 
 def writes(*options: Callable[[Function], Function]) -> Callable[[Function], Function]:
-    """Add options that name files to write, and --force, once a command."""
+    """Add options for files to write, and --force once per command."""
 
     def added(function: Function) -> Function:
         for option in reversed(options):
@@ -133,12 +132,12 @@ _force = click.option(
     is_eager=True,
     expose_value=False,
     callback=_forced,
-    help="Replace files that are there already.",
+    help="Replace existing files.",
 )
 
 
 def output_option(*names: str, metavar: str, help: str, required: bool = False) -> Callable[[Function], Function]:
-    """A file that is written, with --force."""
+    """Return an option for a file to write, with --force."""
     kind = click.Path(path_type=Path, dir_okay=False)
     return writes(click.option(*names, type=kind, metavar=metavar, required=required, callback=new_file, help=help))
 
@@ -149,7 +148,9 @@ def _json_target(ctx: click.Context, param: click.Parameter, value: str | None) 
     elif value is not None:
         path = Path(value)
         if not path.parent.is_dir():
-            raise InputError(f"--json {value}: the folder {path.parent} does not exist: make it, or name another file")
+            raise InputError(
+                f"--json {value}: the folder {path.parent} does not exist: create it, or choose another file"
+            )
         new_file(ctx, param, path)
     return value
 
@@ -163,7 +164,7 @@ trace_option = output_option("--trace", metavar="FILE", help="Frame log (.blf, .
 
 
 def _label(_ctx: click.Context, _param: click.Parameter, value: str | tuple[str, ...]) -> str | tuple[str, ...]:
-    """Labels of loads; what can only mean the bare arm is a usage error."""
+    """Return load labels; one that can only mean the unloaded arm is a usage error."""
     labels = (value,) if isinstance(value, str) else value
     for label in labels:
         wrong = label_refused(label)
@@ -173,11 +174,11 @@ def _label(_ctx: click.Context, _param: click.Parameter, value: str | tuple[str,
 
 
 def load_option(name: str, help: str, **settings: Any) -> Callable[[Function], Function]:
-    """--load: what hangs on the flange while it is measured."""
+    """Return option --load: label of the load during the measurement."""
     return click.option("--load", name, metavar="LABEL", callback=_label, help=help, **settings)
 
 
-operator_option = click.option("--operator", metavar="NAME", help="Who measures: stands in the report, to be signed.")
+operator_option = click.option("--operator", metavar="NAME", help="Name of the operator, for the report.")
 
 
 def _expected(_ctx: click.Context, _param: click.Parameter, value: tuple[str, ...]) -> tuple[Expected, ...]:
@@ -197,7 +198,7 @@ def accept_options(function: Function) -> Function:
         multiple=True,
         metavar="LABEL=MASS,TOLERANCE",
         callback=_expected,
-        help="What a load weighs, and how far it may be off: kg; repeatable. Pass, fail or cannot tell.",
+        help="Expected mass of a load and tolerance [kg]; repeatable. Result: pass, fail or cannot tell.",
     )(function)
 
 
@@ -205,7 +206,7 @@ bus_option = click.option(
     "--bus",
     "bus_spec",
     metavar="SPEC",
-    help="Bus to use instead of the cell file's; NAME=SPEC;NAME=SPEC for a cell with several.",
+    help="Bus to use instead of that of the cell file; NAME=SPEC;NAME=SPEC for a cell with several buses.",
 )
 cell_argument = click.argument("cell", type=click.Path(path_type=Path, dir_okay=False))
 
@@ -214,7 +215,8 @@ warm_option = click.option(
     "--warm",
     "is_warm",
     is_flag=True,
-    help="The arm was warm in all runs: torque readings did not change with temperature (0.7 % an axis otherwise).",
+    help="The arm was warm in all runs: no change of the torque reading with temperature (otherwise 0.7 % per axis "
+    "is assumed).",
 )
 
 
@@ -224,23 +226,26 @@ def model_options(function: Function) -> Function:
         click.option(
             "--torque-gain",
             metavar="exact|prior:S",
-            help="How far the torque constants are trusted; the cell's std_percent if omitted, prior:0.03 for tables.",
+            help="Relative standard deviation of the torque constants; default: std_percent of the cell, prior:0.03 "
+            "for tables.",
         ),
         warm_option,
-        click.option("--bare", type=click.Path(path_type=Path, dir_okay=False), help="Stored bare identification."),
+        click.option(
+            "--bare", type=click.Path(path_type=Path, dir_okay=False), help="Stored result of the unloaded arm."
+        ),
         click.option(
             "--known",
             multiple=True,
             metavar=KNOWN_FORM,
-            help=f"A load that is known. {KNOWN_HELP}",
+            help=f"A known load. {KNOWN_HELP}",
         ),
         click.option(
-            "--inertials", metavar="exact|prior:S|ignore", help="How far the URDF's link inertials are trusted."
+            "--inertials",
+            metavar="exact|prior:S|ignore",
+            help="Relative standard deviation of the link inertials in the URDF.",
         ),
         click.option("--cell", "cell_file", type=click.Path(path_type=Path, dir_okay=False), help="Cell file."),
-        click.option(
-            "--tip", metavar="LINK", help="Last link of the arm in the URDF; what moves elsewhere is fixed at zero."
-        ),
+        click.option("--tip", metavar="LINK", help="Last link of the arm in the URDF; other joints are fixed at zero."),
         click.option("--robot", type=click.Path(path_type=Path, dir_okay=False), help="Robot as URDF."),
     ):
         function = option(function)
@@ -251,7 +256,7 @@ data_argument = click.argument("data", nargs=-1, required=True, type=click.Path(
 
 
 def note_remarks(robot: Robot | None) -> None:
-    """Print what of a robot description is not used as it is written, or is a placeholder."""
+    """Print the parts of a robot description that are ignored or placeholders."""
     from gateway.model.placeholders import placeholders
 
     for remark in () if robot is None else (*robot.remarks, *placeholders(robot)):
@@ -259,7 +264,7 @@ def note_remarks(robot: Robot | None) -> None:
 
 
 def write_json(target: str, payload: Mapping[str, Any]) -> None:
-    """Write JSON to a file (replaced whole) or, for `-`, to stdout; a NaN is a defect and raises."""
+    """Write JSON to a file (atomically) or, for `-`, to stdout; a NaN raises an error."""
     text = json.dumps(payload, indent=1, allow_nan=False) + "\n"
     if target == "-":
         click.echo(text, nl=False)
@@ -268,31 +273,31 @@ def write_json(target: str, payload: Mapping[str, Any]) -> None:
 
 
 def show_remarks(name: str, remarks: Sequence[Remark]) -> None:
-    """Print which lines of a data sheet are not used; the first ten, all of them with -v."""
+    """Print the data sheet lines that are not used; the first ten, all with -v."""
     session = session_of()
     shown = remarks if session.verbosity > 0 else remarks[:REMARKS_SHOWN]
     for remark in shown:
         session.note(f"{name} {remark}")
     if len(shown) < len(remarks):
-        session.note(f"{name}: {len(remarks) - len(shown)} more lines are not used as written (-v names them)")
+        session.note(f"{name}: {len(remarks) - len(shown)} more lines are not used as written (list them with -v)")
 
 
 def key_values(option: str, pairs: Sequence[str], keys: Collection[str] = ()) -> dict[str, str]:
-    """Values of a repeatable option by their keys.
+    """Return the values of a repeatable option by key.
 
     Parameters
     ----------
     option : str
-        Its name, for the message.
+        Name of the option, for the message.
     pairs : sequence of str
         KEY=VALUE as typed.
     keys : collection of str
-        Keys that there are; empty = any.
+        Allowed keys; empty = any.
 
     Raises
     ------
     click.UsageError
-        One without an equals sign, or with another key.
+        An entry has no equals sign or an unknown key.
     """
     found: dict[str, str] = {}
     for pair in pairs:
@@ -304,17 +309,17 @@ def key_values(option: str, pairs: Sequence[str], keys: Collection[str] = ()) ->
     return found
 
 
-#: What is said where a person does not agree.
-NOT_AGREED = "not agreed to: nothing has moved, nothing was written"
+#: Message when the operator declines.
+NOT_AGREED = "declined: nothing has moved, nothing was written"
 
 
 def confirm(question: str, *, yes: bool) -> None:
-    """Ask before anything moves; no answer means no.
+    """Ask for confirmation before motion; no answer means no.
 
     Raises
     ------
     click.Abort
-        It says that nothing has moved.
+        The message states that nothing has moved.
     """
     if yes:
         return
@@ -341,7 +346,7 @@ unit_option = click.option(
     is_eager=True,
     expose_value=False,
     callback=_unit,
-    help="Unit of the joint angles that are typed.",
+    help="Unit of the joint angles on the command line.",
 )
 
 
@@ -357,10 +362,10 @@ def joint_angles(text: str, session: Session) -> tuple[float, ...]:
     if session.in_degrees:
         return tuple(map(math.radians, values))
     if max(map(abs, values)) > LARGEST_ANGLE_RAD:
-        raise click.BadParameter(f"'{text}': rad is meant, and these can only be degrees: add --unit deg")
+        raise click.BadParameter(f"'{text}': these values are too large for radians: add --unit deg for degrees")
     return values
 
 
 def one_of(names: Sequence[str]) -> click.Choice[str]:
-    """A choice among names, spelled exactly."""
+    """Return a choice among names, with exact spelling."""
     return click.Choice(list(names))

@@ -1,4 +1,4 @@
-"""commission --thermal: what is asked for on the command line."""
+"""Options of `commission --thermal`."""
 
 from __future__ import annotations
 
@@ -9,35 +9,37 @@ import click
 if TYPE_CHECKING:
     from gateway.acquire.thermal import Thermal
 
-#: Longest warm-up where none is given [min].
+#: Default of the longest warm-up [min].
 WARM_UP_MIN = 30.0
 
 thermal_option = click.option(
-    "--thermal", is_flag=True, help="Loads forth and back, the bare arm twice in the middle, so that drift cancels."
+    "--thermal",
+    is_flag=True,
+    help="Measure loads in forward and reverse order, the unloaded arm twice in the middle, so that drift cancels.",
 )
 warm_up_option = click.option(
     "--warm-up",
     "warm_up_min",
     type=click.FloatRange(min=0, max=240),
     metavar="MINUTES",
-    help="With --thermal: move before at most so long, until friction stands still; 30 if not given.",
+    help="With --thermal: longest warm-up motion, ended when friction is steady; default: 30.",
 )
 
 
 def thermal_choice(thermal: bool, warm_up_min: float | None, until: object | None) -> Thermal | None:
-    """What was asked for.
+    """Return the requested thermal procedure.
 
     Raises
     ------
     UsageError
-        A warm-up alone, or --until beside it.
+        --warm-up without --thermal, or --until with it.
     """
     if not thermal:
         if warm_up_min is not None:
-            raise click.UsageError("--warm-up belongs to --thermal")
+            raise click.UsageError("--warm-up needs --thermal")
         return None
     if until is not None:
-        raise click.UsageError("--thermal measures all poses twice, --until as few as it can: give one of them")
+        raise click.UsageError("--thermal measures all poses twice, --until as few as possible: give one of them")
     from gateway.acquire.thermal import Thermal
 
     return Thermal(60.0 * (WARM_UP_MIN if warm_up_min is None else warm_up_min))

@@ -1,4 +1,4 @@
-"""record --until: a load measured pose by pose until it is known well enough."""
+"""`record --until`: measure a load pose by pose until its uncertainty is small enough."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class UntilChoice:
-    """What is known beside the recording.
+    """Goal and known loads of `record --until`.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class UntilChoice:
     known: tuple[tuple[str, KnownLoad], ...]
 
     def request(self, label: str, path: Path, cell: Path) -> UntilRequest:
-        """A load that shall be known that well, measured into a file.
+        """Return the request to measure a load into a file until the goal is reached.
 
         Raises
         ------
@@ -53,7 +53,7 @@ class UntilChoice:
         from gateway.acquire.until.prepare import UntilRequest
 
         if self.goal is None:
-            raise click.UsageError("--until is missing: how well the load is to be known")
+            raise click.UsageError("--until is missing: give the required interval")
         return UntilRequest(label, self.goal, path, cell, self.bare, dict(self.known))
 
 
@@ -74,8 +74,8 @@ until_option = click.option(
     "goal",
     metavar="mass=0.5%,com=3mm",
     callback=_goal,
-    help="Choose the poses on the way and stop when the 95 % interval of the load is that narrow (half width; kg, %, "
-    "mm, m).",
+    help="Choose poses during the measurement and stop when the 95 % interval of the load is this narrow (half width; "
+    "kg, %, mm, m).",
 )
 
 
@@ -84,7 +84,7 @@ def reference_options(function: Function) -> Function:
 
     def gathered(*arguments: Any, goal: Any, bare: Any, known: Any, **named: Any) -> Any:
         if goal is None and (bare is not None or known):
-            raise click.UsageError("--bare and --known tell what a load is held against: they need --until")
+            raise click.UsageError("--bare and --known are references for --until: give --until as well")
         return function(*arguments, until=UntilChoice(goal, bare, known), **named)
 
     gathered.__name__, gathered.__doc__ = function.__name__, function.__doc__
@@ -96,13 +96,13 @@ def reference_options(function: Function) -> Function:
             multiple=True,
             metavar=KNOWN_FORM,
             callback=_known,
-            help=f"With --until: a load in the recording that is known. {KNOWN_HELP}",
+            help=f"With --until: a known load in the recording. {KNOWN_HELP}",
         ),
         click.option(
             "--bare",
             metavar="RESULT.json",
             type=click.Path(path_type=Path, dir_okay=False),
-            help="With --until: stored bare identification, where the recording holds no bare visit.",
+            help="With --until: stored result of the unloaded arm, if the recording has no unloaded visit.",
         ),
         until_option,
     ):
@@ -112,23 +112,23 @@ def reference_options(function: Function) -> Function:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseByPose:
-    """A recording whose poses are chosen on the way."""
+    """A recording whose poses are chosen during the measurement."""
 
     search: LoadSearch
     path: Path
     earlier: Recording | None
 
     def show(self, session: Session) -> None:
-        """Say what will be done."""
+        """Show what will be measured."""
         search = self.search
         session.show(
-            f"load {search.label} is measured pose by pose, each from both sides, until {search.goal} ({SAID}); each "
-            f"pose is chosen among {len(search.pool)} postures and those near by for what is still unsure, by what it "
-            "tells per second"
+            f"load {search.label} is measured pose by pose, each approached from both directions, until "
+            f"{search.goal} ({SAID}); each pose is the one of {len(search.pool)} postures and their neighbours with "
+            "the most expected information per second"
         )
 
     def run(self, session: Session, opened: OpenArm, options: MoveOptions) -> UntilSummary:
-        """Measure with a progress bar, and say how it ended.
+        """Measure with a progress bar; return how it ended.
 
         Raises
         ------
@@ -146,7 +146,7 @@ class PoseByPose:
 
 
 def pose_by_pose(loaded: LoadedCell, arm: ArmConfig, request: UntilRequest) -> PoseByPose:
-    """A recording until a load is known, prepared; nothing has moved.
+    """Prepare a recording until a load is known; nothing moves.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def pose_by_pose(loaded: LoadedCell, arm: ArmConfig, request: UntilRequest) -> P
 
 
 def as_json(done: UntilSummary) -> dict[str, Any]:
-    """How it ended, as plain values; what was not asked for or is not known is null."""
+    """Return how it ended as plain values; null if not requested or unknown."""
     verdict = done.decision.verdict
 
     def plain(values: Any) -> list[float | None]:

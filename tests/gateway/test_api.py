@@ -71,7 +71,7 @@ def test_rows_are_those_of_the_table():
 
 
 def test_an_effect_that_is_none_is_refused_with_the_names():
-    with pytest.raises(InputError, match="'spring' is no effect; known are .*balancer_spring"):
+    with pytest.raises(InputError, match="'spring' is not an effect; choose from .*balancer_spring"):
         api.diagnose(TABLE, MODEL, only=["spring"])
 
 

@@ -36,11 +36,11 @@ FILES: Final[Mapping[str, str]] = {
     "words sentences complete given analyse story ring": "what the file holds",
 }
 #: Identifiers that are keys of the documented files and JSON.
-KEYS: Final = frozenset({"advice", "set_aside", "tells_apart", "cannot_tell"})
+KEYS: Final = frozenset({"advice", "set_aside", "tells_apart", "cannot_tell", "silent_days"})
 
 #: Phrases of texts: docstrings, comments, messages, pages.
 PHRASES: Final[Mapping[str, str]] = {
-    r"told|tells?(?! apart)|telling": "report, detect, determine",
+    r"told|tells|(?<!cannot )tell(?! apart)|telling": "report, detect, determine",
     r"(?<!by )(?<!same )(?<!this )(?<!that )(?<!other )(?<!another )(?<!either )(?<!both )(?<!one )(?<!half )"
     r"(?<!one-)(?<!two-)(?<!only )(?<!which )(?<!any )(?<!no )ways?(?! of \w+ing)": "path, trajectory, segment, method",
     r"set points?": "setpoint",
@@ -52,7 +52,7 @@ PHRASES: Final[Mapping[str, str]] = {
     r"rub|rubs|rubbed|rubbing|wander|wanders|wandering|sags?|sagging|holds? up|held up": "friction, drift, drop, stall",
     r"hang|hangs|hung|hanging": "mounted, attached",
     r"bare arms?": "unloaded arm",
-    r"frozen heartbeats?|silent|silence": "heartbeat stopped, not responding",
+    r"frozen heartbeats?|silent(?!-days)|silence": "heartbeat stopped, not responding",
     r"by the clock": "in real time",
     r"story|stories|shelf|keeper|salvaged?": "frame decoder, spool, recorder, recovery",
     r"felt|lessons?|passages?|learner": "force estimate, taught path, prepared trajectory",
@@ -69,6 +69,7 @@ PHRASES: Final[Mapping[str, str]] = {
 EXCEPTIONS: Final[Mapping[tuple[str, str], str]] = {
     ("tests/support/vocabulary.py", "*"): "the list of words itself",
     ("tests/benchmarks/test_language.py", "*"): "examples of the words",
+    ("gateway/commands/guided.py", "hang"): "line on standard output that scripts wait for",
     ("CONTRIBUTING.md", "*"): "shows the words and their replacements",
 }
 #: Words that codespell takes for slips: names, identifiers and terms of the field, other languages.

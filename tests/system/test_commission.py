@@ -52,8 +52,8 @@ def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gatewa
     assert gateway("report", out / "result.json", "-o", out / "again.html").exit_code == 0
     back = gateway("restore", place.cell, "--bus", drives.bus)
     assert back.exit_code == 0, back.output
-    assert "objects put back" in back.stdout
-    assert "nothing to put back" in gateway("restore", place.cell, "--bus", drives.bus).stdout
+    assert "objects restored" in back.stdout
+    assert "nothing to restore" in gateway("restore", place.cell, "--bus", drives.bus).stdout
 
 
 @pytest.mark.slow

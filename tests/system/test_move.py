@@ -38,7 +38,7 @@ def test_it_asks_first_and_says_where_it_goes_and_how(place, gateway, serve):
         in said(done)
     )
     assert "deg), at 10 % of its speed" in said(done)
-    assert "Is nobody near it?" in done.output
+    assert "Is the area clear of people?" in done.output
     assert drives.handle.simulation.servers[0].sync_count == 0
     assert drives.stand_still()
 
@@ -109,11 +109,11 @@ def test_where_another_command_cannot_begin_it_names_the_way_on_and_that_works(p
     refused = gateway("check", cell, "--bus", drives.bus, "--move", "--yes")
     assert refused.exit_code == 5, refused.output
     assert "joint 1: no room for 0.15 rad (8.59 deg) to either side" in said(refused)
-    command = said(refused).split("The way on, it asks first: servo-gateway ")[1]
+    command = said(refused).split("To continue, move the arm (asks first): servo-gateway ")[1]
     assert command.startswith(f"move {cell} --bus {drives.bus} --to home")
     moved = gateway(*shlex.split(command), "--yes", "--override", 100)
     assert moved.exit_code == 0, moved.output
-    assert "is in its brakes at home" in said(moved)
+    assert "is at home, brakes engaged" in said(moved)
     assert drives.stand_still()
 
 

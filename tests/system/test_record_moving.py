@@ -97,7 +97,7 @@ def test_what_motion_tells_is_what_is_there(untyped, plan, serve, gateway):
     assert drives.stand_still()
     drives.hang("none")
     swept = drive("none", "--resume", "--plan", plan["whole"])
-    assert "4 periods under load none, 2 were there already" in swept.output
+    assert "4 periods under load none, 2 already recorded" in swept.output
     _check_recording(untyped.recording())
     result = untyped.folder / "result.json"
     told = gateway("estimate", untyped.run, "--cell", untyped.cell, "--json", result)
@@ -177,7 +177,7 @@ def _check_use(place, gateway, drives, result):
     ("options", "says"),
     [
         (["--moving", "--pose", "0,0,0,0,0,0"], "give one of them"),
-        (["--rate", "100"], "belong to --moving"),
+        (["--rate", "100"], "need --moving"),
         (["--moving", "--plan", "nowhere.json"], "nowhere.json"),
     ],
 )

@@ -154,7 +154,7 @@ def test_a_drive_that_faults_in_motion_and_the_run_is_resumed(place, gateway, se
     fresh = fast_arm(serve())
     again = gateway("record", place.cell, "--bus", fresh.bus, "--load", "none", "-o", place.run, "--yes", "--resume")
     assert again.exit_code == 0, again.output
-    assert f"{kept} were there already" in again.stdout
+    assert f"{kept} already recorded" in again.stdout
     assert place.recording().exit_status == "success"
 
 

@@ -39,7 +39,7 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
     done = gateway(*arguments)
     assert done.exit_code == 4, done.output
     assert "node 3" in done.stderr
-    assert "left in the write ledger" in done.stdout
+    assert "remain in the write ledger" in done.stdout
     assert "of another device" in " ".join(done.stderr.split())
     (arm,) = json.loads(out.read_text())["arms"]
     assert {text.split(":")[0] for text in arm["left"]} == {"node 3", "node 4"}
@@ -51,4 +51,4 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
     assert gateway("restore", place.cell, "--bus", drives.bus, "--forget", "--yes").exit_code == 0
     done = gateway("restore", place.cell, "--bus", drives.bus)
     assert done.exit_code == 0, done.output
-    assert "nothing to put back" in done.stdout
+    assert "nothing to restore" in done.stdout

@@ -45,7 +45,7 @@ class Listener:
         self.done.append(str(target))
         self.overrides.append(options.override)
 
-    def hang(self, label) -> None:
+    def mount(self, label) -> None:
         self.done.append(f"hang {label}")
 
     def measure(self, *_arguments) -> None:

@@ -11,7 +11,7 @@ from gateway.commands.console import Session, findings_table, grid
 from gateway.errors import InputError
 from gateway.result.result import Finding
 
-LINE = "/a/folder/with/a/long/name/as/they/are/on/a/shared/disk/run.h5: 4 periods under load none, 2 were there already"
+LINE = "/a/folder/with/a/long/name/as/they/are/on/a/shared/disk/run.h5: 4 periods under load none, 2 already recorded"
 
 
 @pytest.mark.parametrize("data_on_stdout", [False, True])

@@ -32,10 +32,10 @@ def test_a_recording_leaves_as_the_table_that_estimate_reads(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (("run.h5", "--format", "ur"), 2, "every other format of a result"),
-        (("out.json", "--format", "csv"), 2, "--format csv is of a recording"),
-        (("run.h5", "--format", "csv", "--load", "a"), 3, "load 'a' is not in it; it holds none"),
-        (("run.h5", "--format", "csv", "--arm", "left"), 3, "holds the arms main: name one of them by --arm"),
+        (("run.h5", "--format", "ur"), 2, "the other formats are for a result"),
+        (("out.json", "--format", "csv"), 2, "--format csv is for a recording"),
+        (("run.h5", "--format", "csv", "--load", "a"), 3, "load 'a' not found; loads in the file: none"),
+        (("run.h5", "--format", "csv", "--arm", "left"), 3, "contains the arms main: choose one with --arm"),
     ],
 )
 def test_what_cannot_leave_so_is_said(tmp_path, monkeypatch, arguments, code, says):

@@ -41,7 +41,7 @@ def test_ctrl_c_is_how_it_ends(cell, monkeypatch):
     done = live(cell)
     assert done.exit_code == 0, done.output
     assert re.search(r"live page: http://127\.0\.0\.1:\d+/\?token=\S+", done.stdout)
-    assert "it listens and sends nothing" in done.output
+    assert "read only, nothing is sent" in done.output
     assert "ended" in done.output
     assert shown == ["small"]
 
@@ -73,7 +73,7 @@ def test_the_page_says_that_it_only_watches(cell, monkeypatch):
     done = live(cell)
     assert done.exit_code == 0, done.output
     assert seen == [200]
-    assert "the process of the page is gone" in done.output
+    assert "the process of the page has stopped" in done.output
 
 
 def test_a_silent_bus_is_watched_until_the_page_is_gone(cell, monkeypatch):
@@ -89,4 +89,4 @@ def test_a_silent_bus_is_watched_until_the_page_is_gone(cell, monkeypatch):
     monkeypatch.setattr(LivePage, "__init__", killed)
     done = live(cell, "--bus", free_bus())
     assert done.exit_code == 0, done.output
-    assert "the process of the page is gone" in done.output
+    assert "the process of the page has stopped" in done.output

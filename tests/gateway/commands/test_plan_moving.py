@@ -31,7 +31,7 @@ def test_a_plan_is_printed_written_and_drawn(tmp_path: Path) -> None:
     file, page = tmp_path / "plan.json", tmp_path / "plan.html"
     result = told("--moving", "--periods", "2", "--json", str(file), "--view", str(page))
     assert result.exit_code == 0, result.output
-    for words in ("20 s of motion", "taken of the limits", "best of 100 random", "Ixx", "kept apart"):
+    for words in ("20 s of motion", "use of the limits", "best of 100 random", "Ixx", "kept apart"):
         assert words in result.output
     plan = read_moving_plan(file)
     assert [(each.kind, each.periods, each.period_s) for each in plan.excitations] == [("series", 2, 10.0)]
@@ -53,7 +53,7 @@ def test_friction_is_asked_for_by_sweeps(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--for", "load"], 2, "give --moving"),
+        (["--for", "load"], 2, "need --moving"),
         (["--moving", "--poses", "4"], 2, "rest poses"),
         (["--moving", "--for", "load,luck"], 2, "'luck'"),
         (["--moving", "--period", "1"], 5, "no room to move"),

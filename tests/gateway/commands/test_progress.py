@@ -23,8 +23,8 @@ def test_whole_periods_are_counted_and_others_say_what_they_lack(capsys):
     several = [period(1, speed=0.25), period(1, complete=False, lost=10), period(2, complete=False), period(1)]
     assert said(capsys, 1, *several) == [
         "period 1/3: 'load' number 1 at 25%",
-        "'load' number 1: 10 SYNCs were not answered",
+        "'load' number 1: 10 SYNCs not answered",
         "'load' number 2: cut short",
         "period 2/3: 'load' number 1",
     ]
-    assert said(capsys, 0, *several) == ["'load' number 1: 10 SYNCs were not answered"]
+    assert said(capsys, 0, *several) == ["'load' number 1: 10 SYNCs not answered"]

@@ -301,7 +301,7 @@ def test_only_one_arm_and_one_load(tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "code", "says"),
     [
-        (("--format", "mcap"), 2, "--format mcap is no text: name a file by -o"),
+        (("--format", "mcap"), 2, "--format mcap is a binary format: give a file with -o"),
         (("--format", "mcap", "-o", "x", "--arm", "left"), 3, "holds the arms four: name one of them by --arm"),
         (("--format", "parquet", "-o", "x", "--load", "b"), 3, "load 'b' is not in it; it holds none, tool ä"),
     ],

@@ -126,7 +126,9 @@ def test_a_person_is_asked_for_what_cannot_be_read_and_asked_again(folder):
 def test_nobody_at_the_terminal_is_told_how_to_answer(folder):
     done = new(folder, "--robot", folder / "arm.urdf", "--offline", input="")
     assert done.exit_code == 3
-    assert "bus: nobody answered; write it into an answer file (--answers FILE), or --answer bus=VALUE" in done.stderr
+    assert (
+        "bus: no answer was given; write it into an answer file (--answers FILE), or --answer bus=VALUE" in done.stderr
+    )
 
 
 def test_an_option_goes_before_the_file(folder):
@@ -140,7 +142,7 @@ def test_nothing_is_replaced_unasked(folder):
     (folder / "cell.toml").write_text("mine", encoding="utf-8")
     done = with_answers(folder, ENOUGH)
     assert done.exit_code == 3
-    assert "exists and is not replaced" in done.stderr
+    assert "exists: choose another file" in done.stderr
     assert "--force" in done.stderr
     assert (folder / "cell.toml").read_text(encoding="utf-8") == "mine"
     assert with_answers(folder, ENOUGH, "--force").exit_code == 0

@@ -149,7 +149,7 @@ def test_nothing_moves_without_a_yes(cell: Path) -> None:
     taught(cell)
     result = CliRunner().invoke(main, ["run-pair", str(cell)], input="n\n")
     assert result.exit_code == 130
-    assert "Is nobody near them?" in result.output
+    assert "Is the area clear of people?" in result.output
 
 
 def test_learning_is_switched_off_on_and_forgotten(cell: Path) -> None:
