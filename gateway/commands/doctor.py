@@ -103,7 +103,7 @@ def _real_time() -> Iterator[Finding]:
         ),
         ("locked memory", status.locked, "not permitted (RLIMIT_MEMLOCK): the motion loop may wait for the disk"),
     ):
-        yield Finding("ok", name, "permitted") if given else Finding("warn", name, missing, advice)
+        yield Finding("ok", name, "permitted") if is_permitted else Finding("warn", name, missing, advice)
 
 
 def kernel_has_can() -> bool:

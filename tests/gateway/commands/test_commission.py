@@ -94,7 +94,7 @@ def test_a_way_that_is_not_free_is_told_and_ends_nothing(small_cell, robot, fake
     tight = replace(walled, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
     made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), room=tight)
     made.measure_load(Block("a", (POSE,)))
-    assert "the arm stays where it is, and the load is hung there: no way" in person.done[0]
+    assert "the arm stays at its current posture, mount the load there: no way" in person.done[0]
     assert person.done[1:] == ["hang a", "measure"]
     assert fake.log == []
 

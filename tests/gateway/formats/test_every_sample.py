@@ -277,7 +277,7 @@ def test_a_run_without_a_sample_leaves_with_what_is_known_of_it(tmp_path, fmt):
     out = path.with_suffix(f".{fmt}")
     done = CliRunner().invoke(main, ["export", str(path), "--format", fmt, "-o", str(out)])
     assert done.exit_code == 0
-    assert "holds no sample yet" in done.stderr
+    assert "contains no sample yet" in done.stderr
     if fmt == "parquet":
         table = pq.read_table(out)
         assert (table.num_rows, table.schema.metadata[b"exit_status"]) == (0, b"abort")
