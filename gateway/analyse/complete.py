@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from drives.errors import ProfileError
 from gateway.analyse.given import Given, profile_of
 from gateway.cell.provenance import provenance
@@ -66,9 +68,21 @@ def complete(result: Result, about: Given, table: Table, paths: Sequence[Path], 
             poses=_poses(result, about, roles),
             flange={} if about.robot is None else flange_spread(about.robot, result.loads),
             bus=_bus(about.recordings, about.arm.name if about.arm is not None else None),
+            temperature_c=_temperatures(table),
             torque_limit_nm=() if about.arm is None else tuple(axis.torque_limit_nm for axis in about.arm.axis),
         ),
     )
+
+
+def _temperatures(table: Table) -> tuple[tuple[float, float], ...]:
+    """Lowest and highest temperature of every axis [deg C]; empty where none is recorded."""
+    recorded = np.isfinite(table.temperature_c)
+    if not recorded.any():
+        return ()
+    low = np.where(recorded, table.temperature_c, np.inf).min(axis=0)
+    high = np.where(recorded, table.temperature_c, -np.inf).max(axis=0)
+    known = recorded.any(axis=0)
+    return tuple(zip(np.where(known, low, np.nan).tolist(), np.where(known, high, np.nan).tolist(), strict=True))
 
 
 def _without_incredible(result: Result, about: Given) -> Result:

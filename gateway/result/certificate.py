@@ -76,10 +76,11 @@ class Traceability:
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What a certificate states of a result."""
+    """What a certificate states of a result; `temperatures` are axis, lowest and highest [deg C]."""
 
     loads: tuple[CertifiedLoad, ...]
     traceability: Traceability
+    temperatures: tuple[tuple[str, float, float], ...] = ()
 
     @property
     def refused(self) -> tuple[CertifiedLoad, ...]:
@@ -90,7 +91,9 @@ class Certificate:
 def certificate(result: Result, label: str | None = None) -> Certificate:
     """Return what can be certified of a result, of one load or of all."""
     loads = [load for load in result.loads if label in (None, load.label)]
-    return Certificate(tuple(_load(result, load) for load in loads), traceability(result))
+    recorded = () if result.data is None else result.data.temperature_c
+    temperatures = [(f"J{joint}", low, high) for joint, (low, high) in enumerate(recorded, 1) if math.isfinite(low)]
+    return Certificate(tuple(_load(result, load) for load in loads), traceability(result), tuple(temperatures))
 
 
 def traceability(result: Result) -> Traceability:

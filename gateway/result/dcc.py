@@ -43,6 +43,7 @@ UNITS: Final = {
     "kg": r"\kilogram",
     "m": r"\metre",
     "kg m2": r"\kilogram\metre\tothe{2}",
+    "deg C": r"\degreecelsius",
     "m/s2": r"\metre\second\tothe{-2}",
 }
 _LANGUAGE: Final = "en"
@@ -71,7 +72,7 @@ def certificate_xml(result: Result, label: str | None, issued: date) -> str:
     _administrative(_add(root, "administrativeData"), stated, data, (checksum, issued))
     results = _add(root, "measurementResults")
     for load in stated.loads:
-        _result(_add(results, "measurementResult"), load, result, data)
+        _result(_add(results, "measurementResult"), load, result, stated)
     indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + tostring(root, encoding="unicode") + "\n"
 
@@ -175,7 +176,8 @@ def _statements(parent: Element, stated: Certificate) -> None:
         _add(refusal, "valid", "false")
 
 
-def _result(parent: Element, load: CertifiedLoad, result: Result, data: Drawn) -> None:
+def _result(parent: Element, load: CertifiedLoad, result: Result, stated: Certificate) -> None:
+    data = result.data or Drawn()
     _text(parent, "name", f"load {load.label}")
     _text(parent, "description", f"on the arm of {result.robot}; frame {load.frame}")
     method = _add(_add(parent, "usedMethods"), "usedMethod")
@@ -195,7 +197,7 @@ def _result(parent: Element, load: CertifiedLoad, result: Result, data: Drawn) -
         equipment = _add(parent, "measuringEquipments")
         for drive in data.drives:
             _drive(_add(equipment, "measuringEquipment"), drive)
-    _environment(_add(parent, "influenceConditions"), result)
+    _environment(_add(parent, "influenceConditions"), result, stated)
     results = _add(parent, "results")
     _values(_add(results, "result"), load)
     if load.budget:
@@ -223,12 +225,20 @@ def _drive(parent: Element, drive: DriveOrigin) -> None:
         _add(firmware, "type", "firmware")
 
 
-def _environment(parent: Element, result: Result) -> None:
+def _environment(parent: Element, result: Result, stated: Certificate) -> None:
     gravity = () if result.bare is None else result.bare.gravity_m_s2
     if gravity:
         condition = _add(parent, "influenceCondition")
         _text(condition, "name", "acceleration of gravity used")
         _real(_add(_add(condition, "data"), "quantity"), "m/s2", math.hypot(*gravity))
+    for axis, *range_c in stated.temperatures:
+        condition = _add(parent, "influenceCondition")
+        _text(condition, "name", f"temperature of motor or drive {axis}")
+        measured = _add(condition, "data")
+        for name, value in zip(("lowest", "highest"), range_c, strict=True):
+            quantity = _add(measured, "quantity")
+            _text(quantity, "name", name)
+            _real(quantity, "deg C", value)
     ambient = _add(parent, "influenceCondition")
     _text(ambient, "name", "ambient temperature")
     _text(_add(ambient, "data"), "text", "not recorded")

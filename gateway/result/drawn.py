@@ -83,6 +83,7 @@ class Drawn:
     measured of it). `role` is one word per row: "fit", "held out" or "fresh". `bus`: a line of counters per recorded
     arm, named in words. `drives`: that answered when it was recorded. `flange`: by the label of the load;
     `flange_source`: where the cell file has the flange from.
+    `temperature_c` (axes, 2): lowest and highest temperature of motor or drive while measuring, NaN where unknown.
     """
 
     created: str | None = field(default=None, metadata=SILENT)
@@ -98,6 +99,7 @@ class Drawn:
     flange: Mapping[str, Spread] = field(default_factory=dict)
     bus: tuple[Mapping[str, str | int | float | None], ...] = ()
     torque_limit_nm: Numbers = field(default=(), metadata=SILENT)
+    temperature_c: Matrix = field(default=(), metadata=SILENT)
     model_before_nm: Matrix = field(default=(), metadata=SILENT)
     band_model_nm: Matrix = field(default=(), metadata=SILENT)
     band_model_before_nm: Matrix = field(default=(), metadata=SILENT)

@@ -316,3 +316,17 @@ def test_a_joint_beyond_the_data_is_refused_with_the_tip_to_type_and_fixed_with_
     assert "seven.urdf: joints taken as fixed at zero: 'j7' (revolute)" in done.stderr
     plain = run("estimate", path, "--robot", URDF, "--json", "-")
     assert json.loads(done.stdout)["loads"] == json.loads(plain.stdout)["loads"]
+
+
+def test_the_range_of_the_motor_temperatures_is_in_the_result(table, tmp_path):
+    def with_temperature(line):
+        if line.startswith("load,"):
+            return f"{line},temp2_c"
+        warm = 30.0 + 0.5 * int(line.split(",")[1])
+        return f"{line},{warm}"
+
+    out = tmp_path / "out.json"
+    assert run("estimate", table(change=with_temperature), "--robot", URDF, "--json", out).exit_code == 0
+    ranges = json.loads(out.read_text())["data"]["temperature_c"]
+    assert ranges[1] == [30.5, 34.0]
+    assert [pair for pair in ranges if pair != [30.5, 34.0]] == [[None, None]] * 5

@@ -61,13 +61,15 @@ def changed(plain, case):
         plain = {"schema": 1, "robot": "r", "loads": [plain["loads"][0] | {"label": " \u202e; <a>"}]}
     elif case == "inertia":
         plain["loads"][0] |= {"inertia_kg_m2": [0.5, 0.6, 0.7, 0, 0.01, None], "inertia_std_kg_m2": [0.1] * 5 + [None]}
+    elif case == "temperatures":
+        plain["data"]["temperature_c"] = [[31.5, 38.25], [None, None], *[[20.0, 21.0]] * 4]
     elif case == "calibrated":
         plain["provenance"]["J2"]["torque_scale"] = CALIBRATED
     return plain
 
 
 PARTIAL = ["unidentifiable centre", "one refused", "all refused", "no more than loads"]
-CASES = ["two loads", *PARTIAL, "inertia", "calibrated"]
+CASES = ["two loads", *PARTIAL, "inertia", "calibrated", "temperatures"]
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -198,6 +200,16 @@ def test_export_without_a_load_to_certify_says_so(tmp_path, plain, loads, words,
     done = run("export", written(tmp_path, plain), "--format", "dcc", "-o", tmp_path / "c.xml", *words)
     assert done.exit_code == code, done.output
     assert not (tmp_path / "c.xml").exists()
+
+
+def test_the_range_of_the_motor_temperatures_is_stated(plain):
+    tree = tree_of(as_result(changed(plain, "temperatures")), "tool")
+    names = content(tree, ".//d:influenceCondition/d:name")
+    assert [name for name in names if "motor" in name] == [
+        f"temperature of motor or drive J{i}" for i in (1, 3, 4, 5, 6)
+    ]
+    condition = tree.find(".//d:influenceCondition", NAMES)
+    assert content(condition, ".//s:value") == ["31.5", "38.25"]
 
 
 def test_a_mass_without_an_uncertainty_is_not_certified(plain):
