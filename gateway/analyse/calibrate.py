@@ -35,13 +35,13 @@ from gateway.data.labels import BARE_LABEL
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.describe import axis_sigma, fitted_rows
-from gateway.estimate.joint import problem_of
 from gateway.identify.aside import without_gross
 from gateway.identify.drift import drift_findings, drift_of, is_steady
 from gateway.identify.loads import load_vector, require_postures
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import ordinary_of
+from gateway.identify.rest.problem import build_problem
 from gateway.model.visits import Visits, pair_visits
 from gateway.result.result import Finding
 
@@ -101,7 +101,7 @@ def calibrate(
     gain_std = tuple(np.maximum(stated_std(about, robot.axes), PRIOR_STD).tolist())
     drifts = drift_of(visits)
     change = min(options.change, WARM_CHANGE if is_steady(drifts) else 1.0)
-    problem = problem_of(visits, robot, replace(options, gain_std=gain_std, change=change))
+    problem = build_problem(robot, visits, replace(options, gain_std=gain_std, change=change))
     for label in (weight.label, BARE_LABEL):
         require_postures(visits.q_rad[visits.load == label], label)
     fit = fit_without_effects(problem)

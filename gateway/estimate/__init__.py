@@ -19,7 +19,7 @@ from gateway.estimate.describe import axis_sigma
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.handover import to_result
-from gateway.estimate.joint import estimate_joint, knowledge_of, refused_loads
+from gateway.estimate.joint import estimate_joint, refused_loads
 from gateway.estimate.moving import estimate_moving
 from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.estimate.posture import estimate_posture
@@ -91,7 +91,7 @@ def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
 def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Rest and moving rows in one solution; a load that contradicts itself at rest is in neither."""
     sound, aside = without_gross(_visits(table, options), robot, options.gravity_m_s2)
-    rest = fitted_rest(sound, robot, knowledge_of(options))
+    rest = fitted_rest(sound, robot, options)
     at_rest = options.of_loads(sound.load)
     gone = refused_loads(rest.problem, rest.fit, robot, at_rest)
     kept = ~np.isin(np.asarray(table.load), list(gone))
@@ -99,7 +99,7 @@ def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
         return _of_visits(estimate_joint)(table.take(~table.moving), robot, at_rest)
     if gone:
         sound = sound.take(~np.isin(sound.load, list(gone)))
-        rest = fitted_rest(sound, robot, knowledge_of(options)) if len(sound) else None
+        rest = fitted_rest(sound, robot, options) if len(sound) else None
     found = estimate_moving(table.take(kept), robot, options.of_loads(set(options.known) - set(gone)), rest=rest)
     return replace(
         found,

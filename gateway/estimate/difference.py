@@ -18,7 +18,6 @@ from gateway.estimate.advice import wrist_in_words
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.joint import knowledge_of
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import refused_load
 from gateway.identify.loads import BARE_LABEL, load_vector, unknown_labels
@@ -92,9 +91,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
     lost = losses(visits.difference_nm, visits.sum_nm)
     problem = _problem(differences, fixed, robot, options)
     nuisance = (
-        nuisance_of(visits, replace(knowledge_of(options), bare=None), problem.nuisance.changes)
-        .without_bias()
-        .with_losses(*lost)
+        nuisance_of(visits, replace(options, bare=None), problem.nuisance.changes).without_bias().with_losses(*lost)
     )
     problem = replace(problem, nuisance=nuisance, group=_groups(visits, problem))
     fitted = fit(problem, (), _noise(problem, visits))
@@ -118,7 +115,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
 
 def _problem(differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
     """Differences as visits of an arm whose links weigh nothing, with what is known to hang on it (n, 4)."""
-    own = replace(knowledge_of(options.of_loads(differences.load)), bare=None, known={})
+    own = replace(options.of_loads(differences.load), bare=None, known={})
     problem = build_problem(robot, differences, own, GainChanges.none(gain_stds(options.gain_std, robot.axes)))
     none = np.zeros_like(problem.links)
     return replace(problem, links=none, link_std=none + _GONE, fixed_load=fixed)

@@ -13,7 +13,7 @@ from gateway.estimate.advice import cost_of_missing_axes, wrist_in_words
 from gateway.estimate.consistency import hull_radius_m, physical_findings
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.load_estimate import LoadEstimate, load_result
+from gateway.identify.load_estimate import LoadEstimate, load_result, refused_findings
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, ORDINARY_STD, efficiency_of
 from gateway.identify.repeats import half_difference_scatter, negative_bands, repeated_std
 from gateway.model.robot import Robot
@@ -86,12 +86,11 @@ def to_result(
 def _findings(estimate: Estimate, robot: Robot | None, options: EstimateOptions) -> list[Finding]:
     out: list[Finding] = []
     for load in estimate.loads:
-        where = f"load {load.label}"
         if load.refused is not None:
-            out.append(Finding("fail", where, f"refused: {load.refused}", "check units, signs and labels of its rows"))
+            out += refused_findings([load])
             continue
         if load.unidentifiable and estimate.method != "coefficient":
-            out.append(Finding("warn", where, _why_open(estimate, load), _what_to_do(estimate, robot)))
+            out.append(Finding("warn", f"load {load.label}", _why_open(estimate, load), _what_to_do(estimate, robot)))
         out += no_body([load_result(load, robot)])
         if robot is not None:
             out += physical_findings(load, robot.last_link, hull_radius_m(robot, options.hull_radius_m))

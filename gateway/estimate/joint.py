@@ -19,7 +19,7 @@ from gateway.identify.mass_change import mass_changes
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import per_pose_mass
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import build_problem
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 
@@ -51,10 +51,9 @@ def estimate_joint(
     DataUnusable
         Nothing measured, a load in one posture only (rank 3), or a mass that changes on the arm without a load.
     """
-    knowledge = knowledge_of(options)
-    for label in unknown_labels(visits.load, knowledge.known):
+    for label in unknown_labels(visits.load, options.known):
         require_postures(visits.q_rad[visits.load == label], label)
-    settled = settle(robot, visits, knowledge) if settled is None else settled
+    settled = settle(robot, visits, options) if settled is None else settled
     problem, fit = settled.stated
     refused = {
         label: refused_load(label, reason, per_pose_mass(problem, fit, problem.labels.index(label)))
@@ -72,33 +71,6 @@ def estimate_joint(
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
     rest = estimate_joint(kept, robot, options.of_loads(kept.load))
     return replace(rest, loads=(*rest.loads, *others))
-
-
-def problem_of(visits: Visits, robot: Robot, options: EstimateOptions) -> RestProblem:
-    """Rest visits as a problem of the model at rest.
-
-    Raises
-    ------
-    InputError
-        A known load that is not in the data.
-    DataUnusable
-        Nothing was measured at rest.
-    """
-    return build_problem(robot, visits, knowledge_of(options))
-
-
-def knowledge_of(options: EstimateOptions) -> Knowledge:
-    """What the options say is known besides the measured rows."""
-    return Knowledge(
-        options.gravity_m_s2,
-        options.inertials,
-        options.known,
-        options.masses,
-        options.bare,
-        options.gain_std,
-        options.measured_gain,
-        options.change,
-    )
 
 
 def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:
@@ -133,7 +105,7 @@ def _contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: Estima
     kept = visits.take(visits.load != label)
     if np.isfinite(kept.sum_nm).sum() < _LEAST_ROWS:
         return None
-    others = problem_of(kept, robot, options.of_loads(kept.load))
+    others = build_problem(robot, kept, options.of_loads(kept.load))
     sigma = axis_sigma(others, fit_without_effects(others))
     rows = int(problem.use_sum.sum())
     axis = problem.axis[:rows]

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table
 from gateway.estimate.describe import fitted_rows as rest_rows
 from gateway.estimate.estimate import Estimate, FittedRows
-from gateway.estimate.joint import knowledge_of
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.motion.columns import MovingSetup
 from gateway.identify.motion.fit import MotionFit, fit_motion
@@ -53,7 +52,7 @@ def estimate_moving(
     InputError, DataUnusable : as of `fit_motion`
     """
     moving = behind_gears(table.take(table.moving), options.efficiency, options.coupling)
-    found = fit_motion(moving, robot, knowledge_of(options), motion or MovingSetup(), rest)
+    found = fit_motion(moving, robot, options, motion or MovingSetup(), rest)
     loads, periods = loads_of(found, robot), found.periods
     if found.fit is None:
         blank = np.full(moving.axes, np.nan)

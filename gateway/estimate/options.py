@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.links import parse_inertials
-from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.result.result import Bare
-
-Four = tuple[float, float, float, float]
+from gateway.identify.rest.problem import Knowledge
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,24 +23,12 @@ class Coefficient:
 
 
 @dataclass(frozen=True, slots=True)
-class EstimateOptions:
-    """How to estimate.
+class EstimateOptions(Knowledge):
+    """What is known besides the measured rows, and how to estimate.
 
     Attributes
     ----------
-    inertials : "exact", "ignore" or "prior:S"
-        How far the robot model's inertials are trusted: S is the relative standard deviation of every link's mass, and
-        that of its first moment as a fraction of mass x link length.
-    known : label -> (mass [kg], x, y, z [m] in the last link)
-        Loads that are known.
-    masses : label -> mass [kg]
-        Loads whose mass is known and whose centre is to be estimated, from rows at rest.
-    bare : Bare or None
-        Stored bare identification.
-    gravity_m_s2 : base frame
-    gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
-    measured_gain : axes (N,) whose torque was calibrated on this arm; empty = none
-    change : factor on the usual change of the torque readings between runs and while the arm warms up
+    inertials, gravity_m_s2, known, masses, bare, gain_std, measured_gain, change : as of `Knowledge`
     efficiency : gear efficiency of every axis, or one for all
         1 where the torque already stands behind the gear.
     coupling : (N, N) how gear outputs act on the joints, as of `Gears`; None = one to one
@@ -56,27 +40,11 @@ class EstimateOptions:
     """
 
     inertials: str = "ignore"
-    known: Mapping[str, Four] = field(default_factory=dict)
-    masses: Mapping[str, float] = field(default_factory=dict)
-    bare: Bare | None = None
-    gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
-    gain_std: tuple[float, ...] | None = None
-    measured_gain: tuple[bool, ...] = ()
-    change: float = 1.0
     efficiency: tuple[float, ...] = (1.0,)
     coupling: NDArray[np.float64] | None = field(default=None, compare=False)
     coefficient: Coefficient | None = None
     hull_radius_m: float | None = None
     pose_choice: NDArray[np.float64] | None = field(default=None, compare=False)
-
-    def of_loads(self, labels: Iterable[str]) -> EstimateOptions:
-        """The options without known loads that are not among these labels."""
-        there = set(map(str, labels))
-        return replace(
-            self,
-            known={label: load for label, load in self.known.items() if label in there},
-            masses={label: mass_kg for label, mass_kg in self.masses.items() if label in there},
-        )
 
     @property
     def trust(self) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.describe import axis_sigma
-from gateway.estimate.joint import problem_of, refused_loads
+from gateway.estimate.joint import refused_loads
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.load_estimate import LoadEstimate, load_directions
@@ -24,7 +24,7 @@ from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import load_estimates
 from gateway.identify.rest.ordinary import KINDS
-from gateway.identify.rest.problem import open_link_prior
+from gateway.identify.rest.problem import build_problem, open_link_prior
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot, reach_m
 from gateway.model.visits import Visits
@@ -190,7 +190,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     InputError, DataUnusable
         As the joint estimator; one posture of the load is no error here.
     """
-    problem = problem_of(visits, robot, options)
+    problem = build_problem(robot, visits, options)
     fit = fit_without_effects(problem)
     wide = fit.null * _OPEN
     gain, offset = (problem.nuisance_part.start + KINDS.index(kind) * problem.axes for kind in ("gain", "bias"))

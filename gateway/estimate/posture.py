@@ -18,12 +18,12 @@ from scipy.special import chdtrc
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.describe import LOAD_NAMES, describe
 from gateway.estimate.estimate import Estimate
-from gateway.estimate.joint import problem_of
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.loads import BARE_LABEL, require_postures, unknown_labels
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.loads import sure
+from gateway.identify.rest.problem import build_problem
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot
@@ -80,7 +80,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
 
 def _described(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
     """The joint solution of these visits."""
-    problem = problem_of(visits, robot, options)
+    problem = build_problem(robot, visits, options)
     return describe(problem, fit_without_effects(problem), robot, options)
 
 
@@ -151,7 +151,7 @@ def _check(
     own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, base: BaseSet, label: str
 ) -> tuple[Finding, ...]:
     """Whether what changed against the bare arm is a body on the flange and nothing else."""
-    loaded = problem_of(replace(own, load=np.full(len(own), BARE_LABEL)), robot, replace(alone, known={}, masses={}))
+    loaded = build_problem(robot, replace(own, load=np.full(len(own), BARE_LABEL)), replace(alone, known={}, masses={}))
     fit = fit_without_effects(loaded)
     directions = np.zeros((base.rank, len(fit.scale)))
     directions[:, loaded.link_part] = base.combination

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,12 +13,14 @@ from gateway.identify.inertia import LoadInertia
 from gateway.model.robot import Robot
 from gateway.result.inertia import moments_of, tensor_of
 from gateway.result.names import INERTIA_WHOLE
-from gateway.result.result import LoadResult
+from gateway.result.result import Finding, LoadResult
 
 Floats = NDArray[np.float64]
 
 LOAD_PARTS = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 _AS_ZERO = 1e-9
+#: Name of the finding of a refused load.
+REFUSED: Final = "refused_load"
 #: Standard deviations below zero from which a mass is refused: one load in a thousand by chance.
 NEGATIVE_MASS_STD = 3.0
 
@@ -69,6 +72,16 @@ class LoadEstimate:
 def refused_load(label: str, reason: str, per_pose_mass_kg: Mapping[str, float] | None = None) -> LoadEstimate:
     """A load whose data contradict each other."""
     return replace(unknown_load(label), per_pose_mass_kg=dict(per_pose_mass_kg or {}), refused=reason)
+
+
+def refused_findings(loads: Iterable[LoadEstimate | LoadResult]) -> list[Finding]:
+    """Return a failing finding for each load that was refused."""
+    advice = "check units, signs and labels of its rows"
+    return [
+        Finding("fail", f"load {load.label}", f"refused: {load.refused}", advice, REFUSED)
+        for load in loads
+        if load.refused
+    ]
 
 
 def negative_mass(mass_kg: float, std_kg: float) -> str | None:

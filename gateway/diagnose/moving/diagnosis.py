@@ -108,7 +108,7 @@ def _told_to_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) ->
     if inertials is None:
         usual = trust == MOVING.usual_trust or not has_inertials(robot)
         inertials = default_inertials(robot) if usual else "ignore" if trust is None else f"prior:{trust:g}"
-    return Knowledge(options.gravity_m_s2, inertials, options.known, gain_std=options.gain_std)
+    return Knowledge(inertials, options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
 
 
 def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Judges]:

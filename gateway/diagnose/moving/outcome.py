@@ -29,7 +29,7 @@ from gateway.diagnose.moving.remarks import (
 )
 from gateway.diagnose.moving.select import Chosen
 from gateway.diagnose.moving.state import MovingState
-from gateway.diagnose.rest.remarks import refused_loads
+from gateway.identify.load_estimate import refused_findings
 from gateway.model.effects.velocity_friction import Stribeck
 from gateway.result.result import (
     EffectResult,
@@ -85,7 +85,7 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
             *faults(() if undecided else effects),
             *remarks(outcome),
             *edge_findings(effects),
-            *refused_loads(answer.loads),
+            *refused_findings(answer.loads),
         ),
         nuisance=answer.nuisance,
         provenance=_provenance(problem, outcome),

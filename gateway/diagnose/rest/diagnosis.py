@@ -40,7 +40,7 @@ from gateway.diagnose.rest.outcome import (
     summary,
 )
 from gateway.diagnose.rest.pictures import DrawnVisits, pictures
-from gateway.diagnose.rest.remarks import at_the_edge, corrected_links, limits, refused_loads
+from gateway.diagnose.rest.remarks import at_the_edge, corrected_links, limits
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.structure import structure_seen_nm
@@ -48,10 +48,11 @@ from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.estimate import to_result
 from gateway.estimate.handover import reversed_signs
-from gateway.estimate.joint import estimate_joint, knowledge_of
+from gateway.estimate.joint import estimate_joint
 from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies, without_placeholder
 from gateway.identify.links import parse_inertials
+from gateway.identify.load_estimate import REFUSED, refused_findings
 from gateway.identify.loads import BARE_LABEL, require_postures
 from gateway.identify.mass_change import mass_changes
 from gateway.identify.rest.fit import fit, fit_without_effects
@@ -135,8 +136,7 @@ class RestDiagnosis:
     def __init__(self, robot: Robot, options: DiagnoseOptions) -> None:
         self.robot, self.options, self.as_estimate = robot, options, options.as_estimate(robot)
         parse_inertials(self.as_estimate.inertials)
-        stated = knowledge_of(self.as_estimate)
-        self.knowledge, self.placeholder = without_placeholder(robot, stated)
+        self.knowledge, self.placeholder = without_placeholder(robot, self.as_estimate)
 
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.options.efficiency, self.options.coupling)
@@ -330,7 +330,7 @@ class RestDiagnosis:
             judged, tested = (problem, settled) if held is None or kind != "fresh" else (held.problem, None)
             estimated = self._as_estimated(judged.rows, tested)
             before, after = replace(before, loads=estimated.loads), replace(after, loads=estimated.loads)
-            findings += [each for each in estimated.findings if each.severity == "fail" and "refused:" not in each.what]
+            findings += [each for each in estimated.findings if each.severity == "fail" and each.check != REFUSED]
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.aside.findings)
@@ -339,7 +339,7 @@ class RestDiagnosis:
         findings += (
             reversed_signs(problem.rows.difference_nm)
             + mistake_findings(found.mistakes)
-            + refused_loads(after.loads)
+            + refused_findings(after.loads)
             + limits(problem)
         )
         rows, drawn = pictures(DrawnVisits.of(problem, held, "fresh" if kind == "fresh" else "held out"), decision)

@@ -8,16 +8,7 @@ from gateway.diagnose.rest.decide import Decision
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.rest.linear import RestProblem
 from gateway.model.effects import LIBRARY
-from gateway.result.result import Finding, LoadResult
-
-
-def refused_loads(loads: tuple[LoadResult, ...]) -> list[Finding]:
-    """A failing finding for each load that was refused."""
-    return [
-        Finding("fail", f"load {load.label}", f"refused: {load.refused}", "check its rows, units and signs")
-        for load in loads
-        if load.refused
-    ]
+from gateway.result.result import Finding
 
 
 def corrected_links(decision: Decision) -> list[Finding]:

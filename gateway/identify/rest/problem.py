@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, losses, nuisance
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import RestProblem
 from gateway.identify.rest.ordinary import Ordinary
+from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.rest import Model
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, column_medians
@@ -40,21 +42,23 @@ class Knowledge:
 
     Attributes
     ----------
-    gravity_m_s2 : array of shape (3,)
-    inertials : "exact", "ignore" or "prior:RELATIVE_STD"
-    known : label -> (mass, x, y, z) of loads that were weighed
-    masses : label -> mass [kg] of loads that were weighed, and whose centre is to be estimated
+    inertials : "exact", "ignore" or "prior:S"
+        How far the robot model's inertials are trusted: S is the relative standard deviation of every link's mass, and
+        that of its first moment as a fraction of mass x link length.
+    known : label -> (mass [kg], x, y, z [m] in the last link) of loads that are known
+    masses : label -> mass [kg] of loads whose mass is known and whose centre is to be estimated, from rows at rest
     bare : stored bare identification, or None
-    gain_std : relative standard deviation of each torque constant, or None
+    gravity_m_s2 : base frame
+    gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
     measured_gain : axes (N,) whose torque was calibrated on this arm, uneven losses included; empty = none
     change : factor on the standard deviation of changes of gain between runs and while the arm warms up
     """
 
-    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
     inertials: str = "prior:0.05"
     known: Mapping[str, tuple[float, float, float, float]] = field(default_factory=dict)
     masses: Mapping[str, float] = field(default_factory=dict)
     bare: Bare | None = None
+    gravity_m_s2: tuple[float, float, float] = STANDARD_GRAVITY_M_S2
     gain_std: tuple[float, ...] | None = None
     measured_gain: tuple[bool, ...] = ()
     change: float = 1.0
@@ -64,11 +68,11 @@ class Knowledge:
         """Labels of the loads whose mass is known."""
         return (*self.known, *self.masses)
 
-    def without_load(self, label: str) -> Knowledge:
+    def without_load(self, label: str) -> Self:
         """The same with one known load unknown."""
         return self.of_loads(name for name in self.weighed if name != label)
 
-    def of_loads(self, labels: Iterable[str]) -> Knowledge:
+    def of_loads(self, labels: Iterable[str]) -> Self:
         """The same without known loads that are not among these labels."""
         there = set(map(str, labels))
         return replace(
