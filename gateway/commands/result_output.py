@@ -24,7 +24,7 @@ ACCEPTANCE_COLUMNS = ("load", "measured", "allowed", "outcome")
 
 def show_result(result: Result, session: Session) -> None:
     """Show loads, residuals, verdict, poses to measure next, and findings."""
-    from gateway.report.summary_text import verdict_sentence
+    from gateway.report.summary_text import VERDICTS, verdict_text
 
     if result.loads:
         session.show(load_table(result))
@@ -33,7 +33,7 @@ def show_result(result: Result, session: Session) -> None:
     _show_motion(result, session)
     _show_residuals(result, session)
     if result.verdict:
-        session.show(f"verdict: {result.verdict}. {verdict_sentence(result)}")
+        session.show(f"verdict: {VERDICTS[result.verdict]} ({result.verdict}). {verdict_text(result)}")
     for item in result.next:
         _show_next(item, session)
     _show_acceptance(result, session)

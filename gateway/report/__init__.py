@@ -1,4 +1,4 @@
-"""Pages from results: numbers and sentences (view), pictures (svg, figures, space), one shell (page).
+"""HTML pages from results: numbers and text (`view`), figures (`svg`, `figures`, `space`), page frame (`page`).
 
-`render` is the page on a result. Each page is drawn from the typed result alone: what that does not hold is left out.
+`render` writes the page of a result. Pages use only the typed result; missing parts are omitted.
 """

@@ -1,4 +1,4 @@
-"""Rows of a result laid out along one axis: grouped by load, in the order of the poses."""
+"""Order the samples of a result along one axis: grouped by load, in the order of the poses."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from gateway.result.drawn import FRESH
 from gateway.result.result import Rows
 from gateway.result.values import Matrix
 
-# Above this many rows the marks become small and poses are no longer named one by one.
+# above this many samples, marks are small and poses are not labelled
 DENSE = 120
 GROUP_GAP = 1.4
-# A moving run is thinned to about this many instants.
+# a moving run is reduced to about this many samples
 MOST_ROWS = 900
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Place of every row on the horizontal axis.
+    """Position of each sample on the horizontal axis.
 
     Parameters
     ----------
     order : tuple of int
         Row numbers from left to right.
     place : tuple of float
-        Position of each of them, one apart, with a gap between loads.
+        Their positions, with spacing 1 and a gap between loads.
     groups : tuple of (str, float, float)
         Label, first and last position of each load.
     names : tuple of str
-        Pose number of each place.
+        Pose number at each position.
     roles : tuple of str
-        `fit`, `held out` or `fresh`, for each place.
+        `fit`, `held out` or `fresh`, at each position.
     """
 
     order: tuple[int, ...]
@@ -43,12 +43,12 @@ class Layout:
 
     @property
     def dense(self) -> bool:
-        """Whether there are too many rows to name them."""
+        """Return whether there are too many samples to label them."""
         return len(self.order) > DENSE
 
     @property
     def width(self) -> tuple[float, float]:
-        """Range of the horizontal axis."""
+        """Return the range of the horizontal axis."""
         return (-0.8, (self.place[-1] if self.place else 0.0) + 0.8)
 
 
@@ -59,7 +59,7 @@ def layout(rows: Rows, roles: Sequence[str] = ()) -> Layout:
     ----------
     rows : Rows
     roles : sequence of str
-        One word per row; none are known where their number is another.
+        One entry per sample; ignored if the number differs.
     """
     loads, count = rows.load, len(rows.load)
     poses = rows.pose or (-1,) * count
@@ -82,10 +82,10 @@ def layout(rows: Rows, roles: Sequence[str] = ()) -> Layout:
 
 
 def cell(table: Matrix, row: int, axis: int) -> float:
-    """One number of a table (rows, axes); NaN where it is absent."""
+    """Return one number of a table (samples, axes); NaN if missing."""
     return table[row][axis] if row < len(table) and axis < len(table[row]) else math.nan
 
 
 def measured_axes(rows: Rows) -> list[int]:
-    """Axes (from 0) with at least one torque."""
+    """Return the axes (from 0) with at least one torque."""
     return [axis for axis, column in enumerate(zip(*rows.tau_nm, strict=True)) if any(map(math.isfinite, column))]

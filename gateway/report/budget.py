@@ -1,4 +1,4 @@
-"""Where the uncertainty of a mass comes from, and what every arm has beside its load: picture and tables."""
+"""Figure and tables: sources of the uncertainty of a mass, and nuisance parameters."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from gateway.result.interval import PLUS_MINUS, SAID, half_width
 from gateway.result.numerals import with_interval
 from gateway.result.result import LoadResult, NuisanceResult, Result, SetAside
 
-#: Source -> what the page calls it.
+#: Source -> its name on the page.
 SOURCE_WORDS: Final = {source: said for source, (said, _) in EVALUATIONS.items()}
-#: Key of the result -> words, unit and factor to it.
+#: Key of the result -> text, unit and factor.
 NUISANCE_WORDS: Final = {
     "gain": ("gain of the torque", "%", 100.0),
-    "bias_nm": ("bias by direction", "Nm", 1.0),
-    "load_friction": ("losses over torque", "%", 100.0),
-    "one_efficiency": ("share of these losses that one gear efficiency for both directions explains", "%", 100.0),
-    "cold_fast": ("more friction when cold, fading in 10 min", "%", 100.0),
-    "cold_slow": ("more friction when cold, fading in 40 min", "%", 100.0),
+    "bias_nm": ("bias by approach direction", "Nm", 1.0),
+    "load_friction": ("torque-dependent friction", "%", 100.0),
+    "one_efficiency": ("share of it explained by one gear efficiency for both directions", "%", 100.0),
+    "cold_fast": ("additional friction when cold, time constant 10 min", "%", 100.0),
+    "cold_slow": ("additional friction when cold, time constant 40 min", "%", 100.0),
 }
 WIDTH: Final = 470.0
 _BAR, _ROW, _TOP, _LEFT = 22.0, 52.0, 22.0, 8.0
-#: Share of the bar below which its number stands in the table alone.
-_ROOM: Final = 0.1
+#: Least share of the bar that is labelled in the figure.
+_MARGIN: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetRow:
-    """One load in words: half width of its 95 % interval [kg]; per source the share [%], and the half width alone."""
+    """One load as text: half width of its 95 % interval [kg]; share [%] and half width of each source."""
 
     label: str
     half: str
@@ -43,12 +43,12 @@ class BudgetRow:
 
 
 def budgeted(result: Result) -> list[LoadResult]:
-    """Loads whose uncertainty is told by source."""
+    """Return the loads with an uncertainty budget."""
     return [load for load in result.loads if load.budget and notation.known(load.mass_std_kg) and load.mass_std_kg > 0]
 
 
 def budget_figure(result: Result) -> Markup | None:
-    """A bar per load, its length the variance of the mass, cut by source; None where no budget is told."""
+    """Return a figure with one bar per load: variance of the mass, divided by source. None without a budget."""
     loads = budgeted(result)
     if not loads:
         return None
@@ -57,10 +57,10 @@ def budget_figure(result: Result) -> Markup | None:
     panel.x_axis("share of the variance of the mass [%]")
     for place, load in enumerate(loads):
         _bar(panel, load, _TOP + _ROW * place)
-    told = "; ".join(
+    shares = "; ".join(
         f"{load.label}: {', '.join(_percent(load.budget, name) for name in SOURCE_WORDS)}" for load in loads
     )
-    return panel.svg(f"Where the uncertainty of the mass comes from. {told}")
+    return panel.svg(f"Uncertainty of the mass by source. {shares}")
 
 
 def _percent(budget: Mapping[str, float], name: str) -> str:
@@ -78,13 +78,13 @@ def _bar(panel: Panel, load: LoadResult, top: float) -> None:
             f'<rect class="source-{name}" x="{left:.1f}" y="{top + 10:.1f}" width="{right - left:.1f}"'
             f' height="{_BAR}"><title>{_percent(load.budget, name)}</title></rect>'
         )
-        if share >= _ROOM:
+        if share >= _MARGIN:
             panel.text((left + right) / 2, top + 10 + _BAR / 2 + 4, f"{100 * share:.0f} %", "mid inside")
         start += share
 
 
 def budget_rows(result: Result) -> list[BudgetRow]:
-    """The same as numbers."""
+    """Return the budget as table rows."""
     return [
         BudgetRow(
             load.label,
@@ -111,7 +111,7 @@ def _half(std: float) -> str:
 
 
 def nuisance_rows(result: Result) -> list[tuple[str, list[str]]]:
-    """What every arm has: words with the unit, and value with its 95 % interval of every axis."""
+    """Return the nuisance parameters: text with unit, and value with 95 % interval of each axis."""
     return [
         ("{} [{}]".format(*_said(key)[:2]), _cells(nuisance, _said(key)[2]))
         for key, nuisance in result.nuisance.items()
@@ -134,8 +134,8 @@ def _cell(value: float, std: float, factor: float) -> str:
     return with_interval(value, std, factor) if notation.known(value) else notation.plain(value)
 
 
-def aside_rows(entries: Sequence[SetAside]) -> list[tuple[str, str, str, str, str, str]]:
-    """What was set aside: run, load, pose or time, axis, friction bands, reason."""
+def rejected_rows(entries: Sequence[SetAside]) -> list[tuple[str, str, str, str, str, str]]:
+    """Return the rejected samples: run, load, pose or time, axis, friction bands, reason."""
     return [
         (
             each.run,

@@ -1,4 +1,4 @@
-"""The centre of gravity as it is shown: in the frame of the flange where that is known, else in that of the load."""
+"""Centre of gravity for display: in the flange frame if known, otherwise in the frame of the result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gateway.result.values import Matrix, Numbers
 
 @dataclass(frozen=True, slots=True)
 class Centre:
-    """Place and standard deviation (3,) [m] in `frame`, NaN where unknown; `correlation` (4, 4) of [mass, x, y, z]."""
+    """Position and standard deviation (3,) [m] in `frame`, NaN if unknown; `correlation` (4, 4) of [mass, x, y, z]."""
 
     frame: str
     com_m: Numbers
@@ -20,18 +20,18 @@ class Centre:
 
     @property
     def known(self) -> bool:
-        """Whether all three components are."""
+        """Return whether all three components are known."""
         return all(map(math.isfinite, self.com_m))
 
 
 def centre(load: LoadResult, result: Result | None = None) -> Centre | None:
-    """Centre of gravity of a load, None where there is none.
+    """Return the centre of gravity of a load, or None.
 
     Parameters
     ----------
     load : LoadResult
     result : Result, optional
-        Of which it is a final load: knows the uncertainty in the frame of the flange.
+        Result of the load, with its uncertainty in the flange frame.
     """
     std_m, correlation = load.com_std_m or UNKNOWN_THREE, load.correlation
     if load.com_flange_m:
@@ -43,7 +43,7 @@ def centre(load: LoadResult, result: Result | None = None) -> Centre | None:
 
 
 def earlier(result: Result, load: LoadResult) -> LoadResult | None:
-    """The same load before the effects were added; None where none were."""
+    """Return the same load before the effects were added, or None."""
     if not result.effects:
         return None
     return next((item for item in result.before.loads if item.label == load.label), None)

@@ -1,4 +1,4 @@
-"""What the figures need beside the numbers of the contract, gathered once when the result is written."""
+"""Collect the data of the figures that the result keys do not contain, when the result is written."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ MOST_POSES = 60
 def drawn_poses(
     robot: Robot, rows: Rows, loads: Sequence[LoadResult], roles: Sequence[str] = ()
 ) -> tuple[DrawnPose, ...]:
-    """Where the arm stood: one entry per pose, with the load that hung on it last.
+    """Return the arm posture of each pose, with the last load measured there.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def drawn_poses(
     rows : Rows
         Rows of the result.
     loads : sequence of LoadResult
-        For the centre of gravity.
+        Loads with their centre of gravity.
     roles : sequence of str
         Role of each row, as in `Drawn.role`.
     """
@@ -56,7 +56,7 @@ def drawn_poses(
 
 
 def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, Spread]:
-    """Uncertainty of each centre of gravity in the frame of the flange.
+    """Return the uncertainty of each centre of gravity in the flange frame.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, Spread
     Returns
     -------
     dict
-        Spread by label; empty where the flange is not known.
+        Standard deviation by label; empty if the flange is unknown.
     """
     if robot.flange is None:
         return {}
@@ -86,7 +86,7 @@ def flange_spread(robot: Robot, loads: Sequence[LoadResult]) -> dict[str, Spread
 
 
 def _rows_to_draw(rows: Rows) -> list[int]:
-    """One row per pose, the last load first; of a moving run a few instants."""
+    """Select one sample per pose, the last load first; of a moving run a few samples."""
     if not rows.q_rad:
         return []
     if not rows.pose or min(rows.pose) < 0:

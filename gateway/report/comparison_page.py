@@ -1,4 +1,4 @@
-"""The page on two results, before and after service."""
+"""Page that compares two results, before and after service."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WIDTH, ROW_PX = 720.0, 24.0
 
 
 def render_compare(found: ResultComparison) -> str:
-    """HTML text of the page."""
+    """Return the HTML page."""
     about = (("robot", found.robot), ("before", _file(found, 0)), ("after", _file(found, 1)))
     drawn = [row for row in found.quantities if math.isfinite(row.half_width) and row.before != 0.0]
     return page(
@@ -40,7 +40,7 @@ def _file(found: ResultComparison, which: int) -> str:
 
 
 def cells(row: ComparedQuantity) -> tuple[str, ...]:
-    """A quantity in words: place, name, both values, difference with its interval, verdict."""
+    """Return the texts of a quantity: place, name, both values, difference with interval, verdict."""
     scale, unit = (1000.0, "mm") if row.unit == "m" else (1.0, row.unit)
     known = math.isfinite(row.half_width)
     difference = interval_text(scale * row.difference, scale * row.half_width) if known else significant(row.difference)
@@ -50,7 +50,7 @@ def cells(row: ComparedQuantity) -> tuple[str, ...]:
 
 
 def _figure(rows: Sequence[ComparedQuantity]) -> Markup:
-    """Difference of every quantity in percent of its value before, with its interval."""
+    """Draw the difference of each quantity in percent of its value before, with its interval."""
     centre = [100.0 * row.difference / abs(row.before) for row in rows]
     half = [100.0 * row.half_width / abs(row.before) for row in rows]
     ends = [value + sign * width for value, width in zip(centre, half, strict=True) for sign in (-1, 1)]
@@ -65,4 +65,4 @@ def _figure(rows: Sequence[ComparedQuantity]) -> Markup:
             panel.segment((low, place), (high, place), "force")
         if span[0] <= value <= span[1]:
             panel.dot(value, place, "state-failed" if row.outcome == CHANGED else "dot after", cells(row)[4])
-    return panel.svg("Difference of every quantity with its interval")
+    return panel.svg("Difference of each quantity with its interval")

@@ -1,4 +1,4 @@
-"""Figures of judgement: residual over noise floor, effects tried, friction band, an effect as a curve."""
+"""Figures of the evidence: residual over noise floor, tested effects, friction band, an effect as a curve."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEFT = 34.0
 
 
 def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
-    """Residual per axis, before and after, logarithmic: over the noise floor where it is known, else in Nm."""
+    """Draw the residual per axis, before and after, logarithmic: over the noise floor if known, otherwise in Nm."""
     rated = [axis for axis in axes if notation.known(axis.ratio_after)]
     shown = rated or [axis for axis in axes if axis.after > 0]
     if not shown:
@@ -40,7 +40,7 @@ def quality_figure(axes: Sequence[AxisQuality]) -> Markup | None:
     for row, (axis, (before, after)) in enumerate(zip(shown, pairs, strict=True)):
         panel.text(LEFT - 8, panel.y(row) + 4, axis.name, "name end")
         _dumbbell(panel, row, (before, after), axis)
-    return panel.svg("Residual of every axis, before and after")
+    return panel.svg("Residual of each axis, before and after")
 
 
 def _dumbbell(panel: Panel, row: int, pair: tuple[float, float], axis: AxisQuality) -> None:
@@ -54,7 +54,7 @@ def _dumbbell(panel: Panel, row: int, pair: tuple[float, float], axis: AxisQuali
 
 
 def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
-    """Held-out error of every candidate as a bar: 1 means no better than without it."""
+    """Draw the held-out error of each candidate as a bar; 1 = no improvement."""
     if not candidates:
         return None
     chosen = [item for item in candidates if item.chosen]
@@ -64,17 +64,17 @@ def evidence_figure(candidates: Sequence[Candidate]) -> Markup | None:
     panel = Panel(560.0, height, (0.0, top), (len(shown) - 0.5, -0.5), left=200.0, right=36.0, top=24.0, bottom=40.0)
     panel.x_axis("held-out error with the effect / without it [-]")
     panel.segment((1.0, len(shown) - 0.5), (1.0, -0.5), "mark")
-    panel.text(panel.x(1.0), 16, "no better than without", "label mid")
+    panel.text(panel.x(1.0), 16, "no improvement", "label mid")
     for row, item in enumerate(shown):
         y = panel.y(row)
         panel.box((0.0, min(item.ratio, top)), (row - 0.32, row + 0.32), "bar chosen" if item.chosen else "bar")
         panel.text(192, y + 4, item.label, "name end strong" if item.chosen else "name end")
         panel.text(panel.x(min(item.ratio, top)) + 6, y + 4, notation.plain(item.ratio, 2), "tick")
-    return panel.svg("Held-out error of every effect that was tried")
+    return panel.svg("Held-out error of each tested effect")
 
 
 def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None:
-    """Mass that each pose alone would give, for every load, with the 95 % interval of all poses together."""
+    """Draw the mass estimated from each pose alone, for each load, with the 95 % interval of all poses."""
     loads = [load for load in result.loads if load.per_pose_mass_kg]
     names = sorted({pose for load in loads for pose in load.per_pose_mass_kg}, key=_as_number)
     if not names:
@@ -88,7 +88,7 @@ def per_pose_figure(result: Result, classes: Mapping[str, str]) -> Markup | None
     panel.x_label("pose")
     for load in loads:
         _per_pose(panel, load, names, classes.get(load.label, "load-1"))
-    return panel.svg("Mass that each pose alone would give")
+    return panel.svg("Mass estimated from each pose alone")
 
 
 def _per_pose(panel: Panel, load: LoadResult, names: Sequence[str], kind: str) -> None:
@@ -110,7 +110,7 @@ def _as_number(name: str) -> tuple[float, str]:
 
 
 def friction_figure(result: Result) -> Markup | None:
-    """Friction band of every visit and its typical value per axis, logarithmic."""
+    """Draw the friction band of each visit and its median per axis, logarithmic."""
     rows = result.rows or Rows()
     bands = {axis: _bands(rows, axis) for axis in measured_axes(rows)}
     bands = {axis: values for axis, values in bands.items() if values}
@@ -127,7 +127,7 @@ def friction_figure(result: Result) -> Markup | None:
         right=110.0,
         bottom=40.0,
     )
-    _log_axis(panel, "friction band: half the difference between the two approaches [Nm]")
+    _log_axis(panel, "friction band: half the difference between the approach directions [Nm]")
     for row, (axis, values) in enumerate(bands.items()):
         panel.text(LEFT - 8, panel.y(row) + 4, notation.axis(axis + 1), "name end")
         for value in values:
@@ -136,11 +136,11 @@ def friction_figure(result: Result) -> Markup | None:
         middle = stated if stated > 0 else float(np.median(values))
         panel.segment((math.log10(middle), row - 0.3), (math.log10(middle), row + 0.3), "median")
         panel.text(panel.width - 104, panel.y(row) + 4, f"{notation.significant(middle)} Nm", "name")
-    return panel.svg("Friction band of every axis")
+    return panel.svg("Friction band of each axis")
 
 
 def curve_figure(curve: Curve) -> Markup:
-    """One effect over the quantity it depends on: points measured, curve and 95 % band."""
+    """Draw one effect over the quantity it depends on: measured points, curve and 95 % band."""
     x_range = limits([*curve.x, *curve.points_x], pad=0.03)
     y_range = limits([*curve.y, *curve.low, *curve.high, *curve.points_y], include=(0.0,))
     panel = Panel(560.0, 290.0, x_range, y_range)
@@ -164,7 +164,7 @@ def _decades(low: float, high: float) -> tuple[float, float]:
 
 
 def _log_axis(panel: Panel, label: str) -> None:
-    """Ticks at 1, 2 and 5 in every decade."""
+    """Return ticks at 1, 2 and 5 in each decade."""
     low, high = panel.x_range
     base = panel.height - panel.bottom
     marks = [

@@ -1,4 +1,4 @@
-"""Figures per axis and visit: torque measured against model, and what is left."""
+"""Figures per axis and visit: measured and modelled torque, and residual."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ LOAD_CLASSES = ("load-0", "load-1", "load-2", "load-3", "load-4")
 
 
 def torque_figures(result: Result) -> list[tuple[str, Markup]]:
-    """Per measured axis: measured torque of every visit with its friction band, the model as a dash."""
+    """Draw per measured axis: torque of each visit with its friction band, the model as a dash."""
     if result.rows is None or not result.rows.tau_nm:
         return []
     plan, colours = _plan(result, result.rows), load_classes(result)
@@ -26,7 +26,7 @@ def torque_figures(result: Result) -> list[tuple[str, Markup]]:
 
 
 def residual_figures(result: Result) -> list[tuple[str, Markup]]:
-    """Per measured axis: measured minus model of every visit, before and after, over the noise floor."""
+    """Draw per measured axis: measured minus model of each visit, before and after, with the noise floor."""
     rows = result.rows
     if rows is None or not rows.tau_nm:
         return []
@@ -43,7 +43,7 @@ def residual_figures(result: Result) -> list[tuple[str, Markup]]:
 
 
 def load_classes(result: Result) -> dict[str, str]:
-    """CSS class of each load label, the bare arm first."""
+    """Return the CSS class of each load label, the unloaded arm first."""
     measured = () if result.rows is None else result.rows.load
     labels = list(dict.fromkeys([*measured, *(load.label for load in result.loads)]))
     bare = [label for label in labels if label == "none"]
@@ -76,7 +76,7 @@ def _torque(rows: Rows, plan: Layout, colours: Mapping[str, str], axis: int) -> 
             panel.segment((place, value - half), (place, value + half), f"whisker {kind}")
         panel.dot(place, value, f"dot {kind}", _hint(rows, row, value), 3.2)
     _model_marks(panel, plan, model)
-    return panel.svg(f"Torque of {notation.axis(axis + 1)}, measured and modelled, for every visit")
+    return panel.svg(f"Torque of {notation.axis(axis + 1)}, measured and modelled, for each visit")
 
 
 def _model_marks(panel: Panel, plan: Layout, model: Sequence[float]) -> None:
@@ -107,7 +107,7 @@ def _residual(plan: Layout, pair: tuple[list[float], list[float]], floor: float,
             panel.dot(place, old, f"dot before{small}", f"pose {name}: before {old:.3g} Nm" if name else "", radius)
         if math.isfinite(new):
             panel.dot(place, new, f"dot after{small}", f"pose {name}: {new:.3g} Nm" if name else "", radius)
-    return panel.svg(f"Residual of {notation.axis(axis + 1)} for every visit")
+    return panel.svg(f"Residual of {notation.axis(axis + 1)} for each visit")
 
 
 def _shade_fresh(panel: Panel, plan: Layout) -> None:
@@ -117,7 +117,7 @@ def _shade_fresh(panel: Panel, plan: Layout) -> None:
 
 
 def _frame(panel: Panel, plan: Layout, label: str) -> None:
-    """Vertical axis, poses numbered, loads named under the axis."""
+    """Draw the vertical axis; pose numbers and load labels below the axis."""
     panel.y_axis(label)
     base = panel.height - panel.bottom
     step = max(1, math.ceil(len(plan.place) / 22))
@@ -133,7 +133,7 @@ def _frame(panel: Panel, plan: Layout, label: str) -> None:
         panel.text(
             panel.x((start + end) / 2),
             base + 31,
-            f"{title}, in order of time" if plan.dense else f"{title}, poses",
+            f"{title}, in time order" if plan.dense else f"{title}, poses",
             "label mid",
         )
 

@@ -1,4 +1,4 @@
-"""The pages on many robots: one on the fleet, one on every robot."""
+"""Pages of a fleet: one for the fleet and one per robot."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ TAGS: dict[State, str] = {"visit": "fail", "not seen": "warn", "cannot tell": "w
 STATUS: dict[State, str] = {"visit": "bad", "not seen": "open", "cannot tell": "open", "healthy": "good"}
 IN_WORDS: dict[State, str] = {
     "visit": "needs a visit",
-    "not seen": "has not been seen lately",
-    "cannot tell": "cannot be told yet",
+    "not seen": "has no recent check",
+    "cannot tell": "not decidable yet",
     "healthy": "is healthy",
 }
 PERCENT = 100.0
 WIDTH, HEIGHT = 330.0, 170.0
-#: Robots that are drawn: the first of the list.
+#: Number of robots drawn, from the top of the list.
 DRAWN = 60
 
 
 def render_fleet(fleet: FleetHealth) -> str:
-    """HTML text of the page on a fleet."""
+    """Return the HTML page of a fleet."""
     about = (("as of", fleet.as_of), ("robots", str(len(fleet.robots))), ("checks", str(fleet.checks)),
              ("", fleet.software))  # fmt: skip
     drawn = [line for line in fleet.robots[:DRAWN] if math.isfinite(line.gain_std_per_year)]
@@ -61,13 +61,13 @@ def render_fleet(fleet: FleetHealth) -> str:
 
 
 def headline(fleet: FleetHealth) -> str:
-    """The fleet in one line; what is not known is not called healthy."""
+    """Summarise the fleet in one line; unknown is not counted as healthy."""
     visits, total = fleet.count("visit"), len(fleet.robots)
     if not total:
         return "No robot in the store"
     unknown = fleet.count("not seen") + fleet.count("cannot tell")
-    said = f"{visits} of {total} robots need a visit" if visits != 1 else f"1 of {total} robots needs a visit"
-    return f"{said}, {unknown} cannot be judged" if unknown else said
+    said = f"{visits} of {total} robots need service" if visits != 1 else f"1 of {total} robots needs service"
+    return f"{said}, {unknown} cannot be assessed" if unknown else said
 
 
 def _status(fleet: FleetHealth) -> str:
@@ -76,7 +76,7 @@ def _status(fleet: FleetHealth) -> str:
 
 
 def _gains(lines: list[RobotLine]) -> Markup:
-    """Surest drift of a gain of every robot with its interval."""
+    """Draw the most significant gain drift of each robot with its interval."""
     centre = [PERCENT * line.gain_per_year for line in lines]
     half = [PERCENT * half_width(line.gain_std_per_year) for line in lines]
     limit = PERCENT * GAIN.tolerance
@@ -96,12 +96,12 @@ def _gains(lines: list[RobotLine]) -> Markup:
     step = max(1, math.ceil(len(lines) / 20))
     for place in range(1, len(lines) + 1, step):
         panel.text(panel.x(place), base + 14, str(place), "tick mid")
-    panel.x_label("robot, by its place in the list")
-    return panel.svg("Drift of the gain of the surest axis of every robot, with its 95 % interval")
+    panel.x_label("robot, by position in the list")
+    return panel.svg("Most significant gain drift of each robot, with its 95 % interval")
 
 
 def render_robot(robot: RobotHealth) -> str:
-    """HTML text of the page on one robot."""
+    """Return the HTML page of one robot."""
     line = robot.line
     serials = ", ".join("?" if number is None else str(number) for number in line.serial_numbers)
     about = (("cell", line.cell), ("arm", line.arm), ("drives", serials or None), ("first seen", line.first_seen),
@@ -134,7 +134,7 @@ def _loads(robot: RobotHealth) -> list[tuple[str, ...]]:
 
 
 def _quantities(robot: RobotHealth) -> Iterator[tuple[str, list[tuple[str, ...]], list[tuple[str, Markup]]]]:
-    """Of every quantity that was measured its name, a row per axis, and a panel per axis."""
+    """Return for each measured quantity its name, a table row per axis, and a figure per axis."""
     for kind in (*QUANTITIES, MASS):
         trends = [trend for trend in robot.trends if trend.quantity == kind.key]
         if trends:

@@ -1,4 +1,4 @@
-"""The page on a comparison: the settings stand side by side, axis by axis."""
+"""Page of a feedforward comparison: the settings side by side, axis by axis."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from gateway.result.interval import SAID
 from gateway.result.numerals import with_interval
 
 NAMES = {OFF: "off", MAXIMUM: "maximum load assumed", IDENTIFIED: "identified load"}
-#: Axes that are named in the headline: those that lift.
+#: Axes named in the headline: those that carry gravity.
 HEADLINE_AXES = (1, 2)
 MRAD = 1000.0
-#: Words and unit of a figure, its key, factor to the unit.
+#: Text with unit of a quantity, its key, factor to the unit.
 QUANTITIES = (
     ("peak error [mrad]", "peak_rad", MRAD),
     ("rms error [mrad]", "rms_rad", MRAD),
@@ -29,7 +29,7 @@ WIDTH, HEIGHT = 330.0, 170.0
 
 
 def render_follow(result: FollowResult) -> str:
-    """HTML text of the page on a comparison."""
+    """Return the HTML page of a comparison."""
     path = f"{result.path.name}, {result.path.duration_s:.1f} s"
     about = (("robot", result.robot), ("cell", result.cell), ("arm", result.arm), ("path", path), *made(result.origin))
     trend = result.trend if result.trend is not None and math.isfinite(result.trend.scale) else None
@@ -56,7 +56,7 @@ def render_follow(result: FollowResult) -> str:
 
 
 def headline(result: FollowResult) -> str:
-    """The result in one line: the peak error of the axes that lift, from setting to setting."""
+    """Summarise the result in one line: peak error of the axes that carry gravity, for each setting."""
     if result.setting(OFF) is None or result.setting(IDENTIFIED) is None:
         return "Following error"
     shown = [setting for name in NAMES if (setting := result.setting(name)) is not None]
@@ -69,7 +69,7 @@ def headline(result: FollowResult) -> str:
 
 
 def figure_rows(result: FollowResult) -> list[tuple[str, list[tuple[str, str, list[str]]]]]:
-    """Tables of figures: quantity; of every setting its name, its words, and a number an axis, as at the terminal."""
+    """Return tables: quantity; for each setting its name, its text, and a number per axis."""
     return [
         (
             said,
@@ -87,7 +87,7 @@ def _numbers(values: Sequence[float], factor: float) -> list[str]:
 
 
 def _fed(result: FollowResult) -> list[tuple[str, ...]]:
-    """What each setting fed."""
+    """Return the load used by each setting."""
     rows = []
     for setting in result.settings:
         load = setting.load
@@ -101,12 +101,12 @@ def _fed(result: FollowResult) -> list[tuple[str, ...]]:
 
 
 def interval_of(value: float, std: float) -> str:
-    """A number with its 95 % interval, where it has one."""
+    """Format a number with its 95 % interval, if known."""
     return f"{with_interval(value, std)} ({SAID})" if std > 0 else notation.rounded(value)
 
 
 def _sources(result: FollowResult) -> list[tuple[str, ...]]:
-    """Where the terms of each axis come from."""
+    """Return the source of the terms of each axis."""
     return [
         (notation.axis(joint), axis.rotor_inertia, axis.gear_losses, axis.coulomb, axis.viscous, axis.velocity_share)
         for joint, axis in enumerate(result.model.axes, start=1)
@@ -118,7 +118,7 @@ def _axes(result: FollowResult) -> range:
 
 
 def _bars(result: FollowResult) -> Markup:
-    """Peak of each axis under each setting, on a scale of powers of ten."""
+    """Draw the peak of each axis for each setting on a logarithmic scale."""
     axes, count = _axes(result), len(result.settings)
     logs = [
         [math.log10(max(MRAD * value, 1e-6)) if notation.known(value) else math.nan for value in setting.peak_rad]
@@ -138,11 +138,11 @@ def _bars(result: FollowResult) -> Markup:
             x = axis + 1.0 + 0.2 * (place - (count - 1) / 2)
             if math.isfinite(row[axis]):
                 panel.segment((x, low), (x, row[axis]), f"peak {setting.name}")
-    return panel.svg("Peak following error of every axis under every setting, logarithmic scale")
+    return panel.svg("Peak following error of each axis and setting, logarithmic scale")
 
 
 def _curves(result: FollowResult) -> list[list[tuple[str, Markup]]]:
-    """Per axis one panel per setting, all with the same scale."""
+    """Draw one panel per axis and setting, all with the same scale."""
     error = result.series.error
     rows = []
     for axis in _axes(result):
@@ -157,7 +157,7 @@ def _curves(result: FollowResult) -> list[list[tuple[str, Markup]]]:
 
 
 def _zoom(result: FollowResult) -> list[tuple[str, Markup]]:
-    """Per axis the settings with feedforward in one panel, enlarged."""
+    """Draw per axis the settings with feedforward in one panel, enlarged."""
     fed = {name: curve for name, curve in result.series.error.items() if name != OFF}
     if not fed:
         return []
@@ -175,8 +175,8 @@ def _error_panel(curves: dict[str, ErrorCurve], axis: int, scale: tuple[float, f
     panel.x_axis("time [s]")
     for name, curve in curves.items():
         panel.polyline(list(zip(curve.time_s, _errors([curve], axis), strict=True)), f"trace {name}")
-    told = " and ".join(NAMES.get(name, name) for name in curves)
-    return panel.svg(f"Following error of axis {axis + 1} over time, {told}")
+    shown = " and ".join(NAMES.get(name, name) for name in curves)
+    return panel.svg(f"Following error of axis {axis + 1} over time, {shown}")
 
 
 def _torque(curve: TorqueCurve) -> tuple[str, Markup]:
@@ -186,17 +186,17 @@ def _torque(curve: TorqueCurve) -> tuple[str, Markup]:
     for values, kind in ((curve.measured_nm, "model-line"), (curve.offset_nm, "trace identified")):
         panel.polyline(list(zip(curve.time_s, values, strict=True)), kind)
     name = notation.axis(curve.axis)
-    return name, panel.svg(f"Torque of {name}: measured, and the offset that was fed")
+    return name, panel.svg(f"Torque of {name}: measured, and torque offset")
 
 
 def _cloud(cloud: TrendCloud, slope: float) -> tuple[str, Markup]:
-    """Residual over the torque of the load as fed, and the trend through it."""
+    """Draw the residual over the feedforward torque of the load, with its trend."""
     panel = Panel(470.0, 230.0, limits(cloud.load_nm), limits(cloud.residual_nm, include=(0.0,)))
     panel.y_axis("residual [Nm]")
-    panel.x_axis("torque of the load as fed [Nm]")
+    panel.x_axis("feedforward torque of the load [Nm]")
     for load, residual in zip(cloud.load_nm, cloud.residual_nm, strict=True):
         panel.dot(load, residual, "cloud", radius=2.2)
     low, high = min(cloud.load_nm), max(cloud.load_nm)
     panel.segment((low, slope * low), (high, slope * high), "trend-line")
     name = notation.axis(cloud.axis)
-    return name, panel.svg(f"Torque residual of {name} over the torque of the load as fed, with the trend")
+    return name, panel.svg(f"Torque residual of {name} over the feedforward torque of the load, with the trend")

@@ -1,4 +1,4 @@
-"""Pictures of what motion tells: friction over speed, one period of a run."""
+"""Figures of a moving identification: friction over speed, one period of a run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ LEFT = 52.0
 
 
 def sliding_figure(view: FrictionView) -> tuple[str, Markup]:
-    """Friction over speed in both senses, with its 95 % band and the rows that were measured."""
+    """Draw friction over speed in both directions, with its 95 % band and measured samples."""
     fastest = view.speed_rad_s[-1]
     half = view.half_nm or (0.0,) * len(view.torque_nm)
     top = [value + more for value, more in zip(view.torque_nm, half, strict=True)]
@@ -41,7 +41,7 @@ def sliding_figure(view: FrictionView) -> tuple[str, Markup]:
 
 
 def period_figures(period: DrawnPeriod) -> list[list[tuple[str, Markup]]]:
-    """Of every measured axis over time: its position, its torque with the model, and what the model leaves."""
+    """Draw for each measured axis over time: position, torque with model, residual."""
     return [[_position(period, axis), _torque(period, axis), _residual(period, axis)] for axis in period.joints]
 
 
@@ -57,7 +57,7 @@ def _over(period: DrawnPeriod, column: Floats) -> list[tuple[float, float]]:
 
 
 def _lines(panel: Panel, points: Sequence[tuple[float, float]], kind: str) -> None:
-    """A line for each stretch in which the axis moves: over a standstill no torque is told."""
+    """Draw a line for each interval in which the axis moves; torque at standstill is not modelled."""
     for known, stretch in groupby(points, key=lambda point: math.isfinite(point[1])):
         if known:
             panel.polyline(list(stretch), kind)
@@ -87,4 +87,4 @@ def _residual(period: DrawnPeriod, axis: int) -> tuple[str, Markup]:
     name = notation.axis(axis + 1)
     panel = _panel(period, [*left.tolist(), 0.0], f"{name} residual [Nm]")
     _lines(panel, _over(period, left), "force")
-    return "", panel.svg(f"Measured less modelled torque of {name} over one period")
+    return "", panel.svg(f"Measured minus modelled torque of {name} over one period")

@@ -1,4 +1,4 @@
-"""What motion tells, in values: the load's inertia, friction over speed, rotors and delays, one period of a run."""
+"""Values of a moving identification: inertia of the load, friction over speed, rotors, delays, one period of a run."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from gateway.result.result import AxisMotion, LoadResult, Result, Rows
 Floats = NDArray[np.float64]
 
 PARTS = ("Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
-#: Points of a friction curve, and measured rows that are drawn with it.
+#: Number of points of a friction curve, and of measured samples drawn with it.
 CURVE_POINTS, MOST_POINTS = 81, 300
-#: Share of the fastest speed below which friction has no clear sense: such rows are not drawn.
+#: Share of the highest speed below which the friction direction is unclear; such samples are not drawn.
 SLOW_SHARE = 0.03
-#: A joint whose range in a run is below this stands still [rad].
-STANDS_RAD = 0.01
-#: A run with fewer rows shows no course of anything.
+#: A joint with a smaller range in a run counts as still [rad].
+STILL_RAD = 0.01
+#: Least number of samples of a run that is drawn.
 LEAST_ROWS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class InertiaView:
-    """Inertia of a load about its centre of gravity, axes of `frame` [kg m2]: texts with the half of their interval."""
+    """Inertia of a load about its centre of gravity, axes of `frame` [kg m2]: texts with half widths."""
 
     frame: str
     parts: tuple[tuple[str, str, str], ...]
@@ -39,7 +39,7 @@ class InertiaView:
 
 @dataclass(frozen=True, slots=True)
 class FrictionView:
-    """Friction of one axis without load torque, over speeds from 0 on: curve, band (empty = not known), points."""
+    """Friction of one axis without load torque over speed from 0: curve, band (empty = unknown), points."""
 
     joint: int
     speed_rad_s: tuple[float, ...]
@@ -50,7 +50,7 @@ class FrictionView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnPeriod:
-    """Rows of one run in the order of time: arrays of shape (n,) and (n, N)."""
+    """Samples of one run in time order: arrays of shape (n,) and (n, N)."""
 
     run: str
     load: str
@@ -61,12 +61,12 @@ class DrawnPeriod:
 
     @property
     def joints(self) -> list[int]:
-        """Joints (from 0) with at least one torque."""
+        """Return the joints (from 0) with at least one torque."""
         return np.flatnonzero(np.isfinite(self.tau_nm).any(axis=0)).tolist()
 
 
 def inertia_view(load: LoadResult) -> InertiaView | None:
-    """Table of the inertia; None where nothing of it is known."""
+    """Return the table of the inertia, or None if unknown."""
     if load.inertia_kg_m2 is None or not any(map(notation.known, load.inertia_kg_m2)):
         return None
     value = np.array(load.inertia_kg_m2)
@@ -77,12 +77,12 @@ def inertia_view(load: LoadResult) -> InertiaView | None:
 
 
 def half_width_of(std: Floats) -> Floats:
-    """Half widths (n,) of 95 % intervals from standard deviations (n,)."""
+    """Return half widths (n,) of 95 % intervals from standard deviations (n,)."""
     return np.array([half_width(float(one)) for one in std])
 
 
 def _principal(value: Floats, std: Floats) -> tuple[str, ...]:
-    """Principal values, the largest first, with their intervals in first order; empty where a moment is not known."""
+    """Return principal moments, largest first, with first-order intervals; empty if a component is unknown."""
     if not np.isfinite(value).all():
         return ()
     size, turn = np.linalg.eigh(tensor_of(value.tolist()))
@@ -93,32 +93,32 @@ def _principal(value: Floats, std: Floats) -> tuple[str, ...]:
 
 # -- axes --------------------------------------------------------------------------------------------------------------
 
-#: Words with unit, value and standard deviation of an axis, factor to the unit.
+#: Text with unit, value and standard deviation of an axis, factor to the unit.
 Quantity = tuple[str, Callable[[AxisMotion], tuple[float, float]], float]
 QUANTITIES: tuple[Quantity, ...] = (
     ("Coulomb friction [Nm]", lambda axis: (axis.coulomb_nm, axis.coulomb_std_nm), 1.0),
     ("viscous friction [Nm s/rad]", lambda axis: (axis.viscous_nm_s_rad, axis.viscous_std_nm_s_rad), 1.0),
-    ("at the onset of motion [Nm]", lambda axis: (axis.breakaway_nm, axis.breakaway_std_nm), 1.0),
-    ("falls off over [rad/s]", lambda axis: (axis.stribeck_rad_s, math.nan), 1.0),
-    ("friction by load [% of the torque]", lambda axis: (axis.load_friction, axis.load_friction_std), 100.0),
+    ("breakaway friction above Coulomb [Nm]", lambda axis: (axis.breakaway_nm, axis.breakaway_std_nm), 1.0),
+    ("Stribeck speed [rad/s]", lambda axis: (axis.stribeck_rad_s, math.nan), 1.0),
+    ("load-dependent friction [% of the torque]", lambda axis: (axis.load_friction, axis.load_friction_std), 100.0),
     ("rotor inertia [kg m2]", lambda axis: (axis.rotor_inertia_kg_m2, axis.rotor_inertia_std_kg_m2), 1.0),
-    ("torque lags the position by [ms]", lambda axis: (axis.delay_s, axis.delay_std_s), 1000.0),
+    ("delay of torque behind position [ms]", lambda axis: (axis.delay_s, axis.delay_std_s), 1000.0),
 )
 
 
 def axis_rows(motion: Sequence[AxisMotion], axes: int) -> list[tuple[str, list[str]]]:
-    """What motion tells of every axis: words, and a text per axis; a quantity that no axis tells is left out.
+    """Return identified parameters of each axis: text and a value per axis; unknown quantities are omitted.
 
     Parameters
     ----------
     motion : sequence of AxisMotion
     axes : int
-        Of the arm; an axis that was not moved gets dashes.
+        Number of axes; an axis without motion gets dashes.
     """
-    told = {axis.joint: axis for axis in motion}
+    known = {axis.joint: axis for axis in motion}
     rows = []
     for said, of, factor in QUANTITIES:
-        pairs = [of(told.get(joint, AxisMotion(joint))) for joint in range(1, axes + 1)]
+        pairs = [of(known.get(joint, AxisMotion(joint))) for joint in range(1, axes + 1)]
         if any(notation.known(value) for value, _ in pairs):
             rows.append((said, [_text(factor * value, factor * std) for value, std in pairs]))
     return rows
@@ -129,7 +129,7 @@ def _text(value: float, std: float) -> str:
 
 
 def friction_nm(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
-    """Friction (n,) [Nm] at speeds (n,) not below 0, without load torque."""
+    """Return the friction (n,) [Nm] at speeds (n,) >= 0, without load torque."""
     return axis.coulomb_nm + _known(axis.viscous_nm_s_rad) * speed_rad_s + _rise(axis) * _onset(axis, speed_rad_s)
 
 
@@ -142,14 +142,14 @@ def _rise(axis: AxisMotion) -> float:
 
 
 def _onset(axis: AxisMotion, speed_rad_s: Floats) -> Floats:
-    """What is left of the friction at the onset of motion (n,), between 1 and 0."""
+    """Return the Stribeck factor (n,) between 1 (standstill) and 0."""
     if not axis.stribeck_rad_s > 0.0 or not notation.known(axis.breakaway_nm):
         return np.zeros_like(speed_rad_s)
     return np.exp(-((speed_rad_s / axis.stribeck_rad_s) ** 2))
 
 
 def friction_views(result: Result) -> list[FrictionView]:
-    """Friction over speed of every axis of which Coulomb friction is known."""
+    """Return friction over speed of each axis with known Coulomb friction."""
     measured = _moving_runs(result.rows)
     views = []
     for axis in sorted(result.motion, key=lambda one: one.joint):
@@ -185,10 +185,10 @@ def _friction(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> 
 
 
 def _points(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> tuple[tuple[float, float], ...]:
-    """Speed and friction of measured rows: what the model leaves of the torque, and the friction that is in it."""
+    """Return speed and friction of measured samples: residual plus modelled friction."""
     column, found = axis.joint - 1, []
     for run in runs:
-        if axis.joint > run.q_rad.shape[1] or np.ptp(run.q_rad[:, column]) < STANDS_RAD:
+        if axis.joint > run.q_rad.shape[1] or np.ptp(run.q_rad[:, column]) < STILL_RAD:
             continue
         speed = _speed(run)[:, column]
         left = run.tau_nm[:, column] - run.model_nm[:, column]
@@ -204,16 +204,16 @@ def _points(axis: AxisMotion, fastest: float, runs: Sequence[DrawnPeriod]) -> tu
 
 
 def period_of(result: Result) -> DrawnPeriod | None:
-    """The moving run to draw: most joints move in it, it carries a load, it is the fastest; None where nothing moved.
+    """Return the moving run to draw: most moving joints, with load, fastest; None without motion.
 
-    A load is tried slowly before it is measured: that period is not the one that shows what the model is worth.
+    Slow trial periods precede the measurement and are not representative.
     """
     runs = _moving_runs(result.rows)
     if not runs:
         return None
 
     def rank(run: DrawnPeriod) -> tuple[int, bool, float, int]:
-        moved = int(np.sum(np.ptp(run.q_rad, axis=0) > STANDS_RAD))
+        moved = int(np.sum(np.ptp(run.q_rad, axis=0) > STILL_RAD))
         mean_rad_s = float(np.abs(np.diff(run.q_rad, axis=0)).sum() / run.time_s[-1])
         return moved, run.load != "none", round(mean_rad_s, 1), len(run.time_s)
 
@@ -221,7 +221,7 @@ def period_of(result: Result) -> DrawnPeriod | None:
 
 
 def _moving_runs(rows: Rows | None) -> list[DrawnPeriod]:
-    """Rows in motion of each run, in the order of time."""
+    """Return the moving samples of each run in time order."""
     if rows is None or not (rows.q_rad and rows.time_s and rows.tau_nm and rows.model_nm):
         return []
     pose = rows.pose or (-1,) * len(rows.q_rad)
@@ -244,5 +244,5 @@ def _moving_runs(rows: Rows | None) -> list[DrawnPeriod]:
 
 
 def _speed(run: DrawnPeriod) -> Floats:
-    """Speeds (n, N) [rad/s] by differences."""
+    """Return speeds (n, N) [rad/s] from differences."""
     return np.asarray(np.gradient(run.q_rad, run.time_s, axis=0))

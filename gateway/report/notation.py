@@ -1,4 +1,4 @@
-"""The words of the page: numbers as the house writes them, names of effects and axes."""
+"""Notation of the pages: format of numbers, names of effects and axes."""
 
 from __future__ import annotations
 
@@ -33,34 +33,36 @@ UNITS: tuple[tuple[str, str], ...] = (
 
 
 def axis(joint: int) -> str:
-    """Name of an axis, counted from 1."""
+    """Return the name of an axis, counted from 1."""
     return f"J{joint}"
 
 
 def axes(joints: Sequence[int]) -> str:
-    """Names of axes; empty for the base and the load."""
+    """Return the names of axes; empty for the base and the load."""
     return "\N{EN DASH}".join(axis(joint) for joint in joints)
 
 
 def load(label: str) -> str:
-    """A load in words; `none` is the bare arm."""
+    """Return the text of a load; `none` is the unloaded arm."""
     return (
-        "bare arm" if label == "none" else f"load \N{LEFT DOUBLE QUOTATION MARK}{label}\N{RIGHT DOUBLE QUOTATION MARK}"
+        "unloaded arm"
+        if label == "none"
+        else f"load \N{LEFT DOUBLE QUOTATION MARK}{label}\N{RIGHT DOUBLE QUOTATION MARK}"
     )
 
 
 def effect(name: str) -> str:
-    """Effect in words; a name that is in no library (of an older result) is spelled out."""
+    """Return the text of an effect; an unknown name (of an older result) is spelled out."""
     return LIBRARY[name].words if name in LIBRARY else name.replace("_", " ")
 
 
 def effect_on(name: str, joints: Sequence[int]) -> str:
-    """Effect in words with its axes."""
+    """Return the text of an effect with its axes."""
     return f"{effect(name)} on {axes(joints)}" if joints else effect(name)
 
 
 def effects_on(effects: Sequence[tuple[str, Sequence[int]]]) -> list[str]:
-    """Effects in words, those of one name on several axes named once."""
+    """Return the text of effects; one effect on several axes is named once."""
     places: dict[str, list[str]] = {}
     for name, joints in effects:
         places.setdefault(name, []).append(axes(joints))
@@ -71,12 +73,12 @@ def effects_on(effects: Sequence[tuple[str, Sequence[int]]]) -> list[str]:
 
 
 def short(name: str, joints: Sequence[int]) -> str:
-    """Effect as one short label."""
+    """Return a short label of an effect."""
     return f"{name.replace('_', ' ')} {axes(joints)}".strip()
 
 
 def parameter(name: str) -> tuple[str, str]:
-    """Name and unit of a parameter, from the suffix of its key."""
+    """Return name and unit of a parameter, from the suffix of its key."""
     for suffix, unit in UNITS:
         if name.endswith(suffix) and len(name) > len(suffix):
             return name[: -len(suffix)].replace("_", " "), unit
@@ -86,14 +88,14 @@ def parameter(name: str) -> tuple[str, str]:
 
 
 def parameter_of(effect_name: str, key: str) -> tuple[str, str]:
-    """What a parameter of an effect is, in words, and its unit."""
+    """Return the text and unit of a parameter of an effect."""
     name, unit = parameter(key)
-    told = LIBRARY[effect_name].told if effect_name in LIBRARY else {}
-    return told.get(key, name), unit
+    found = LIBRARY[effect_name].told if effect_name in LIBRARY else {}
+    return found.get(key, name), unit
 
 
 def listing(items: Sequence[str], last: str = "and") -> str:
-    """Words in a row: a, b and c."""
+    """Join words: a, b and c."""
     if len(items) < 2:
         return "".join(items)
     return f"{', '.join(items[:-1])} {last} {items[-1]}"

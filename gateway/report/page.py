@@ -1,4 +1,4 @@
-"""The shell of every page: one file with the same styles, head and foot, that fetches nothing when it opens."""
+"""Frame of every page: one file with common styles, head and foot; it loads nothing when opened."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gateway.result.origin import DriveOrigin, Origin
 
 @dataclass(frozen=True, slots=True)
 class Head:
-    """What stands at the top: `title` of the window, `heading`, and `about`: pairs of a word and what it is."""
+    """Page head: window `title`, `heading`, and `about` (pairs of name and value)."""
 
     title: str
     heading: str
@@ -25,12 +25,12 @@ class Head:
 
 
 def made(origin: Origin | None) -> tuple[tuple[str, str | None], ...]:
-    """What a head says of when and by which program."""
+    """Return date and program for the page head."""
     return () if origin is None else (("", origin.created), ("", origin.software))
 
 
 def drive_rows(drives: Sequence[DriveOrigin]) -> list[tuple[str, ...]]:
-    """Drives in words, a row each; a dash for what a drive does not tell."""
+    """Return table rows of the drives; a dash for unknown values."""
     return [
         (
             notation.axis(drive.joint),
@@ -56,7 +56,7 @@ def _codes(drive: DriveOrigin) -> str | None:
 
 
 def page(template: str, head: Head, **values: Any) -> str:
-    """HTML text of a page.
+    """Return an HTML page.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def page(template: str, head: Head, **values: Any) -> str:
         A template of this folder that extends `page.html.j2`.
     head : Head
     values
-        What the template names.
+        Variables of the template.
     """
     environment = Environment(
         loader=PackageLoader("gateway", "report"),

@@ -1,8 +1,8 @@
-"""The page on a pair: force or gap along the path for every way of running it, learning points, convergence per cycle.
+"""Page of two arms: force or gap along the path for each embodiment, learning points, convergence per cycle.
 
-The first three drawings are those of CN104379308 figures 17 to 19, with numbers: force along the line between the
-grippers over the way, for the comparison example, for impedance alone and for the embodiment that was run. A pair that
-keeps a gap by distance sensors has the gap's deviation in place of the force.
+The first three drawings are those of CN104379308 figures 17 to 19, with numbers. They show the force along the line
+between the grippers over the path, for the comparison example, for impedance control alone and for the embodiment
+that was run. For a pair that keeps a gap with distance sensors, the gap deviation replaces the force.
 """
 
 from __future__ import annotations
@@ -28,9 +28,10 @@ MOST_POINTS = 500
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What is drawn: how to read it, unit and factor to it, digits, words; whether it is always drawn to its limit, and
-    whether it has a sign and a limit on either side. `part` is drawn beside it, thin and without a limit; `halves` are
-    the half widths of its 95 % intervals in the first and the last cycle.
+    """Quantity of the figures: reading hint, unit and factor, digits, texts, sign and limit.
+
+    `part` is drawn as a thin line without limit; `halves` are the half widths of the 95 % intervals in the first and
+    the last cycle.
     """
 
     first: Callable[[PairRunResult], Numbers]
@@ -62,7 +63,7 @@ FORCE = Quantity(
     axis="force [N]",
     title="Force",
     error="force",
-    of_what="force inside the part",
+    of_what="internal force of the part",
     below="Size of the whole force, which the limit is on; shaded: its 95 % interval in the first and the last cycle, "
     "which is wide where friction hides the force. Thin grey: its part along the line between the grippers in "
     "the last cycle, positive where the workpiece is pulled.",
@@ -81,8 +82,8 @@ GAP = Quantity(
     axis="gap error [mm]",
     title="Gap",
     error="gap error",
-    of_what="deviation of the gap from the demanded one",
-    below="Of all sensors the one that is furthest off.",
+    of_what="deviation of the gap from its setpoint",
+    below="Largest deviation of all sensors.",
     to_limit=False,
     sided=True,
 )
@@ -90,7 +91,7 @@ GAP = Quantity(
 
 @dataclass(frozen=True, slots=True)
 class Limited:
-    """What is drawn, its limit in SI, and how it is known."""
+    """Quantity to draw, its limit in SI, and its source."""
 
     what: Quantity
     limit_si: float
@@ -98,13 +99,13 @@ class Limited:
 
     @property
     def limit(self) -> float:
-        """In the unit that is drawn."""
+        """Return values in the display unit."""
         return self.what.factor * self.limit_si
 
 
 @dataclass(frozen=True, slots=True)
 class RunView:
-    """A run as it is drawn, values in the unit of the quantity."""
+    """A run for display, values in the display unit."""
 
     run: PairRunResult
     along: tuple[list[float], list[float]]
@@ -113,12 +114,12 @@ class RunView:
 
     @property
     def kept(self) -> list[float]:
-        """Known values along the path."""
+        """Return the known values along the path."""
         return [value for values in (*self.along, self.part) for value in values if math.isfinite(value)]
 
 
 def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult], origin: Origin | None = None) -> str:
-    """HTML text of the page on a pair.
+    """Return the HTML page of a pair.
 
     Parameters
     ----------
@@ -128,7 +129,7 @@ def render_pair(cell: str, bound: Limited, runs: Sequence[PairRunResult], origin
     runs : sequence of PairRunResult
         With at least one cycle each.
     origin : Origin, optional
-        When and by which program the page is made, and the files of the runs.
+        Date and program, and the files of the runs.
     """
     views = [_view(run, bound.what) for run in runs]
     several = [view for view in views if len(view.largest) > 1] or views
@@ -160,7 +161,7 @@ def _view(run: PairRunResult, what: Quantity) -> RunView:
 
 
 def _headline(views: Sequence[RunView], bound: Limited) -> str:
-    """The way of running it that ends with the least."""
+    """Return the summary of the embodiment with the smallest final value."""
     best = min(views, key=lambda view: view.largest[-1] if math.isfinite(view.largest[-1]) else math.inf)
     size = f"{notation.plain(best.largest[-1], bound.what.digits)} {bound.what.unit}"
     return f"{best.run.name}: largest {bound.what.error} {size} in the last cycle"
@@ -169,7 +170,7 @@ def _headline(views: Sequence[RunView], bound: Limited) -> str:
 def _columns(what: Quantity) -> list[str]:
     moment = ["last cycle [Nm]"] if what is FORCE else []
     cycles = [f"{which} cycle [{what.unit}]" for which in ("first", "last")]
-    return ["run", "what it is", "speed", "cycles", *cycles, *moment, "learning points", "inside the limit"]
+    return ["run", "description", "speed", "cycles", *cycles, *moment, "learning points", "within the limit"]
 
 
 def _row(view: RunView, bound: Limited) -> list[str]:
@@ -203,7 +204,7 @@ def _caption(view: RunView, bound: Limited) -> Markup:
 def _along(view: RunView, bound: Limited) -> Markup:
     run, what, limit, known = view.run, bound.what, bound.limit, view.kept
     x_mm = [1e3 * value for value in run.x_m]
-    # a gap stays far inside its range: drawn to the range's scale nothing of it would be seen
+    # a gap uses a small part of its range: on the scale of the range it would be invisible
     sized = bool(view.along[1])
     to_limit = sized and (what.to_limit or max(map(abs, known), default=0.0) > 0.5 * limit)
     sides = (-limit, limit) if what.sided else (limit,)
@@ -215,7 +216,7 @@ def _along(view: RunView, bound: Limited) -> Markup:
         if what.sided:
             panel.box(panel.x_range, (low, -limit), "over")
     panel.y_axis(what.axis)
-    panel.x_axis(f"way along the path [m]; gripper X {min(x_mm):.0f} to {max(x_mm):.0f} mm")
+    panel.x_axis(f"position along the path [m]; gripper X {min(x_mm):.0f} to {max(x_mm):.0f} mm")
     for side in sides if to_limit else ():
         panel.segment((run.s_m[0], side), (run.s_m[-1], side), "limit")
     first, last = view.along
@@ -236,7 +237,7 @@ def _along(view: RunView, bound: Limited) -> Markup:
 
 
 def _thinned(x: Sequence[float], y: Sequence[float]) -> list[Point]:
-    """Points evenly along the way, and the largest, which the table names; none where nothing was measured."""
+    """Return evenly spaced points along the path, and the largest of the table; none without measurement."""
     rows = set(range(0, len(y), max(1, len(y) // MOST_POINTS)))
     rows |= {max(range(len(y)), key=lambda row: abs(y[row]) if math.isfinite(y[row]) else 0.0)} if y else set()
     return [(x[row], y[row]) for row in sorted(rows)]

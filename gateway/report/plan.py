@@ -1,4 +1,4 @@
-"""Pages of what stands in space: poses and way of a plan, or the arm of a cell, among the boxes of its cell."""
+"""3D pages: poses and path of a plan, or the arm of a cell, with the keep-out boxes."""
 
 from __future__ import annotations
 
@@ -17,45 +17,43 @@ Vector = Sequence[float]
 WIDTH, MARGIN = 900.0, 14.0
 CURVE_WIDTH, CURVE_HEIGHT = 420.0, 200.0
 MOTIONS = (
-    "Thin lines are the paths of the flange's middle, each from rest to rest; thick is the arm at its start; grey are"
-    " the boxes of keep_out; the cross at the base points along x, y and z. Speeds are shares of what is planned with,"
-    " a little below the limit."
+    "Thin lines: paths of the flange centre, each from rest to rest. Thick line: arm at the start. Grey: boxes of "
+    "keep_out. Cross at the base: x, y and z. Speeds are shares of the planning limit, which is slightly "
+    "below the speed limit."
 )
-WAY = (
-    "The thin line is the path of the flange's middle over all poses, in the order of visiting; thick is the arm at the"
-    " first pose; grey are the boxes of keep_out; the cross at the base points along x, y and z."
+PATH = (
+    "Thin line: path of the flange centre over all poses, in order. Thick line: arm at the first pose. Grey: boxes "
+    "of keep_out. Cross at the base: x, y and z."
 )
-ARM = (
-    "Lines are the arm from its base to the flange; grey are the boxes of keep_out; the cross points along x, y and z."
-)
+ARM = "Lines: arm from its base to the flange. Grey: boxes of keep_out. Cross: x, y and z."
 
 
 def plan_page(
     title: str,
     poses: Sequence[DrawnPose],
-    way_m: Sequence[Vector],
+    path_m: Sequence[Vector],
     boxes_m: Sequence[Sequence[Vector]],
     said: Sequence[str],
 ) -> str:
-    """HTML text of a plan.
+    """Return the HTML page of a plan.
 
     Parameters
     ----------
     title : str
     poses : sequence of DrawnPose
-    way_m : sequence of points
-        Places of the flange along the way, base frame.
+    path_m : sequence of points
+        Flange positions along the path, base frame.
     boxes_m : sequence of (lower, upper) corners
     said : sequence of str
-        What is kept apart and what is assumed, a line each.
+        Monitored distances and assumptions, one line each.
     """
     head = Head(f"Plan: {title}", "Plan of the rest poses", (("arm", title), ("poses", str(len(poses)))))
     return page(
         "plan.html.j2",
         head,
-        heading="Way of the flange",
-        lead=WAY,
-        scene=_scene([("", way_m)], boxes_m, (f"arm at pose {poses[0].pose}", poses[0].points_m)),
+        heading="Path of the flange",
+        lead=PATH,
+        scene=_scene([("", path_m)], boxes_m, (f"arm at pose {poses[0].pose}", poses[0].points_m)),
         arms=space.pose_figures(poses, {}),
         said=list(said),
     )
@@ -63,7 +61,7 @@ def plan_page(
 
 @dataclass(frozen=True, slots=True)
 class JointCurves:
-    """One period of a motion: positions [rad] and speeds [% of what is planned with] by joint, at times [s]."""
+    """One period of a trajectory: positions [rad] and speeds [% of the planning limit] by joint, at times [s]."""
 
     name: str
     time_s: Sequence[float]
@@ -73,33 +71,33 @@ class JointCurves:
 
 def moving_page(
     title: str,
-    ways_m: Sequence[tuple[str, Sequence[Vector]]],
+    paths_m: Sequence[tuple[str, Sequence[Vector]]],
     curves: Sequence[JointCurves],
     boxes_m: Sequence[Sequence[Vector]],
     said: Sequence[str],
     arm_m: Sequence[Vector],
 ) -> str:
-    """HTML text of a plan of motions.
+    """Return the HTML page of a trajectory plan.
 
     Parameters
     ----------
     title : str
-    ways_m : sequence of (name, points)
-        Places of the flange along each motion, base frame.
+    paths_m : sequence of (name, points)
+        Flange positions along each trajectory, base frame.
     curves : sequence of JointCurves
-        Of all joints of each motion.
+        Curves of all joints of each trajectory.
     boxes_m, said
         As of a plan.
     arm_m : sequence of points
-        Places of joints and flange where the first motion begins, base frame.
+        Positions of joints and flange at the start of the first trajectory, base frame.
     """
-    motions = (("arm", title), ("motions", str(len(ways_m))))
+    motions = (("arm", title), ("motions", str(len(paths_m))))
     return page(
         "plan.html.j2",
-        Head(f"Plan: {title}", "Plan of the motions", motions),
-        heading="Way of the flange",
+        Head(f"Plan: {title}", "Plan of the trajectories", motions),
+        heading="Path of the flange",
         lead=MOTIONS,
-        scene=_scene(ways_m, boxes_m, ("arm at its start", arm_m)),
+        scene=_scene(paths_m, boxes_m, ("arm at its start", arm_m)),
         over="Over one period",
         arms=[figure for each in curves for figure in _curve_figures(each)],
         said=list(said),
@@ -107,7 +105,7 @@ def moving_page(
 
 
 def _curve_figures(curves: JointCurves) -> list[tuple[str, Markup]]:
-    """Position and speed of every joint that moves, over one period."""
+    """Draw position and speed of each moving joint over one period."""
     figures: list[tuple[str, Markup]] = []
     for joint, (angles, speeds) in enumerate(zip(curves.q_rad, curves.speed_percent, strict=True), start=1):
         if not any(speeds):
@@ -129,28 +127,28 @@ def cell_page(
     boxes_m: Sequence[Sequence[Vector]],
     said: Sequence[str],
 ) -> str:
-    """HTML text of the arm of a cell.
+    """Return the HTML page of the arm of a cell.
 
     Parameters
     ----------
     title : str
     postures : sequence of (name, points)
-        Places of the joints and the flange, base frame.
+        Positions of the joints and the flange, base frame.
     boxes_m, said
         As of a plan.
     """
-    head = Head(f"Cell: {title}", "The arm and what stands around it", (("arm", title),))
+    head = Head(f"Cell: {title}", "The arm and its surroundings", (("arm", title),))
     return page("plan.html.j2", head, heading="Postures", lead=ARM, scene=_scene(postures, boxes_m), arms=[], said=said)
 
 
 def edges(low: Vector, high: Vector) -> list[tuple[Vector, Vector]]:
-    """The twelve edges of a box."""
+    """Return the twelve edges of a box."""
     corners = [tuple((low, high)[(number >> axis) & 1][axis] for axis in range(3)) for number in range(8)]
     return [(corners[a], corners[a | 1 << axis]) for a in range(8) for axis in range(3) if not a >> axis & 1]
 
 
 def _round_length_m(far_m: float) -> float:
-    """The largest of 1, 2 and 5 times a power of ten that is at most a third of what is shown."""
+    """Return the largest of 1, 2 and 5 times a power of ten that is at most a third of the range shown."""
     power = 10.0 ** math.floor(math.log10(far_m / 3.0))
     return max(step * power for step in (1.0, 2.0, 5.0) if step * power <= far_m / 3.0)
 
@@ -160,7 +158,7 @@ def _scene(
     boxes_m: Sequence[Sequence[Vector]],
     arm: tuple[str, Sequence[Vector]] | None = None,
 ) -> Markup:
-    """Named lines, an arm, boxes and a cross of known length; boxes are cut off a little beyond what it reaches."""
+    """Draw named lines, an arm, boxes and a cross of known length; boxes are clipped slightly beyond the reach."""
     arms_m = [] if arm is None else [(arm[0], [(0.0, 0.0, 0.0), *arm[1]])]
     far = 1.15 * max(max(abs(value) for value in point) for _, points in (*lines_m, *arms_m) for point in points)
     near = [[[min(max(value, -far), far) for value in corner] for corner in box] for box in boxes_m]
@@ -200,5 +198,5 @@ def _scene(
     parts.append(
         Markup('<circle class="joint" cx="{:.1f}" cy="{:.1f}" r="5"><title>base</title></circle>').format(x, y)
     )
-    told = 'role="img" aria-label="Lines in space among the boxes of the cell"'
-    return Markup(f'<svg viewBox="0 0 {WIDTH:g} {height:.0f}" {told}>{Markup("").join(parts)}</svg>')
+    described = 'role="img" aria-label="Lines in space with the boxes of the cell"'
+    return Markup(f'<svg viewBox="0 0 {WIDTH:g} {height:.0f}" {described}>{Markup("").join(parts)}</svg>')

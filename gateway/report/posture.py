@@ -1,4 +1,4 @@
-"""Residual against posture and direction of approach, before and after: the picture of what was wrong."""
+"""Figures of the residual over posture and approach direction, before and after."""
 
 from __future__ import annotations
 
@@ -21,19 +21,18 @@ from gateway.result.values import Matrix
 Floats = NDArray[np.float64]
 
 WIDTH, HEIGHT = 470.0, 220.0
-# Another joint's angle is drawn in place of the axis's own one where it explains so much more of the variance.
+# another joint angle replaces the axis's own if it explains this much more of the variance
 BETTER_BY = 0.25
-# Harmonics of a joint angle that are asked how much they explain; twice as many visits are needed to ask.
+# number of harmonics of a joint angle in that test; it needs twice as many visits
 HARMONICS = 5
-# Name, unit and factor to it of what is known of a load.
+# name, unit and factor of the load parameters
 QUANTITIES = (("mass", "kg", 1.0), *((f"centre {name}", "mm", 1e3) for name in "xyz"))
 
 
 def posture_figures(result: Result) -> list[tuple[str, Markup]]:
-    """Per measured axis: what each side of each visit reads beyond the model, over the joint angle it hangs on.
+    """Draw per measured axis: residual of each approach direction over the joint angle that explains it best.
 
-    A two-sided visit gives two marks, one for each direction of approach; a visit or instant with one direction gives
-    one.
+    A two-sided visit gives two marks, one per approach direction; a visit or sample with one direction gives one.
     """
     rows, data = result.rows, result.data or Drawn()
     if rows is None or not rows.tau_nm or not rows.q_rad:
@@ -53,7 +52,7 @@ def posture_figures(result: Result) -> list[tuple[str, Markup]]:
 
 
 def _sides(rows: Rows, model: Matrix, band_model: Matrix) -> list[tuple[int, Floats]]:
-    """Residual (n, axes) of readings after motion up (+1), down (-1), unknown (0); empty without a model."""
+    """Return residuals (n, axes) after motion up (+1), down (-1), unknown (0); empty without a model."""
     if not model:
         return []
     middle = np.array(rows.tau_nm) - np.array(model)
@@ -72,7 +71,7 @@ def _sides(rows: Rows, model: Matrix, band_model: Matrix) -> list[tuple[int, Flo
 
 
 def _joint(q: Floats, series: Sequence[tuple[int, Floats]], axis: int) -> int:
-    """The joint whose angle explains the residual of an axis best; its own unless another is clearly better."""
+    """Return the joint whose angle explains the residual of an axis best; its own unless another is clearly better."""
     stacked = np.array([values[:, axis] for _, values in series])
     count = np.isfinite(stacked).sum(axis=0)
     left = np.where(count > 0, np.nansum(stacked, axis=0) / np.maximum(count, 1), np.nan)
@@ -114,7 +113,7 @@ def _figure(
 
 
 def _mark(panel: Panel, place: tuple[float, float], side: int, kind: str) -> None:
-    """A triangle that points the way the joint came; a dot where that is not known."""
+    """Draw a triangle in the approach direction; a dot if unknown."""
     small = kind.endswith("small")
     if side == 0:
         panel.dot(*place, f"dot {kind}", "", 1.6 if small else 3.2)
@@ -123,7 +122,7 @@ def _mark(panel: Panel, place: tuple[float, float], side: int, kind: str) -> Non
 
 
 def load_change_figure(result: Result) -> Markup | None:
-    """Mass and centre of gravity of every load before and after, in half widths of the final 95 % interval."""
+    """Draw mass and centre of gravity of each load before and after, in half widths of the final 95 % interval."""
     several = len(result.loads) > 1
     pairs = [(load, earlier(result, load)) for load in result.loads]
     entries = [
@@ -155,7 +154,7 @@ def load_change_figure(result: Result) -> Markup | None:
 def _changes(
     label: str, final: Sequence[tuple[float, float]], before: Sequence[tuple[float, float]]
 ) -> list[tuple[str, float, float, str]]:
-    """(name, place of the value before, its half width, text) per quantity; `label` where there are several loads."""
+    """Return (name, value before, its half width, text) per quantity; `label` if there are several loads."""
     entries = []
     for (name, unit, factor), (value, std), (old, old_std) in zip(QUANTITIES, final, before, strict=True):
         if not all(map(math.isfinite, (value, std, old))) or std <= 0:
@@ -169,7 +168,7 @@ def _changes(
 
 
 def _quantities(load: LoadResult, result: Result | None = None) -> list[tuple[float, float]]:
-    """Value and standard deviation of each of `QUANTITIES`, in the frame that the page shows; NaN where not known."""
+    """Return value and standard deviation of each of `QUANTITIES`, in the displayed frame; NaN if unknown."""
     shown = centre(load, result)
     com, std = (UNKNOWN_THREE, UNKNOWN_THREE) if shown is None else (shown.com_m, shown.std_m)
     return [(load.mass_kg, load.mass_std_kg), *zip(com, std, strict=True)]

@@ -1,4 +1,4 @@
-"""How well the model explains one axis."""
+"""Quality of the model of one axis."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class AxisQuality:
-    """Residual of one axis against its noise floor, Nm; NaN = not measured or not known."""
+    """Residual of one axis and its noise floor [Nm]; NaN = not measured or unknown."""
 
     name: str
     floor: float
@@ -19,10 +19,10 @@ class AxisQuality:
 
     @property
     def ratio_before(self) -> float:
-        """Residual before over the floor."""
+        """Return the ratio of the residual before to the noise floor."""
         return self.before / self.floor if self.floor > 0 else math.nan
 
     @property
     def ratio_after(self) -> float:
-        """Residual after over the floor."""
+        """Return the ratio of the residual after to the noise floor."""
         return self.after / self.floor if self.floor > 0 else math.nan

@@ -1,4 +1,4 @@
-"""The page on a result: view and figures put into the template."""
+"""Page of a result: view and figures in the template."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from gateway.result.drawn import FRESH, Curve, Drawn
 from gateway.result.result import EffectResult, Finding, Result, to_dict
 from gateway.result.values import Matrix
 
-#: Whole numbers up to here are written out.
+#: Integers up to this value are written in full.
 _COUNTS = 1e12
 
 
 def render(result: Result) -> str:
-    """HTML text of the report on a result; what the result does not hold is left out."""
+    """Return the HTML report of a result; missing parts are omitted."""
     shown, data = view(result), result.data or Drawn()
     about = (("robot", result.robot), ("cell", data.cell), ("arm", data.arm), ("", data.created), ("", data.software))
     return page(
@@ -67,7 +67,7 @@ def _certified(quantity: CertifiedQuantity) -> tuple[str, str, str, str, str]:
 
 
 def _first(result: Result) -> list[Finding]:
-    """Failures and contradicted statements, above every value; acceptance has lines of its own there."""
+    """Return failures and contradicted statements for the top of the page; acceptance has separate lines."""
     stated = set(acceptance_findings(result.acceptance))
     found = [finding for finding in result.findings if finding.severity != "info" and finding not in stated]
     return sorted(found, key=lambda finding: finding.severity)
@@ -111,7 +111,7 @@ def _swatch(kind: str) -> str:
 
 
 def _com(result: Result) -> list[tuple[str, list[tuple[str, Markup]]]]:
-    """Pictures of the centre of gravity of each load where it is known."""
+    """Return the figures of the centre of gravity of each load, if known."""
     found = []
     for load in result.loads:
         shown, before = centre(load, result), earlier(result, load)
@@ -121,7 +121,7 @@ def _com(result: Result) -> list[tuple[str, list[tuple[str, Markup]]]]:
 
 
 def _curves(effects: tuple[EffectResult, ...], curves: tuple[Curve, ...]) -> dict[int, Markup]:
-    """Curve of each effect, by its place in `effects`."""
+    """Return the curve of each effect, by its index in `effects`."""
     drawn: dict[int, Markup] = {}
     for place, effect in enumerate(effects):
         match = next((curve for curve in curves if _belongs(curve, effect)), None)
@@ -142,7 +142,7 @@ def _tables(result: Result, data: Drawn) -> dict[str, Any]:
         "budget_rows": budget.budget_rows(result),
         "source_words": budget.SOURCE_WORDS,
         "nuisances": budget.nuisance_rows(result),
-        "set_aside": budget.aside_rows(result.set_aside),
+        "set_aside": budget.rejected_rows(result.set_aside),
         "fresh": FRESH in data.role,
         "open_question": result.verdict == "undecided",
         "has_floor": any(map(notation.known, result.noise_floor_nm)),
@@ -151,7 +151,7 @@ def _tables(result: Result, data: Drawn) -> dict[str, Any]:
 
 
 def _residual_rows(shown: View) -> list[tuple[str, list[str]]]:
-    """What is left of every axis, and what it is held against."""
+    """Return the residual of each axis and its references."""
     after = "after, held out" if shown.has_before else "held out" if shown.held_out else "residual"
     rows = [("before, held out", "before")] if shown.has_before else []
     rows += [(after, "after"), ("in the fit", "fit"), ("noise floor", "floor"), ("friction band", "band")]
@@ -159,7 +159,7 @@ def _residual_rows(shown: View) -> list[tuple[str, list[str]]]:
 
 
 def _posed(poses_rad: Matrix) -> list[tuple[str, list[str]]]:
-    """Poses in degrees."""
+    """Return poses in degrees."""
     return [
         (f"pose {number}", [notation.plain(math.degrees(q), 1) for q in pose])
         for number, pose in enumerate(poses_rad, start=1)
@@ -189,7 +189,7 @@ def _cellular(value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):
-        # a count stays a count
+        # counts are written as integers
         return (
             notation.plain(value, 0) if value.is_integer() and abs(value) < _COUNTS else notation.significant(value, 5)
         )

@@ -1,4 +1,4 @@
-"""Figures in space: the arm as it stands in each pose, and the load's centre of gravity with its 95 % ellipse."""
+"""3D figures: the arm in each pose, and the centre of gravity of the load with its 95 % ellipse."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COM_SIDE = 190.0
 
 
 def pose_figures(drawn: Sequence[DrawnPose], classes: Mapping[str, str]) -> list[tuple[str, Markup]]:
-    """One drawing per pose, all to the same scale.
+    """Draw the arm in each pose, all to the same scale.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def pose_figures(drawn: Sequence[DrawnPose], classes: Mapping[str, str]) -> list
 
 
 def project(point: Vector) -> tuple[float, float]:
-    """Axonometric view of a point [m]: right and up, m."""
+    """Return the axonometric projection of a point [m]: right and up [m]."""
     x, y, z = point
     right = -math.sin(AZIMUTH_RAD) * x + math.cos(AZIMUTH_RAD) * y
     depth = math.cos(AZIMUTH_RAD) * x + math.sin(AZIMUTH_RAD) * y
@@ -56,7 +56,7 @@ def _all_points(pose: DrawnPose) -> list[Vector]:
 
 
 def _scales(flat: Sequence[tuple[float, float]]) -> tuple[Scale, Scale]:
-    """Equal scales in both directions; the drawing is as high as the arm needs."""
+    """Return equal scales in both directions; the height follows from the arm."""
     xs, ys = [x for x, _ in flat], [y for _, y in flat]
     per_px = (max(xs) - min(xs)) / (ARM_WIDTH - 2 * ARM_MARGIN) or 1.0
     height = min(max((max(ys) - min(ys)) / per_px, 0.4 * ARM_WIDTH), 1.2 * ARM_WIDTH)
@@ -128,13 +128,13 @@ def _mark(point: Vector, scales: tuple[Scale, Scale], kind: str, radius: float) 
 
 
 def com_figures(load: Centre, before: Centre | None) -> list[tuple[str, Markup]]:
-    """Centre of gravity in two views, mm, with the 95 % ellipse; before the effects were added as well.
+    """Draw the centre of gravity in two views [mm] with the 95 % ellipse, and the value before the effects were added.
 
     Parameters
     ----------
     load : Centre
     before : Centre or None
-        Of the same load.
+        The same load before the effects were added.
     """
     if not load.known:
         return []
@@ -169,7 +169,7 @@ def _com_mark(panel: Panel, item: Centre, pair: tuple[int, int], kind: str) -> N
 
 
 def _ellipse(item: Centre, pair: tuple[int, int]) -> list[tuple[float, float]]:
-    """Outline of the 95 % ellipse about its centre, mm; empty where the uncertainty is not known."""
+    """Return the outline of the 95 % ellipse about its centre [mm]; empty if the uncertainty is unknown."""
     if not all(map(math.isfinite, item.std_m)):
         return []
     first, second = (1000 * item.std_m[axis] for axis in pair)
@@ -186,6 +186,6 @@ def _ellipse(item: Centre, pair: tuple[int, int]) -> list[tuple[float, float]]:
 
 
 def _reach_mm(item: Centre) -> float:
-    """How far a centre of gravity with its ellipse lies from the origin, the largest of the three components."""
+    """Return the largest component of the distance of a centre of gravity with its ellipse from the origin."""
     spread = item.std_m if all(map(math.isfinite, item.std_m)) else (0.0, 0.0, 0.0)
     return max(1000 * (abs(com) + ELLIPSE_95 * std) for com, std in zip(item.com_m, spread, strict=True))

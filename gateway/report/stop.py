@@ -1,4 +1,4 @@
-"""The page on a stop: the last seconds in a black box, axis by axis, and what the bus said; t = 0 is the stop."""
+"""Page of a stop: the last seconds of the black box per axis, and bus events; t = 0 is the stop."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gateway.report.page import Head, page
 from gateway.report.stop_figures import Floats, StopCurves
 
 MRAD, DEGREES = 1000.0, 180.0 / np.pi
-#: What is drawn [s]: the last of it is what counts.
+#: Drawn time before the stop [s].
 DRAWN_S = 10.0
-#: Span over which speed is measured [s]: over one SYNC it is the counts of the encoder.
+#: Time span of the speed difference [s]; over one SYNC, encoder counts dominate.
 SPEED_SPAN_S = 0.02
-#: Lines of the bus that are shown before and after the stop.
+#: Number of bus events shown before and after the stop.
 MOST_LINES = 40
 
 
 def render_stop(box: BlackBox) -> str:
-    """HTML text of the page on a stop."""
+    """Return the HTML page of a stop."""
     drives = drives_of(box)
     time_s = sample_times_s(box)
     before, after, left_out = _lines(story(box))
@@ -46,7 +46,7 @@ def render_stop(box: BlackBox) -> str:
 
 
 def curves_of(arm: ArmBox, time_s: Floats, sync_index: np.ndarray) -> StopCurves:
-    """What is drawn of an arm: the last `DRAWN_S`, with gaps where a SYNC has no sample.
+    """Return the curves of an arm: the last `DRAWN_S`, with gaps at SYNCs without sample.
 
     Parameters
     ----------
@@ -56,15 +56,15 @@ def curves_of(arm: ArmBox, time_s: Floats, sync_index: np.ndarray) -> StopCurves
     sync_index : array of shape (n,)
     """
     values, next_to = arm.values, np.diff(sync_index) == 1
-    told = np.full_like(values["q_rad"], np.nan)
-    told[1:][next_to] = values["target_rad"][:-1][next_to]
+    reported = np.full_like(values["q_rad"], np.nan)
+    reported[1:][next_to] = values["target_rad"][:-1][next_to]
     drawn = time_s >= -DRAWN_S
     return StopCurves(
         arm.name,
         time_s[drawn],
         sync_index[drawn],
         values["q_rad"][drawn],
-        following_error_rad(told, values["q_rad"])[drawn],
+        following_error_rad(reported, values["q_rad"])[drawn],
         _speed(values["q_rad"], time_s)[drawn],
         values["joint_torque_nm"][drawn],
         values["modelled_torque_nm"][drawn],
@@ -72,7 +72,7 @@ def curves_of(arm: ArmBox, time_s: Floats, sync_index: np.ndarray) -> StopCurves
 
 
 def _speed(q_rad: Floats, time_s: Floats) -> Floats:
-    """Speeds (n, N) [rad/s] over the last `SPEED_SPAN_S`, at least one SYNC; NaN at the first sample."""
+    """Return speeds (n, N) [rad/s] over `SPEED_SPAN_S`, at least one SYNC; NaN at the first sample."""
     if not len(time_s):
         return q_rad
     now = np.arange(len(time_s))
@@ -89,7 +89,7 @@ def _name(curves: StopCurves, arms: int) -> str:
 
 
 def _last(curves: StopCurves) -> list[tuple[str, list[str]]]:
-    """How the axes stood at the stop: the last value of each that is known."""
+    """Return the state of the axes at the stop: the last known values."""
     rows = (
         ("position [rad]", curves.q_rad, _place),
         ("position [deg]", DEGREES * curves.q_rad, _place),
@@ -112,18 +112,18 @@ def _known_last(values: Floats, text: Callable[[float], str]) -> str:
     return text(float(known[-1])) if len(known) else notation.plain(None)
 
 
-def _lines(told: Sequence[Told]) -> tuple[list[Told], list[Told], int]:
-    """Those next to the stop, before and after it, and how many there are besides."""
-    before = [each for each in told if each.time_s <= 0.0]
-    after = [each for each in told if each.time_s > 0.0]
+def _lines(reported: Sequence[Told]) -> tuple[list[Told], list[Told], int]:
+    """Return the events closest to the stop, before and after it, and the number of others."""
+    before = [each for each in reported if each.time_s <= 0.0]
+    after = [each for each in reported if each.time_s > 0.0]
     shown = before[-MOST_LINES:], after[:MOST_LINES]
-    return *shown, len(told) - sum(map(len, shown))
+    return *shown, len(reported) - sum(map(len, shown))
 
 
-def _line(told: Told, drives: dict[int, BoxDrive], arms: int) -> tuple[str, str, str]:
-    """Time, who, what."""
-    time_s = f"{told.time_s:+.3f}".replace("-", "\N{MINUS SIGN}")
-    return time_s, notation.listing([_who(node, drives, arms) for node in told.nodes]), told.what
+def _line(reported: Told, drives: dict[int, BoxDrive], arms: int) -> tuple[str, str, str]:
+    """Return time, source, event."""
+    time_s = f"{reported.time_s:+.3f}".replace("-", "\N{MINUS SIGN}")
+    return time_s, notation.listing([_who(node, drives, arms) for node in reported.nodes]), reported.what
 
 
 def _who(node: int, drives: dict[int, BoxDrive], arms: int) -> str:

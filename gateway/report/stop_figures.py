@@ -1,4 +1,4 @@
-"""Pictures of the last seconds before a stop: torque, following error, speed of every axis, states of the drives."""
+"""Figures of the last seconds before a stop: torque, following error, speed of each axis, drive states."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Floats = NDArray[np.float64]
 
 WIDTH, HEIGHT, LEFT = 330.0, 170.0, 58.0
 STATES_WIDTH, ROW_PX = 1030.0, 24.0
-#: Pieces of time of which the least and the largest value are drawn: a line is not finer.
+#: Number of time intervals per line; the least and largest value of each are drawn.
 PIECES = 400
-#: Share of the picture that is left after the stop.
+#: Share of the figure after the stop.
 AFTER_SHARE = 0.04
 MRAD = 1000.0
-#: Least height of a picture to either side of zero: counts of an encoder at rest are not drawn large.
+#: Least half range of a figure, so that encoder counts at rest are not enlarged.
 LEAST_NM, LEAST_MRAD, LEAST_RAD_S = 0.1, 0.1, 0.02
 TIME = "time from the stop [s]"
 RUNS, FAILED = "operation enabled", frozenset({"fault", "fault reaction active", "no state of CiA 402"})
@@ -30,7 +30,7 @@ RUNS, FAILED = "operation enabled", frozenset({"fault", "fault reaction active",
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopCurves:
-    """The last samples of one arm: arrays of shape (n,) and (n, N); time is 0 at the stop."""
+    """Last samples of one arm: arrays of shape (n,) and (n, N); time is 0 at the stop."""
 
     arm: str
     time_s: Floats
@@ -43,7 +43,7 @@ class StopCurves:
 
 
 def axis_figures(curves: StopCurves) -> list[list[tuple[str, Markup]]]:
-    """Of every axis: torque with the model, following error, speed."""
+    """Draw for each axis: torque with model, following error, speed."""
     rows = []
     for axis in range(curves.q_rad.shape[1] if len(curves.time_s) else 0):
         name = notation.axis(axis + 1)
@@ -71,7 +71,10 @@ def _panel(curves: StopCurves, label: str, lines: list[tuple[Floats, str]], leas
 
 
 def courses(time_s: Floats, sync_index: NDArray[np.int64], values: Floats) -> list[list[Point]]:
-    """Lines through values (n,), apart where a SYNC has none; of many values the least and largest of each piece."""
+    """Draw lines through values (n,), interrupted at SYNCs without value.
+
+    Of many values the least and largest per interval.
+    """
     known = np.isfinite(values)
     time_s, sync_index, values = time_s[known], sync_index[known], values[known]
     if not len(values):
@@ -88,13 +91,13 @@ def courses(time_s: Floats, sync_index: NDArray[np.int64], values: Floats) -> li
 
 
 def states_figure(box: BlackBox, drives: dict[int, BoxDrive], drawn_s: float) -> Markup | None:
-    """States of the drives over time, a row each; empty where a drive was silent. None where nothing was heard."""
+    """Draw the drive states over time, one line per drive; empty while a drive did not respond. None without data."""
     spans = {node: state_spans(box, node) for node in drives}
-    heard = [span for found in spans.values() for span in found]
-    if not heard:
+    received = [span for found in spans.values() for span in found]
+    if not received:
         return None
-    begin_s = max(-drawn_s, min(min(span.begin_s for span in heard), -1e-3))
-    end_s = min(max(span.end_s for span in heard), -0.25 * begin_s)
+    begin_s = max(-drawn_s, min(min(span.begin_s for span in received), -1e-3))
+    end_s = min(max(span.end_s for span in received), -0.25 * begin_s)
     height = ROW_PX * len(drives) + 50.0
     x_range = (begin_s, max(end_s, -AFTER_SHARE * begin_s))
     panel = Panel(STATES_WIDTH, height, x_range, (len(drives) - 0.5, -0.5), left=110.0, top=8.0)
@@ -107,7 +110,7 @@ def states_figure(box: BlackBox, drives: dict[int, BoxDrive], drawn_s: float) ->
             if span.end_s >= x_range[0] and span.begin_s <= x_range[1]:
                 panel.box((span.begin_s, span.end_s), (row - 0.32, row + 0.32), _kind(span.state.value))
     panel.segment((0.0, len(drives) - 0.5), (0.0, -0.5), "limit")
-    return panel.svg("States of the drives before and after the stop")
+    return panel.svg("Drive states before and after the stop")
 
 
 def _kind(state: str) -> str:

@@ -1,4 +1,4 @@
-"""What the first screen says in words: what hangs there, what was wrong, how good the model is."""
+"""Summary text of the report: load, missing effects, quality of the model."""
 
 from __future__ import annotations
 
@@ -10,17 +10,25 @@ from gateway.result.acceptance import CANNOT_TELL, FAIL, IN_WORDS, asked_for, me
 from gateway.result.interval import SAID, half_width, holds_zero
 from gateway.result.result import LoadResult, Result
 
-HELD_OUT = {
-    "fresh": "fresh poses that no fit has seen",
-    "given": "the data given for validation",
-    "blocks": "blocks of data kept out of the fit",
+#: Verdict of a result -> its text.
+VERDICTS = {
+    "none_needed": "model complete",
+    "explained": "residual explained",
+    "improved": "residual partly explained",
+    "unexplained": "residual unexplained",
+    "undecided": "cannot decide",
 }
-# A residual this close to the noise floor counts as explained in words and colour.
+HELD_OUT = {
+    "fresh": "validation poses that were not used in the fit",
+    "given": "the given validation data",
+    "blocks": "held-out blocks of the data",
+}
+# a residual this close to the noise floor counts as explained in text and colour
 NEAR_FLOOR = 1.3
 
 
 def status(result: Result) -> str:
-    """`bad` with a failing finding or a refused load, `good` when nothing is left open, else `open`.
+    """Return `bad` for a failing finding or a refused load, `good` if nothing is open, otherwise `open`.
 
     Open: a statement that the measurement contradicts, a load that may not be mounted, an acceptance
     that the data cannot decide.
@@ -35,17 +43,17 @@ def status(result: Result) -> str:
 
 
 def headline(result: Result) -> str:
-    """What hangs on the flange, in one line."""
+    """Return the mounted load in one line."""
     loads = result.loads
     good = [load for load in loads if notation.known(load.mass_kg)]
     if not good:
         if loads:
-            return "The load was refused" if any(load.refused for load in loads) else "No load could be found"
-        return "The bare arm, no load on the flange"
-    hung = [_sized(load, loads) for load in good if not not_felt(load)]
-    missed = [_sized(load, loads) for load in good if not_felt(load)]
+            return "The load was refused" if any(load.refused for load in loads) else "No load detected"
+        return "Unloaded arm"
+    mounted = [_sized(load, loads) for load in good if not is_undetected(load)]
+    missed = [_sized(load, loads) for load in good if is_undetected(load)]
     refused = [load.label for load in loads if load.refused]
-    parts = [f"{notation.listing(hung)} on the flange"] if hung else []
+    parts = [f"{notation.listing(mounted)} on the flange"] if mounted else []
     asked = "Is it mounted?" if len(missed) == 1 else "Is each mounted?"
     parts += [f"{notation.listing(missed)}: no load detected. {asked}"] if missed else []
     parts += [f"{notation.listing(refused)} refused"] if refused else []
@@ -58,13 +66,13 @@ def _sized(load: LoadResult, loads: Sequence[LoadResult]) -> str:
     return f"{size} of {notation.load(load.label)}" if len(loads) > 1 else size
 
 
-def not_felt(load: LoadResult) -> bool:
-    """Whether the mass cannot be told from nothing, although the load was announced."""
+def is_undetected(load: LoadResult) -> bool:
+    """Return whether a declared load has a mass that is not significantly different from zero."""
     return holds_zero(load.mass_kg, load.mass_std_kg)
 
 
-def acceptance_sentences(result: Result) -> list[tuple[str, str, str]]:
-    """Whether each load is accepted: kind of a tag, what it says, and the sentence behind it."""
+def acceptance_texts(result: Result) -> list[tuple[str, str, str]]:
+    """Return the acceptance of each load: kind of tag, text of the tag, sentence."""
     tags = {FAIL: "fail", CANNOT_TELL: "warn"}
     return [
         (
@@ -76,49 +84,49 @@ def acceptance_sentences(result: Result) -> list[tuple[str, str, str]]:
     ]
 
 
-def verdict_sentence(result: Result) -> str:
-    """What was wrong with the model, and how that is known."""
+def verdict_text(result: Result) -> str:
+    """Return the verdict as a sentence, with its evidence."""
     found = notation.effects_on([(item.name, item.joints) for item in result.effects])
     names = notation.listing(found)
-    held_out = HELD_OUT.get(result.holdout_kind or "", "data kept out of the fit")
+    held_out = HELD_OUT.get(result.holdout_kind or "", "held-out data")
     verdict = result.verdict
-    if verdict == "none_needed" and any(map(not_felt, result.loads)):
-        return f"The arm moved as if nothing hung on it; nothing else is missing: on {held_out} only noise is left."
+    if verdict == "none_needed" and any(map(is_undetected, result.loads)):
+        return f"The torque is that of an unloaded arm. The model is complete: on {held_out} the residual is noise."
     if verdict == "none_needed":
-        return f"Nothing is missing from the model: on {held_out} only measurement noise is left."
+        return f"The model is complete: on {held_out} the residual is measurement noise."
     if verdict == "explained":
-        return f"The model lacked {names}. With it, the error on {held_out} falls to the noise floor."
+        return f"The model lacked {names}. With it, the error on {held_out} is at the noise floor."
     if verdict == "improved":
-        return f"The model lacked {names}: proven on {held_out}. Part of the error remains and has no name yet."
+        return f"The model lacked {names}, proven on {held_out}. Part of the error remains unexplained."
     if verdict == "unexplained":
-        return "The model lacks something that no known effect explains; the residual below shows where."
+        return "The model lacks an effect that is not in the library; see the residual below."
     if verdict == "undecided":
         if found:
             each = [notation.effect_on(item.name, item.joints) for item in result.effects]
             between = notation.listing(each if len(each) > 1 else [*each, "nothing at all"], "and")
-            return f"The data cannot decide between {between}; what to measure next is given below."
-        return "There is too little data to say whether the model lacks anything; what to measure next is given below."
-    return "The load was estimated with the model as it stands; no diagnosis of the residual was asked for."
+            return f"The data cannot decide between {between}; the poses to measure next are listed below."
+        return "There is too little data to validate the model; the poses to measure next are listed below."
+    return "The load was estimated without a diagnosis of the residual."
 
 
-def quality_sentence(axes: Sequence[AxisQuality], result: Result) -> str:
-    """How far the model is from the noise, on its worst axis."""
+def quality_text(axes: Sequence[AxisQuality], result: Result) -> str:
+    """Return the ratio of residual to noise floor of the worst axis as a sentence."""
     rated = [(axis.ratio_after, axis) for axis in axes if notation.known(axis.ratio_after)]
     if not rated:
         measured = [axis for axis in axes if notation.known(axis.after)]
         if not measured:
-            return "No residual is known."
+            return "The residual is unknown."
         worst = max(measured, key=lambda axis: axis.after)
         size = f"{notation.significant(worst.after)} Nm on {worst.name}"
-        return f"The noise floor is not known; the largest residual is {size}."
+        return f"The noise floor is unknown; the largest residual is {size}."
     ratio, worst = max(rated, key=lambda pair: pair[0])
-    place = "" if held_out_known(result) else " in the fit itself"
+    place = "" if held_out_known(result) else " of the fit"
     settled = result.verdict in ("none_needed", "explained")
-    judged = "The model is not as good as the data"
+    judged = "The residual exceeds the measurement noise"
     if ratio <= NEAR_FLOOR:
-        judged = "The model is as good as the data"
+        judged = "The residual is at the level of the measurement noise"
     elif settled:
-        judged = "What is left is within what so few readings scatter"
+        judged = "The residual is within the scatter of this number of readings"
     return (
         f"{judged}: the residual{place} is {ratio:.1f} times the noise floor on the worst axis, {worst.name} "
         f"({notation.significant(worst.after)} Nm against {notation.significant(worst.floor)} Nm)."
@@ -126,10 +134,10 @@ def quality_sentence(axes: Sequence[AxisQuality], result: Result) -> str:
 
 
 def held_out_known(result: Result) -> bool:
-    """Whether a residual on held-out data is given."""
+    """Return whether a residual on held-out data is known."""
     return any(map(notation.known, result.after.holdout_rms_nm))
 
 
 def mass(load: LoadResult) -> tuple[str, str]:
-    """Mass and half width of its 95 % interval, kg, as text."""
+    """Return mass and half width of its 95 % interval [kg] as text."""
     return notation.plus_minus(load.mass_kg, half_width(load.mass_std_kg))

@@ -1,4 +1,4 @@
-"""Plain SVG with axes: scales, ticks and the few marks that the report needs. Pure text, no drawing library."""
+"""SVG with axes, scales, ticks and marks, written as text without a drawing library."""
 
 from __future__ import annotations
 
@@ -22,20 +22,20 @@ class Scale:
     end_px: float
 
     def __call__(self, value: float) -> float:
-        """Pixel of a value."""
+        """Return the pixel of a value."""
         span = (self.high - self.low) or 1.0
         return self.start_px + (value - self.low) / span * (self.end_px - self.start_px)
 
 
 def nice_step(span: float, count: int) -> float:
-    """Largest step of 1, 2 or 5 times a power of ten that gives at least `count` intervals over `span` (> 0)."""
+    """Return the largest step of 1, 2 or 5 times a power of ten with at least `count` intervals over `span` (> 0)."""
     raw = span / max(count, 1)
     power = 10.0 ** math.floor(math.log10(raw))
     return power * next((factor for factor in (5.0, 2.0, 1.0) if factor * power <= raw * (1 + 1e-9)), 1.0)
 
 
 def ticks(low: float, high: float, count: int = 4) -> list[float]:
-    """Round values inside [low, high]."""
+    """Return round values within [low, high]."""
     if not high > low:
         return [low]
     step = nice_step(high - low, count)
@@ -44,14 +44,14 @@ def ticks(low: float, high: float, count: int = 4) -> list[float]:
 
 
 def tick_text(value: float, step: float) -> str:
-    """A tick label with as many decimals as the step needs; a real minus sign."""
+    """Return a tick label with the decimals of the step and a minus sign."""
     digits = max(0, -math.floor(math.log10(step) + 1e-9)) if step > 0 else 0
     text = f"{value:.{digits}f}"
     return text.replace("-", "\N{MINUS SIGN}") if float(text) != 0 else text.lstrip("-")
 
 
 def limits(values: Iterable[float], *, include: Sequence[float] = (), pad: float = 0.06) -> Point:
-    """Range of the finite values and of `include`, a little wider."""
+    """Return the range of the finite values and of `include`, slightly widened."""
     finite = [value for value in values if math.isfinite(value)]
     finite += list(include)
     if not finite:
@@ -63,7 +63,7 @@ def limits(values: Iterable[float], *, include: Sequence[float] = (), pad: float
 
 @dataclass(slots=True)
 class Panel:
-    """One drawing with a horizontal and a vertical scale; elements are appended in drawing order."""
+    """Figure with a horizontal and a vertical scale; elements are appended in drawing order."""
 
     width: float
     height: float
@@ -86,7 +86,7 @@ class Panel:
         return Scale(*self.y_range, self.height - self.bottom, self.top)
 
     def add(self, text: str) -> None:
-        """Append an element as it stands."""
+        """Append an element unchanged."""
         self.parts.append(text)
 
     def y_axis(self, label: str, count: int = 4) -> None:

@@ -1,4 +1,4 @@
-"""What the report says: numbers and sentences from a result, without any drawing or HTML."""
+"""Content of the report: numbers and text from a result, without figures or HTML."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class ComponentView:
 
 @dataclass(frozen=True, slots=True)
 class LoadView:
-    """One load as it is printed; `half` are half widths of 95 % intervals."""
+    """One load as displayed; `half` are half widths of 95 % intervals."""
 
     label: str
     mass: str
@@ -52,7 +52,7 @@ class LoadView:
 
 @dataclass(frozen=True, slots=True)
 class EffectView:
-    """An effect that was found, with its parameters as (name, value, half width of the 95 % interval, unit)."""
+    """An identified effect with its parameters as (name, value, half width of the 95 % interval, unit)."""
 
     name: str
     joints: tuple[int, ...]
@@ -63,7 +63,7 @@ class EffectView:
 
 @dataclass(frozen=True, slots=True)
 class Candidate:
-    """One effect that was tried: held-out error after over before."""
+    """One tested effect: ratio of held-out error, after over before."""
 
     label: str
     ratio: float
@@ -72,7 +72,7 @@ class Candidate:
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The whole page in values."""
+    """All values of the page."""
 
     status: str
     headline: str
@@ -89,14 +89,14 @@ class View:
 
 
 def view(result: Result) -> View:
-    """Read a result into the values that the page shows."""
+    """Return the values of the page from a result."""
     axes = _axes(result)
     return View(
         status=summary_text.status(result),
         headline=summary_text.headline(result),
-        verdict=summary_text.verdict_sentence(result),
-        quality=summary_text.quality_sentence(axes, result),
-        acceptance=tuple(summary_text.acceptance_sentences(result)),
+        verdict=summary_text.verdict_text(result),
+        quality=summary_text.quality_text(axes, result),
+        acceptance=tuple(summary_text.acceptance_texts(result)),
         loads=tuple(_load(result, load) for load in result.loads),
         axes=axes,
         effects=tuple(_effect(effect) for effect in result.effects),
@@ -174,12 +174,12 @@ def _evidence(evidence: Evidence) -> tuple[str, ...]:
     lines = []
     if notation.known(evidence.holdout_rms_ratio):
         verb = "falls to" if evidence.holdout_rms_ratio < 1 else "is"
-        lines.append(f"held-out error {verb} {100 * evidence.holdout_rms_ratio:.0f} % of what it was")
+        lines.append(f"held-out error {verb} {100 * evidence.holdout_rms_ratio:.0f} % of the error without the effect")
     if notation.known(evidence.p_value):
-        lines.append(f"chance of that without the effect: p = {notation.significant(evidence.p_value, 2)}")
+        lines.append(f"p-value without the effect: p = {notation.significant(evidence.p_value, 2)}")
     if evidence.runner_up:
         against = f", odds {notation.significant(evidence.odds, 2)} to 1" if notation.known(evidence.odds) else ""
-        lines.append(f"next best explanation: {notation.effect(evidence.runner_up)}{against}")
+        lines.append(f"next best candidate: {notation.effect(evidence.runner_up)}{against}")
     return tuple(lines)
 
 

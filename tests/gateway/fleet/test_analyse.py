@@ -64,7 +64,7 @@ def test_robots_are_ranked_and_what_is_missing_is_not_healthy(store: Store, tmp_
     assert line(fleet, "gone").why[0] == "not seen since 2026-04-30, 81 days"
     assert line(fleet, "young").state == "cannot tell"
     assert "the gain of J2 was never measured" in line(fleet, "half").why
-    assert headline(fleet) == "1 of 5 robots needs a visit, 3 cannot be judged"
+    assert headline(fleet) == "1 of 5 robots needs service, 3 cannot be assessed"
     again = read_fleet(store.analysis / "fleet.json")
     assert [each.robot for each in again.robots] == [each.robot for each in fleet.robots]
 
@@ -127,7 +127,7 @@ def test_pages_name_every_axis_with_its_unit_and_fetch_nothing(store: Store, tmp
     )
     page = render_fleet(read_fleet(store.analysis / "fleet.json"))
     assert "drift of the gain [% a year]" in page
-    assert "1 of 2 robots needs a visit" in page
+    assert "1 of 2 robots needs service" in page
     robot = read_robot(store.analysis / "robots" / f"{line(fleet, 'calm <b>').robot}.json")
     own = render_robot(robot)
     for label in ("J1 gain [1]", "J2 friction [Nm]", "pick mass [kg]", "days since the first check [d]"):
@@ -170,7 +170,7 @@ def run(*words: object):
 @pytest.mark.parametrize(
     ("words", "code", "said"),
     [
-        (["--scheduler", "tcp://h:1"], 0, "pass as pickles, unauthenticated and unencrypted"),
+        (["--scheduler", "tcp://h:1"], 0, "unauthenticated, unencrypted pickles"),
         (["--scheduler", "tls://h:1", "--tls-ca-file", "a", "--tls-cert", "b", "--tls-key", "c"], 0, None),
         ([], 0, None),
         (["--scheduler", "tls://h:1", "--tls-ca-file", "a"], 2, "go together"),
@@ -200,7 +200,7 @@ def test_commands_from_files_to_pages(tmp_path: Path) -> None:
     table = write_table(tmp_path / "a.csv", checks("one", days=range(40)))
     store = tmp_path / "store"
     done = run("fleet", "ingest", store, table)
-    assert (done.exit_code, "40 checks added, 0 were there, of 1 files" in done.output) == (0, True), done.output
+    assert (done.exit_code, "40 checks added, 0 already stored, from 1 files" in done.output) == (0, True), done.output
     done = run("fleet", "analyse", store, "--as-of", "2026-02-11")
     assert done.exit_code == 0, done.output
     done = run("fleet", "report", store, "-o", tmp_path / "pages")

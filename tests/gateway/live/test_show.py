@@ -87,7 +87,7 @@ def test_events_progress_and_poses(show, workspace):
     events = [each["event"]["text"] for each in told if "event" in each]
     assert events[0] == "SYNC 17 was not answered by J2, J3; sampled again"
     (pose,) = [each["pose"] for each in told if "pose" in each]
-    assert pose == {"pose": 2, "load": "bare arm", "band_nm": [0.5] * 6, "residual_nm": [1.0] * 6}
+    assert pose == {"pose": 2, "load": "unloaded arm", "band_nm": [0.5] * 6, "residual_nm": [1.0] * 6}
     frame = next(each["frame"] for each in told if "frame" in each)
     assert (frame["what"], frame["left_s"]) == ("approach pose 2", 63.2)
 

@@ -177,6 +177,6 @@ def test_the_report_needs_a_run_and_labels_its_axes(cell: Path) -> None:
     store.write("run-B.json", json.dumps(run))
     assert call("pair-report", cell, "-o", output).exit_code == 0
     page = output.read_text(encoding="utf-8")
-    for said in ("force [N]", "way along the path [m]", "largest force [N]", "figure 18", "<svg"):
+    for said in ("force [N]", "position along the path [m]", "largest force [N]", "figure 18", "<svg"):
         assert said in page
     assert "http" not in page.replace("http://www.w3.org", "")

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from gateway.report.budget import aside_rows, budget_figure, budget_rows, nuisance_rows
+from gateway.report.budget import budget_figure, budget_rows, nuisance_rows, rejected_rows
 from gateway.report.render import render
 from gateway.result.result import LoadResult, NuisanceResult, Result, SetAside
 
@@ -67,7 +67,10 @@ def test_the_page_lists_what_was_set_aside():
         SetAside("a", "tool", 2, 5.25, pose=3, reason="as if a brake had held"),
         SetAside("b", "none", 1, NAN, from_s=1.0, to_s=2.5, reason="far off"),
     )
-    assert [row[2:5] for row in aside_rows(entries)] == [("pose 3", "J2", "5.2"), ("1.0 to 2.5 s", "J1", "\N{EN DASH}")]
+    assert [row[2:5] for row in rejected_rows(entries)] == [
+        ("pose 3", "J2", "5.2"),
+        ("1.0 to 2.5 s", "J1", "\N{EN DASH}"),
+    ]
     page = render(Result("r", (LOAD,), set_aside=entries))
     assert "as if a brake had held" in page
-    assert "Where the uncertainty of the mass comes from" in page
+    assert "Sources of the uncertainty of the mass" in page

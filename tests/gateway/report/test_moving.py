@@ -151,7 +151,7 @@ def test_the_terminal_shows_the_same_numbers(moving):
     titles = {str(table.title): table for table in shown if hasattr(table, "title")}
     inertia = next(table for title, table in titles.items() if title.startswith("inertia about"))
     assert [list(column.cells) for column in inertia.columns][1] == ["2.04 ± 0.12"]
-    axes = next(table for title, table in titles.items() if title.startswith("what motion tells"))
+    axes = next(table for title, table in titles.items() if title.startswith("identified from motion"))
     rows = list(zip(*(column.cells for column in axes.columns), strict=True))
     assert (
         "rotor inertia [kg m2]",

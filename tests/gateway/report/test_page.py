@@ -63,7 +63,7 @@ def test_a_page_is_well_formed_and_has_head_and_foot(page):
 def test_every_axis_of_every_drawing_is_labelled_with_its_unit(page):
     labels = re.findall(r'class="label mid"[^>]*>([^<]+)<', page)
     bare = [label for label in labels if not re.search(r"\[(Nm|N|mm|kg|m?rad|s|m|number|-)\]", label)]
-    named = {"noise floor", "no better than without", "cycle"}
+    named = {"noise floor", "no improvement", "cycle"}
     assert len(labels) >= 6
     assert all(label in named or re.search(r"poses?$", label) for label in bare)
 
@@ -139,5 +139,5 @@ def test_a_pair_whose_last_cycle_is_inside_the_limit_is_good():
     page = forces()
     assert 'class="verdict good"' in page
     assert "C8: largest force 20 N in the last cycle" in page
-    for text in ("force [N]", "way along the path [m]", "largest force [N]", "figure 19"):
+    for text in ("force [N]", "position along the path [m]", "largest force [N]", "figure 19"):
         assert text in page

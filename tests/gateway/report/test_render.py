@@ -27,11 +27,11 @@ def page(full_result):
         "Is the model good?",
         "What was wrong?",
         "Evidence.",
-        "Where the load hangs",
+        "Centre of gravity of the load",
         "Poses measured",
-        "Torque, measured against model",
+        "Measured and modelled torque",
         "Residual per axis and pose",
-        "Residual against posture and direction",
+        "Residual over posture and approach direction",
         "Load before and after.",
         "Friction band per axis",
         "What to measure next",
@@ -65,7 +65,7 @@ def test_a_bare_result_of_the_contract_is_enough(full_result):
 
 def test_hardly_anything_is_enough():
     page = render(read({"schema": 1, "robot": "r", "loads": []}))
-    assert "no load on the flange" in page
+    assert "Unloaded arm" in page
     assert "None" not in page
 
 

@@ -115,4 +115,4 @@ def test_a_recording_without_a_black_box_is_said(tmp_path):
     (tmp_path / "run.h5").write_bytes(b"")
     done = run("report", tmp_path / "run.h5", "-o", tmp_path / "stop.html")
     assert done.exit_code == 3
-    assert "no black box (run.blackbox.h5) lies beside it" in done.stderr
+    assert "no black box (run.blackbox.h5) beside it" in done.stderr

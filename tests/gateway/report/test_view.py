@@ -53,11 +53,11 @@ def test_without_a_flange_the_centre_of_gravity_is_in_link_6(result):
 @pytest.mark.parametrize(
     ("verdict", "says", "status"),
     [
-        ("none_needed", "Nothing is missing", "good"),
+        ("none_needed", "The model is complete", "good"),
         ("improved", "Part of the error remains", "open"),
-        ("unexplained", "no known effect explains", "open"),
+        ("unexplained", "not in the library", "open"),
         ("undecided", "cannot decide", "open"),
-        (None, "no diagnosis", "open"),
+        (None, "without a diagnosis", "open"),
     ],
 )
 def test_every_verdict_has_its_sentence(result, verdict, says, status):
@@ -101,7 +101,7 @@ def test_a_load_that_may_not_hang_is_asked_for_and_never_green(result):
     result["loads"][0] |= {"mass_kg": 0.004, "mass_std_kg": 0.006}
     shown = view(read(result))
     assert shown.headline == "0.004 ± 0.012 kg (95 %): no load detected. Is it mounted?"
-    assert shown.verdict.startswith("The arm moved as if nothing hung on it")
+    assert shown.verdict.startswith("The torque is that of an unloaded arm")
     assert shown.status == "open"
     result["loads"][0] |= {"mass_kg": 0.013}
     assert view(read(result)).status == "good"
@@ -138,7 +138,7 @@ def test_parameters_carry_their_unit(result):
     # 84210, 1.96 * 1900
     assert effect.parameters[0] == ("stiffness of the spring, if it has the size below", "84200", "3700", "N/m")
     assert effect.parameters[1][3] == "m"
-    assert "next best explanation: a wrong torque constant" in effect.evidence[-1]
+    assert "next best candidate: a wrong torque constant" in effect.evidence[-1]
 
 
 def test_an_effect_on_several_axes_is_named_once(result):

@@ -75,7 +75,7 @@ def test_a_file_of_before_there_were_checksums_is_taken_and_named(file):
     done = run("export", edited(file, lambda body: body.pop("sha256")), "--format", "kuka")
     assert done.exit_code == 0
     assert "M 6.000," in done.stdout
-    assert "carries no sha256" in done.stderr
+    assert "has no sha256" in done.stderr
 
 
 def test_what_is_written_again_carries_its_own_checksum(file):
