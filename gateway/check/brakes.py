@@ -1,9 +1,9 @@
 """Do the holding brakes hold? One axis at a time is disabled while the others hold theirs, and is watched.
 
-A brake that does not hold is no reason to let the axis fall: the test begins with a short time, and the drive holds the
-axis again at the first SYNC beyond the limit. Then the arm stays under power until a person has supported it, since its
-next stop would leave it to that brake. A request to stop that comes while an axis moves in its brake is answered once
-the drive holds the axis again and, where the brake has failed, once the arm is supported.
+A brake that does not hold must not let the axis fall. The test begins with a short time, and the drive holds the axis
+again at the first SYNC beyond the limit. Then the arm stays under power until a person has supported it, since its
+next stop would leave it to that brake. A request to stop that comes while an axis moves in its brake is answered
+later: once the drive holds the axis again and, after a failed brake, once the arm is supported.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ GRAVITY_SHARE: Final = 0.25
 #: How long the torque is measured, with all brakes open [s], and the share of its SYNCs that have to be answered.
 MEASURE_S: Final = 0.2
 MEASURED_SHARE: Final = 0.5
-#: A requested stop waits for so many SYNCs, in which the drive takes hold again of the axis that hangs on its brake; if
+#: A requested stop waits for so many SYNCs, in which the drive holds the axis again that is on its brake; if
 #: it has moved farther than this [rad, joint], until the drive holds it.
 LOOK_SYNCS: Final = 2
 LETS_GO_RAD: Final = 0.0003
 #: How long an axis may take to come to rest before its brake is tried [s].
 REST_S: Final = 1.0
-#: How long an arm is held under power after a brake has failed, where nobody can say that it is supported [s].
+#: How long an arm is held under power after a brake has failed, if no person can confirm the support [s].
 SUPPORT_S: Final = 10.0
 
-#: Shows a person what to do, and returns what says whether it is done; None = nobody can say so.
+#: Shows a person what to do, and returns a function that says whether it is done; None = no person can confirm.
 AskSupport = Callable[[str], Callable[[], bool] | None]
 
 
@@ -118,13 +118,13 @@ def _after(opened: OpenArm, error: DriveError, found: list[Finding]) -> list[Fin
     """The finding that explains why a stop was not confirmed; raises the error where there is none."""
     if found:
         return [replace(found[0], what=f"{found[0].what}; then: {error}")]
-    # an axis that goes on sinking once all are disabled is no standstill
-    sags = opened.arm.brake_drop_rad()
-    if sags.max() <= BRAKE_DROP_RAD:
+    # an axis that goes on dropping once all are disabled is not at rest
+    drops = opened.arm.brake_drop_rad()
+    if drops.max() <= BRAKE_DROP_RAD:
         raise error
-    axis = int(np.argmax(sags))
+    axis = int(np.argmax(drops))
     where = f"J{axis + 1} node {opened.config.axis[axis].node_id}"
-    return [_failed(where, float(sags[axis]), "when all axes were disabled")]
+    return [_failed(where, float(drops[axis]), "when all axes were disabled")]
 
 
 def _try_brake(trial: _Trial, found: list[Finding]) -> Finding:

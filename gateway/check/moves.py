@@ -1,7 +1,7 @@
 """Small moves of every axis: signs, order, gear ratios and the provenance of the torque, against the model.
 
 Each axis in turn is displaced a little, every posture is approached slowly from both sides, settled and averaged, with
-all limits watched as in a recording. Nothing is stored; what the drives say of demand and current is heard beside.
+all limits watched as in a recording. Nothing is stored; demand and current of the drives are recorded beside.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class MoveCheck:
 
 
 def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: float) -> Plan:
-    """Where the arm stands, and one displacement of each axis from there.
+    """Return a plan of the present posture and one displacement of each axis from there.
 
     Parameters
     ----------
@@ -77,9 +77,9 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
     Raises
     ------
     WrongPlace
-        An axis has no room to either side, or the arm stands outside its joint range.
+        An axis cannot move to either side, or the arm is outside its joint range.
     PlanRefused
-        The arm stands where it may not stand.
+        The arm is in a posture that is not allowed.
     """
     refuse_start(workspace, start_rad, arm)
     inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
@@ -88,7 +88,9 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
         poses.append(RestPose(joint + 2, _displaced(arm, workspace, start_rad, joint, float(inward[joint])), "fit"))
     plan, unreachable = plan_poses(arm, workspace, poses, _settings(period_s))
     if unreachable:
-        raise WrongPlace(f"arm '{arm}': no free way to the small moves; bring it to a posture with more room", arm)
+        raise WrongPlace(
+            f"arm '{arm}': no free path to the small moves; bring it to a posture with more free space", arm
+        )
     return plan
 
 
@@ -134,18 +136,18 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
     Raises
     ------
     PlanRefused
-        No room to move, or a pose never settled.
+        No free motion, or a pose that never settled.
     DriveError, KeyboardInterrupt
         The arm was stopped.
     """
     group, config = opened.group, opened.config
     plan = plan_moves(config.name, opened.workspace, opened.arm.where(), group.timing.period_s)
-    shelf = Shelf()
-    with TorqueSignalReader(group.bus, group.drives if _room_for_witness(opened) else ()) as reader:
+    visits = Shelf()
+    with TorqueSignalReader(group.bus, group.drives if _bus_has_capacity(opened) else ()) as reader:
         try:
             pacing = group.timing.pacing
             station = VisitStation(
-                opened.arm, opened.workspace, shelf, tuple(listeners), options or MoveOptions(), pacing
+                opened.arm, opened.workspace, visits, tuple(listeners), options or MoveOptions(), pacing
             )
             run_plan(station, RunRequest(plan, LOAD))
         except LimitExceeded as error:
@@ -162,13 +164,13 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
         advice = 'set inertials = "prior:0.1" if the URDF has link masses'
         items.append(Finding("warn", f"arm {config.name}", what, advice))
         return MoveCheck(tuple(items), None)
-    verdict = judge_wiring(_arm(opened), moves_of(opened, shelf.visits))
+    verdict = judge_wiring(_arm(opened), moves_of(opened, visits.visits))
     node_ids = [axis.node_id for axis in config.axis]
     return MoveCheck((*items, *wiring_items(config.name, node_ids, verdict)), verdict)
 
 
-def _room_for_witness(opened: OpenArm) -> bool:
-    """By the clock: whether a third TPDO of every drive still fits the bus."""
+def _bus_has_capacity(opened: OpenArm) -> bool:
+    """Whether, in real time, a third TPDO of every drive still fits the bus."""
     timing, spec = opened.group.timing, opened.group.bus.spec
     sizes = [0, *(8 for _ in opened.group.drives), *(p.size_bytes for d in opened.group.drives for p in d.plans)]
     load = load_percent(cycle_bits_worst(sizes), timing.period_s, spec.bitrate_bit_s)
@@ -209,7 +211,7 @@ def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Fi
     items = [_found(node_ids, wiring, verdict) for wiring in verdict.found]
     if verdict.misfit > MISFIT:
         what = f"torques differ from the model by {verdict.misfit:.1f} times what is allowed for, as wired"
-        advice = "check the URDF's link masses, gravity_m_s2, what hangs on the arm, and the zero offsets"
+        advice = "check the URDF's link masses, gravity_m_s2, the mounted load, and the zero offsets"
         items.append(Finding("warn", f"arm {arm}", what, advice))
     changed = {joint for wiring in verdict.found for joint in wiring.joints}
     for joint, view in enumerate(verdict.axes, start=1):
@@ -258,7 +260,7 @@ def _or(rivals: Sequence[Wiring]) -> str:
         + (f" by {rival.factor:.2f}" if rival.factor != 1.0 else "")
         for rival in rivals[:3]
     ]
-    return f" (or {', '.join(words)}: not told apart here)"
+    return f" (or {', '.join(words)}: not distinguishable here)"
 
 
 def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> Finding:

@@ -29,7 +29,7 @@ SCHEMA: Final = 2
 
 
 def fingerprint(opened: OpenArm) -> dict[str, Any]:
-    """What a proof stands for: SYNC, and of each axis drive, settings, gear and what the drive was told to do."""
+    """What a proof stands for: SYNC, and of each axis drive, settings, gear and the commands of the drive."""
     timing = opened.group.timing
     axes = zip(opened.config.axis, opened.profiles, opened.identities, opened.readings, strict=True)
     return {
@@ -172,7 +172,7 @@ def slow_at_first(opened: OpenArm, path: Path, options: MoveOptions) -> MoveOpti
 
 
 def require_proven(opened: OpenArm, path: Path) -> None:
-    """Make sure that a proof stands, where none can be made now: two arms hold one part.
+    """Require a valid proof where none can be made now: two arms hold one part.
 
     Raises
     ------
@@ -181,6 +181,6 @@ def require_proven(opened: OpenArm, path: Path) -> None:
     """
     if proven_on(path, opened) is None:
         raise FindingFailed(
-            f"nothing has moved: nobody has proven that the drives of arm '{opened.config.name}', as they are set up, "
+            f"nothing has moved: it is not proven that the drives of arm '{opened.config.name}', as they are set up, "
             "stop when the master is gone; open both grippers, then: servo-gateway check CELL --prove-stop"
         )

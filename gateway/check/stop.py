@@ -1,7 +1,7 @@
 """Proof on the machine that the drives stop when the master is gone: a slow motion without heartbeat.
 
-The motion loop sends the set points of a proof as those of any other motion: a request to stop, a limit and contact are
-answered at every SYNC, and a proof that was stopped is raised as what stopped it, never returned.
+The motion loop sends the setpoints of a proof as those of any other motion. A request to stop, a limit and contact are
+answered at every SYNC; a proof that was stopped raises the error of the stop.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from gateway.motion.trajectory import Motion, straight
 from gateway.motion.workspace import Workspace
 from gateway.result.result import Finding
 
-#: Speed of every joint while the heartbeat is withheld, and how far it may travel on its way.
+#: Speed of every joint while the heartbeat is withheld, and its largest travel.
 SPEED_RAD_S: Final = 0.05
 TRAVEL_RAD: Final = 0.1
 #: How much longer than the longest heartbeat time the arm would go on.
 BEYOND_S: Final = 0.5
 #: A drive may travel this far [rad, joint] once it has left OPERATION ENABLED.
 COAST_RAD: Final = 0.05
-#: A drive that is told to stop by its ramp stands within this time at the speed of the proof [s].
+#: A drive that is commanded to stop by its ramp is at rest within this time at the speed of the proof [s].
 QUICK_STOP_S: Final = 0.5
 #: Left before this share of its heartbeat time: for another reason.
 EARLY: Final = 0.4
@@ -57,7 +57,7 @@ class StopProof:
         Joint angle from the last heartbeat to rest, and from the last SYNC in OPERATION ENABLED to rest.
     items : tuple of Finding
     quick_stop : tuple of StopTrace
-        What the drives did when they were told to stop; empty where that was not tried.
+        What the drives did after a command to stop; empty where that was not tried.
     """
 
     arm: str
@@ -86,7 +86,7 @@ class StopProof:
 def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_s: float, period_s: float) -> Motion:
     """A slow motion of all joints that lasts longer than the heartbeat time, inside all limits.
 
-    A joint that stands outside its range turns towards it.
+    A joint outside its range moves towards it.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
         Name, for messages.
     workspace : Workspace
     start_rad : array of shape (N,)
-        Where the arm stands.
+        Present posture.
     consumer_s : float
         Longest heartbeat time of the drives.
     period_s : float
@@ -103,7 +103,7 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
     Raises
     ------
     PlanRefused
-        The arm stands where it may not stand, or has no room around it.
+        The arm is in a posture that is not allowed, or has no free space around it.
     """
     if inside_from(workspace, start_rad, arm) is not None:
         workspace = widened(workspace, start_rad)
@@ -115,7 +115,7 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
             if workspace.path_clear(start_rad[None], target[None])[0]:
                 return straight(start_rad, target, approach_limits(workspace, scale * speed), period_s)
     raise PlanRefused(
-        f"arm '{arm}' has no room for {speed * lasts_s:.2f} rad on every joint where it stands; "
+        f"arm '{arm}' has no free space for {speed * lasts_s:.2f} rad on every joint in its present posture; "
         "bring it to a free posture with the drive's own tool, away from limits and from what it may touch: the stop "
         "of its drives is proven before anything else moves"
     )
@@ -135,8 +135,8 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
 def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
     """Move slowly, withhold the heartbeat, watch every drive stop; then the same with a quick stop; then go back.
 
-    A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, also where the
-    proof was interrupted, since the person who asked for the proof asked for that fault; any other fault stays. Where
+    A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, also after an
+    interrupted proof: the proof has caused that fault. Any other fault stays. Where
     the loss of the master has not stopped every drive as stated, nothing moves any more. An arm that was found outside
     its joint range does not go back there.
 
@@ -149,7 +149,7 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     Raises
     ------
     PlanRefused
-        No room to move.
+        No free motion.
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped.
     """
@@ -184,7 +184,7 @@ class _SlowMotion(MotionSetpoints):
     begin : callable
         Begins the test.
     goes_on : bool
-        The set points go on to the end of the motion; else they end where the test begins.
+        The setpoints go on to the end of the motion; else they end where the test begins.
     """
 
     def __init__(
@@ -208,7 +208,7 @@ class _SlowMotion(MotionSetpoints):
         self.excuse()
 
     def excuse(self) -> None:
-        """Joints of drives that stop as they should are no longer compared with their set points."""
+        """Joints of drives that stop as they should are no longer compared with their setpoints."""
         test = self.test
         if test is not None:
             stops = [test.held_count(axis) is not None for axis in range(len(self._turns))]
@@ -222,15 +222,15 @@ def _stopped_slowly(
     motion = _slowly_from(opened, opened.arm.where())
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
-        way = _SlowMotion(opened, stream, motion, begin, goes_on)
-        stream.drive(way, "move slowly")
-        test = way.test
+        slow = _SlowMotion(opened, stream, motion, begin, goes_on)
+        stream.drive(slow, "move slowly")
+        test = slow.test
         if test is None:
             raise PlanRefused(f"arm '{opened.arm.name}' did not reach its speed: prove the stop again")
         while not test.done:
             stream.hold("watch the drives stop", 0, 1)
-            way.excuse()
-    return test, way.speed_rad_s
+            slow.excuse()
+    return test, slow.speed_rad_s
 
 
 def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
@@ -239,16 +239,16 @@ def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
 
 
 def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> None:
-    """Bring the arm to joint positions (N,) [rad] at the speed of the proof, on the straight way if that is clear.
+    """Bring the arm to joint positions (N,) [rad] at the speed of the proof, on the straight path if that is clear.
 
     Raises
     ------
     PlanRefused
-        The straight way is not clear.
+        The straight path is not clear.
     """
     begin, workspace = opened.arm.where(), opened.workspace
     if not workspace.path_clear(begin[None], target_rad[None])[0]:
-        raise PlanRefused(f"arm '{opened.arm.name}' stays where it is: no straight way back keeps the limits")
+        raise PlanRefused(f"arm '{opened.arm.name}' stays where it is: no straight path back keeps the limits")
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
         limits = approach_limits(workspace, SPEED_RAD_S)
@@ -256,17 +256,17 @@ def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> 
 
 
 def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[Finding]:
-    """How each drive has stopped when it was told to, one line per axis."""
+    """Return how each drive has stopped by a quick stop, one line per axis."""
     items = []
     coast = opened.arm.axes.joint_bound(np.array([trace.coast_rad for trace in traces]))
-    for joint, (trace, way_rad) in enumerate(zip(traces, coast.tolist(), strict=True), start=1):
+    for joint, (trace, coast_rad) in enumerate(zip(traces, coast.tolist(), strict=True), start=1):
         where = f"J{joint} node {trace.node_id}:{OBJECTS['quick_stop_deceleration']}"
         rest_ms = 1000.0 * trace.rest_s
-        seen = f"quick stop: at rest after {rest_ms:.0f} ms and {way_rad:.4f} rad"
+        seen = f"quick stop: at rest after {rest_ms:.0f} ms and {coast_rad:.4f} rad"
         if not trace.stood:
             advice = "check quick stop option 0x605A, ramp 0x6085 and the brake"
             items.append(Finding("fail", where, "quick stop: it did not come to rest", advice))
-        elif trace.rest_s > QUICK_STOP_S or way_rad > COAST_RAD:
+        elif trace.rest_s > QUICK_STOP_S or coast_rad > COAST_RAD:
             advice = f"{1000 * QUICK_STOP_S:.0f} ms and {COAST_RAD} rad are allowed: make ramp 0x6085 steeper"
             items.append(Finding("fail", where, seen, advice))
         else:
@@ -341,7 +341,7 @@ def _findings(where: str, trace: StopTrace, moved_rad: float, coast_rad: float) 
         advice = "check brake and quick stop ramp (0x6085), and the brake's delay"
         yield "fail", where, f"{seen}, but did not come to rest: {path}", advice
     elif coast_rad > COAST_RAD:
-        advice = "the brake closes late or the ramp is too flat: check 0x605A, 0x6085 and the brake's delay"
+        advice = "the brake closes too slowly or the ramp is too flat: check 0x605A, 0x6085 and the brake's delay"
         yield "fail", where, f"{seen}, {path}; {COAST_RAD} rad are allowed", advice
     else:
         yield "ok", where, f"{seen}, {trace.state}: {path}"

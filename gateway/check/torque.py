@@ -1,7 +1,7 @@
 """Where a drive's torque comes from: the word of the profile against the drive's own demand and current while it moves.
 
-All three are of the same instant, so a torque that is the demand shows the same bits, one that has lost its sign stays
-on one side while the demand changes it, and a wrong ampere or unit is a factor between torque and current.
+All three are of the same instant. A torque that is the demand has the same bits. One that has lost its sign stays on
+one side while the demand changes sign. A wrong rated current or unit is a factor between torque and current.
 """
 
 from __future__ import annotations

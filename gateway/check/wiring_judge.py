@@ -1,10 +1,10 @@
-"""Is the arm wired as the cell file says? Small moves of each axis against gravity's torque in the model.
+"""Wiring of the arm against the cell file: small moves of each axis compared with the gravity torque of the model.
 
-An encoder follows its own motor whatever the cell file says: a sign, a gear ratio or the order of the axes can only be
-seen where the torque changes with the posture as the model says, or as it would with another wiring. Each wiring is a
-hypothesis with a Gaussian evidence; links are known as far as the cell trusts them, the load is not known at all, small
-errors of encoder zeros, gear losses and torque constants are allowed for. Friction needs no model: it opposes the
-motion, so half the difference of the two approaches is positive where torque and position have the same sense.
+An encoder follows its own motor whatever the cell file says. A sign, a gear ratio or the order of the axes shows only
+in the torque: it changes with the posture as the model predicts, or as another wiring predicts. Each wiring is a
+hypothesis with a Gaussian evidence. Links have the prior of the cell file; the load is unknown. Small errors of encoder
+zeros, gear losses and torque constants are allowed for. Friction needs no model: it opposes the motion, so the
+half-difference of the two approaches is positive where torque and position have the same sense.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class WiringView:
     Attributes
     ----------
     sign_seen, ratio_seen : bool
-        Whether the model tells the stated sign, and the stated gear ratio, from others.
+        Whether the model distinguishes the stated sign, and the stated gear ratio, from others.
     ratio, ratio_std : float
         The cell's gear ratio over the true one, as the torques have it.
     band_nm, band_std_nm : float
@@ -184,7 +184,7 @@ def judge_wiring(arm: WiredArm, moves: Moves) -> Verdict:
 
 
 def _parity(reading: Reading, arm: WiredArm, moves: Moves) -> list[int]:
-    """Sense of torque against position by friction, per axis: 1 same, -1 opposite, 0 not told."""
+    """Sense of torque against position by friction, per axis: 1 same, -1 opposite, 0 not determined."""
     mean, std = _bands(reading, arm, moves)
     return [
         int(np.sign(value)) if abs(value) > BAND_SIGMAS * spread else 0 for value, spread in zip(mean, std, strict=True)

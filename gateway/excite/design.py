@@ -16,11 +16,11 @@ from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
 
-#: Random motions that the chosen one starts from, and is compared to.
+#: Number of random series.
 RANDOM = 100
-#: Postures that are drawn at once, and how often, until there are enough to start from.
+#: Postures per draw, and largest number of draws.
 DRAWN, DRAWS = 400, 20
-#: Halvings until the size of a motion is known: to a 250th of what would be too large.
+#: Bisection steps for the amplitude: a resolution of 1 / 250 of the largest one.
 HALVINGS = 8
 
 
@@ -46,30 +46,30 @@ class Members:
         return Members(self.start_rad[rows], self.free[rows])
 
     def scaled(self, factor: Floats) -> Members:
-        """Each as large as its factor (m,) says, about the same start."""
+        """Return members with the amplitude times a factor (m,), about the same start."""
         return Members(self.start_rad, factor[:, None, None] * self.free)
 
 
 def start_postures(limits: MovingLimits, anchors_rad: Floats, random: np.random.Generator) -> Floats:
-    """Postures (RANDOM, N) from which a motion may start: the arm may rest there, and a straight way leads there.
+    """Return postures (RANDOM, N) where the arm may rest and to which a straight path leads.
 
     Parameters
     ----------
     limits : MovingLimits
     anchors_rad : array of shape (k, N)
-        Postures of which one has to have a straight way there, if there are any.
+        The straight path starts at one of these postures, if there are any.
     random : Generator
 
     Raises
     ------
     PlanRefused
-        Too few; says what stands against most postures.
+        Too few such postures; the most frequent violation is named.
     """
     workspace = limits.workspace
     found: list[Floats] = []
     for _ in range(DRAWS):
         drawn = workspace.draw(random, DRAWN)
-        good = drawn[workspace.feasible(drawn, torque_share=workspace.rest_share) & _can_stand(limits, drawn)]
+        good = drawn[workspace.feasible(drawn, torque_share=workspace.rest_share) & _can_rest(limits, drawn)]
         if len(anchors_rad):
             joined = [workspace.path_clear(np.tile(anchor, (len(good), 1)), good) for anchor in anchors_rad]
             good = good[np.any(joined, axis=0)]
@@ -79,27 +79,27 @@ def start_postures(limits: MovingLimits, anchors_rad: Floats, random: np.random.
     against = workspace.violations(workspace.draw(random, DRAWN), torque_share=workspace.rest_share)
     words = max(against, key=lambda each: float(each[1].mean()))[0]
     raise PlanRefused(
-        f"{len(found)} of {DRAWN * DRAWS} random postures can be reached and stood at, {RANDOM} are needed to choose a "
+        f"{len(found)} of {DRAWN * DRAWS} random postures can be reached and held, {RANDOM} are needed to choose a "
         f"motion from; most often: {words}. Widen the limits, or say in the cell what is assumed (floor_m, wall, "
         "column_radius_m, link_radius_m, load_size_m)"
     )
 
 
-def _can_stand(limits: MovingLimits, q_rad: Floats) -> NDArray[np.bool_]:
-    """Postures (n,) of (n, N) at which no limit is reached at rest."""
+def _can_rest(limits: MovingLimits, q_rad: Floats) -> NDArray[np.bool_]:
+    """Return which postures (n,) of (n, N) keep all limits at rest."""
     still = np.zeros_like(q_rad)
     return limits.shares(States(q_rad, still, still, still)).max(axis=1) < 1.0
 
 
 def random_members(family: Family, limits: MovingLimits, start_rad: Floats, random: np.random.Generator) -> Members:
-    """One random series from each start (m, N), each scaled up to its first limit."""
+    """Return one random series from each start (m, N), each scaled up to its first limit."""
     axes = start_rad.shape[1]
     drawn = random.standard_normal((len(start_rad), family.free, axes)) * limits.speed_rad_s
     return fitted(family, limits, Members(start_rad, drawn))
 
 
 def fitted(family: Family, limits: MovingLimits, members: Members) -> Members:
-    """The same, each as large as the limits and what the arm may touch allow."""
+    """Return the members with the largest amplitude that limits and surroundings allow."""
     peak = np.abs(np.einsum("nf,mfj->mnj", family.shapes[1], members.free)).max(axis=1) / limits.speed_rad_s
     largest = 1.0 / np.maximum(peak.max(axis=1), 1e-12)  # no larger one keeps the speed limits
     inside = _largest(members, largest, lambda tried: _inside(family, limits, tried))
@@ -107,7 +107,7 @@ def fitted(family: Family, limits: MovingLimits, members: Members) -> Members:
 
 
 def _largest(members: Members, high: Floats, keeps: Callable[[Members], NDArray[np.bool_]]) -> Floats:
-    """Largest sizes (m,), no larger than `high`, with which members keep something that smaller ones keep too."""
+    """Return the largest amplitudes (m,) up to `high` for which `keeps` is true; it is true for all smaller ones."""
     good = keeps(members.scaled(high))
     found = np.where(good, high, 0.0)
     left = np.flatnonzero(~good)
@@ -121,19 +121,19 @@ def _largest(members: Members, high: Floats, keeps: Callable[[Members], NDArray[
 
 
 def _inside(family: Family, limits: MovingLimits, members: Members) -> NDArray[np.bool_]:
-    """Which (m,) of several series keep all limits at the instants of the family."""
+    """Return which (m,) of several series keep all limits at the instants of the family."""
     share = limits.shares(family.states(members.start_rad, members.free))
     return share.max(axis=1).reshape(len(members), -1).max(axis=1) <= 1.0
 
 
 def _apart(family: Family, workspace: Workspace, members: Members) -> NDArray[np.bool_]:
-    """Which (m,) of several series touch nothing at the instants of the family."""
+    """Return which (m,) of several series are collision-free at the instants of the family."""
     q_rad = family.states(members.start_rad, members.free).q_rad
     touching = workspace.space.touching(q_rad).reshape(len(members), -1)
     return ~np.asarray(np.any(touching, axis=1), dtype=bool)
 
 
 def rows_of(limits: MovingLimits, family: Family, members: Members) -> tuple[States, Floats]:
-    """Instants of several series, one after the other, and full rows of the arm there."""
+    """Return the states of several series, one after the other, and the regressor of the arm at these."""
     states = family.states(members.start_rad, members.free)
     return states, arm_rows(limits.workspace, states)

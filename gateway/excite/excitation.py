@@ -1,4 +1,4 @@
-"""What is driven to learn an arm: a motion from rest to rest that ends where it began, repeated period by period."""
+"""Excitation motions: from rest to rest, ending where they began, repeated period by period."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ class Excitation(Protocol):
 
     @property
     def name(self) -> str:
-        """Word that it is called by, such as `load` or `friction J2`."""
+        """Name, such as `load` or `friction J2`."""
         ...
 
     @property
     def kind(self) -> Kind:
-        """`series`: all joints at once; `sweep`: steady speeds of one joint."""
+        """`series`: all joints at once; `sweep`: constant speeds of one joint."""
         ...
 
     @property
     def joint(self) -> int:
-        """Joint that a sweep turns, from 1; 0 = all."""
+        """Joint that a sweep moves, from 1; 0 = all."""
         ...
 
     @property
     def start_rad(self) -> Floats:
-        """Where each period begins and ends at rest (N,)."""
+        """Posture (N,) in which each period begins and ends at rest."""
         ...
 
     @property
@@ -46,15 +46,15 @@ class Excitation(Protocol):
 
     @property
     def periods(self) -> int:
-        """How many are driven."""
+        """Number of periods."""
         ...
 
     def motion(self, sync_period_s: float) -> Motion:
-        """Set points of one period, one row per SYNC, from rest at `start_rad` to rest there."""
+        """Setpoints of one period, one sample per SYNC, from rest at `start_rad` to rest there."""
         ...
 
     def plain(self) -> dict[str, Any]:
-        """As a recording and a plan file hold it."""
+        """Plain values, as in a recording and a plan file."""
         ...
 
 
@@ -62,9 +62,10 @@ class Excitation(Protocol):
 class Series:
     """Finite Fourier series of every joint about a centre, at rest at the beginning and the end of a period.
 
-    q_i(t) = c_i + sum_k a_ik (cos(k w t) - 1) + b_ik sin(k w t), w = 2 pi / period_s, so that q(0) = c; speed and
-    acceleration are zero there: sum_k k b_ik = 0 and sum_k k^2 a_ik = 0 (Swevers et al., 1997, ramped by its own
-    coefficients instead of a window).
+    q_i(t) = c_i + sum_k a_ik (cos(k w t) - 1) + b_ik sin(k w t), w = 2 pi / period_s.
+
+    So q(0) = c. Speed and acceleration are zero there: sum_k k b_ik = 0 and sum_k k^2 a_ik = 0. Swevers et al. (1997)
+    use a window instead of these conditions.
 
     Attributes
     ----------
@@ -132,14 +133,14 @@ class Series:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingPlan:
-    """Excitations of one arm in the order in which they are driven.
+    """Excitations of one arm, in order.
 
     Attributes
     ----------
     arm : str
     excitations : tuple of Excitation
     expected : dict
-        What `plan --moving` foretells; plain values, for files and pages.
+        Expected standard deviations of `plan --moving`; plain values, for files and pages.
     """
 
     arm: str
@@ -148,6 +149,6 @@ class MovingPlan:
 
 
 def fingerprint(excitation: Excitation) -> int:
-    """The same number for the same motion, in any file; names and numbers of periods do not count."""
+    """Return a checksum of the motion, without its name and number of periods."""
     shape = {key: value for key, value in excitation.plain().items() if key not in ("name", "periods")}
     return zlib.crc32(json.dumps(shape, sort_keys=True).encode())

@@ -1,8 +1,7 @@
 """Expected standard deviations of what a motion identifies, before anything has moved (Cramer-Rao bound).
 
-Torque noise is correlated in time, so several rows count as one independent row. Parameters that are not asked for but
-are in every model of motion have the priors of the fit: torque constants, losses in proportion to the torque, links
-(Swevers et al., 1997).
+Torque noise is correlated in time, so several rows count as one independent row (Swevers et al., 1997). The nuisance
+parameters of the model have the priors of the fit: torque constants, load friction, links.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What share of each limit of an arm a motion takes."""
+"""Share of each limit of an arm that a motion uses."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ class Margins:
     torque: float
 
 
-#: Nothing moves beyond this.
+#: Hard limits.
 HELD = Margins(range_rad=0.0, speed=1.0, acceleration=1.0, jerk=1.0, torque=1.0)
-#: What is planned: moves between poses use the same share of the speed, rest poses the same distance.
+#: Limits of planning. Moves between poses use the same share of the speed, rest poses the same distance.
 PLANNED = Margins(range_rad=0.02, speed=0.95, acceleration=0.95, jerk=0.95, torque=0.97)
 
 
@@ -56,7 +56,7 @@ class States:
 
 
 def states_of(excitation: Excitation, step_s: float) -> States:
-    """One period as it is driven, a row every `step_s`; jerk from the accelerations."""
+    """Return the states of one period, sampled every `step_s`; jerk is the difference quotient of the acceleration."""
     motion = excitation.motion(step_s)
     before = np.vstack([np.zeros_like(motion.qdd_rad_s2[:1]), motion.qdd_rad_s2[:-1]])
     return States(motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, (motion.qdd_rad_s2 - before) / step_s)
@@ -73,17 +73,17 @@ class MovingLimits:
         Range of each joint.
     speed_rad_s, acceleration_rad_s2, jerk_rad_s3, torque_nm : arrays of shape (N,)
     bodies : array of shape (10 N, k) or None
-        Parameters of links, bare and with every load that may hang there; None = links not known, no torque checked.
+        Parameters of links, bare and with every load that may be mounted; None = links not known, no torque checked.
     lost : array of shape (N,)
-        Torque of the motor over that which its gear hands on, dry and viscous friction apart.
+        Motor torque over transmitted torque, without Coulomb and viscous friction.
     rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : arrays of shape (N,)
-        At the joint; 0 where a rotor is not known.
+        At the joint; 0 where not known.
     load_point_m : array of shape (3,)
         Centre of gravity of the load in the last link.
     load_acceleration_m_s2 : float
-        The most it may be accelerated with; infinite where the cell says nothing.
+        Largest acceleration of the load; infinite where the cell file gives none.
     unchecked : tuple of str
-        What of the torque is not known, and so not in it.
+        Parts of the torque that are not known and not checked.
     """
 
     workspace: Workspace
@@ -104,12 +104,12 @@ class MovingLimits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Words of each column of `shares`: "speed of J3", "load acceleration"."""
+        """Names of the columns of `shares`, such as "speed of J3" and "load acceleration"."""
         axes = range(1, self.workspace.robot.axes + 1)
         return (*(f"{kind} of J{axis}" for kind in KINDS for axis in axes), LOAD_ACCELERATION)
 
     def shares(self, states: States, rigid: Floats | None = None) -> Floats:
-        """Share of each limit that is taken at every instant; above 1 is beyond it.
+        """Return the share of each limit at every instant; a value above 1 violates it.
 
         Parameters
         ----------
@@ -149,8 +149,8 @@ class MovingLimits:
             q, qd, qdd = states.q_rad, states.qd_rad_s, states.qdd_rad_s2
             rigid = regressor(workspace.robot, q, qd, qdd, workspace.gravity_m_s2)
         carried = np.abs(rigid @ self.bodies).max(axis=2) * self.lost
-        rubbing = self.coulomb_nm + self.viscous_nm_s_rad * np.abs(states.qd_rad_s)
-        return carried + rubbing + self.rotor_kg_m2 * np.abs(states.qdd_rad_s2)
+        friction = self.coulomb_nm + self.viscous_nm_s_rad * np.abs(states.qd_rad_s)
+        return carried + friction + self.rotor_kg_m2 * np.abs(states.qdd_rad_s2)
 
 
 def moving_limits(
@@ -170,7 +170,7 @@ def moving_limits(
         Rotors and friction.
     margins : Margins
     load : FeedLoad, optional
-        What will hang there; the rated and the heaviest load of the cell if absent.
+        Load to be mounted; the rated and the heaviest load of the cell if absent.
 
     Notes
     -----
@@ -208,7 +208,7 @@ def moving_limits(
 
 
 def point_acceleration_m_s2(robot: Robot, states: States, point_m: Floats) -> Floats:
-    """Acceleration (n, 3) [m/s2, base frame, gravity not in it] of a point (3,) [m] of the last link.
+    """Return the acceleration (n, 3) [m/s2] of a point (3,) [m] of the last link, base frame, without gravity.
 
     From the base on: each origin is accelerated by the link before it (Featherstone 2008, section 2.2).
     """

@@ -1,4 +1,4 @@
-"""A plan of motions as a JSON file: sealed, so that what was checked is what is driven."""
+"""A plan of motions as a JSON file with a checksum: only a plan that was checked is driven."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def read_moving_plan(path: Path) -> MovingPlan:
     data = json_object(text_of(path, _ADVICE), where)
     check_kind(data, SCHEMA, KIND, where)
     if KEY not in data:
-        raise InputError(f"{where}: carries no {KEY}: nobody has checked what it says; write it {_AGAIN}")
+        raise InputError(f"{where}: has no {KEY}, so its content is not verified; write it {_AGAIN}")
     refuse_edited(data, where, _AGAIN)
     held = decoded(_Plan, data, where)
     if not held.excitations:
@@ -98,9 +98,9 @@ def _matrix(rows: Matrix) -> np.ndarray:
 
 
 def _refuse_numbers(lists: Matrix, positive: Numbers, periods: int, where: str) -> None:
-    """Numbers that are none, durations and limits that are not positive, and a number of periods that nobody drives."""
+    """Numbers that are none, durations and limits that are not positive, and a number of periods out of range."""
     if not all(np.isfinite(each).all() for each in lists):
-        raise InputError(f"{where}: a joint angle or a coefficient is no finite number")
+        raise InputError(f"{where}: a joint angle or a coefficient is not a finite number")
     if not all(0.0 < value < np.inf for value in positive) or not 1 <= periods <= _MOST:
         raise InputError(f"{where}: periods, durations, speeds and limits: positive numbers are needed")
 

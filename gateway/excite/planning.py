@@ -1,4 +1,4 @@
-"""From a cell file to a checked plan of motions that an arm is learnt from."""
+"""From a cell file to a checked plan of excitation motions."""
 
 from __future__ import annotations
 
@@ -44,22 +44,22 @@ Choice = Literal["optimised", "random"]
 FrictionBy = Literal["sweeps", "series"]
 
 PURPOSES: tuple[Purpose, ...] = ("load", "friction", "rotor")
-#: Periods of a series [s]: a shorter one leaves the joints no room to move, a longer one is gravity alone.
+#: Periods of a series [s]: a shorter one leaves little travel, a longer one shows gravity only.
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 5.0, 20.0
-#: Fewer tell motion and noise not apart; more than this is a slip.
+#: One period does not separate motion from noise; a larger number is a typing error.
 FEWEST_PERIODS, MOST_PERIODS = 2, 100
-#: A sweep visits every place at every speed in both directions: so often is enough.
+#: Periods of a sweep, which passes every angle at every speed in both directions.
 SWEEP_PERIODS = 2
-#: What keeps limits at so many instants of a period keeps them in between, but for a share of 1e-4.
+#: Instants of a period at which limits are checked: between them a limit is exceeded by 1e-4 at most.
 CHECKED = 5000
-#: What may touch is proven along straight lines between every so many of them: they leave the way by some 1e-4 rad.
+#: Collision is checked along straight lines between every n-th of these instants, within 1e-4 rad of the path.
 PROVEN = 5
 _CLOSE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class MovingRequest:
-    """What is to be learnt, and how long it may take.
+    """What to identify, and the duration.
 
     Attributes
     ----------
@@ -70,13 +70,13 @@ class MovingRequest:
         Of a series; a sweep is driven `SWEEP_PERIODS` times.
     seed : int
     choice : Choice
-        `random`: the best of the random motions that the optimised one is compared to.
+        `random`: the best random series, to which the optimised one is compared.
     friction_by : FrictionBy
         Sweeps of every joint, or the series of all joints.
     load : FeedLoad or None
-        What will hang there; None = what the cell says the arm may carry.
+        Load to be mounted; None = the largest load of the cell file.
     noise : TorqueNoise or None
-        As it was measured; None = as it is assumed before anything was.
+        Measured noise; None = the assumed one.
     """
 
     purpose: tuple[Purpose, ...] = ("load",)
@@ -90,7 +90,7 @@ class MovingRequest:
 
 
 def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest) -> MovingPlan:
-    """Plan of motions; needs no bus, the same for the same request.
+    """Return a plan of motions; needs no bus, and is the same for the same request.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     ConfigError
         Cell or robot cannot be used.
     InputError
-        What the cell says was identified cannot be used.
+        The identification that the cell file names cannot be used.
     PlanRefused
-        No room to move inside the limits, or a period or a number of periods that tell nothing.
+        No free motion inside the limits, or a period or a number of periods out of range.
     """
     _check_request(request)
     config = arm_named(loaded, arm)
@@ -122,16 +122,16 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     load = request.load or assumed_load("reference", *reference_load(workspace, starts), "half of what the arm carries")
     asked = _asked(config, workspace, noise, load, request.purpose)
     excitations: list[Excitation] = []
-    told = tuple(each for name, each in asked.items() if name != "friction" or request.friction_by == "series")
+    by_series = tuple(each for name, each in asked.items() if name != "friction" or request.friction_by == "series")
     over_random = None
-    if told:
-        task = SeriesTask(limits, anchors, told, request.period_s, request.periods)
+    if by_series:
+        task = SeriesTask(limits, anchors, by_series, request.period_s, request.periods)
         chosen = (optimised if request.choice == "optimised" else best_random)(task, starts, random)
-        name = " ".join(name for name, each in asked.items() if each in told)
+        name = " ".join(name for name, each in asked.items() if each in by_series)
         member = chosen.members
         excitations.append(chosen.family.series(name, member.start_rad[0], member.free[0], request.periods))
         over_random = chosen.over_random
-    if len(told) < len(asked):
+    if len(by_series) < len(asked):
         excitations += chosen_sweeps(limits, [*anchors, *starts], min(request.periods, SWEEP_PERIODS))
     expected = plan_summary(excitations, asked, limits, load, over_random)
     plan = MovingPlan(config.name, tuple(excitations), expected)
@@ -145,12 +145,12 @@ def _check_request(request: MovingRequest) -> None:
     if not SHORTEST_PERIOD_S <= request.period_s <= LONGEST_PERIOD_S:
         raise PlanRefused(
             f"a period of {request.period_s:g} s: use {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s; a shorter one "
-            "leaves no room to move, a longer one tells of gravity alone"
+            "leaves too little travel, a longer one shows gravity only"
         )
     if not FEWEST_PERIODS <= request.periods <= MOST_PERIODS:
         raise PlanRefused(
             f"{request.periods} periods: use {FEWEST_PERIODS} to {MOST_PERIODS}, three are usual; one alone does not "
-            "tell motion and noise apart"
+            "separate motion from noise"
         )
 
 
@@ -178,7 +178,7 @@ def _asked(
 
 
 def _anchors(config: ArmConfig, workspace: Workspace) -> Floats:
-    """Postures (k, N) that the cell names and at which the arm may stand, and the middle of its ranges."""
+    """Postures (k, N) that the cell names and in which the arm may rest, and the middle of its ranges."""
     named = [config.home_rad, config.loading_rad, config.start_rad]
     middle = (workspace.lower_rad + workspace.upper_rad) / 2
     known = np.array([*(each for each in named if each is not None), middle])

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """One joint to the end of a stroke and back, once at each speed; all others stand.
+    """One joint to the end of a stroke and back, once at each speed; all others are at rest.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Choice of sweeps: where a joint has room to turn steadily, and how fast."""
+"""Choice of sweeps: where a joint has the travel for constant speeds, and how fast."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ Floats = NDArray[np.float64]
 
 #: Speeds, as shares of the speed that is planned with: slow ones show a Stribeck curve, fast ones viscous friction.
 SPEED_SHARES = np.array([0.02, 0.05, 0.1, 0.25, 0.5, 1.0])
-#: How long each speed is steady [s]; the least that the fastest one may be, where the room is short.
+#: Duration of each constant speed [s]; least duration of the fastest one where the travel is short.
 STEADY_S, LEAST_STEADY_S = 2.0, 0.3
-#: Acceleration, as a share of what is planned with: a sweep tells of speeds.
+#: Acceleration, as a share of the planned limit: friction depends on the speed.
 ACCELERATION_SHARE = 0.7
-#: Step at which the room of a joint is looked at [rad].
+#: Step at which the travel of a joint is checked [rad].
 _STEP_RAD = 0.02
-#: Slower and softer by this much, so often, where torque or the load's own limit is in the way.
+#: Factor on speed and acceleration, and number of tries, where a limit of torque or load is exceeded.
 _SOFTER, _TRIES = 0.8, 10
 #: Sampling of what is checked [s].
 _CHECKED_S = 0.02
 
 
 def chosen_sweeps(limits: MovingLimits, postures_rad: Sequence[Floats], periods: int) -> tuple[Sweep, ...]:
-    """A sweep of every joint, each about the first of some postures (N,) that leaves most room.
+    """A sweep of every joint, each about the first of some postures (N,) with the largest travel.
 
     Raises
     ------
     PlanRefused
-        A joint has no room to turn.
+        A joint has too little travel.
     """
     return tuple(_sweep_of(limits, postures_rad, joint, periods) for joint in range(len(limits.speed_rad_s)))
 
@@ -42,13 +42,13 @@ def _sweep_of(limits: MovingLimits, postures_rad: Sequence[Floats], joint: int, 
     wanted = _stroke_rad(limits, joint, (1.0, 1.0), STEADY_S)
     best: tuple[float, Floats, float] | None = None
     for q_rad in postures_rad:
-        room = _room(limits, q_rad, joint)
-        if room is None:
+        span = _travel(limits, q_rad, joint)
+        if span is None:
             continue
-        width = min(room[1] - room[0], wanted)
+        width = min(span[1] - span[0], wanted)
         if best is None or width > best[0] + _STEP_RAD:
             start = q_rad.copy()
-            start[joint] = max(room[0], min(q_rad[joint] - width / 2, room[1] - width))
+            start[joint] = max(span[0], min(q_rad[joint] - width / 2, span[1] - width))
             best = width, start, width
         if width >= wanted:
             break
@@ -57,7 +57,7 @@ def _sweep_of(limits: MovingLimits, postures_rad: Sequence[Floats], joint: int, 
         if sweep is not None:
             return sweep
     raise PlanRefused(
-        f"joint {joint + 1} has no room to turn at a steady speed from any posture that was tried: widen its "
+        f"joint {joint + 1} has too little travel for a constant speed from any posture that was tried: widen its "
         "position_limit_rad, or say in the cell what is assumed around the arm (floor_m, wall, column_radius_m, "
         "link_radius_m, load_size_m)"
     )
@@ -74,7 +74,7 @@ def _stroke_rad(limits: MovingLimits, joint: int, shares: tuple[float, float], s
     return float(speed * (steady_s + ramp_s))
 
 
-def _room(limits: MovingLimits, q_rad: Floats, joint: int) -> tuple[float, float] | None:
+def _travel(limits: MovingLimits, q_rad: Floats, joint: int) -> tuple[float, float] | None:
     """How far (lowest, highest) a joint may turn from a posture (N,) with the others standing; None = not at all."""
     low, high = limits.middle_rad[joint] - limits.half_rad[joint], limits.middle_rad[joint] + limits.half_rad[joint]
     count = max(int(np.ceil((high - low) / _STEP_RAD)), 2)
@@ -93,23 +93,25 @@ def _room(limits: MovingLimits, q_rad: Floats, joint: int) -> tuple[float, float
 
 
 def _within(limits: MovingLimits, start_rad: Floats, joint: int, width_rad: float, periods: int) -> Sweep | None:
-    """The sweep as fast as room, torque and load allow; None = there is no room for any."""
+    """Return the fastest sweep that travel, torque and load allow; None = none is possible."""
     softer = 1.0
     for _ in range(_TRIES):
         if _stroke_rad(limits, joint, (softer, softer), LEAST_STEADY_S) <= width_rad:
             sweep = _with_speeds(limits, start_rad, joint, (width_rad, softer), periods)
             states = states_of(sweep, _CHECKED_S)
-            way = np.vstack([start_rad, states.q_rad])
+            path = np.vstack([start_rad, states.q_rad])
             inside = limits.shares(states).max() <= 1.0 + 1e-6
-            if inside and limits.workspace.refused_on(way[:: max(len(way) // 500, 1)]) is None:
+            if inside and limits.workspace.refused_on(path[:: max(len(path) // 500, 1)]) is None:
                 return sweep
         softer *= _SOFTER
     return None
 
 
-def _with_speeds(limits: MovingLimits, start_rad: Floats, joint: int, room: tuple[float, float], periods: int) -> Sweep:
-    """Sweep in a width, softer than it might be: `room` is (width, share of the limits)."""
-    width_rad, softer = room
+def _with_speeds(
+    limits: MovingLimits, start_rad: Floats, joint: int, ranges: tuple[float, float], periods: int
+) -> Sweep:
+    """Sweep in a width, softer than it might be: `ranges` is (width, share of the limits)."""
+    width_rad, softer = ranges
     shares = SPEED_SHARES * softer
     strokes = np.array([min(_stroke_rad(limits, joint, (share, softer), STEADY_S), width_rad) for share in shares])
     return Sweep(

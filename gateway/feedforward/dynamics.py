@@ -28,8 +28,8 @@ class ArmDynamics:
     robot : Robot
         Its geometry; the inertials are those of `parameters`.
     parameters : array of shape (10 N,)
-        Per link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (kg, kg m, kg m2) about the origin and in the frame of
-        the link; a load counts to the last link.
+        Per link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] in kg, kg m and kg m2.
+        About the origin and in the frame of the link. A load is part of the last link.
     gravity_m_s2 : array of shape (3,)
         In the base frame.
 
@@ -144,7 +144,7 @@ def _turn_to_z(axis: Floats) -> Floats:
     """Rotation (3, 3) whose third column is `axis`."""
     if axis[0] == axis[1] == 0.0 and axis[2] > 0.0:
         return np.eye(3)
-    aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
-    first = np.cross(aside, axis)
+    other = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    first = np.cross(other, axis)
     first /= np.linalg.norm(first)
     return np.column_stack([first, np.cross(axis, first), axis])

@@ -98,7 +98,7 @@ def read_identified(loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> Identif
     path = loaded.path(arm.identified)
     result = read_result(path)
     if result.sha256 is None:
-        raise InputError(f"{path}: carries no checksum, so nobody can say that it was measured; estimate again")
+        raise InputError(f"{path}: has no checksum, so its origin is not verified; estimate again")
     about = result.data or Drawn()
     if about.cell is None or about.arm is None:
         raise InputError(f"{path}: does not say of which cell and arm it is: estimate its recording again with --cell")
@@ -110,14 +110,14 @@ def read_identified(loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> Identif
         )
     if not result.motion:
         raise InputError(
-            f"{path}: holds neither friction nor rotor inertia, which only motion tells: servo-gateway record CELL"
+            f"{path}: holds neither friction nor rotor inertia, which need a motion: servo-gateway record CELL"
             " --moving, then estimate; or leave `identified` out"
         )
     return checked(result, str(path), len(arm.axis))
 
 
 def checked(result: Result, where: str, axes: int) -> Identified:
-    """What a result tells of an arm of so many axes.
+    """Return the result as an identification of an arm of so many axes.
 
     Raises
     ------
@@ -157,9 +157,9 @@ def axis_constants(arm: ArmConfig, identified: Identified | None) -> tuple[AxisC
     InputError
         A constant contradicts the typed one, or is negative beyond its interval; every such constant is named.
     """
-    told = {} if identified is None else {axis.joint: axis for axis in identified.result.motion}
+    held = {} if identified is None else {axis.joint: axis for axis in identified.result.motion}
     found = [
-        _Axis(axis, told.get(joint), identified).constants(f"J{joint}") for joint, axis in enumerate(arm.axis, start=1)
+        _Axis(axis, held.get(joint), identified).constants(f"J{joint}") for joint, axis in enumerate(arm.axis, start=1)
     ]
     wrong = [what for _, several in found for what in several]
     if wrong and identified is not None:
@@ -173,37 +173,37 @@ def axis_constants(arm: ArmConfig, identified: Identified | None) -> tuple[AxisC
 class _Axis:
     """One axis: what was typed, what was identified, and the source that the latter gets."""
 
-    def __init__(self, typed: AxisConfig, told: AxisMotion | None, identified: Identified | None) -> None:
-        self._typed, self._told = typed, told
+    def __init__(self, typed: AxisConfig, held: AxisMotion | None, identified: Identified | None) -> None:
+        self._typed, self._identified = typed, held
         self._source = "" if identified is None else identified.source
         self._notes: list[str] = []
         self._wrong: list[str] = []
 
     def constants(self, joint: str) -> tuple[AxisConstants, list[str]]:
         """What is used of an axis, and what contradicts."""
-        typed, told = self._typed, self._told or AxisMotion(0)
+        typed, held = self._typed, self._identified or AxisMotion(0)
         rotor = self._one(
             "rotor inertia",
             typed.rotor_inertia_kg_m2,
-            (told.rotor_inertia_kg_m2, told.rotor_inertia_std_kg_m2, "kg m2"),
+            (held.rotor_inertia_kg_m2, held.rotor_inertia_std_kg_m2, "kg m2"),
         )
-        coulomb = self._one("Coulomb friction", typed.coulomb_nm, (told.coulomb_nm, told.coulomb_std_nm, "Nm"))
+        coulomb = self._one("Coulomb friction", typed.coulomb_nm, (held.coulomb_nm, held.coulomb_std_nm, "Nm"))
         viscous = self._one(
             "viscous friction",
             typed.viscous_nm_s_rad,
-            (told.viscous_nm_s_rad, told.viscous_std_nm_s_rad, "Nm s/rad"),
+            (held.viscous_nm_s_rad, held.viscous_std_nm_s_rad, "Nm s/rad"),
         )
         breakaway, stribeck, lost = NAN, NAN, 0.0
         if coulomb is not None and coulomb.identified:  # one curve: its parts are not mixed with typed ones
-            breakaway, stribeck = self._onset(coulomb.value, told)
-            lost = self._lost(told)
+            breakaway, stribeck = self._onset(coulomb.value, held)
+            lost = self._lost(held)
         constants = AxisConstants(rotor, coulomb, viscous, lost, breakaway, stribeck, tuple(self._notes))
         return constants, [f"{joint} {what}" for what in self._wrong]
 
     def _one(self, name: str, typed: SourcedNumber | None, said: tuple[float, float, str]) -> Known | None:
         fallback = None if typed is None else Known(typed.value, typed.source)
         value, std, unit = said
-        if self._told is None:
+        if self._identified is None:
             return fallback
         half = half_width(std)
         number = f"{with_interval(value, std)} {unit}"
@@ -229,17 +229,17 @@ class _Axis:
         elif not typed / SAID_FACTOR <= value <= SAID_FACTOR * typed:
             self._notes.append(f"{name}: {number} was identified and is used, {typed:g} is typed")
 
-    def _onset(self, coulomb_nm: float, told: AxisMotion) -> tuple[float, float]:
-        """Breakaway torque and Stribeck speed, NaN where they tell nothing."""
-        known = math.isfinite(told.breakaway_nm) and half_width(told.breakaway_std_nm) <= told.breakaway_nm
-        if not known or told.breakaway_nm <= coulomb_nm or not told.stribeck_rad_s > 0.0:
+    def _onset(self, coulomb_nm: float, held: AxisMotion) -> tuple[float, float]:
+        """Breakaway torque and Stribeck speed, NaN where they are not known."""
+        known = math.isfinite(held.breakaway_nm) and half_width(held.breakaway_std_nm) <= held.breakaway_nm
+        if not known or held.breakaway_nm <= coulomb_nm or not held.stribeck_rad_s > 0.0:
             return NAN, NAN
-        return told.breakaway_nm, told.stribeck_rad_s
+        return held.breakaway_nm, held.stribeck_rad_s
 
-    def _lost(self, told: AxisMotion) -> float:
+    def _lost(self, held: AxisMotion) -> float:
         """Load friction beyond its own standard error, else 0."""
-        half = half_width(told.load_friction_std)
-        return told.load_friction if math.isfinite(told.load_friction) and told.load_friction > half else 0.0
+        half = half_width(held.load_friction_std)
+        return held.load_friction if math.isfinite(held.load_friction) and held.load_friction > half else 0.0
 
 
 def notes_of(notes: Sequence[Sequence[str]]) -> Iterator[tuple[str, str]]:

@@ -1,14 +1,15 @@
-"""From the motion of an instant to what each drive is given beside its position: motor side, plain floats.
+"""Velocity and torque offset of each drive for the motion of an instant: motor side, plain floats.
 
     t = A^-T tau(q, q', q'')                                    torque at the gear outputs
     f = t + (coulomb + load |t| + onset exp(-(theta'/v)^2)) s + viscous theta'
     u = f / eta where the motor drives, f eta where it is driven back (in between as s passes zero) + J theta''
     torque offset = st u / N,   velocity offset = (1 - share) sp N theta'
 
-theta = A (q - q0) are the angles at the gear outputs, J the rotor's inertia at the gear output (N squared times that on
-its own shaft); `share` is the part of the velocity that the drive feeds forward itself. s is the sense of friction and
-gear losses: it follows the way, s += d theta / theta_s within -1 and 1 (Dahl, 1968), so that it turns round within a
-small displacement and stays what it was while the axis rests, as the torque that the drive holds by itself does.
+theta = A (q - q0) are the angles at the gear outputs. J is the rotor inertia there, N squared times that on its own
+shaft. `share` is the part of the velocity that the drive feeds forward itself.
+
+s is the direction of friction and gear losses. It follows the displacement, s += d theta / theta_s within -1 and 1
+(Dahl, 1968). So it reverses within a small displacement and keeps its value while the axis rests.
 """
 
 from __future__ import annotations
@@ -25,13 +26,13 @@ from gateway.feedforward.dynamics import ArmDynamics
 Floats = NDArray[np.float64]
 PerAxis = list[float]
 
-#: Way at the gear output over which friction and gear losses build up from none [rad]; twice that turns them round.
+#: Displacement at the gear output over which friction and gear losses build up [rad]; twice that reverses them.
 TURN_ROUND_RAD = 2e-5
 
 
 @dataclass(frozen=True, slots=True)
 class AxisTerms:
-    """What stands between a joint and its drive.
+    """Drive train of one axis.
 
     Attributes
     ----------
@@ -111,18 +112,18 @@ class FeedforwardLaw:
         """Largest torque offset (N,) [Nm], motor side."""
         return self._limits
 
-    def sense(self, before: PerAxis, way_rad: PerAxis) -> PerAxis:
-        """Sense (N,) of friction and gear losses after a way.
+    def sense(self, before: PerAxis, moved_rad: PerAxis) -> PerAxis:
+        """Return the direction (N,) of friction and gear losses after a displacement.
 
         Parameters
         ----------
         before : list of floats, one per axis
             Sense before it, each within -1 and 1; 0 = not known.
-        way_rad : list of floats, one per axis
+        moved_rad : list of floats, one per axis
             Change of the joint positions.
         """
-        way = way_rad if self._coupling is None else (self._coupling @ way_rad).tolist()
-        return [max(-1.0, min(1.0, old + step / TURN_ROUND_RAD)) for old, step in zip(before, way, strict=True)]
+        moved = moved_rad if self._coupling is None else (self._coupling @ moved_rad).tolist()
+        return [max(-1.0, min(1.0, old + step / TURN_ROUND_RAD)) for old, step in zip(before, moved, strict=True)]
 
     def offsets(self, q: PerAxis, qd: PerAxis, qdd: PerAxis, sense: PerAxis) -> tuple[PerAxis, PerAxis]:
         """Velocity offsets [rad/s] and torque offsets [Nm] (N,) each, motor side, not limited.

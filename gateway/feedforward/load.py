@@ -96,9 +96,9 @@ def identified_load(result: Result, label: str | None, where: str, bounds: LoadB
         No such label, or several loads and no label.
     DataUnusable
         No load was identified, it was refused, it is beyond what the arm can hold, or mass or centre of gravity could
-        not be told.
+        not be identified.
     InputError
-        It stands in another frame than link 6.
+        It is given in another frame than link 6.
     """
     chosen = _chosen(result, label, where)
     if chosen.frame != FRAME:
@@ -127,7 +127,7 @@ def _with_own_inertia(load: FeedLoad, chosen: LoadResult, source: str) -> FeedLo
     if chosen.inertia_kg_m2 is None:
         return load
     if not np.isfinite(chosen.inertia_kg_m2).all():
-        return replace(load, inertia_source=f"{load.inertia_source}, since motion told only a part of it")
+        return replace(load, inertia_source=f"{load.inertia_source}, since motion identified only a part of it")
     inertia = tensor_of(chosen.inertia_kg_m2)
     if not has_a_body(inertia):
         return replace(load, inertia_source=f"{load.inertia_source}, since no body has the one in {source}")
@@ -163,7 +163,7 @@ def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
     elsewhere = other_origin(result, loaded, arm, robot)
     if elsewhere:
         raise InputError(
-            f"{where}: was identified on {elsewhere}: the load of another arm stands in another frame; identify it on "
+            f"{where}: was identified on {elsewhere}: the load of another arm is in another frame; identify it on "
             "this one"
         )
 
@@ -182,7 +182,7 @@ def other_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
 
 
 def rated_load(arm: ArmConfig, robot: Robot) -> FeedLoad:
-    """The most the arm may carry: what a controller assumes as long as nobody has entered a load.
+    """The most the arm may carry: the load that a controller assumes when none is entered.
 
     Raises
     ------

@@ -56,8 +56,8 @@ def corrected_parameters(robot: Robot, bare: Bare, gravity_m_s2: Floats) -> Floa
     Returns
     -------
     array of shape (10 N,) or None
-        None where the identification does not apply: another gravity or robot, values that are missing, or a link
-        mass below `LEAST_SHARE` of the CAD mass.
+        None where the identification does not apply.
+        That is another gravity or robot, missing values, or a link mass below `LEAST_SHARE` of the CAD mass.
     """
     if bare.robot != robot.name or not np.allclose(bare.gravity_m_s2, gravity_m_s2, atol=1e-6):
         return None

@@ -1,4 +1,4 @@
-"""What the offsets hold and what not, axis by axis, each with its source: nothing is left out in silence."""
+"""Terms of the offsets, axis by axis, each with its source; a term that is left out is reported."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def result_of(job: Comparison) -> FollowResult:
         path=FollowedPath(path.name, prepared.path_file, path.duration_s, path.period_s),
         settings=settings,
         ratio=_ratio(peak),
-        trend=None if job.trend is None else job.trend.told,
+        trend=None if job.trend is None else job.trend.values,
         model=FedModel(prepared.model.links_source, prepared.model.sources),
         computing_s=_computing(job.tracks),
         left_out_syncs=_left_out(job.tracks),
@@ -99,11 +99,11 @@ def _left_out(tracks: Sequence[Track]) -> int:
 
 
 def findings(job: Comparison, peak: Mapping[str, Floats]) -> tuple[Finding, ...]:
-    """What the reader has to know, the worst first; `peak` (6,) error of each setting [rad]."""
+    """Return the findings, the worst first; `peak` (6,) error of each setting [rad]."""
     found = [*_load_finding(job), *_worse(peak), *_missing(job.prepared.model)]
     if left := _left_out(job.tracks):
         total = sum(len(track.target_rad) for track in job.tracks)
-        found.append(Finding("info", "bus", f"{left} of {total} SYNCs are left out: unanswered, late or repeated"))
+        found.append(Finding("info", "bus", f"{left} of {total} SYNCs are left out: unanswered, delayed or repeated"))
     order = ("fail", "warn", "info")
     return tuple(sorted(found, key=lambda item: order.index(item.severity)))
 
@@ -113,20 +113,20 @@ def _load_finding(job: Comparison) -> list[Finding]:
     if fed is None:
         return []
     where = f"load {fed.label}"
-    if job.trend is None or not math.isfinite(job.trend.told.scale_std):
-        what = "the path moves too little to tell from the torque whether the load is right"
+    if job.trend is None or not math.isfinite(job.trend.values.scale_std):
+        what = "the path moves too little to check the load by the torque"
         return [Finding("warn", where, what, "follow a longer path that lifts and lowers the load")]
-    trend = job.trend.told
+    trend = job.trend.values
     asked = (1.0 + trend.scale) * fed.mass_kg
     said = (
         f"{with_interval(trend.scale, trend.scale_std, 100)} % of its torque ({SAID}) is left in the residual: the "
-        f"torque asks for {asked:.2f} kg, {fed.mass_kg:.2f} kg was fed"
+        f"torque corresponds to {asked:.2f} kg, {fed.mass_kg:.2f} kg was fed"
     )
     proven = abs(trend.scale) > SIGMAS * trend.scale_std
     if not proven or abs(trend.scale) < NOTED_SHARE:
         return [Finding("info", where, f"the torque agrees with the load that was fed ({said})")]
     severity = "fail" if abs(trend.scale) >= FAILED_SHARE else "warn"
-    advice = "what hangs there is not what was identified: identify it again, or hang the load that was"
+    advice = "the mounted load is not the identified one: identify it again, or mount the identified load"
     return [Finding(severity, where, said, advice)]
 
 
@@ -209,7 +209,7 @@ def _spread_over(count: int, most: int) -> NDArray[np.int_]:
 def _chosen(track: Track) -> NDArray[np.int_]:
     """Rows of a curve: of every short stretch the row with the largest error of any axis, and the peak of every axis.
 
-    Errors are compared in units of their axis's peak; the peaks stand in the table too, and in the curve as large.
+    Errors are compared in units of their axis's peak; the peaks of the table are in the curve too.
     """
     error = np.abs(np.nan_to_num(track.error_rad))
     size = (error / np.maximum(error.max(axis=0), 1e-12)).max(axis=1)

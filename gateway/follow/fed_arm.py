@@ -1,8 +1,8 @@
-"""An arm whose drives are given velocity and torque offsets beside every target, and a record of what came of it.
+"""An arm with velocity and torque offsets beside every target, and the record of the motion.
 
 A target that goes out with SYNC n is reached one period later: the drive moves evenly from the target before to this
-one. The offsets are those of the middle of that stretch: mean position, difference quotient as velocity, and as
-acceleration the change of velocity from the stretch before to the stretch after.
+one. The offsets are those of the middle of that segment: mean position, difference quotient as velocity. The
+acceleration is the change of velocity from the segment before to the segment after.
 """
 
 from __future__ import annotations

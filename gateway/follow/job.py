@@ -10,7 +10,7 @@ from gateway.errors import DataUnusable
 from gateway.feedforward.identified import checked, read_identified
 from gateway.feedforward.load import check_origin, identified_load
 from gateway.follow.path import FollowPath, check_path, read_path
-from gateway.follow.run import FollowStation, Tell, follow
+from gateway.follow.run import FollowStation, Progress, follow
 from gateway.follow.settings import FeedModel, Setting, check_offsets, feed_model, three_settings
 from gateway.follow.track import Track
 from gateway.follow.trend import Trend, load_trend
@@ -67,7 +67,7 @@ class Prepared:
 
     @property
     def duration_s(self) -> float:
-        """Time of all passes of the path; the ways between them come on top."""
+        """Time of all passes of the path; without the transfer motions between them."""
         return len(self.settings) * self.path.duration_s
 
 
@@ -120,7 +120,7 @@ def _result(request: FollowRequest) -> tuple[Result, str]:
     return read_result(request.load), str(request.load)
 
 
-def drive(opened: OpenArm, prepared: Prepared, tell: Tell, options: MoveOptions | None = None) -> Comparison:
+def drive(opened: OpenArm, prepared: Prepared, progress: Progress, options: MoveOptions | None = None) -> Comparison:
     """Drive the path under every setting and compare.
 
     Raises
@@ -129,7 +129,7 @@ def drive(opened: OpenArm, prepared: Prepared, tell: Tell, options: MoveOptions 
         As `gateway.follow.run.follow`.
     """
     pacing = opened.group.timing.pacing
-    station = FollowStation(opened.arm, prepared.workspace, tell, options or MoveOptions(), pacing)
+    station = FollowStation(opened.arm, prepared.workspace, progress, options or MoveOptions(), pacing)
     tracks = follow(station, prepared.path, prepared.settings)
     trend = None
     for setting, track in zip(prepared.settings, tracks, strict=True):

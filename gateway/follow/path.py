@@ -8,8 +8,8 @@ TOML, straight from waypoint to waypoint with rest at each:
     dwell_s = 0.4                       # optional, rest at each waypoint
     repeat = 1                          # optional
 
-CSV with the columns q1_rad .. q6_rad alone: the same waypoints. With time_s as well: a timed path, through the points
-as a spline of fifth order that starts and ends at rest; the points must lie close enough for it to keep the limits.
+CSV with the columns q1_rad .. q6_rad alone: the same waypoints. With time_s as well: a timed path, a spline
+of fifth order through the points that starts and ends at rest. It has to keep the limits between the points.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class _Waypoints(Strict):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowPath:
-    """A path as set points.
+    """A path as setpoints.
 
     Attributes
     ----------
@@ -87,12 +87,12 @@ class FollowPath:
 
     @property
     def end_rad(self) -> np.ndarray:
-        """Last set point (6,)."""
+        """Last setpoint (6,)."""
         return self.motions[-1].q_rad[-1]
 
 
 def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
-    """Read a path and turn it into set points; nothing is checked against the workspace but its rates.
+    """Read a path and turn it into setpoints; nothing is checked against the workspace but its rates.
 
     Raises
     ------
@@ -150,23 +150,23 @@ def _read_csv(file: Path) -> tuple[np.ndarray | None, np.ndarray]:
     return times, points
 
 
-def _waypoints(name: str, given: _Waypoints, workspace: Workspace, period_s: float, where: str) -> FollowPath:
-    points = np.array(given.waypoints_rad)
-    share = given.speed_share
+def _waypoints(name: str, read: _Waypoints, workspace: Workspace, period_s: float, where: str) -> FollowPath:
+    points = np.array(read.waypoints_rad)
+    share = read.speed_share
     limits = MotionLimits(
         share * workspace.speed_rad_s, share * workspace.acceleration_rad_s2, share * workspace.jerk_rad_s3
     )
-    way = _distinct(points)
-    back = _distinct(np.vstack([points[-1:], points[:1]])) if given.repeat > 1 else []
-    if not way:
+    pairs = _distinct(points)
+    back = _distinct(np.vstack([points[-1:], points[:1]])) if read.repeat > 1 else []
+    if not pairs:
         raise InputError(f"{where}: all waypoints are the same place")
-    rests_s = given.dwell_s * (given.repeat * len(way) + (given.repeat - 1) * len(back))
-    least_s = given.repeat * _least_s(way, limits, period_s) + (given.repeat - 1) * _least_s(back, limits, period_s)
+    rests_s = read.dwell_s * (read.repeat * len(pairs) + (read.repeat - 1) * len(back))
+    least_s = read.repeat * _least_s(pairs, limits, period_s) + (read.repeat - 1) * _least_s(back, limits, period_s)
     if not rests_s + least_s <= LONGEST_S:
         raise InputError(f"{where}: the path takes {rests_s + least_s:.3g} s at least, {LONGEST_S:g} s are the most")
-    once, again = ([straight(start, end, limits, period_s) for start, end in pairs] for pairs in (way, back))
-    motions = (*once, *(again + once) * (given.repeat - 1))
-    path = FollowPath(name, points[0], motions, given.dwell_s, period_s)
+    once, again = ([straight(start, end, limits, period_s) for start, end in each] for each in (pairs, back))
+    motions = (*once, *(again + once) * (read.repeat - 1))
+    path = FollowPath(name, points[0], motions, read.dwell_s, period_s)
     if path.duration_s > LONGEST_S:
         raise InputError(f"{where}: the path takes {path.duration_s:.0f} s, {LONGEST_S:g} s are the most")
     return path

@@ -33,31 +33,31 @@ STOPPED_QUICKER = 2.0
 SETTLE_S = 1.0
 #: Rest after the path, still recorded.
 REST_S = 0.3
-#: The start is reached along the same short way under every setting, with the offsets on: friction and the drives'
-#: integral parts are then where a motion leaves them, not where easing the offsets in has pushed them.
+#: Length of the last segment to the start, the same under every setting and with the offsets on: friction and the
+#: drives' integral parts then have the state of a motion, not of the ramp of the offsets.
 LEAD_RAD = 0.06
 
-#: Called with what is done and the share of the whole that is done.
-Tell = Callable[[str, float], None]
+#: Called with the present step and the share of the whole that is done.
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowStation:
-    """What a run works with.
+    """Arm and options of a run.
 
     Attributes
     ----------
     arm : Arm
         Connected, set up with feedforward, not enabled.
     workspace : Workspace
-    tell : Tell
+    progress : Progress
     options : MoveOptions
     pacing : "lockstep" or "real"
     """
 
     arm: Arm
     workspace: Workspace
-    tell: Tell
+    progress: Progress
     options: MoveOptions = field(default_factory=MoveOptions)
     pacing: Pacing = "lockstep"
 
@@ -68,7 +68,7 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
     Raises
     ------
     PlanRefused
-        The path leaves the workspace, or no checked way leads to its start; nothing was enabled.
+        The path leaves the workspace, or no checked path leads to its start; nothing was enabled.
     LimitExceeded
         A limit was left, or an offset reached its limit; the arm was stopped.
     DriveError
@@ -80,14 +80,14 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
     lead = _lead(station.workspace, path.start_rad)
     start_rad = station.arm.where()
     refuse_start(station.workspace, start_rad, station.arm.name)
-    ways = [way_to(station.workspace, begin, lead) for begin in (start_rad, path.end_rad)]
+    transfers = [way_to(station.workspace, begin, lead) for begin in (start_rad, path.end_rad)]
     run = _Run(station, path)
     with run.under_power():
-        return tuple(run.drive(setting, ways[min(number, 1)], number) for number, setting in enumerate(settings))
+        return tuple(run.drive(setting, transfers[min(number, 1)], number) for number, setting in enumerate(settings))
 
 
 def _lead(workspace: Workspace, start_rad: np.ndarray) -> np.ndarray:
-    """Where the last short way to the start begins: above it on every joint where that is allowed, else the start."""
+    """Start of the last short segment to the start: above it on every joint where that is allowed, else the start."""
     above = start_rad + LEAD_RAD
     return above if workspace.path_clear(above[None], start_rad[None])[0] else start_rad
 
@@ -97,7 +97,7 @@ class _Run:
 
     def __init__(self, station: FollowStation, path: FollowPath) -> None:
         self._path = path
-        self._tell = station.tell
+        self._report_progress = station.progress
         self._arm = FedArm(station.arm, path.period_s, RAMP_S)
         self._limits = travel_limits(station.workspace)
         self._pass = ("", 0.0)
@@ -112,11 +112,11 @@ class _Run:
 
     def _progress(self, what: str, row: int, _rows: int) -> None:
         name, done_s = self._pass
-        self._tell(f"{name}: {what}" if name else what, done_s + max(row, 0) * self._path.period_s)
+        self._report_progress(f"{name}: {what}" if name else what, done_s + max(row, 0) * self._path.period_s)
 
     @contextmanager
     def under_power(self) -> Generator[None]:
-        """Enable, stand until the drives carry what the brakes carried; offsets are zero when this is left."""
+        """Enable, hold until the drives carry what the brakes carried; offsets are zero when this is left."""
         try:
             with powered(Stream(self._station)) as self._stream:
                 self._stream.take_over()

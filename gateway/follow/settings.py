@@ -1,4 +1,4 @@
-"""The three ways a path is driven: without feedforward, with the maximum load assumed, with the identified load."""
+"""The three settings of a pass: without feedforward, with the maximum load, with the identified load."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setting:
-    """One way to drive the path; `law` and `load` are None without feedforward."""
+    """One setting of the feedforward; `law` and `load` are None without feedforward."""
 
     name: str
     law: FeedforwardLaw | None
@@ -36,14 +36,14 @@ class Setting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeedModel:
-    """Arm and axes as the feedforward knows them.
+    """Model of arm and axes in the feedforward.
 
     Attributes
     ----------
     robot : Robot
     gravity_m_s2 : array of shape (3,)
     links : array of shape (60,)
-        Inertial parameters of the bare arm.
+        Inertial parameters of the unloaded arm.
     links_source : str
     axes : tuple of 6 AxisTerms
     sources : tuple of 6 AxisSources
@@ -126,9 +126,9 @@ def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> No
         if law is None:
             continue
         for motion in path.motions:
-            ways = np.diff(np.vstack([at, motion.q_rad]), axis=0)
+            steps = np.diff(np.vstack([at, motion.q_rad]), axis=0)
             at = motion.q_rad[-1]
-            parts = (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, ways)
+            parts = (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2, steps)
             for row, (q, velocity, acceleration, step) in enumerate(
                 zip(*(part.tolist() for part in parts), strict=True), start=1
             ):

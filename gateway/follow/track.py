@@ -13,10 +13,10 @@ from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
-#: After a SYNC that was not answered in full, as many rows are left out: answers may come one SYNC late.
+#: After a SYNC that was not answered in full, as many rows are left out: answers may be delayed by one SYNC.
 DOUBTFUL_ROWS = 2
-#: Target movement between two SYNCs [rad]: an arm whose readings stay the same over more was not read again.
-STALE_WAY_RAD = 1e-3
+#: Motion of the target between two SYNCs [rad] beyond which six unchanged readings count as old.
+STALE_MOTION_RAD = 1e-3
 #: Speed of the target below which an axis counts as standing [rad/s].
 STILL_RAD_S = 1e-6
 
@@ -30,14 +30,14 @@ class Track:
     setting : str
     period_s : float
     target_rad, measured_rad : arrays of shape (n, 6)
-        Where each joint was told to be at a SYNC, and where it was; NaN where a drive did not answer, right after that,
-        and where all six readings repeat the last ones although the arm moves.
+        Setpoint and position of each joint at a SYNC. NaN where a drive did not answer, in the rows right after that,
+        and where all six readings are repeated although the arm moves.
     torque_nm : array of shape (n, 6)
         Measured, motor side.
     velocity_offset_rad_s, torque_offset_nm : arrays of shape (n, 6)
         What was fed, motor side.
     computing_s : array of shape (n,)
-        Time that both offsets of six axes took; 0 where none were worked out.
+        Time that both offsets of six axes took; 0 where none were computed.
     """
 
     setting: str
@@ -104,12 +104,12 @@ class Recorder:
 
 
 def _doubtful(target: Floats, measured: Floats) -> NDArray[np.bool_]:
-    """Rows (n,) whose reading is missing, may be late, or is an old one."""
+    """Rows (n,) whose reading is missing, may be delayed, or is an old one."""
     missing: NDArray[np.bool_] = np.asarray(~np.isfinite(measured).all(axis=1))
     out = missing.copy()
     for step in range(1, DOUBTFUL_ROWS + 1):
         out[step:] |= missing[:-step]
-    moved = np.abs(np.diff(target, axis=0, prepend=target[:1])).max(axis=1) > STALE_WAY_RAD
+    moved = np.abs(np.diff(target, axis=0, prepend=target[:1])).max(axis=1) > STALE_MOTION_RAD
     repeated = np.abs(np.diff(np.nan_to_num(measured), axis=0, prepend=np.inf)).max(axis=1) == 0.0
     return np.asarray(out | (moved & repeated))
 
@@ -135,13 +135,13 @@ def following(track: Track, load: FedLoad | None = None) -> FollowedSetting:
     rate = track.velocity_rad_s
     moving = (np.abs(rate) > STILL_RAD_S) & known[:, None]
     power = np.sum(np.where(moving, rate**2, 0.0), axis=0)
-    late = np.sum(np.where(moving, error * rate, 0.0), axis=0)
+    lag = np.sum(np.where(moving, error * rate, 0.0), axis=0)
     return FollowedSetting(
         name=track.setting,
         load=load,
         peak_rad=numbers(np.abs(error[known]).max(axis=0)),
         rms_rad=numbers(np.sqrt((error[known] ** 2).mean(axis=0))),
-        lag_s=numbers(np.divide(late, power, out=np.full_like(late, np.nan), where=power > 0)),
+        lag_s=numbers(np.divide(lag, power, out=np.full_like(lag, np.nan), where=power > 0)),
         overshoot_rad=numbers(_overshoot(track, known)),
     )
 

@@ -1,14 +1,14 @@
-"""Is the load that was fed the load that hangs there? The torque residual regressed on the load's own columns.
+"""Check of the load in the feedforward: the torque residual regressed on the columns of the load.
 
     T = (u - J theta'') eta^(+-1)                                   measured torque behind the gear
     r = T - tau(arm + load) - friction                              residual of the model that was fed
     r = s Y_load phi_load + nuisance                                trend: the load is (1 + s) times as heavy as entered
     r = Y_load [dm, dh] + nuisance                                  the same, mass and first moment apart
 
-Nuisance per axis: offset, Coulomb and viscous friction, a part in proportion to the transmitted torque (gear losses
-that are not as entered), which turn round with the direction of motion while the load does not, and a part in
-proportion to the axis' own acceleration: a drive that moves in even steps from target to target changes its speed at
-each SYNC, and its torque, sampled there, misses part of what accelerates the axis. So gravity is what tells the load.
+Nuisance per axis: offset, Coulomb and viscous friction, a part in proportion to the transmitted torque (error of the
+gear losses), and a part in proportion to the axis' own acceleration. Friction changes sign with the direction of
+motion; the load does not. A drive that interpolates linearly between targets changes its speed at each SYNC, and its
+torque, sampled there, misses part of what accelerates the axis. So the load is identified by gravity.
 Only rows in which an axis moves are used. Errors of neighbouring rows are correlated: the covariance is that of blocks
 of time (`identify.spread`).
 """
@@ -46,17 +46,17 @@ OPEN_SHARE = 0.03
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trend:
-    """What the torque of a pass says about the load that was fed.
+    """Load by the torque of a pass, compared with the load that was fed.
 
     Attributes
     ----------
-    told : FedTrend
-        In numbers; what the path does not tell is NaN.
+    values : FedTrend
+        NaN where the path does not determine a value.
     load_nm, residual_nm : arrays of shape (n, 6)
         Torque of the load as fed, and the residual less the nuisance; NaN where an axis does not move.
     """
 
-    told: FedTrend
+    values: FedTrend
     load_nm: Floats
     residual_nm: Floats
 
@@ -69,12 +69,12 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     track : Track
     model : FeedModel
     load : FeedLoad
-        That was fed.
+        The load that was fed.
 
     Returns
     -------
     Trend or None
-        None where too little moves to tell.
+        None where too few rows move.
     """
     q, rate, acceleration = track.target_rad, track.velocity_rad_s, track.acceleration_rad_s2
     columns = regressor(model.robot, q, rate, acceleration, model.gravity_m_s2)
@@ -93,10 +93,10 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     moment = np.einsum("nij,ik->nkj", columns[:, :, 50:54], to_gear)
     problem = _Problem(residual, nuisance, used)
     scale, scale_std, left = problem.solve(own[:, :, None])
-    values, stds, _ = problem.solve(moment)
-    mass, mass_std, com, com_std = _as_load(load, values, stds)
+    change, stds, _ = problem.solve(moment)
+    mass, mass_std, com, com_std = _as_load(load, change, stds)
     return Trend(
-        told=FedTrend(
+        values=FedTrend(
             scale=float(scale[0]),
             scale_std=float(scale_std[0]),
             mass_kg=mass,

@@ -96,7 +96,7 @@ def test_no_room_no_motion(place, gateway, serve):
     cell = place.variant("narrow", ("position_limit_rad = [-2.8, 2.8]", "position_limit_rad = [-0.02, 0.02]"))
     done, _ = check(gateway, place, drives, "--prove-stop", "--yes", cell=cell)
     assert done.exit_code == 5, done.output
-    assert "no room" in done.stderr
+    assert "no free space" in done.stderr
     assert drives.stand_still()
 
 

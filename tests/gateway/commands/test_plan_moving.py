@@ -56,7 +56,7 @@ def test_friction_is_asked_for_by_sweeps(tmp_path: Path) -> None:
         (["--for", "load"], 2, "need --moving"),
         (["--moving", "--poses", "4"], 2, "rest poses"),
         (["--moving", "--for", "load,luck"], 2, "'luck'"),
-        (["--moving", "--period", "1"], 5, "no room to move"),
+        (["--moving", "--period", "1"], 5, "too little travel"),
         (["--moving", "--period", "nan"], 5, "5 to 20 s"),
         (["--moving", "--periods", "1"], 5, "2 to 100"),
     ],

@@ -233,7 +233,7 @@ def test_the_identified_inertia_of_a_load_moves_the_arm_as_pinocchio_says(large,
 @pytest.mark.parametrize(
     ("inertia", "words"),
     [
-        ((2.0, 3.0, float("nan"), 0.0, 0.0, 0.0), "told only a part"),
+        ((2.0, 3.0, float("nan"), 0.0, 0.0, 0.0), "identified only a part"),
         ((0.5, 0.5, 1.5, 0.0, 0.0, 0.0), "no body has"),
         ((-0.5, 0.5, 1.5, 0.0, 0.0, 0.0), "no body has"),
     ],

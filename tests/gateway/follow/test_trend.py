@@ -68,17 +68,17 @@ def track(motion, torque):
 def test_the_trend_is_what_the_load_was_entered_wrong_by(model, motion, measured, factor):
     fed = assumed_load("a", MASS, COM, "test").scaled(factor)
     trend = load_trend(track(motion, measured), model, fed)
-    assert trend.told.scale == pytest.approx(1 / factor - 1, abs=max(0.02, 3 * trend.told.scale_std))
-    assert trend.told.scale_std < 0.02
-    assert trend.told.mass_kg == pytest.approx(MASS, abs=max(2.0, 3 * trend.told.mass_std_kg))
-    assert trend.told.com_m[:2] == pytest.approx(COM[:2], abs=0.01)
+    assert trend.values.scale == pytest.approx(1 / factor - 1, abs=max(0.02, 3 * trend.values.scale_std))
+    assert trend.values.scale_std < 0.02
+    assert trend.values.mass_kg == pytest.approx(MASS, abs=max(2.0, 3 * trend.values.mass_std_kg))
+    assert trend.values.com_m[:2] == pytest.approx(COM[:2], abs=0.01)
 
 
 def test_a_shifted_centre_of_gravity_is_told_from_a_wrong_mass(model, motion, measured):
     fed = assumed_load("a", MASS, COM + np.array([0.06, 0.0, 0.0]), "test")
     trend = load_trend(track(motion, measured), model, fed)
-    assert trend.told.com_m[0] == pytest.approx(COM[0], abs=0.01)
-    assert trend.told.mass_kg == pytest.approx(MASS, abs=max(2.0, 3 * trend.told.mass_std_kg))
+    assert trend.values.com_m[0] == pytest.approx(COM[0], abs=0.01)
+    assert trend.values.mass_kg == pytest.approx(MASS, abs=max(2.0, 3 * trend.values.mass_std_kg))
 
 
 def test_a_path_that_hardly_moves_tells_nothing(model, motion, measured):
@@ -93,4 +93,4 @@ def test_axes_that_do_not_move_leave_directions_open(model, motion, measured):
     q[:, 1:] = q[0, 1:]
     fed = assumed_load("a", MASS, COM, "")
     trend = load_trend(track((q, *motion[1:]), np.tile(measured[:1], (len(q), 1))), model, fed)
-    assert trend is None or not np.isfinite(trend.told.mass_kg) or trend.told.mass_std_kg > 10.0
+    assert trend is None or not np.isfinite(trend.values.mass_kg) or trend.values.mass_std_kg > 10.0
