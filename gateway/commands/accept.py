@@ -12,7 +12,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import axis_names, grid
-from gateway.commands.guided import keep_earlier
+from gateway.commands.guided import MeasuringOptions
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
@@ -22,7 +22,6 @@ from gateway.commands.shared_options import (
     json_option,
     note_remarks,
     output_option,
-    refuse_unwritable,
     session_of,
     write_json,
 )
@@ -114,7 +113,7 @@ def accept(
     note_remarks(about.robot)
     job = _job(about, load_file, label, tolerance)
     if not data:
-        data = (_measured(job, _Measuring(cell, out, resume, bus_spec, moving)),)
+        data = (_measured(job, MeasuringOptions(cell, out, resume, bus_spec, moving)),)
         about = given(request, data)
     table = read_rows(data, about)
     with session_of().working("acceptance"):
@@ -148,17 +147,6 @@ def _job(about: Given, load_file: Path, label: str | None, tolerance: str) -> _J
     return _Job(result, entered, loaded, arm, workspace_of(arm, about.model), parse_tolerance(tolerance, arm))
 
 
-@dataclass(frozen=True, slots=True)
-class _Measuring:
-    """Where and how it is measured: CELL, OUT, --resume, --bus and MOVE."""
-
-    cell: Path
-    out: Path
-    resume: bool
-    bus_spec: str | None
-    moving: MoveChoice
-
-
 def _planned(job: _Job) -> AcceptancePlan:
     """The poses, chosen for the errors that are looked for."""
     import numpy as np
@@ -180,7 +168,7 @@ def _planned(job: _Job) -> AcceptancePlan:
     )
 
 
-def _measured(job: _Job, how: _Measuring) -> Path:
+def _measured(job: _Job, how: MeasuringOptions) -> Path:
     """Measure the poses with the load mounted, as `record` does; return the recording."""
     from gateway.acquire.session import RecordRequest, open_arm
     from gateway.commands.cell_context import open_cell
@@ -191,11 +179,6 @@ def _measured(job: _Job, how: _Measuring) -> Path:
     context = open_cell(how.cell, how.bus_spec, how.moving.pacing)
     with session.working("choosing poses and paths"):
         chosen = _planned(job)
-    how.out.mkdir(parents=True, exist_ok=True)
-    recording = how.out / "accept.h5"
-    refuse_unwritable(recording, "--out")
-    if not how.resume:
-        keep_earlier(recording, session)
     show_plan(chosen.plan)
     session.show(f"expected standard deviation of any error: at most {chosen.resolution:.2g} of the tolerance")
     first = "" if context.stop_proof(job.arm).exists() else " At first its drives lose the heartbeat on purpose."
@@ -203,8 +186,9 @@ def _measured(job: _Job, how: _Measuring) -> Path:
         f"Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Arm '{job.arm.name}' of cell "
         f"'{job.loaded.cell.name}' will move.{first} Is the load mounted, and is nobody near the arm?"
     )
+    recording = how.recording("accept.h5", context.loaded)
     opening = open_arm(context.loaded, context.override(job.arm, None), job.arm.name)
-    with context.way_on(), stoppable(how.moving) as options, opening as opened:
+    with context.with_move_command(), stoppable(how.moving) as options, opening as opened:
         options = context.proven(opened, session.note, options)
         recording_with_progress(session, opened, chosen.plan, RecordRequest(label, recording, how.resume), options)
     return recording

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -12,7 +12,7 @@ import click
 
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
-from gateway.commands.guided import Terminal, keep_earlier
+from gateway.commands.guided import MeasuringOptions, Terminal
 from gateway.commands.identification import postures
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
@@ -96,7 +96,7 @@ def calibrate(
     note_remarks(about.robot)
     refuse_unwritable(calibration_path(cell), "calibration file")
     if not data:
-        data = (_measured(arm, about, weight, _Measuring(cell, out, resume, bus_spec, moving)),)
+        data = (_measured(arm, about, weight, MeasuringOptions(cell, out, resume, bus_spec, moving)),)
         about = given(request, data)
     table = read_rows(data, about)
     with session_of().working("calibration"):
@@ -104,24 +104,11 @@ def calibrate(
     _hand_over(found, cell, json_out, session_of())
 
 
-@dataclass(frozen=True, slots=True)
-class _Measuring:
-    """Options of the measurement: CELL, OUT, --resume, --bus and MOVE."""
-
-    cell: Path
-    out: Path
-    resume: bool
-    bus_spec: str | None
-    moving: MoveChoice
-
-
-def _measured(arm: ArmConfig, about: Given, weight: Weight, how: _Measuring) -> Path:
+def _measured(arm: ArmConfig, about: Given, weight: Weight, how: MeasuringOptions) -> Path:
     """Measure the unloaded arm, the load, and the unloaded arm again; return the recording."""
     from drives.errors import DriveError
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job, measure
-    from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import refuse_other_cell
 
     rated_kg = arm.max_load_kg if arm.rated_load_kg is None else arm.rated_load_kg.value
     if rated_kg is not None and weight.mass_kg > rated_kg:
@@ -129,13 +116,7 @@ def _measured(arm: ArmConfig, about: Given, weight: Weight, how: _Measuring) -> 
             f"--known {weight.label}: {weight.mass_kg:.4g} kg is beyond the rated load of {rated_kg:.4g} kg"
         )
     context = open_cell(how.cell, how.bus_spec, how.moving.pacing)
-    how.out.mkdir(parents=True, exist_ok=True)
-    recording = how.out / "calibrate.h5"
-    refuse_unwritable(recording, "--out")
-    if not how.resume:
-        keep_earlier(recording, session_of())
-    elif recording.exists():
-        refuse_other_cell(read(recording), context.loaded.text)
+    recording = how.recording("calibrate.h5", context.loaded)
     terminal = Terminal(session_of(), context.loaded.cell.name, how.moving, partial(_refuse_plan, arm, about, weight))
     try:
         with context.with_move_command(), stoppable(how.moving) as options:

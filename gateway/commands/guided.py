@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from gateway.acquire.until.goal import Goal
     from gateway.acquire.until.run import UntilSummary
     from gateway.acquire.until.search import LoadSearch
+    from gateway.cell.config import LoadedCell
     from gateway.data.recording.recorded import Recording
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
@@ -141,6 +142,36 @@ def keep_earlier(path: Path, session: Session) -> None:
     kept = next(name for name in names if not name.exists())
     path.rename(kept)
     session.note(f"{path} renamed to {kept}")
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuringOptions:
+    """Options of a command that measures into OUT: CELL, OUT, --resume, --bus and MOVE."""
+
+    cell: Path
+    out: Path
+    resume: bool
+    bus_spec: str | None
+    moving: MoveChoice
+
+    def recording(self, name: str, loaded: LoadedCell) -> Path:
+        """Return OUT/name: rename an earlier one, or with --resume refuse one of another cell.
+
+        Raises
+        ------
+        InputError
+        """
+        from gateway.data.recording.reader import read
+        from gateway.data.recording.writer import refuse_other_cell
+
+        self.out.mkdir(parents=True, exist_ok=True)
+        path = self.out / name
+        refuse_unwritable(path, "--out")
+        if not self.resume:
+            keep_earlier(path, session_of())
+        elif path.exists():
+            refuse_other_cell(read(path), loaded.text)
+        return path
 
 
 @dataclass(frozen=True, slots=True)
