@@ -173,3 +173,13 @@ def test_the_loads_of_rest_and_moving_rows_together_are_equal_where_no_effect_is
     expected = run(table, robot, EstimateOptions(inertials="prior:0.05"))
     assert expected.motion
     _same(diagnose(table, robot, DiagnoseOptions(only=NOTHING)), expected, 1)
+
+
+def test_calibrated_constants_and_a_warm_arm_reach_the_loads_of_rest_and_moving_rows_together() -> None:
+    table, robot = _moving_arm(0, 2, _moving_loads(2, 1), poses=12)
+    stated = {"gain_std": (0.004,) * 2, "measured_gain": (True,) * 2, "change": 0.05}
+    expected = run(table, robot, EstimateOptions(inertials="prior:0.05", **stated))
+    plain = run(table, robot, EstimateOptions(inertials="prior:0.05"))
+    assert expected.motion
+    assert expected.loads[0].mass_std_kg < 0.8 * plain.loads[0].mass_std_kg
+    _same(diagnose(table, robot, DiagnoseOptions(only=NOTHING, **stated)), expected, 1)
