@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS
+from gateway.identify.budget import CABLE, CONSTANTS, DRIFT, FRICTION, LINKS, ZEROS
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.information import payload_information
 from gateway.model.robot import Robot
@@ -81,6 +81,12 @@ def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == DRIFT:
         what = f"warm the arm up, then measure {load.label}, bare, bare, {load.label}: {percent} readings that drift"
+        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
+    if source == ZEROS:
+        what = f"calibrate the joint zeros, or choose poses that turn the wrist: {percent} zero errors of the joints"
+        return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
+    if source == CABLE:
+        what = f"take hoses and cables off, or measure bare with them: {percent} what comes with the load"
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == FRICTION:
         what = f"approach every pose from both sides, bare, {load.label}, {load.label}, bare: {percent} friction"

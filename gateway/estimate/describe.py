@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -45,8 +45,14 @@ class LinkColumns:
         )
 
 
-def describe(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> Estimate:
-    """The estimate that a fit of rest visits stands for."""
+def describe(
+    problem: RestProblem,
+    fit: Fit,
+    robot: Robot,
+    options: EstimateOptions,
+    by_statement: Mapping[str, Floats] | None = None,
+) -> Estimate:
+    """The estimate that a fit of rest visits stands for; `by_statement` as `load_estimates` has it."""
     names, units, rows = zip(*_named(problem, LinkColumns.of(robot, options), len(fit.scale)), strict=True)
     directions = np.array(rows)
     found = sure(problem, fit, directions)
@@ -55,7 +61,7 @@ def describe(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOpti
     value = directions @ fit.common
     return Estimate(
         method="joint",
-        loads=load_estimates(problem, fit, robot),
+        loads=load_estimates(problem, fit, robot, by_statement=by_statement),
         names=names,
         units=units,
         value=np.where(found, value, np.nan),

@@ -62,7 +62,7 @@ def estimate_joint(
     refused |= refused_loads(problem, fit, robot, options)
     if not refused:
         trusted = replace(options, inertials=settled.knowledge.inertials)
-        found = describe(settled.problem, settled.fit, robot, trusted)
+        found = describe(settled.problem, settled.fit, robot, trusted, settled.spread)
         return replace(found, findings=(*found.findings, *settled.findings))
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)

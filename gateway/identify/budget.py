@@ -20,6 +20,9 @@ LINKS: Final = "links"
 FRICTION: Final = "friction"
 #: Of gains that change between runs and while the arm warms up.
 DRIFT: Final = "drift"
+#: Of zero errors of the joints, and of a hose or cable that comes with the load.
+ZEROS: Final = "zeros"
+CABLE: Final = "cable"
 #: Of what no prior accounts for, too.
 NOISE: Final = "noise"
 #: Keys of a budget.

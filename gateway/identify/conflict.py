@@ -9,7 +9,7 @@ Box 1980 (predictive checks), Evans and Moshonov 2006 (conflict of prior and dat
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -17,15 +17,16 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from gateway.data.labels import BARE_LABEL
+from gateway.identify.alternatives import LINK_SCALE, LINK_SPREADS, spread_of_loads, wider_statements, wider_std
 from gateway.identify.known_load import load_contradicted, most_doubtful
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
-from gateway.identify.rest.fit import fit_without_effects, log_density, noise_std
+from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.loads import sure
-from gateway.identify.rest.problem import Knowledge, build_problem, nuisance_of, open_link_prior
+from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
 from gateway.identify.rest.thresholds import CONFLICT
-from gateway.identify.solve import NOTHING
 from gateway.model.placeholders import mass_placeholder
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -33,18 +34,8 @@ from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
-#: Relative standard deviations of link masses that are tried, and of torque constants; factors on changes of gain.
-_LINKS: Final = (0.02, 0.05, 0.1, 0.2, 0.4)
-_GAINS: Final = (0.01, 0.03, 0.06, 0.12)
-_CHANGES: Final = (3.0, 8.0)
-#: Relative size of a direction that neither rows nor priors determine: it counts the same in every alternative.
-_SINGULAR: Final = 1e-14
 #: Between a label and a run: in no label that a table may have.
 _APART: Final = "\x1f"
-#: Standard deviation of a factor on all link masses.
-_LINK_SCALE: Final = 0.2
-#: Steps in which the noise of an alternative settles.
-_NOISE_STEPS: Final = 3
 #: Groups that can be in conflict, one after the other.
 _ROUNDS: Final = 3
 
@@ -53,7 +44,8 @@ _ROUNDS: Final = 3
 class SettledKnowledge:
     """Knowledge that the data do not contradict, the fit with it, and what was contradicted.
 
-    `stated` is the problem and the fit with the knowledge as it was stated.
+    `stated` is the problem and the fit with the knowledge as it was stated; `spread` (labels, 4, 4) by source is what
+    statements that are not contradicted may still be wrong by, as a covariance of [m, h].
     """
 
     stated: tuple[RestProblem, Fit]
@@ -61,6 +53,7 @@ class SettledKnowledge:
     problem: RestProblem
     fit: Fit
     findings: tuple[Finding, ...]
+    spread: Mapping[str, Floats] = field(default_factory=dict)
 
 
 def settle(
@@ -90,7 +83,8 @@ def settle(
             break
         settled, problem, fit = wider, other, refitted
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
-    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts))
+    spread = spread_of_loads(robot, problem, fit, settled)
+    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread)
 
 
 def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:
@@ -100,19 +94,19 @@ def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wide
 
 def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Knowledge | None:
     """The knowledge with the group widened that the data contradict most; None where they contradict none."""
-    line = _Line.of(problem, fit)
+    line = LinearisedFit.of(problem, fit)
     stated = line.evidence(problem.common_std)
     best, found = CONFLICT.log_odds, None
-    for alternative in _alternatives(robot, knowledge):
-        odds = line.evidence(_prior_std(problem, robot, alternative)) - stated
+    for alternative in wider_statements(robot, knowledge):
+        odds = line.evidence(wider_std(problem, robot, alternative)) - stated
         if odds > best:
             best, found = odds, alternative
-    link_odds = line.evidence(problem.common_std, _LINK_SCALE) - stated
+    link_odds = line.evidence(problem.common_std, LINK_SCALE) - stated
     freed, odds = most_doubtful(robot, problem, fit, knowledge)
     if freed is not None and odds > max(best, link_odds):
         return freed
     if link_odds > best:
-        return replace(knowledge, inertials="ignore" if _unloaded(problem, knowledge) else f"prior:{_LINK_SCALE:g}")
+        return replace(knowledge, inertials="ignore" if _unloaded(problem, knowledge) else f"prior:{LINK_SCALE:g}")
     if found is None:
         return None
     weighed = knowledge.known or knowledge.masses
@@ -146,108 +140,12 @@ def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, 
     return knowledge, (Finding("info", weightless, what, advice, "link_mass_missing"),) if weightless else ()
 
 
-def _alternatives(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
-    trust = parse_inertials(knowledge.inertials)
-    for wider in _LINKS:
-        if 1.5 * trust < wider < np.inf:
-            yield replace(knowledge, inertials=f"prior:{wider:g}")
-    std = gain_stds(knowledge.gain_std, robot.axes)
-    for wider in _GAINS:
-        if wider > 1.5 * float(np.median(std)):
-            yield replace(knowledge, gain_std=tuple(np.hypot(std, wider).tolist()))
-    for factor in _CHANGES:
-        if factor > knowledge.change:
-            yield replace(knowledge, change=factor)
-
-
 def _dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
     """The wider knowledge, without links that need more than three times their stated spread."""
     trust, needed = parse_inertials(stated.inertials), parse_inertials(wider.inertials)
-    if needed > CONFLICT.dropped * max(trust, _LINKS[0]):
+    if needed > CONFLICT.dropped * max(trust, LINK_SPREADS[0]):
         return replace(wider, inertials="ignore")
     return wider
-
-
-def _prior_std(problem: RestProblem, robot: Robot, knowledge: Knowledge) -> Floats:
-    """Standard deviations (p,) of the priors of a problem, had it been built with this knowledge."""
-    nuisance = nuisance_of(problem.rows, knowledge, replace(problem.nuisance.changes, factor=knowledge.change))
-    _, link_std = open_link_prior(robot, knowledge.inertials)
-    return replace(problem, link_std=link_std, nuisance=nuisance).common_std
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Line:
-    """A fit without effects as a linear problem about its solution: products of its columns by noise group, so that a
-    prior is tried at a cost that does not depend on the number of rows.
-
-    Attributes
-    ----------
-    used : (groups,) noise groups that have rows
-    gram : (groups, p, p), right : (groups, p), square : (groups,) products of columns and residual
-    count : (groups,) rows
-    """
-
-    problem: RestProblem
-    fit: Fit
-    used: NDArray[np.int_]
-    gram: Floats
-    right: Floats
-    square: Floats
-    count: Floats
-
-    @staticmethod
-    def of(problem: RestProblem, fit: Fit) -> _Line:
-        width, groups = fit.columns.width, 3 * problem.axes
-        gram, right = np.zeros((groups, width, width)), np.zeros((groups, width))
-        for rows, columns, values in fit.columns.parts:
-            group = int(problem.group[rows[0]])
-            gram[group][np.ix_(columns, columns)] += values.T @ values
-            right[group][columns] += values.T @ fit.residual[rows]
-        square, count = problem.by_group(fit.residual**2), problem.by_group()
-        used = np.flatnonzero(count > 0)
-        return _Line(problem, fit, used, gram[used], right[used], square[used], count[used])
-
-    def evidence(self, std: Floats, link_scale: float = 0.0) -> float:
-        """Logarithm of the marginal likelihood, up to what all priors share, with priors of these widths (p,).
-
-        `link_scale` is the standard deviation of a factor on all link masses: CAD without motors, or of another alloy.
-        """
-        problem, fit, used = self.problem, self.fit, self.used
-        held = np.isfinite(std)
-        pull = problem.common_mean - fit.common
-        precision = np.diag(np.where(held, std, np.inf) ** -2.0)
-        shared = np.zeros(len(std))
-        shared[problem.link_part] = link_scale * problem.links
-        log_spread = float(np.sum(np.log(std[held]))) + 0.5 * float(np.log1p(shared @ precision @ shared))
-        tied = precision @ shared
-        precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
-        rows = problem.prior_rows
-        known = problem.prior_target - problem.prior_rows @ fit.common
-        start, least = fit.noise.start[used], fit.noise.least[used]
-        noise = fit.noise.std[used]
-        steps = 0
-        while True:
-            weight = noise**-2.0
-            matrix = np.tensordot(weight, self.gram, 1) + precision + rows.T @ rows
-            scale = np.sqrt(np.diag(matrix))
-            scale[scale <= NOTHING * scale.max()] = 1.0
-            size, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
-            size = np.maximum(size, _SINGULAR)
-            inverse = (vectors / size) @ vectors.T / np.outer(scale, scale)
-            step = inverse @ (weight @ self.right + precision @ np.where(held, pull, 0.0) + rows.T @ known)
-            left = self.square - 2.0 * self.right @ step + np.einsum("i,gij,j->g", step, self.gram, step)
-            taken = np.einsum("gij,ij->g", self.gram, inverse) * weight
-            left = np.maximum(left, 0.0)
-            noise = noise_std(self.count, taken, left, start, least)
-            steps += 1
-            if steps == _NOISE_STEPS:
-                break
-        away = np.where(held, pull - step, 0.0)
-        short = known - rows @ step
-        penalty = float(away @ precision @ away) + float(short @ short)
-        log_det = float(np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale)))
-        density = log_density(self.count, left, noise, start, penalty)
-        return density - 0.5 * log_det - log_spread
 
 
 def _contradicted(

@@ -27,6 +27,8 @@ EVALUATIONS: Final[Mapping[str, tuple[str, str]]] = {
     "links": ("links", "B"),
     "friction": ("friction", "B"),
     "drift": ("drift of the torque readings", "B"),
+    "zeros": ("zero errors of the joints", "B"),
+    "cable": ("hose or cable of the load, and friction that it makes uneven", "B"),
     "noise": ("noise", "A"),
 }
 #: What the provenance of a torque constant from `calibrate` starts with: date, load, mass.

@@ -212,3 +212,17 @@ def test_coupled_angles_are_not_passed_on_silently(command, tmp_path):
     if command == "diagnose":
         assert [(effect["name"], effect["joints"]) for effect in result["effects"]] == [("angles_coupled", [2, 3])]
         assert off(result, cell) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("condition", "source"),
+    [("clean", None), ("joint zeros 0.5 deg", "zeros"), ("hose with the load", "cable")],
+)
+def test_zero_errors_and_hoses_are_in_the_interval_of_the_centre_and_in_the_budget(condition, source, tmp_path):
+    cell = quiet_cell(condition)
+    _, _, result = typed(cell, tmp_path)
+    load = next(load for load in result["loads"] if load["label"] == "tool")
+    disturbed = {name for name in ("zeros", "cable") if load["budget"][name] > 0.01}
+    assert disturbed == ({source} if source else set())
+    away = np.abs(np.array(load["com_m"]) - cell.loads["tool"][1:]) / np.array(load["com_std_m"])
+    assert (away < 3.0).all()

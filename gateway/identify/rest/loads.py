@@ -32,14 +32,23 @@ _INFORMATIVE: Final = 0.05
 
 
 def load_estimates(
-    problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | None = None
+    problem: RestProblem,
+    fit: Fit,
+    robot: Robot,
+    by_shape: Floats | None = None,
+    by_statement: Mapping[str, Floats] | None = None,
 ) -> tuple[LoadEstimate, ...]:
     """Every load that was estimated, in the order of its label.
 
-    `by_shape` (labels, 4, 4) is what the choice of the effects' shapes leaves open about [m, h], none if not given.
+    `by_shape` (labels, 4, 4) is what the choice of the effects' shapes leaves open about [m, h], `by_statement` the
+    same by source of statements that may be wrong; none if not given.
     """
     further = np.zeros((len(problem.labels), 4, 4)) if by_shape is None else by_shape
-    return tuple(_load(problem, fit, robot, k, further[k]) for k in range(len(problem.labels)))
+    stated = by_statement or {}
+    return tuple(
+        _load(problem, fit, robot, k, further[k], {source: part[k] for source, part in stated.items()})
+        for k in range(len(problem.labels))
+    )
 
 
 def loads_of(problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | None = None) -> tuple[LoadResult, ...]:
@@ -56,7 +65,9 @@ def spread_by_shape(fit: Fit, alike: Sequence[tuple[float, Fit]]) -> Floats:
     return out
 
 
-def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Floats) -> LoadEstimate:
+def _load(
+    problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Floats, by_statement: Mapping[str, Floats]
+) -> LoadEstimate:
     part = problem.load_part(index)
     found = _determined(problem, fit, part)
     directions = np.zeros((4, len(fit.scale)))
@@ -64,7 +75,7 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Fl
     load = load_from_moment(
         problem.labels[index],
         fit.loads[index],
-        fit.covariance[part, part] + by_shape,
+        fit.covariance[part, part] + by_shape + sum(by_statement.values()),
         widening(problem, fit, directions),
         found,
         reach_m(robot),
@@ -72,7 +83,13 @@ def _load(problem: RestProblem, fit: Fit, robot: Robot, index: int, by_shape: Fl
     return replace(
         load,
         per_pose_mass_kg=per_pose_mass(problem, fit, index) if found.all() else {},
-        budget=_budget(problem, fit, part.start) if np.isfinite(load.mass_kg) else {},
+        budget=_with_statements(
+            _budget(problem, fit, part.start),
+            float(fit.covariance[part.start, part.start]),
+            {source: float(more[0, 0]) for source, more in by_statement.items()},
+        )
+        if np.isfinite(load.mass_kg)
+        else {},
     )
 
 
@@ -128,6 +145,18 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
             },
         ),
     )
+
+
+def _with_statements(budget: Mapping[str, float], variance: float, more: Mapping[str, float]) -> Mapping[str, float]:
+    """Shares of the variance of a mass with what further variances add by source."""
+    added = {source: max(value, 0.0) for source, value in more.items()}
+    whole = variance + sum(added.values())
+    if not (budget and whole > 0.0):
+        return budget
+    return {
+        source: (budget.get(source, 0.0) * variance + added.get(source, 0.0)) / whole
+        for source in dict.fromkeys([*budget, *added])
+    }
 
 
 def ordinary_of(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult]:

@@ -10,7 +10,7 @@ from gateway.report.render import render
 from gateway.result.result import LoadResult, NuisanceResult, Result, SetAside
 
 NAN = float("nan")
-BUDGET = {"constants": 0.64, "links": 0.04, "friction": 0.0, "drift": 0.0, "noise": 0.32}
+BUDGET = {"constants": 0.64, "links": 0.04, "friction": 0.0, "drift": 0.0, "zeros": 0.0, "cable": 0.0, "noise": 0.32}
 LOAD = LoadResult("tool", 10.0, 0.5, (0.0, 0.0, 0.1), (0.01, 0.01, 0.01), "link_6", budget=BUDGET)
 
 
@@ -28,7 +28,8 @@ def test_a_bar_is_cut_by_the_shares():
 def test_numbers_stand_inside_where_there_is_room_alone():
     picture = budget_figure(Result("r", (LOAD,)))
     assert re.findall(r">(\d+ %)</text>", picture) == ["64 %", "32 %"]
-    assert "torque constants 64 %, links 4 %, friction 0 %, drift of the torque readings 0 %, noise 32 %" in picture
+    assert "torque constants 64 %, links 4 %, friction 0 %, drift of the torque readings 0 %, zero errors" in picture
+    assert "noise 32 %" in picture
 
 
 def test_bars_of_several_loads_stand_apart():
@@ -42,7 +43,7 @@ def test_parts_add_up_in_squares():
     (row,) = budget_rows(Result("r", (LOAD,)))
     # 1.96 * 0.5, and the roots of the shares of it
     assert row.half == "0.98"
-    assert [part[2] for part in row.parts] == ["0.78", "0.20", "0.00", "0.00", "0.55"]
+    assert [part[2] for part in row.parts] == ["0.78", "0.20", "0.00", "0.00", "0.00", "0.00", "0.55"]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,121 @@
+"""A fit without effects as a linear problem about its solution, so that other priors are tried at little cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.identify.rest.fit import log_density, noise_std
+from gateway.identify.rest.linear import Fit, RestProblem
+from gateway.identify.solve import NOTHING
+
+Floats = NDArray[np.float64]
+
+#: Relative size of a direction that neither rows nor priors determine: it counts the same in every alternative.
+_SINGULAR: Final = 1e-14
+#: Steps in which the noise of an alternative settles.
+_NOISE_STEPS: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriedPrior:
+    """Outcome of a prior: marginal likelihood, step (p,) from the solution of the fit, and covariance (p, p).
+
+    `log_evidence` is the logarithm of the marginal likelihood, up to what all priors share.
+    """
+
+    log_evidence: float
+    step: Floats
+    covariance: Floats
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearisedFit:
+    """Products of the columns of a fit by noise group: the cost of a prior does not depend on the number of rows.
+
+    Attributes
+    ----------
+    used : (groups,) noise groups that have rows
+    gram : (groups, p + e, p + e), right : (groups, p + e), square : (groups,) products of columns and residual
+    count : (groups,) rows
+    """
+
+    problem: RestProblem
+    fit: Fit
+    used: NDArray[np.int_]
+    gram: Floats
+    right: Floats
+    square: Floats
+    count: Floats
+
+    @staticmethod
+    def of(problem: RestProblem, fit: Fit, further: Floats | None = None) -> LinearisedFit:
+        """Of a fit; `further` (rows, e) are columns of parameters that are 0 in it."""
+        width, groups = fit.columns.width, 3 * problem.axes
+        columns = np.zeros((len(problem.target), 0)) if further is None else further
+        total = width + columns.shape[1]
+        gram, right = np.zeros((groups, total, total)), np.zeros((groups, total))
+        extra = np.arange(width, total)
+        for rows, own, values in fit.columns.parts:
+            group = int(problem.group[rows[0]])
+            own, values = np.append(own, extra), np.hstack([values, columns[rows]])
+            gram[group][np.ix_(own, own)] += values.T @ values
+            right[group][own] += values.T @ fit.residual[rows]
+        square, count = problem.by_group(fit.residual**2), problem.by_group()
+        used = np.flatnonzero(count > 0)
+        return LinearisedFit(problem, fit, used, gram[used], right[used], square[used], count[used])
+
+    def tried(self, std: Floats, link_scale: float = 0.0, further_std: Floats | None = None) -> TriedPrior:
+        """Solve with priors of these widths (p,).
+
+        `link_scale` is the standard deviation of a factor on all link masses: CAD without motors, or of another alloy.
+        `further_std` (e,) is that of the further parameters; 0 = they are left out, as they all are where it is None.
+        """
+        problem, fit, used = self.problem, self.fit, self.used
+        width = len(std)
+        more = np.zeros(self.gram.shape[1] - width) if further_std is None else further_std
+        kept = np.append(np.arange(width), width + np.flatnonzero(more > 0))
+        gram, right = self.gram[:, kept][:, :, kept], self.right[:, kept]
+        std = np.append(std, more[more > 0])
+        held = np.isfinite(std)
+        pull = np.append(problem.common_mean - fit.common, np.zeros(len(kept) - width))
+        precision = np.diag(np.where(held, std, np.inf) ** -2.0)
+        shared = np.zeros(len(std))
+        shared[problem.link_part] = link_scale * problem.links
+        log_spread = float(np.sum(np.log(std[held]))) + 0.5 * float(np.log1p(shared @ precision @ shared))
+        tied = precision @ shared
+        precision -= np.outer(tied, tied) / (1.0 + shared @ tied)
+        rows = np.pad(problem.prior_rows, ((0, 0), (0, len(kept) - width)))
+        known = problem.prior_target - problem.prior_rows @ fit.common
+        start, least = fit.noise.start[used], fit.noise.least[used]
+        noise = fit.noise.std[used]
+        steps = 0
+        while True:
+            weight = noise**-2.0
+            matrix = np.tensordot(weight, gram, 1) + precision + rows.T @ rows
+            scale = np.sqrt(np.diag(matrix))
+            scale[scale <= NOTHING * scale.max()] = 1.0
+            size, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+            size = np.maximum(size, _SINGULAR)
+            inverse = (vectors / size) @ vectors.T / np.outer(scale, scale)
+            step = inverse @ (weight @ right + precision @ np.where(held, pull, 0.0) + rows.T @ known)
+            left = self.square - 2.0 * right @ step + np.einsum("i,gij,j->g", step, gram, step)
+            taken = np.einsum("gij,ij->g", gram, inverse) * weight
+            left = np.maximum(left, 0.0)
+            noise = noise_std(self.count, taken, left, start, least)
+            steps += 1
+            if steps == _NOISE_STEPS:
+                break
+        away = np.where(held, pull - step, 0.0)
+        short = known - rows @ step
+        penalty = float(away @ precision @ away) + float(short @ short)
+        log_det = float(np.sum(np.log(size)) + 2.0 * np.sum(np.log(scale)))
+        density = log_density(self.count, left, noise, start, penalty)
+        return TriedPrior(density - 0.5 * log_det - log_spread, step[:width], inverse[:width, :width])
+
+    def evidence(self, std: Floats, link_scale: float = 0.0) -> float:
+        """Logarithm of the marginal likelihood with these priors; as `tried`."""
+        return self.tried(std, link_scale).log_evidence
