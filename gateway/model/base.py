@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-6
 _NOTHING = 1e-13
+#: Relative difference in length by which a column is preferred to the next: far above rounding, far below TOLERANCE.
+_PREFERENCE = 1e-9
 _STATES = 60
 _SEED = 20_240_501
 
@@ -69,6 +71,8 @@ def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLER
     seen = np.flatnonzero(scale > _NOTHING * scale.max(initial=0.0))
     if not len(seen):
         return BaseSet(np.zeros(0, dtype=int), np.zeros((0, len(names))), (), 0)
+    # of columns of equal length rounding would choose, another one on every computer: the first one is preferred
+    scale = scale * (1.0 + _PREFERENCE * np.arange(len(scale)))
     factors: tuple[Any, ...] = qr(stacked[:, seen] / scale[seen], mode="r", pivoting=True)  # type: ignore[assignment]
     r, pivots = np.asarray(factors[0]), np.asarray(factors[1])
     diagonal = np.abs(np.diag(r))

@@ -29,6 +29,8 @@ from gateway.result.values import numbers
 Floats = NDArray[np.float64]
 #: Information about the mass, over that of the most telling pose, from which a pose's own mass is given.
 _INFORMATIVE: Final = 0.05
+#: Share of a variance that is rounding.
+_AS_ROUNDING: Final = 1e-12
 
 
 def load_estimates(
@@ -193,8 +195,10 @@ def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
     by_row = (fit.columns.times(reach) / fit.noise.std[problem.group][:, None]) ** 2
     share = np.array([problem.by_group(column) for column in by_row.T])
     total = share.sum(axis=1)
-    mean = (share @ freedom) / np.where(total > 0, total, 1.0)
-    return np.where(total > 0, stdtrit(np.where(total > 0, mean, np.inf), 0.975) / ndtri(0.975), 1.0)
+    # where priors alone give the variance, what is left of the rows is rounding
+    by_rows = total > _AS_ROUNDING * np.einsum("kp,pk->k", directions, reach)
+    mean = (share @ freedom) / np.where(by_rows, total, 1.0)
+    return np.where(by_rows, stdtrit(np.where(by_rows, mean, np.inf), 0.975) / ndtri(0.975), 1.0)
 
 
 def per_pose_mass(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:

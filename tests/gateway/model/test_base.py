@@ -101,3 +101,13 @@ def test_base_parameters_give_the_same_torque_whatever_the_units_of_the_columns(
     assert rows[:, base.indices] @ (base.combination @ parameters) == pytest.approx(
         rows @ parameters, rel=1e-8, abs=1e-8
     )
+
+
+def test_the_choice_among_equal_columns_does_not_depend_on_rounding():
+    rng = np.random.default_rng(2)
+    rows = rng.standard_normal((80, 5))
+    rows = np.column_stack([rows, rows[:, 0] + rows[:, 1], rows[:, 3]])
+    chosen = base_parameters(rows, list("abcdefg")).indices.tolist()
+    for seed in range(20):
+        noise = 1.0 + 1e-15 * np.random.default_rng(seed).standard_normal(rows.shape)
+        assert base_parameters(rows * noise, list("abcdefg")).indices.tolist() == chosen
