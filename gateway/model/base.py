@@ -1,4 +1,4 @@
-"""Base parameters: which combinations of inertial parameters the rows of an arm can tell at all.
+"""Base parameters: the combinations of inertial parameters that the rows of an arm determine.
 
 Rank-revealing QR (column pivoting) on columns scaled to unit length, so that the tolerance is relative and does not
 mix kg with kg m. Ten for a vertical axis 1 with a spherical or UR-like wrist at rest, twelve where the base is tilted

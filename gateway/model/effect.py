@@ -1,4 +1,4 @@
-"""What an effect is to the house: its name, its words, where it is looked for and what it is drawn over."""
+"""Definition of an effect: name, texts, where it is searched for, and the quantity that its page shows it over."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class Effect:
     parameters : keys that its shapes report, with unit
     over : what it is drawn over
     at_rest, in_motion : candidates that the rows could show, every place and shape
-    by_residual : whether the candidates in motion are read off the residual, anew at each step
+    by_residual : whether the candidates in motion are read off the residual, again at each step
     drawn : whether a wrong drawing of the links can imitate it
     friction : whether it is friction, which has many shapes in any gear
     mistake : what is wrong and what to do, of a commissioning mistake

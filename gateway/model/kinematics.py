@@ -1,4 +1,4 @@
-"""Where links and axes stand: vectorised over rows of joint positions."""
+"""Frames of links and axes, vectorised over rows of joint positions."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def joint_axes_origins(robot: Robot, q_rad: Floats) -> tuple[Floats, Floats]:
 def kinematic_difference(first: Robot, second: Robot) -> str:
     """What is different in the joint axes of two robots at q = 0, in words; empty where they are the same arm.
 
-    Lines are compared, not frames, wherever the base stands: a URDF and a table of Denavit-Hartenberg rows may describe
+    Lines are compared, not frames, wherever the base is: a URDF and a table of Denavit-Hartenberg rows may describe
     one arm.
     """
     if first.axes != second.axes:
@@ -94,7 +94,7 @@ def kinematic_difference(first: Robot, second: Robot) -> str:
         if turned[joint] > SAME_AXIS_RAD:
             return f"axis {joint + 1} points {np.degrees(turned[joint]):.1f} degrees elsewhere"
         if apart_m[joint] > SAME_AXIS_M:
-            return f"axis {joint + 1} lies {1e3 * apart_m[joint]:.0f} mm elsewhere"
+            return f"axis {joint + 1} is {1e3 * apart_m[joint]:.0f} mm elsewhere"
     return ""
 
 

@@ -1,6 +1,6 @@
 """The largest load that is credible on an arm, by its rating, torque, mass and reach.
 
-Statements (cell file, `--known`) and results are held against it: what lies beyond is in another unit, or of another
+Statements (cell file, `--known`) and results are held against it: a value beyond it is in another unit, or of another
 arm. The bounds are wide on purpose, five times what the arm is rated for: they find a factor of 1000.
 """
 

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 #: Of a binary STL file of a million triangles.
 MOST_BYTES: Final = 50_000_000
 MOST_VERTICES: Final = 3_000_000
-#: A hull of no more corners is kept as it is; one of more gives way to a slightly larger one of at most half as many.
+#: A hull of no more corners is kept as it is; one of more is replaced by a slightly larger one of at most half as many.
 MOST_CORNERS: Final = 256
 #: Vertices that a hull is computed of at once, and rows of a product that are held at once.
 _AT_ONCE: Final = 20_000
@@ -38,7 +38,7 @@ def find_mesh(name: str, source: str) -> Path:
     """Path of a mesh as a URDF names it, from the folder of the URDF on.
 
     `package://NAME/..` is looked for in a folder NAME above the URDF, or beside one of the folders above it, as ROS
-    packages lie.
+    packages are stored.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def simple_corners(points: Floats) -> Floats:
     extent = np.abs(spread @ axes).max(axis=0)
     if extent.min() <= 1e-9 * extent.max():
         return _box_around(points)
-    spread = spread @ axes / extent  # as long as it is wide: the directions see all of it alike
+    spread = spread @ axes / extent  # as long as it is wide: all directions have equal weight
     chosen = spread[np.unique(_farthest(spread))]
     hull = ConvexHull(chosen)
     corners, normals = chosen[hull.vertices], hull.equations[:, :3]
@@ -154,7 +154,7 @@ def read_vertices(path: Path) -> Floats:
     Raises
     ------
     MeshError
-        The file cannot be read, is no regular file, is too large, is of another format, or has no finite vertices.
+        The file cannot be read, is not a regular file, is too large, is of another format, or has no finite vertices.
     """
     kind = path.suffix.lower()
     if kind not in _WORDS:
@@ -187,5 +187,5 @@ def _from_text(data: bytes, word: str, name: str) -> Floats:
     except ValueError as error:
         if isinstance(error, MeshError):
             raise
-        raise MeshError(f"{name} has a vertex that is no three numbers") from error
+        raise MeshError(f"{name} has a vertex that is not three numbers") from error
     return np.vstack(parts)

@@ -1,7 +1,7 @@
 """A moving run prepared for identification: rows of torque, motion and the rigid body regressor.
 
 Friction at a standstill is a set and not a number: on an axis that turns slower than `SLOW` of its own top speed the
-torque of that row tells nothing about the model, so the row is not judged on that axis. The other axes of the row are.
+torque of that row is no information on the model, so the row is not judged on that axis. The other axes of the row are.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SLOW = 0.01
-#: Top speed [rad/s] of an axis that hardly moves: 1 % of less is noise of a differentiated encoder.
+#: Top speed [rad/s] of an axis that barely moves: 1 % of less is noise of a differentiated encoder.
 LEAST_TOP_RAD_S = 0.1
 #: Coulomb friction in motion is `tanh(qd / SMOOTH_RAD_S)` [rad/s], where it is fitted, planned for and predicted. A
 #: joint at 0.02 rad/s turns well above what differentiated encoder counts are wrong by.
@@ -170,7 +170,7 @@ def behind_gears(table: Table, efficiency: ArrayLike | None, coupling: ArrayLike
     ----------
     table : Table
     efficiency : array of shape (N,), one for all, or None
-        1 or None where the torque already stands behind the gear.
+        1 or None where the torque is already that behind the gear.
     coupling : array of shape (N, N) or None
         As of `Gears`.
     """

@@ -1,9 +1,9 @@
-"""What a model of the arm says the drives report at rest, with every effect that may be built into it.
+"""Predicted torque readings of an arm at rest, with every effect that a hypothesis may contain.
 
-An `AlteredModel` holds everything that effects change: the model without effects is `neutral(n)`. `Model.predict` goes
-the way the torque goes: gravity in the joints, springs and cables, friction by the side of approach, gear, torque
-constant, what the drive reports; and then back the way a measurement is converted. Every column of a fit is a
-derivative of this prediction, so it is built from modelled torque alone: a measured torque never enters.
+An `AlteredModel` holds all quantities that effects change; `neutral(n)` is the model without effects. `Model.predict`
+follows the torque: gravity in the joints, springs and cables, friction by the side of approach, gear, torque constant,
+report of the drive. Then it applies the conversion of a measurement. Every column of a fit is a derivative of this
+prediction, so it contains modelled torque only, never measured torque.
 """
 
 from __future__ import annotations
@@ -235,7 +235,7 @@ class Model:
         friction = band + setting.load_friction * np.abs(torque) + self._lost_in_gear(setting, torque, band)
         carried, torque = torque, torque + setting.bias_nm + self._left_by_gear(setting, torque, band)
         if self._straight(setting):
-            # the way through the gear and back cancels: each side reads torque and friction as they are
+            # the gear and its conversion cancel: each side reads torque and friction as they are
             middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
             half = (setting.gain * friction) @ setting.coupling.T
             up, down = middle + half, middle - half
@@ -265,7 +265,7 @@ class Model:
         return setting.one_efficiency * (_mean_loss(nu) * band + nu * below)
 
     def _straight(self, setting: AlteredModel) -> bool:
-        """Whether nothing stands between the gear and the reading that the conversion does not undo."""
+        """Whether the conversion undoes all effects between the gear and the reading."""
         if setting.gain_per_nm.any():
             return False
         return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(self.rows.axes)))

@@ -28,7 +28,7 @@ LONGEST_M, MILLIMETRES_FROM_M = 20.0, 600.0
 HEAVIEST_KG = 20_000.0
 #: Mass of the moving links over the cube of the reach: the densest arms have 200; one of 4 kg in grams has 20 000.
 #: A reach below half a metre counts as that, and turntables of few axes, whose reach is none, are left alone.
-DENSEST_KG_M3, SMALLEST_ROOM_M, MOST_AXES_OF_TABLES = 4000.0, 0.5, 4
+DENSEST_KG_M3, SMALLEST_REACH_M, MOST_AXES_OF_TABLES = 4000.0, 0.5, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class Robot:
     shapes : tuple of N tuples of LinkShape
         What the source gives of each link's body; empty where it gives none.
     base_shapes : tuple of LinkShape
-        The same of what stands still below joint 1, in the base frame.
+        The same of the fixed base below joint 1, in the base frame.
     source : str
         File the arm was read from: names of meshes start beside it.
     frames : tuple of (str, array of shape (4, 4))
@@ -168,7 +168,7 @@ def link_lengths_m(robot: Robot) -> Floats:
     """Length (N,) [m] of every link, what an error of its first moment is measured by.
 
     To the next joint or to the centre of mass, whichever is further; the last link reaches to the flange, and counts no
-    less than the step before it, since what hangs on it is never smaller than the wrist. At least 0.1 m.
+    less than the step before it, since what it carries is never smaller than the wrist. At least 0.1 m.
     """
     steps = np.linalg.norm(robot.placement[:, :3, 3], axis=1)
     last = 0.0 if robot.flange is None else float(np.linalg.norm(robot.flange[:3, 3]))
@@ -179,7 +179,7 @@ def link_lengths_m(robot: Robot) -> Floats:
 def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
     """Read an arm from URDF text.
 
-    Fixed joints are merged: what hangs on them counts to the link before. A fixed link without inertial is taken
+    Fixed joints are merged: bodies on them belong to the link before. A fixed link without inertial is taken
     as a mere frame, a link that a joint moves without inertial as unknown. Joints that could move and are not the
     arm's are taken as fixed at zero, which is among the remarks.
 
@@ -245,8 +245,8 @@ def _refuse_units(robot: Robot, where: str) -> None:
                 f"{where}: robot '{robot.name}' measures {length_m:.4g} m {what}, beyond {LONGEST_M:g} m: its lengths"
                 f" are in {unit}; export it in metres (lengths, centres of mass, and inertia in kg m2)"
             )
-    mass_kg, room_m3 = float(np.nansum(robot.mass_kg)), max(reach_m(robot), SMALLEST_ROOM_M) ** 3
-    if mass_kg > HEAVIEST_KG or (robot.axes > MOST_AXES_OF_TABLES and mass_kg > DENSEST_KG_M3 * room_m3):
+    mass_kg, volume_m3 = float(np.nansum(robot.mass_kg)), max(reach_m(robot), SMALLEST_REACH_M) ** 3
+    if mass_kg > HEAVIEST_KG or (robot.axes > MOST_AXES_OF_TABLES and mass_kg > DENSEST_KG_M3 * volume_m3):
         raise ConfigError(
             f"{where}: the moving links of robot '{robot.name}' weigh {mass_kg:.4g} kg at a reach of"
             f" {reach_m(robot):.3g} m: its masses are in grams; export it in kilograms (and inertia in kg m2)"
@@ -258,7 +258,7 @@ def or_another_tip(robot: Robot, axes: int) -> str:
     if axes >= robot.axes or not robot.source:
         return ""
     more = ", ".join(robot.joint_names[axes:])
-    return f"; where {more} is no axis of the arm, {urdf.name_the_tip(robot.link_names[axes - 1])}"
+    return f"; where {more} is not an axis of the arm, {urdf.name_the_tip(robot.link_names[axes - 1])}"
 
 
 def _remarks(chain: urdf.Chain, where: str) -> Iterator[str]:
@@ -273,14 +273,14 @@ def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
     """Arm from Denavit-Hartenberg rows; links are unknown, limits open.
 
     Modified (Craig): `Rx(alpha_i) Tx(a_i) Rz(theta_i) Tz(d_i)`, link frame = DH frame.
-    Standard (Paul): `Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frames of all links but the last stand on their
+    Standard (Paul): `Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frames of all links but the last are on their
     own joint's axis, the last is its DH frame.
 
     Raises
     ------
     ConfigError
         Unknown convention, not two to eight rows, columns of different length, a value that is not finite, or a
-        standard table whose last a is not 0 (that frame would not stand on its axis: give the length in the flange).
+        standard table whose last a is not 0 (that frame would not be on its axis: give the length in the flange).
     """
     columns = [
         np.asarray(column, dtype=float) for column in (table.alpha_rad, table.a_m, table.d_m, table.theta_offset_rad)

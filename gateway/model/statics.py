@@ -105,7 +105,7 @@ def _level(gravity: Floats) -> Floats:
     if length == 0.0:
         return np.zeros((2, 3))
     up = -gravity / length
-    aside = np.eye(3)[int(np.argmin(np.abs(up)))]
-    x = np.cross(aside, up)
+    other = np.eye(3)[int(np.argmin(np.abs(up)))]
+    x = np.cross(other, up)
     x /= np.linalg.norm(x)
     return np.array([x, np.cross(up, x)])

@@ -64,7 +64,7 @@ class Term:
     bounds : mapping
         What an arm can have, smallest and largest, of parameters that are reported.
     modelled : bool
-        Whether the columns in motion hang on the modelled torque.
+        Whether the columns in motion depend on the modelled torque.
     ordinary : bool
         Whether any gear has it: it needs less evidence than a fault or an extra part.
     scales_reading : bool

@@ -24,7 +24,7 @@ TURNING = ("revolute", "continuous")
 PASSIVE: Final = ("prismatic", "floating", "planar")
 #: Of a whole humanoid with two hands, and more than twice as many.
 MOST_JOINTS: Final = 500
-#: Names of the plane that a tool is bolted to, the better one first: what turns beyond it is no axis of the arm.
+#: Names of the plane that a tool is bolted to, the better one first: what turns beyond it is not an axis of the arm.
 FLANGES: Final = ("tool0", "flange")
 #: Words of a link that ends an arm, beside those of a flange.
 _HANDS: Final = frozenset({*FLANGES, "tool", "hand", "tcp", "ee", "eef", "effector"})
@@ -88,7 +88,7 @@ class FixedFrame:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """Driven joints from the root to the tip, the link each of them moves, and the shapes of what stands still.
+    """Driven joints from the root to the tip, the link each of them moves, and the shapes of the fixed base.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ class _Tree:
         return path[::-1]
 
     def likely_tip(self) -> str:
-        """Last link of what is likely the arm: down the longest branch, to a gripper or to two short branches alike."""
+        """Last link of what is likely the arm: down the longest branch, to a gripper or to two equal short branches."""
         below = dict.fromkeys(self.reached, 0)
         for link in reversed(self.reached[1:]):
             above = _parent(self.parent[link])
@@ -198,8 +198,8 @@ class _Tree:
         while onward := [joint for joint in self.children[current] if below[_child(joint)] + _is_driven(joint) > 0]:
             onward.sort(key=lambda joint: below[_child(joint)] + _is_driven(joint), reverse=True)
             longest, *others = (below[_child(joint)] + _is_driven(joint) for joint in onward)
-            alike = others[:1] == [longest] and longest <= _JOINTS_OF_A_JAW
-            if axes > 1 and (alike or self._of_a_tool(onward[0], current)):
+            jaws = others[:1] == [longest] and longest <= _JOINTS_OF_A_JAW
+            if axes > 1 and (jaws or self._of_a_tool(onward[0], current)):
                 break
             current, axes = _child(onward[0]), axes + _is_driven(onward[0])
             last = current if _is_driven(onward[0]) else last
@@ -317,7 +317,7 @@ class _Tree:
 
 
 def flange_kind(link: str) -> str | None:
-    """Which of the usual names of the flange a link has, a prefix aside."""
+    """Which of the usual names of the flange a link has, without its prefix."""
     return next((name for name in FLANGES if _words(link)[-1] == name), None)
 
 

@@ -24,7 +24,7 @@ _MARKS: Final = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16")
 _DECLARED: Final = re.compile(rb"""<\?xml[^>]*?\bencoding\s*=\s*["']([A-Za-z0-9._:-]+)["']""")
 #: Beginnings of Python's names of the encodings that hold text, one pass each.
 _TEXT: Final = ("utf-8", "utf-16", "iso8859", "cp", "ascii", "gb", "big5", "shift_jis", "euc", "koi8", "mac-")
-#: What stands in attributes of a xacro file until it is expanded.
+#: Content of attributes of a xacro file until it is expanded.
 _MACRO: Final = re.compile(r"\$[({]")
 #: Outermost elements of other formats: what the file is, and how a URDF is made of it (`{file}`, `{urdf}`).
 _SDF: Final = (
@@ -50,7 +50,7 @@ def read_urdf(path: Path) -> str:
     Raises
     ------
     ConfigError
-        It cannot be read, is no regular file, is too large, or is not in the encoding that it declares.
+        It cannot be read, is not a regular file, is too large, or is not in the encoding that it declares.
     """
     try:
         data = read_bounded(path, MOST_BYTES)

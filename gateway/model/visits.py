@@ -100,8 +100,8 @@ class Visits:
     sum_nm : array of shape (n, N)
         Half the sum of both sides behind the gear, or the one side there is; NaN = axis not measured.
     difference_nm : array of shape (n, N)
-        Half the difference of the sides in the direction of motion; NaN where there is but one, on axes that stood
-        still in between too.
+        Half the difference of the sides in the direction of motion. NaN where there is only one side, and on axes that
+        stayed at rest in between.
     side : array of shape (n, N)
         Direction of approach of an axis that came from one side alone; 0 = both, or unknown.
     two_sided : bool array of shape (n,)
@@ -197,7 +197,7 @@ def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: Arr
     table : Table
         Moving rows are left out.
     efficiency : array of shape (N,), optional
-        Gear efficiency of each motor; 1 where the table's torque already stands behind the gear.
+        Gear efficiency of each motor; 1 where the table's torque is already that behind the gear.
     coupling : array of shape (N, N), optional
         As of `Gears`.
     """
@@ -259,7 +259,7 @@ def _reversed(facing: Mask, others: Mask) -> Mask:
 
 
 def _partly_reversed(facing: Mask, others: Mask) -> Mask:
-    """Whether some axes came the other way and the rest as before, or stood still."""
+    """Whether some axes came the other way and the rest as before, or stayed at rest."""
     return (np.abs(others) == np.abs(facing)).all(axis=1) & (others != facing).any(axis=1)
 
 

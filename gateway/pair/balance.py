@@ -230,7 +230,10 @@ class ForceBalance:
         return EITHER_SHARE * self._coulomb_nm * np.sqrt(1.0 - turned**2)
 
     def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats, Floats]:
-        """Wrench (6,), its covariance, wrench per torque (6, J), from torques (J,) off by `unsure` (J, J)."""
+        """Return wrench (6,), its covariance and wrench per torque (6, J) by torques (J,) of covariance (J, J).
+
+        Six parameters from correlated torques at every SYNC: too small and too frequent for a fit by `identify.solve`.
+        """
         force = self._force[at]
         information = np.linalg.solve(unsure, force).T
         covariance = np.linalg.inv(information @ force + self._usual[at])

@@ -1,4 +1,4 @@
-"""The effects that the diagnosis knows: one file each, named as its effect, that holds an `EFFECT`."""
+"""The effects of the diagnosis: one file each, named as its effect, that holds an `EFFECT`."""
 
 from __future__ import annotations
 

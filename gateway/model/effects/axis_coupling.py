@@ -2,7 +2,7 @@
 
 Trains and linkages run within the wrist, through the upper arm to its first axis, and from axis 2 to axis 3 and on to
 axis 4 (parallel links, cable drives). Several of them add up: axis i shows its own torque and a share of each other's.
-The weight of a parallelogram is no coupling: it lies in the span of the serial links.
+The weight of a parallelogram is not a coupling: it is in the span of the serial links.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class MotorCoupling(_Coupling):
         return np.stack([c * own, own], axis=1)
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """A motor rubs; what is left of it may be zero, but not both of it below."""
+        """Motor friction dissipates energy, so at most one of both coefficients may be below zero."""
         return bool((value[:2] > -2.0 * std[:2]).all() and (value[:2] > 0).any())
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:

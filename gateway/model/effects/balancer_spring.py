@@ -26,9 +26,9 @@ Floats = NDArray[np.float64]
 
 #: A lever of 0.2 m anchored 0.7 m from the axis, as on arms for some 150 kg.
 REACH_M: Final = 0.728
-#: Free length of a coil over its reach that its shape is told from: no coil is longer unloaded than between its hooks.
+#: Free length of a coil over its reach in the search of its shape: no coil is longer unloaded than between its hooks.
 USUAL_FREE: Final = 0.5
-#: Nobody builds a balancer that takes less off the torque of gravity on axis 2 (RMS over RMS).
+#: Least share of the gravity torque on axis 2 that a balancer compensates (RMS over RMS).
 SMALLEST: Final = 0.15
 #: Most that a balancer may resemble gravity's own torque where it does not oppose it.
 MOST_ALIKE: Final = 0.5

@@ -1,4 +1,4 @@
-"""The base does not stand level: gravity is turned by two angles."""
+"""The base is not level: gravity is rotated by two angles."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class BaseTilt(Term):
     parameters: ClassVar[tuple[str, ...]] = ("tilt_x_rad", "tilt_y_rad")
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (0.1, 0.1)
-    #: Steeper than 11 degrees nobody bolts down an arm that is said to stand level.
+    #: Largest tilt, 11 degrees, of an arm that is stated as level.
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"tilt_x_rad": (-0.2, 0.2), "tilt_y_rad": (-0.2, 0.2)}
     modelled: ClassVar[bool] = True
 
@@ -49,7 +49,7 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
 EFFECT: Final = Effect(
     name="base_tilt",
     words="a tilted base",
-    meaning="the base does not stand level",
+    meaning="the base is not level",
     parameters=(
         "tilt_x_rad",
         "tilt_y_rad",

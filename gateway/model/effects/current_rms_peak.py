@@ -9,7 +9,7 @@ from gateway.model.effect import Effect
 
 #: Reported over true current.
 FACTOR: Final = math.sqrt(2.0)
-#: How near a scale has to lie to it, and in its own standard deviations.
+#: How near a scale has to be to it, and in its own standard deviations.
 TOLERANCE: Final = 0.05
 WITHIN: Final = 3.0
 

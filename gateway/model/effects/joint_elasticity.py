@@ -1,4 +1,4 @@
-"""A joint gives way under load: the link stands behind the motor's angle."""
+"""A joint deflects under load: the angle of the link lags behind that of the motor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ STRONG_AXES: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class JointElasticity(OnAxis):
-    """The link stands at `q - compliance tau`, to first order in motion."""
+    """The link angle is `q - compliance tau`, to first order in motion."""
 
     largest_nm: float = 1.0
     name: ClassVar[str] = "joint_elasticity"
@@ -71,7 +71,7 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
 EFFECT: Final = Effect(
     name="joint_elasticity",
     words="an elastic joint",
-    meaning="a joint gives way under load",
+    meaning="a joint deflects under load",
     parameters=("compliance_rad_nm",),
     over=Over.TORQUE,
     at_rest=_at_rest,

@@ -1,4 +1,4 @@
-"""An encoder zero is off: the link stands further than it is reported."""
+"""An encoder zero is wrong: the link is further than reported."""
 
 from __future__ import annotations
 

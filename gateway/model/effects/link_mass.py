@@ -59,7 +59,7 @@ class LinkMass(OnAxis):
         return added
 
     def exists(self, theta: Floats, std: Floats) -> bool:
-        """A negative mass takes off what the drawing has too much: more than the whole link is no correction."""
+        """A negative mass corrects a CAD mass that is too large; it may not exceed the mass of the link."""
         if self.drawn is None:
             return True
         mass, moment = np.split(np.array(self.drawn) + theta, [1])

@@ -62,7 +62,7 @@ class TorqueRipple(ReadingTorque):
 
 
 def orders_at_rest(q_rad: Floats) -> Floats:
-    """Swings per turn (k,) to look through at joint angles (n,) of one axis; none where it hardly turned."""
+    """Return the orders per turn (k,) to search at joint angles (n,) of one axis; none where it barely moved."""
     reach = float(np.ptp(q_rad))
     if reach < LEAST_REACH_RAD:
         return np.zeros(0)

@@ -147,7 +147,7 @@ def test_jacobian_is_axis_times_lever(robot):
 def test_another_arm_is_told_by_its_axes(robot):
     placement = robot.placement.copy()
     placement[2, :3, 3] += 0.02
-    apart = re.search(r"lies (\d+) mm elsewhere", kinematic_difference(robot, replace(robot, placement=placement)))
+    apart = re.search(r"is (\d+) mm elsewhere", kinematic_difference(robot, replace(robot, placement=placement)))
     assert apart is not None
     assert 4 <= int(apart[1]) <= 35, "of the 35 mm, what the arm as a whole may stand elsewhere"
     axis = robot.axis.copy()
