@@ -70,9 +70,7 @@ def test_recording_under_its_own_cell(cell_at, record):
 
 def test_recording_of_another_robot_is_refused(cell_at, record):
     path, other = record(cell_at("own")), cell_at("other", robot="large")
-    with pytest.raises(
-        InputError, match=r"run.h5: was recorded with robot .*; in robot .*, axis \d is \d+ mm elsewh"
-    ):
+    with pytest.raises(InputError, match=r"run.h5: was recorded with robot .*; in robot .*, axis \d is \d+ mm elsewh"):
         given(ModelRequest(cell=other), [path])
     with pytest.raises(InputError, match="is .* mm elsewhere"):
         given(ModelRequest(robot=EXAMPLES / "large" / "robot.urdf"), [path])
