@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtr
 
+from gateway.identify.solve import solve
+
 Floats = NDArray[np.float64]
 
 #: What no encoder resolves: an angle [rad], and a share of the wind-up's range.
@@ -33,15 +35,14 @@ def design_of(torque_nm: Floats) -> Floats:
 
 def wind_up(torque_nm: Floats, bend_rad: Floats, share: Callable[[Floats], float], axes: int) -> WindUp:
     """Compliance from torque (n,) and wind-up (n,); `share` of a residual (n,) is independent, p is over all axes."""
-    design = design_of(torque_nm)
-    value, *_ = np.linalg.lstsq(design, bend_rad, rcond=None)
-    left = bend_rad - design @ value
+    found = solve(design_of(torque_nm), bend_rad, np.ones(len(bend_rad)))
+    value, left = float(found.value[0]), found.residual
     rows = max(share(left) * len(left), FEWEST_ROWS)
     freedom = rows - 2.0
     least = LEAST_RAD + LEAST_SHARE * float(np.ptp(bend_rad))
     spread = max(float(np.sqrt(np.mean(left**2) * rows / freedom)), least) * np.sqrt(len(left) / rows)
-    std = float(spread * np.sqrt(np.linalg.pinv(design.T @ design)[0, 0]))
+    std = float(spread * np.sqrt(found.covariance[0, 0]))
     if std == 0.0:  # nothing winds this joint, and nothing bends it
         return WindUp(0.0, np.inf, 1.0)
-    p_value = float(max(stdtr(freedom, -value[0] / std) * axes, 1e-300))
-    return WindUp(float(value[0]), std, p_value)
+    p_value = float(max(stdtr(freedom, -value / std) * axes, 1e-300))
+    return WindUp(value, std, p_value)

@@ -24,6 +24,7 @@ from gateway.identify.loads import BARE_LABEL, require_postures, unknown_labels
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import build_problem
+from gateway.identify.solve import solve
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot
@@ -163,13 +164,11 @@ def _check(
     size, vectors = np.linalg.eigh(covariance)
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-12 * size[-1]))
     whiten = (vectors / np.sqrt(np.maximum(size, 1e-12 * size[-1]))).T
-    white_span, white = whiten @ span, whiten @ change
-    fitted = np.linalg.lstsq(white_span, white, rcond=None)[0]
-    left = white - white_span @ fitted
+    body = solve(whiten @ span, whiten @ change, np.ones(len(change)))
     freedom = base.rank - len(LOAD_NAMES)
-    if freedom < 1 or chdtrc(freedom, float(left @ left)) > _SUSPICIOUS:
+    if freedom < 1 or chdtrc(freedom, body.misfit) > _SUSPICIOUS:
         return ()
-    worst = base.names[int(np.argmax(np.abs(change - span @ fitted) / spread))]
+    worst = base.names[int(np.argmax(np.abs(change - span @ body.value) / spread))]
     return (
         Finding(
             "warn", f"load {label}",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.solve import solve
+
 Floats = NDArray[np.float64]
 
 #: Degrees of freedom from which repeated visits determine a standard deviation to about a third.
@@ -37,7 +39,7 @@ def half_difference_scatter(half_nm: Floats, torque_nm: Floats) -> tuple[Floats,
         if len(half) <= len(columns):
             continue
         design = np.stack(columns, axis=1)
-        left = half - design @ np.linalg.lstsq(design, half, rcond=None)[0]
+        left = solve(design, half, np.ones(len(half))).residual
         freedom[k] = len(half) - len(columns)
         square[k] = float(left @ left) / freedom[k]
     return square, freedom

@@ -9,7 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.rest.ordinary import COLD, KINDS, Ordinary, fades, ordinary_setting, raised
+from gateway.identify.rest.ordinary import COLD, KINDS, ORDINARY, Ordinary, ordinary_setting
 from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.identify.solve import Basis, ByGroup
 from gateway.model.rest import AlteredModel, Model
@@ -374,21 +374,20 @@ def _axis_slopes(problem: RestProblem, setting: AlteredModel, torque: Floats, ba
     """
     model, axes = problem.model, problem.axes
     base = model.readings(setting, torque, band)
-    fading = fades(problem.rows)
     coupled = axes > 1 and bool(np.any(setting.coupling != np.eye(axes)))
     out = []
-    for place, kind in enumerate(("", *KINDS)):
-        step = _STEP * (1.0 + np.abs(band)) if kind in ("", "bias") else np.full(axes, _STEP)
+    for place, kind in enumerate((None, *ORDINARY)):
+        step = _STEP * (1.0 + np.abs(band)) if kind is None or kind.name == "bias" else np.full(axes, _STEP)
         sums, differences = [], []
         for moved in np.eye(axes) if coupled else np.ones((1, axes)):
-            if kind:
-                shifted = model.readings(raised(setting, kind, step * moved, fading), torque, band)
-            else:
+            if kind is None:
                 shifted = model.readings(setting, torque, band + step * moved)
+            else:
+                shifted = model.readings(kind.raised(setting, step * moved, problem.rows), torque, band)
             size = step[moved > 0]
             sums.append((shifted.sum_nm - base.sum_nm) / size)
             differences.append((shifted.difference_nm - base.difference_nm) / size)
-        halves = None if kind == "gain" else np.stack(differences, axis=2)
+        halves = None if kind is not None and kind.name == "gain" else np.stack(differences, axis=2)
         out.append(_Slopes(problem.band_part.start + place * axes, np.stack(sums, axis=2), halves))
     return out
 

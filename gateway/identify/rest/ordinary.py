@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,15 +18,58 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: Kinds of ordinary parameters, one of each an axis, in their order: gain error of the reading, bias by direction [Nm],
-#: friction over torque, how far losses are those of one efficiency (0 to 1), and by how much friction is larger cold,
-#: as it fades fast and slowly.
-KINDS: Final = ("gain", "bias", "load_friction", "one_efficiency", "cold_fast", "cold_slow")
-COLD: Final = KINDS[-2:]
 #: Factor on a standard deviation that is not to count a second time: its weight becomes a hundredth.
 _HELD_ELSEWHERE: Final = 10.0
 #: Standard deviation [Nm] of a bias that is not there.
 _NO_BIAS_NM: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class OrdinaryKind:
+    """One kind of ordinary parameters, one of each an axis.
+
+    Attributes
+    ----------
+    name : str
+    prior : mean and standard deviation of an axis, from what the constants and the sides of visits say of all axes
+    raised : the setting of visits in which this parameter of every axis is larger by a step (N,)
+    """
+
+    name: str
+    prior: Callable[[NuisancePrior], tuple[Floats | float, Floats | float]]
+    raised: Callable[[AlteredModel, Floats, Visits], AlteredModel]
+
+
+def _colder(time_s: float) -> Callable[[AlteredModel, Floats, Visits], AlteredModel]:
+    """Friction that is larger cold, and fades with this time constant."""
+    return lambda now, step, rows: replace(now, band_gain=now.band_gain + left_of_cold(rows, time_s)[:, None] * step)
+
+
+#: Ordinary parameters in their order: gain error of the reading, bias by direction [Nm], friction over torque, how far
+#: losses are those of one efficiency (0 to 1), and by how much friction is larger cold, as it fades fast and slowly.
+#: To add one: an entry at the end.
+ORDINARY: Final = (
+    OrdinaryKind(
+        "gain", lambda prior: (0.0, prior.gain_std), lambda now, step, _: replace(now, gain=now.gain * (1.0 + step))
+    ),
+    OrdinaryKind(
+        "bias", lambda prior: (0.0, prior.bias_std_nm), lambda now, step, _: replace(now, bias_nm=now.bias_nm + step)
+    ),
+    OrdinaryKind(
+        "load_friction",
+        lambda prior: (prior.load_friction, prior.load_friction_std),
+        lambda now, step, _: replace(now, load_friction=now.load_friction + step),
+    ),
+    OrdinaryKind(
+        "one_efficiency",
+        lambda _: (0.5, 0.5),
+        lambda now, step, _: replace(now, one_efficiency=now.one_efficiency + step),
+    ),
+    OrdinaryKind("cold_fast", lambda _: (0.0, REST_MODEL.cold), _colder(REST_MODEL.warm_fast_s)),
+    OrdinaryKind("cold_slow", lambda _: (0.0, REST_MODEL.cold), _colder(REST_MODEL.warm_slow_s)),
+)
+KINDS: Final = tuple(kind.name for kind in ORDINARY)
+COLD: Final = ("cold_fast", "cold_slow")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,16 +109,15 @@ class Ordinary:
         measured : sequence of bool
             Axes (N,) whose gain was measured on this arm, uneven losses included; empty = none.
         """
-        none, one = np.zeros_like(gain_std), np.ones_like(gain_std)
         own = np.sqrt(1.0 - COMMON_SHARE) * gain_std
         gain = np.hypot(own, np.where(measured or False, 0.0, UNEVEN_LOSS * lost))
-        cold = REST_MODEL.cold * one
+        prior = replace(prior, gain_std=gain)
+        mean, std = (
+            np.concatenate([np.broadcast_to(kind.prior(prior)[part], gain.shape) for kind in ORDINARY])
+            for part in (0, 1)
+        )
         return Ordinary(
-            np.concatenate([none, none, prior.load_friction, 0.5 * one, none, none, np.zeros(changes.count)]),
-            np.concatenate([gain, prior.bias_std_nm, prior.load_friction_std, 0.5 * one, cold, cold, changes.std]),
-            (own / gain) ** 2,
-            changes,
-            lost,
+            np.append(mean, np.zeros(changes.count)), np.append(std, changes.std), (own / gain) ** 2, changes, lost
         )
 
     def held_elsewhere(self, known: NDArray[np.bool_]) -> Ordinary:
@@ -130,34 +172,12 @@ class Ordinary:
 def ordinary_setting(rows: Visits, value: Floats, patterns: Floats) -> AlteredModel:
     """The setting in which nothing but the ordinary parameters (K N + E,) is changed; `patterns` of `GainChanges`."""
     by_axis, shared = np.split(value, [len(KINDS) * rows.axes])
-    gain, bias, load_friction, one_efficiency, fast, slow = by_axis.reshape(len(KINDS), rows.axes)
     setting = neutral(len(rows), rows.axes)
-    fading = fades(rows)
-    return replace(
-        setting,
-        gain=setting.gain + gain + patterns @ shared,
-        bias_nm=bias,
-        load_friction=load_friction,
-        one_efficiency=one_efficiency,
-        band_gain=setting.band_gain + fading[0][:, None] * fast + fading[1][:, None] * slow,
-    )
+    for kind, values in zip(ORDINARY, by_axis.reshape(len(KINDS), rows.axes), strict=True):
+        setting = kind.raised(setting, values, rows)
+    return replace(setting, gain=setting.gain + patterns @ shared)
 
 
-def raised(setting: AlteredModel, kind: str, step: Floats, fading: Sequence[Floats]) -> AlteredModel:
-    """The setting with one kind of ordinary parameter raised by `step` (N,); `fading` as `fades` has it."""
-    if kind == "gain":
-        return replace(setting, gain=setting.gain * (1.0 + step))
-    if kind == "bias":
-        return replace(setting, bias_nm=setting.bias_nm + step)
-    if kind == "load_friction":
-        return replace(setting, load_friction=setting.load_friction + step)
-    if kind == "one_efficiency":
-        return replace(setting, one_efficiency=setting.one_efficiency + step)
-    left = fading[COLD.index(kind)]
-    return replace(setting, band_gain=setting.band_gain + left[:, None] * step)
-
-
-def fades(rows: Visits) -> tuple[Floats, Floats]:
-    """What is left (n,) of being cold at each visit, fast and slow; 1 at the first."""
-    since = rows.time_s - rows.time_s.min()
-    return np.exp(-since / REST_MODEL.warm_fast_s), np.exp(-since / REST_MODEL.warm_slow_s)
+def left_of_cold(rows: Visits, time_s: float) -> Floats:
+    """Return what is left (n,) of being cold at each visit, as it fades with this time constant; 1 at the first."""
+    return np.exp(-(rows.time_s - rows.time_s.min()) / time_s)

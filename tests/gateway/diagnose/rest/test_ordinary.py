@@ -10,7 +10,7 @@ import pytest
 from gateway.identify.nuisance import UNEVEN_LOSS, nuisance_prior
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import common_columns, modelled, with_terms
-from gateway.identify.rest.ordinary import KINDS, Ordinary, fades, ordinary_setting
+from gateway.identify.rest.ordinary import KINDS, Ordinary, left_of_cold, ordinary_setting
 from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.identify.rest.thresholds import REST_MODEL
 from gateway.model.effects.axis_coupling import TorqueMixing
@@ -154,7 +154,7 @@ def test_an_effect_takes_the_place_of_its_own_axis_alone():
 def test_friction_fades_from_the_first_visit_on():
     bench = Bench(3, [], poses=6)
     rows = problem_of(bench, bench.both()).rows
-    fast, slow = fades(rows)
+    fast, slow = (left_of_cold(rows, time_s) for time_s in (REST_MODEL.warm_fast_s, REST_MODEL.warm_slow_s))
     first = int(np.argmin(rows.time_s))
     assert fast[first] == slow[first] == 1.0
     later = rows.time_s - rows.time_s.min()
