@@ -259,7 +259,7 @@ ANSWERS = [
     ("a rated load in grams", "max_load_kg = 4", "rated_load_kg = 4000", "rated_load_kg: .*grams\\? that is 4 kg"),
     ("a torque in mNm", "max_load_kg = 4", "torque_limit_nm = 500000", "mNm\\? write torque_limit_nm = 500"),
     ("ratios upside down", "[101, 101, 80, 60, 60, 50]", "0.0099", "line 4: .*upside down\\? write value = 101"),
-    ("five ratios", "[101, 101, 80, 60, 60, 50]", "[101, 101, 80, 60, 60]", "has 5 values and the arm 6 axes"),
+    ("five ratios", "[101, 101, 80, 60, 60, 50]", "[101, 101, 80, 60, 60]", "has 5 values but the arm has 6 axes"),
     ("constants in mNm/A", "[0.12, 0.12, 0.11, 0.06, 0.06, 0.05]", "120", "in mNm/A\\? write value = 0.12"),
     ("an efficiency in parts of 1000", "value = 0.82", "value = 820", "line 5: gear_efficiency holds 820, .*85 %"),
     ("a sign that is none", "position_sign = [1,", "position_sign = [0,", "line 7: .*neither 1 nor -1"),
@@ -268,10 +268,10 @@ ANSWERS = [
     ("a flange in millimetres", "[0, 0, 0.03]", "[0, 0, 30]", r"millimetres: write .*\[0, 0, 0.03\]"),
     ("a turn of the flange in degrees", "max_load_kg = 4", "flange_rpy_rad = [0, 90, 0]", r"write .*\[0, 1.571, 0\]"),
     ("a mounting that is none", '"floor"', '"table"', "how the arm is mounted: floor, ceiling, or gravity"),
-    ("a node id twice", "[11, 12,", "[11, 11,", "node id 11 is given to more than one axis"),
-    ("five node ids", "[11, 12, 13, 14, 15, 16]", "[11, 12, 13, 14, 15]", "has 5 numbers and the arm 6 axes"),
-    ("a key misspelt", "gear_efficiency", "gear_eficiency", "line 5: gear_eficiency answers no question"),
-    ("a robot that is not there", '"arm.urdf"', '"nowhere.urdf"', "name the URDF of the arm; or write dh"),
+    ("a node id twice", "[11, 12,", "[11, 11,", "node id 11 is used for more than one axis"),
+    ("five node ids", "[11, 12, 13, 14, 15, 16]", "[11, 12, 13, 14, 15]", "has 5 numbers but the arm has 6 axes"),
+    ("a key misspelt", "gear_efficiency", "gear_eficiency", "line 5: unknown key gear_eficiency"),
+    ("a robot that is not there", '"arm.urdf"', '"nowhere.urdf"', "name the URDF of the arm; or enter dh"),
 ]
 
 EXPORT = ("export", "out.json", "--format", "json")

@@ -637,7 +637,7 @@ KINDS: list[Kind] = [
         "answers: unknown key",
         ("cell", "new", "--answers", "a.toml", "-o", "c.toml"),
         3,
-        (r"line 1: colour answers no question",),
+        (r"line 1: unknown key colour",),
         text("colour = 3\n", "a.toml"),
     ),
     Kind(

@@ -1,4 +1,4 @@
-"""A cell file for an arm that nobody has described yet: what can be read is read, what cannot is asked, guesses say so.
+"""Draft a cell file for a new arm: read what is available, ask for the rest, mark assumptions.
 
-`interview` is the order of the job; `reading` alone talks to drives and files, everything else is values and text.
+`interview` defines the sequence; only `reading` accesses drives and files.
 """

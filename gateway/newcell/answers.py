@@ -1,7 +1,7 @@
-"""Answers of options, of an answer file, of a person: who gave which, what was offered instead, what is missing.
+"""Answers from options, an answer file and the terminal: their sources, proposed values, and what is missing.
 
-An answer file is TOML: one key a question (`questions.ALL`), a value for all axes or a list, and where a constant comes
-from as `{ value = 101, source = "data sheet p. 4" }`.
+An answer file is TOML: one key per question (`questions.ALL`), a value for all axes or a list, and the source of a
+constant as `{ value = 101, source = "data sheet p. 4" }`.
 """
 
 from __future__ import annotations
@@ -27,27 +27,27 @@ from gateway.newcell.questions import CellQuestion
 from gateway.newcell.unit_mistakes import slips
 
 ASSUMED: Final = "assumed"
-#: In the place of a URDF: the arm is described by Denavit-Hartenberg rows.
+#: Instead of a URDF: the arm is described by Denavit-Hartenberg parameters.
 DH: Final = "dh"
 UNSOURCED: Final = "stated, source not given"
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A value in the form of its question, and where it comes from; a source that begins with `assumed` is a guess."""
+    """A value in the form of its question, with its source; a source that begins with `assumed` marks an assumption."""
 
     value: Any
     source: str
 
     @property
     def guessed(self) -> bool:
-        """Nobody said so, and nothing was read."""
+        """Return whether the value is assumed."""
         return is_assumed(self.source)
 
 
 @dataclass(frozen=True, slots=True)
 class GivenAnswer:
-    """An answer as it was written: value of TOML, where it stands, and the folder its file names start at."""
+    """An answer as written: TOML value, location, and the folder of relative file names."""
 
     value: Any
     where: str
@@ -56,17 +56,17 @@ class GivenAnswer:
 
 @dataclass(frozen=True, slots=True)
 class OpenQuestion:
-    """A question as a person sees it.
+    """A question at the terminal.
 
     Attributes
     ----------
     question : CellQuestion
     offer : Answer or None
-        What is taken where the person types nothing.
+        Value used if the input is empty.
     number, most : int
-        Which question this is, and how many there are at most: what is read or offered is not asked.
+        Number of this question, and the maximum; known values are not asked.
     read : callable
-        Value of TOML as typed -> the answer; raises ValueError in words.
+        TOML value as typed -> the answer; raises ValueError with a message.
     """
 
     question: CellQuestion
@@ -76,34 +76,34 @@ class OpenQuestion:
     read: Callable[[Any], Answer]
 
 
-#: Asks a person: what was typed, None = the offer is taken.
+#: Asks at the terminal; None = the proposed value is used.
 Ask = Callable[[OpenQuestion], Answer | None]
 
 
 class CellAnswers:
-    """Everything that was answered so far.
+    """All answers so far.
 
     Parameters
     ----------
     given : mapping
-        Key -> what options and answer file say.
+        Key -> answer from options and answer file.
     missing_in : str
-        Where an answer that nobody gave has to be written.
+        Place to write a missing answer.
     ask : callable, optional
-        Asks a person for what was not given; None = nobody is asked, offers are taken.
+        Asks for missing answers; None = proposed values are used.
     resumed : mapping
-        Key -> answers that were kept when an earlier run ended early; one that does not hold any more is asked again.
+        Key -> stored answers of an earlier run; an invalid one is asked again.
 
     Attributes
     ----------
     taken : dict
-        Key -> the answer, offers included, in the order of the questions.
+        Key -> the answer, proposed values included, in the order of the questions.
     said : dict
-        Key -> the answers among them that somebody gave.
+        Key -> the explicit answers among them.
     bounds : LoadBounds
-        What stated loads are held against.
+        Plausibility bounds of stated loads.
     typed : int
-        Answers that a person typed in this run.
+        Number of answers typed in this run.
     """
 
     def __init__(
@@ -113,7 +113,7 @@ class CellAnswers:
         ask: Ask | None = None,
         resumed: Mapping[str, GivenAnswer] | None = None,
     ) -> None:
-        self._given, self._missing_in, self._ask = dict(given), missing_in, ask
+        self._explicit, self._missing_in, self._ask = dict(given), missing_in, ask
         self._resumed = dict(resumed or {})
         self._asked = self.typed = 0
         self.taken: dict[str, Answer] = {}
@@ -121,12 +121,12 @@ class CellAnswers:
         self.bounds = NO_ARM
 
     def settle(self, wanted: Sequence[tuple[CellQuestion, Answer | None]], axes: int = 0) -> None:
-        """Settle some questions, each with what is offered where nobody answers.
+        """Resolve questions, each with a proposed value.
 
         Raises
         ------
         ConfigError
-            Answers that have not the right form, or are missing; all of them at once.
+            Some answers are invalid or missing; the error lists all of them.
         """
         problems: list[str] = []
         for question, offer in wanted:
@@ -143,11 +143,11 @@ class CellAnswers:
             raise ConfigError.of(problems)
 
     def value(self, question: CellQuestion) -> Any:
-        """Value of a question that was settled."""
+        """Return the value of a resolved question."""
         return self.taken[question.key].value
 
     def _answer(self, question: CellQuestion, offer: Answer | None, axes: int) -> Answer | None:
-        given = self._given.get(question.key)
+        given = self._explicit.get(question.key)
         if given is not None:
             answer = self._read(question, given, axes)
         else:
@@ -162,7 +162,7 @@ class CellAnswers:
         return answer
 
     def _kept(self, question: CellQuestion, axes: int) -> Answer | None:
-        """The answer of an earlier run, where it still holds."""
+        """Return the answer of an earlier run, if still valid."""
         kept = self._resumed.get(question.key)
         try:
             return None if kept is None else self._verified(question, kept, axes)
@@ -170,10 +170,10 @@ class CellAnswers:
             return None
 
     def _person(self, ask: Ask, question: CellQuestion, offer: Answer | None, axes: int) -> Answer | None:
-        """Ask at the terminal; the answer is held against files and profiles at once."""
+        """Ask at the terminal; the answer is checked against files and profiles at once."""
         here = Path.cwd()
         self._asked += 1
-        done = {*self.taken, *self._given, *(each.key for each in questions.UNASKED), question.key}
+        done = {*self.taken, *self._explicit, *(each.key for each in questions.UNASKED), question.key}
         rows = () if self.taken.get(questions.ROBOT.key, Answer("", "")).value == DH else questions.DH_KEYS
         left = [key for key in questions.KEYS if key not in done and key not in rows]
 
@@ -185,7 +185,7 @@ class CellAnswers:
         return answer
 
     def _verified(self, question: CellQuestion, given: GivenAnswer, axes: int) -> Answer:
-        """Read an answer whose files are there and can be read; names of profiles are completed.
+        """Return an answer after checking its files; profile names are completed.
 
         Raises
         ------
@@ -202,7 +202,7 @@ class CellAnswers:
         except ProfileError as error:
             raise ValueError(f"{question.key}: {error}") from error
         if question is questions.ROBOT and answer.value != DH and not Path(answer.value).is_file():
-            raise ValueError(f"{question.key}: there is no file {answer.value}")
+            raise ValueError(f"{question.key}: file {answer.value} not found")
         return answer
 
     def _read(self, question: CellQuestion, given: GivenAnswer, axes: int) -> Answer:
@@ -223,19 +223,19 @@ class CellAnswers:
 
 
 def _placed(value: Any, folder: Path) -> Any:
-    """Names of files from the folder that they were written in; names of profiles and `dh` stay."""
+    """Resolve file names relative to the folder of the answer file; profile names and `dh` stay."""
     if isinstance(value, tuple):
         return tuple(_placed(part, folder) for part in cast("tuple[str, ...]", value))
     return value if value == DH or value in list_profiles() else str(folder / value)
 
 
 def completed_profile(name: str) -> str:
-    """The profile of the package that a path or a beginning stands for; any other name as it is.
+    """Return the built-in profile for a path or an abbreviation; other names unchanged.
 
     Raises
     ------
     ValueError
-        A file that is not there: says which profiles are alike.
+        The file does not exist; the message proposes similar profiles.
     """
     stem, known = Path(name).name, list_profiles()
     if name in known or Path(name).is_file() or Path(f"{name}.toml").is_file():
@@ -244,17 +244,17 @@ def completed_profile(name: str) -> str:
     if len(begun) == 1:
         return begun[0]
     near = begun or difflib.get_close_matches(stem, known, 3, 0.5)
-    said = f"did you mean {' or '.join(near)}?" if near else f"the package has {', '.join(known)}"
-    raise ValueError(f"profile: '{stem}' is neither a profile of the package nor a file; {said}")
+    said = f"did you mean {' or '.join(near)}?" if near else f"built-in profiles: {', '.join(known)}"
+    raise ValueError(f"profile: '{stem}' is neither a built-in profile nor a file; {said}")
 
 
 def read_answers(path: Path) -> dict[str, GivenAnswer]:
-    """Answers of a file.
+    """Return the answers of a file.
 
     Raises
     ------
     ConfigError
-        It cannot be read, is no TOML, or has keys that no question has; all of them at once.
+        The file cannot be read, is not TOML, or has unknown keys; the error lists all of them.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -266,16 +266,16 @@ def read_answers(path: Path) -> dict[str, GivenAnswer]:
         raise ConfigError.of(not_toml(text, error).messages(str(path))) from error
     known = questions.KEYS
     lines = key_lines(text)
-    strange = [f"{path} line {lines[key,]}: {key} answers no question" for key in table if key not in known]
+    strange = [f"{path} line {lines[key,]}: unknown key {key}" for key in table if key not in known]
     if strange:
-        strange[-1] += f"; the questions are {', '.join(known)}"
+        strange[-1] += f"; known keys: {', '.join(known)}"
         raise ConfigError.of(strange)
     folder = path.resolve().parent
     return {key: GivenAnswer(value, f"{path} line {lines[key,]}", folder) for key, value in table.items()}
 
 
 def answers_text(answers: CellAnswers, files: Callable[[str], str]) -> str:
-    """The answers of a run as answer file: what was said as it stands, what was taken unsaid as a remark.
+    """Return the answers of a run as answer file: explicit answers as keys, assumed values as comments.
 
     Parameters
     ----------
@@ -283,7 +283,7 @@ def answers_text(answers: CellAnswers, files: Callable[[str], str]) -> str:
     files : callable
         Path of a file -> its name from that folder.
     """
-    lines = ["# Answers of `servo-gateway cell new`; what nobody answered is a remark."]
+    lines = ["# Answers of `servo-gateway cell new`; assumed values are comments."]
     for key, answer in answers.taken.items():
         value = _renamed(answer.value, files) if key in questions.FILES else answer.value
         if key in questions.FOR_ALL and all(part == value[0] for part in value):
@@ -307,7 +307,7 @@ def _written(value: Any, source: str) -> str:
 
 
 def toml_value(value: Any) -> str:
-    """A value as TOML writes it; equal numbers of a list stay a list."""
+    """Return a value as TOML text; equal numbers of a list stay a list."""
     if value is None or value == ():
         return '"none"'
     if isinstance(value, bool):

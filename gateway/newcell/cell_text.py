@@ -1,4 +1,4 @@
-"""A draft as a commented cell file, and what is left to find out."""
+"""Cell file with comments from a draft, and the list of open points."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gateway.newcell.offers import PLACEHOLDER
 
 ARM: Final = "main"
 BUS: Final = "a"
-#: Keys of an axis that carry their source as a table; the others have it as a remark.
+#: Keys of an axis with a source in a table; other keys have it as a comment.
 _SOURCED: Final = (questions.TORQUE_CONSTANT, questions.GEAR_RATIO, questions.GEAR_EFFICIENCY)
 _PLAIN: Final = (
     questions.POSITION_SIGN,
@@ -29,18 +29,18 @@ _PLAIN: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Something that nobody has said yet.
+    """An assumed or open value.
 
     Attributes
     ----------
     key : str
-        In the cell file; "" for what concerns the drives.
+        Key in the cell file; "" for remarks on the drives.
     value : str
-        What the cell says for now.
+        Current value in the cell file.
     why : str
-        Where that comes from.
+        Source of that value.
     how : str
-        How it is found out.
+        How to determine it.
     """
 
     key: str
@@ -50,7 +50,7 @@ class Left:
 
 
 def left_over(draft: Draft) -> tuple[Left, ...]:
-    """Every guess of a draft, and what was seen that does not fit together."""
+    """Return every assumption of a draft, and inconsistencies."""
     found: list[Left] = []
     for question in questions.ALL:
         answer = draft.answers.taken.get(question.key)
@@ -61,7 +61,7 @@ def left_over(draft: Draft) -> tuple[Left, ...]:
 
 
 def short(value: Any) -> str:
-    """A value for a table; the same for all axes once."""
+    """Return a value for a table; equal values of all axes once."""
     if isinstance(value, tuple) and value and all(part == value[0] for part in value):
         return toml_value(value[0])
     if isinstance(value, tuple):
@@ -74,7 +74,7 @@ def _rounded(value: Any) -> str:
 
 
 def cell_text(draft: Draft, files: Callable[[str], str]) -> str:
-    """Text of the cell file.
+    """Return the text of the cell file.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ def cell_text(draft: Draft, files: Callable[[str], str]) -> str:
         Path of a file -> its name from the folder of the cell.
     """
     lines = [
-        f"# Cell of {draft.robot.name}, drafted by `servo-gateway cell new`. What is `assumed` nobody has said yet: it",
-        "# is a guess that moves the result or the arm. `servo-gateway check` compares the file with the drives.",
+        f"# Cell of {draft.robot.name}, drafted by `servo-gateway cell new`. Values marked `assumed` are not",
+        "# confirmed and affect result and motion. `servo-gateway check` compares the file with the drives.",
         f"name = {toml_value(draft.answers.value(questions.NAME))}",
         "",
         *_bus(draft),
@@ -96,7 +96,7 @@ def cell_text(draft: Draft, files: Callable[[str], str]) -> str:
     poses = draft.answers.value(questions.POSES)
     lines += ["", "[poses]", *(f"{key} = {toml_value(value)}" for key, value in poses.items())]
     if not poses:
-        lines += ["# count, samples, speed: docs/reference/cell-file.md; what is not written has its default"]
+        lines += ["# count, samples, speed: docs/reference/cell-file.md; missing keys have defaults"]
     return "\n".join(lines) + "\n"
 
 
@@ -163,7 +163,7 @@ def _axis(draft: Draft, axis: int, files: Callable[[str], str]) -> list[str]:
     lines += [_line(question.key, _of_axis(answers.taken[question.key], axis)) for question in _PLAIN]
     torque_source = answers.taken[questions.TORQUE_LIMIT.key].source
     if torque_source.startswith(PLACEHOLDER):
-        lines.append("# Motion is refused with a placeholder: correct torque_limit_nm, and write where it comes from.")
+        lines.append("# Placeholder: motion is refused until torque_limit_nm is corrected and its source is stated.")
         lines.append(f"torque_limit_source = {toml_value(torque_source)}")
     return lines
 
@@ -186,7 +186,7 @@ def _remark(answer: Answer) -> str:
 
 def _device(node: SeenNode | None) -> str:
     if node is None:
-        return "no drive was looked at"
+        return "no drive was read"
     who = node.identity
     parts = [who.name or "drive"]
     parts += [f"serial 0x{who.serial_number:X}"] if who.serial_number is not None else []

@@ -1,4 +1,4 @@
-"""What an answer may look like: typed in a line, or a value of an answer file, for all axes at once or for each."""
+"""Formats of answers: typed text or value of an answer file, for all axes or for each."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from typing import Any, Final, cast
 from drives.toml_text import parse_toml
 from gateway.formats.units import factors
 
-#: What is in the value's place of an answer file that says where a constant comes from.
+#: Keys of a constant with its source in an answer file.
 VALUE, SOURCE = "value", "source"
 
 
 @dataclass(frozen=True, slots=True)
 class Form:
-    """How an answer is read.
+    """Format of an answer.
 
     Attributes
     ----------
     read : callable
-        (value of TOML, number of axes; 0 = not known yet) -> the answer; raises ValueError in words.
+        (TOML value, number of axes; 0 = unknown) -> the answer; raises ValueError with a message.
     """
 
     read: Callable[[Any, int], Any]
 
 
 def typed(line: str) -> Any:
-    """Value of a typed line: as TOML has it, `1, 2, 3` as a list, anything else as text."""
+    """Return the value of a typed line: TOML value, `1, 2, 3` as a list, anything else as text."""
     line = line.strip()
     for text in (line, f"[{line}]"):
         try:
@@ -60,14 +60,14 @@ def text() -> Form:
         if isinstance(value, list):  # INTERFACE:CHANNEL,key=value
             value = ",".join(str(part) for part in cast("list[Any]", value))
         if not isinstance(value, str) or not value.strip():
-            raise ValueError("is no text")
+            raise ValueError("is not text")
         return value.strip()
 
     return Form(read)
 
 
 def pattern(spelled: str, otherwise: str) -> Form:
-    """A text that a regular expression describes."""
+    """Text that matches a regular expression."""
 
     def read(value: Any, axes: int) -> str:
         del axes
@@ -79,12 +79,12 @@ def pattern(spelled: str, otherwise: str) -> Form:
 
 
 def choice(*options: str) -> Form:
-    """One of some words."""
+    """One of several words."""
 
     def read(value: Any, axes: int) -> str:
         del axes
         if value not in options:
-            raise ValueError(f"is none of {', '.join(options)}")
+            raise ValueError(f"is not one of {', '.join(options)}")
         return str(value)
 
     return Form(read)
@@ -108,7 +108,7 @@ def table() -> Form:
     def read(value: Any, axes: int) -> Mapping[str, Any]:
         del axes
         if not isinstance(value, dict):
-            raise ValueError("is no table")
+            raise ValueError("is not a table")
         return cast("Mapping[str, Any]", value)
 
     return Form(read)
@@ -128,7 +128,7 @@ def words() -> Form:
 
 @dataclass(frozen=True, slots=True)
 class FormRule:
-    """What a number has to keep to, and what is said of one that does not."""
+    """Rule for a number, and the message if it is violated."""
 
     holds: Callable[[float], bool]
     otherwise: str
@@ -136,11 +136,11 @@ class FormRule:
     ratio: bool = False
 
     def of(self, units: Mapping[str, float], *, ratio: bool = False) -> FormRule:
-        """The same rule for a number that may be written with a unit (factors to SI), or as a ratio such as 1:160."""
+        """Return the same rule for a number with a unit (factors to SI), or a ratio such as 1:160."""
         return replace(self, units=units, ratio=ratio)
 
 
-#: Units that an answer may carry, and their factors.
+#: Allowed units of answers, with factors.
 ANGLES: Final = factors("angle", "rad", "deg", "mrad")
 SPEEDS: Final = factors("speed", "rad/s", "deg/s", "rpm")
 TORQUES: Final = factors("torque", "Nm", "mNm", "kNm")
@@ -155,7 +155,7 @@ POSITIVE: Final = FormRule(lambda value: value > 0, "not above 0")
 NOT_ZERO: Final = FormRule(lambda value: value != 0, "no ratio")
 SHARE: Final = FormRule(lambda value: 0 < value <= 1, "not in 0 to 1")
 SIGN: Final = FormRule(lambda value: value in (-1, 1), "neither 1 nor -1")
-NODE_ID: Final = FormRule(lambda value: value == round(value) and 1 <= value <= 127, "no node id, 1 to 127")
+NODE_ID: Final = FormRule(lambda value: value == round(value) and 1 <= value <= 127, "not a node id (1 to 127)")
 
 
 def numbers(rule: FormRule = ANY) -> Form:
@@ -164,7 +164,7 @@ def numbers(rule: FormRule = ANY) -> Form:
     def read(value: Any, axes: int) -> tuple[float, ...]:
         parts = cast("list[Any]", value) if isinstance(value, list) else [value]
         if axes and len(parts) != axes:
-            raise ValueError(f"has {len(parts)} numbers and the arm {axes} axes; one for each is needed")
+            raise ValueError(f"has {len(parts)} numbers but the arm has {axes} axes; give one per axis")
         return tuple(_kept(part, rule) for part in parts)
 
     return Form(read)
@@ -182,7 +182,7 @@ def node_ids() -> Form:
         try:
             return tuple(int(part) for part in plain(parts, axes))
         except ValueError as error:
-            raise ValueError(f"{error}; write such as 1-6, or 11, 12, 13, 14, 15, 16") from error
+            raise ValueError(f"{error}; example: 1-6, or 11, 12, 13, 14, 15, 16") from error
 
     return Form(read)
 
@@ -207,25 +207,25 @@ def pairs(rule: FormRule = ANY) -> Form:
         if len(rows) == 2 and not any(isinstance(row, list) for row in rows):
             rows = [rows] * max(axes, 1)
         if not rows or (axes and len(rows) != axes) or not all(isinstance(row, list) and len(row) == 2 for row in rows):
-            raise ValueError("is neither a pair [low, high] nor one for each axis, [[low, high], ...]")
+            raise ValueError("is neither a pair [low, high] nor one pair per axis, [[low, high], ...]")
         found = tuple((_number(low, rule), _number(high, rule)) for low, high in rows)
         for low, high in found:
             if not low < high:
-                raise ValueError(f"holds [{low:g}, {high:g}], of which the first is not below the second")
+                raise ValueError(f"holds [{low:g}, {high:g}], whose first value is not below the second")
         return found
 
     return Form(read)
 
 
 def place(rule: FormRule = ANY, **named: tuple[float, ...]) -> Form:
-    """Three numbers, or a word that stands for them."""
+    """Three numbers, or a name for them."""
 
     def read(value: Any, axes: int) -> tuple[float, ...]:
         del axes
         if isinstance(value, str) and value in named:
             return named[value]
         if not isinstance(value, list) or len(cast("list[Any]", value)) != 3:
-            raise ValueError(" or ".join(["is no list of three numbers", *(f"no `{word}`" for word in named)]))
+            raise ValueError(" or ".join(["is not a list of three numbers", *(f"no `{word}`" for word in named)]))
         return tuple(_number(part, rule) for part in cast("list[Any]", value))
 
     return Form(read)
@@ -247,7 +247,7 @@ def _parts(value: Any, axes: int) -> list[Any]:
     if len(parts) == 1:
         parts = parts * max(axes, 1)
     if axes and len(parts) != axes:
-        raise ValueError(f"has {len(parts)} values and the arm {axes} axes; write one for all or one for each")
+        raise ValueError(f"has {len(parts)} values but the arm has {axes} axes; give one for all or one per axis")
     return parts
 
 
@@ -255,13 +255,13 @@ def _number(value: Any, rule: FormRule) -> float:
     number = _written(value, rule) if isinstance(value, str) else value
     if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
         examples = [f"1 {unit}" for unit in rule.units] + ["1:160"] * rule.ratio
-        said = f"; write a number, or such as {', '.join(examples)}" if examples else ""
-        raise ValueError(f"holds {value!r}, which is no number{said}")
+        said = f"; give a number, for example {', '.join(examples)}" if examples else ""
+        raise ValueError(f"holds {value!r}, which is not a number{said}")
     return float(number)
 
 
 def _written(text: str, rule: FormRule) -> float | None:
-    """A number with its unit, or a reduction: 1:160 and 160:1 are 160. None where it is neither."""
+    """Return a number with its unit, or a ratio: 1:160 and 160:1 give 160. None if neither."""
     ratio = _RATIO.fullmatch(text.strip()) if rule.ratio else None
     if ratio is not None:
         ends = sorted((float(ratio["first"]), float(ratio["second"])))

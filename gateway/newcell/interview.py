@@ -1,4 +1,4 @@
-"""The order of the job: which arm, which bus, which drives, what stands between motor and joint, what it may do."""
+"""Sequence of the interview: arm, bus, drives, gears, limits."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from gateway.newcell.nodes import Address, Read, SeenNode, addresses, of_axes
 from gateway.newcell.offers import Axes
 
 DEFAULT_BUS = "socketcan:can0"
-#: Lines of a data sheet that are named.
+#: Number of data sheet remarks printed.
 REMARKS_SHOWN = 10
 
 
 class Eyes(Protocol):
-    """Looks at drives and files of drives."""
+    """Access to drives and their files."""
 
     def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
         """Drives on a bus."""
@@ -45,7 +45,7 @@ class Eyes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Draft:
-    """Everything that a cell file says, before it is text.
+    """Content of a cell file before it is written as text.
 
     Attributes
     ----------
@@ -58,9 +58,9 @@ class Draft:
         Device of each axis; None = not seen.
     profiles : tuple of DriveProfile
     remarks : tuple of str
-        What was seen and does not fit together.
+        Inconsistencies.
     looked : bool
-        The bus was looked at.
+        Whether the bus was read.
     """
 
     answers: CellAnswers
@@ -73,17 +73,17 @@ class Draft:
     looked: bool
 
 
-def interview(answers: CellAnswers, eyes: Eyes, name: str, tell: Callable[[str], None]) -> Draft:
-    """Settle everything that a cell file needs.
+def interview(answers: CellAnswers, eyes: Eyes, name: str, report: Callable[[str], None]) -> Draft:
+    """Determine all values of a cell file.
 
     Parameters
     ----------
     answers : CellAnswers
     eyes : Eyes
     name : str
-        Of the cell, where nobody gives another.
-    tell : callable
-        Called with what was found, while it goes on.
+        Default name of the cell.
+    report : callable
+        Called with each result.
 
     Raises
     ------
@@ -92,20 +92,20 @@ def interview(answers: CellAnswers, eyes: Eyes, name: str, tell: Callable[[str],
     DriveError
         Bus or drive.
     """
-    last = Answer("", "the last one that a joint turns")
+    last = Answer("", "last link moved by a joint")
     answers.settle([(questions.NAME, Answer(name, "name of the file")), (questions.ROBOT, None), (questions.TIP, last)])
     robot, urdf = _robot(answers, name)
-    tell(f"{robot.name}: {robot.axes} axes: {', '.join(robot.joint_names)}")
+    report(f"{robot.name}: {robot.axes} axes: {', '.join(robot.joint_names)}")
     for remark in (*robot.remarks, *placeholders(robot)):
-        tell(remark)
+        report(remark)
     spec = _bus(answers)
     looked = not answers.value(questions.OFFLINE)
     on_bus = eyes.nodes(spec) if looked else ()
     in_files = eyes.files([Path(path) for path in answers.value(questions.EDS)])
     for node in (*on_bus, *in_files):
-        tell(f"{node.name}: {_who(node)}")
+        report(f"{node.name}: {_who(node)}")
         for line in _not_used(node):
-            tell(line)
+            report(line)
     axes, nodes = _drives(answers, robot, eyes if looked else None, (spec, on_bus, in_files))
     _gears(answers, axes)
     axes = Axes(axes.nodes, axes.profiles, answers.value(questions.GEAR_RATIO))
@@ -120,7 +120,7 @@ def interview(answers: CellAnswers, eyes: Eyes, name: str, tell: Callable[[str],
 
 
 def _not_used(node: SeenNode) -> list[str]:
-    """Lines of a data sheet that are not used, the first ten."""
+    """Report data sheet lines that are not used, the first ten."""
     remarks = () if node.sheet is None else node.sheet.remarks
     lines = [f"{node.name} {remark}" for remark in remarks[:REMARKS_SHOWN]]
     more = len(remarks) - len(lines)
@@ -135,11 +135,11 @@ def _who(node: SeenNode) -> str:
         if value is not None
     )
     fits = ", ".join(node.profiles) or "none"
-    return f"{who.name or 'drive'} ({numbers}); profiles that fit: {fits}"
+    return f"{who.name or 'drive'} ({numbers}); matching profiles: {fits}"
 
 
 def _robot(answers: CellAnswers, name: str) -> tuple[Robot, str | None]:
-    """Robot model and the path of its URDF."""
+    """Return the robot model and the path of its URDF."""
     said = answers.value(questions.ROBOT)
     if said == DH:
         answers.settle([(question, None) for question in (questions.DH_CONVENTION, *questions.DH_ROWS)])
@@ -148,13 +148,13 @@ def _robot(answers: CellAnswers, name: str) -> tuple[Robot, str | None]:
     try:
         text = read_urdf(path)
     except ConfigError as error:
-        error.add_note("or write dh for Denavit-Hartenberg rows")
+        error.add_note("or enter dh for Denavit-Hartenberg parameters")
         raise
     return robot_from_urdf(text, str(path), answers.value(questions.TIP) or None), str(path.resolve())
 
 
 def dh_table(answers: CellAnswers) -> DhTable:
-    """Denavit-Hartenberg rows that were answered; columns of different length are refused.
+    """Return the Denavit-Hartenberg parameters; columns of different length are refused.
 
     Raises
     ------
@@ -164,19 +164,21 @@ def dh_table(answers: CellAnswers) -> DhTable:
     lengths = {len(column) for column in columns.values()}
     if len(lengths) != 1:
         counts = ", ".join(f"dh_{key} {len(column)}" for key, column in columns.items())
-        raise ConfigError(f"Denavit-Hartenberg rows of different length ({counts}): write one number per axis in each")
+        raise ConfigError(
+            f"Denavit-Hartenberg columns of different length ({counts}): give one number per axis in each"
+        )
     return DhTable.model_validate({"convention": answers.value(questions.DH_CONVENTION), **columns})
 
 
 def _bus(answers: CellAnswers) -> BusSpec:
     answers.settle(
         [
-            (questions.OFFLINE, Answer(False, "the bus is looked at")),
+            (questions.OFFLINE, Answer(False, "the bus is read")),
             (questions.EDS, Answer((), "none given")),
-            (questions.BUS, Answer(DEFAULT_BUS, f"{ASSUMED}: the first adapter")),
+            (questions.BUS, Answer(DEFAULT_BUS, f"{ASSUMED}: first adapter")),
             (questions.SYNC_PERIOD, Answer(0.01, "six drives at 1 Mbit/s")),
-            (questions.PACING, Answer("real", "by the clock")),
-            (questions.POSES, Answer({}, "as the cell file has them")),
+            (questions.PACING, Answer("real", "real time")),
+            (questions.POSES, Answer({}, "as in the cell file")),
         ]
     )
     return BusSpec.parse(answers.value(questions.BUS))
@@ -188,7 +190,7 @@ def _drives(
     eyes: Eyes | None,
     seen: tuple[BusSpec, Sequence[SeenNode], Sequence[SeenNode]],
 ) -> tuple[Axes, list[SeenNode | None]]:
-    """Node ids, profiles, and what the devices say of themselves."""
+    """Determine node ids, profiles and device data."""
     spec, on_bus, in_files = seen
     order = offers.stored_order(in_files, robot.axes) or offers.node_order(on_bus, robot.axes)
     answers.settle([(questions.NODES, order)], robot.axes)
@@ -209,7 +211,7 @@ def _drives(
 def _alone(ids: Sequence[int]) -> None:
     twice = sorted({node for node in ids if ids.count(node) > 1})
     if twice:
-        raise ConfigError(f"nodes: node id {twice[0]} is given to more than one axis; each drive has its own")
+        raise ConfigError(f"nodes: node id {twice[0]} is used for more than one axis; each drive needs its own node id")
 
 
 def _with_values(node: SeenNode, values: Mapping[Address, Read]) -> SeenNode:
@@ -217,26 +219,26 @@ def _with_values(node: SeenNode, values: Mapping[Address, Read]) -> SeenNode:
 
 
 def _gears(answers: CellAnswers, axes: Axes) -> None:
-    """What stands between motor and joint."""
+    """Determine the constants between motor and joint."""
     count = len(axes.profiles)
     constant = offers.torque_constant(axes)
     if constant is None and not any(profile.needs_torque_constant for profile in axes.profiles):
-        constant = offers.everywhere(1.0, count, "not used, the drives report torque")
+        constant = offers.everywhere(1.0, count, "not used: the drives report torque")
     answers.settle(
         [
             (questions.GEAR_RATIO, offers.gear_ratio(axes)),
-            (questions.GEAR_EFFICIENCY, offers.everywhere(offers.GEAR_EFFICIENCY, count, "an ordinary robot gear")),
+            (questions.GEAR_EFFICIENCY, offers.everywhere(offers.GEAR_EFFICIENCY, count, "typical robot gear")),
             (questions.TORQUE_CONSTANT, constant),
-            (questions.POSITION_SIGN, offers.everywhere(1, count, "drive and joint turn alike")),
-            (questions.TORQUE_SIGN, offers.everywhere(1, count, "drive and joint turn alike")),
-            (questions.ZERO_OFFSET, offers.everywhere(0.0, count, "the drives' zero is the robot's")),
+            (questions.POSITION_SIGN, offers.everywhere(1, count, "drive and joint have the same direction")),
+            (questions.TORQUE_SIGN, offers.everywhere(1, count, "drive and joint have the same direction")),
+            (questions.ZERO_OFFSET, offers.everywhere(0.0, count, "zero of the drives equals zero of the robot")),
         ],
         count,
     )
 
 
 def _limits(answers: CellAnswers, robot: Robot, axes: Axes) -> None:
-    """What the arm may do, how it stands, what it carries."""
+    """Determine limits, mounting and load."""
     sign, zero_rad = answers.value(questions.POSITION_SIGN), answers.value(questions.ZERO_OFFSET)
     answers.settle(
         [
@@ -244,7 +246,7 @@ def _limits(answers: CellAnswers, robot: Robot, axes: Axes) -> None:
             (questions.SPEED_LIMIT, offers.speed_limits(robot, axes)),
             (questions.TORQUE_LIMIT, offers.torque_limits(robot, axes)),
             (questions.INERTIALS, offers.inertials(robot)),
-            (questions.MOUNTING, Answer((0.0, 0.0, -9.80665), f"{ASSUMED}: it stands on the floor")),
+            (questions.MOUNTING, Answer((0.0, 0.0, -9.80665), f"{ASSUMED}: mounted on the floor")),
         ],
         robot.axes,
     )
@@ -253,42 +255,44 @@ def _limits(answers: CellAnswers, robot: Robot, axes: Axes) -> None:
 
 
 def _flange(answers: CellAnswers, offered: tuple[Answer, Answer] | None) -> None:
-    """Place and turn of the flange: one without the other is half a frame, so a turn nobody states is assumed."""
+    """Determine position and orientation of the flange; an orientation that is not stated is assumed."""
     place, turn = offered or (
-        Answer((), f"{ASSUMED}: results in the last link alone"),
-        Answer((0.0, 0.0, 0.0), f"{ASSUMED}: not turned in the last link"),
+        Answer((), f"{ASSUMED}: results only in the last link"),
+        Answer((0.0, 0.0, 0.0), f"{ASSUMED}: not rotated in the last link"),
     )
     answers.settle([(questions.FLANGE, place)])
     if not answers.value(questions.FLANGE):
         turn = Answer((0.0, 0.0, 0.0), "no flange")
     elif answers.taken[questions.FLANGE.key] is not place:
-        turn = replace(turn, source=f"{ASSUMED}: not turned in the last link", value=(0.0, 0.0, 0.0))
+        turn = replace(turn, source=f"{ASSUMED}: not rotated in the last link", value=(0.0, 0.0, 0.0))
     answers.settle([(questions.FLANGE_TURN, turn)])
 
 
 def _loads(answers: CellAnswers, robot: Robot) -> None:
-    """Rated load, held against the arm; the heaviest load is the rated one unless stated."""
+    """Determine the rated load and check it against the arm; default of the heaviest load is the rated load."""
     torque: Sequence[float] = answers.value(questions.TORQUE_LIMIT)
     torque_nm = None if answers.taken[questions.TORQUE_LIMIT.key].guessed else max(torque)
     trusted = answers.value(questions.INERTIALS) != "ignore"
     answers.bounds = bounds_of(robot, torque_nm, trusts_masses=trusted)
-    answers.settle([(questions.RATED_LOAD, Answer(None, f"{ASSUMED}: half of each torque limit is kept for loads"))])
+    answers.settle(
+        [(questions.RATED_LOAD, Answer(None, f"{ASSUMED}: half of each torque limit is reserved for loads"))]
+    )
     rated = answers.value(questions.RATED_LOAD)
-    offer = Answer(rated, "half of each torque limit is kept for it" if rated is None else "the rated load")
+    offer = Answer(rated, "half of each torque limit is reserved for it" if rated is None else "the rated load")
     if rated is not None:
         answers.bounds = bounds_of(robot, torque_nm, (rated, questions.RATED_LOAD.key), trusts_masses=trusted)
     answers.settle([(questions.MAX_LOAD, offer)])
 
 
 def _strangers(on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode], ids: Sequence[int]) -> list[str]:
-    """Nodes that are wanted and absent, or there and not wanted; files of another device."""
+    """Report missing and unexpected nodes, and files of another device."""
     remarks: list[str] = []
     if on_bus:
         there = {node.node_id for node in on_bus}
+        remarks += [f"node {node}: no answer; check supply, node id and cabling" for node in ids if node not in there]
         remarks += [
-            f"node {node}: nobody answers; check power, node id and cabling" for node in ids if node not in there
+            f"{node.name}: on the bus, but not an axis of this arm" for node in on_bus if node.node_id not in ids
         ]
-        remarks += [f"{node.name}: on the bus, and no axis of this arm" for node in on_bus if node.node_id not in ids]
     for node, sheet in zip(of_axes(ids, on_bus, ()), of_axes(ids, (), in_files), strict=True):
         if node is None or sheet is None:
             continue
@@ -296,30 +300,32 @@ def _strangers(on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode], ids: Se
             live, stated = getattr(node.identity, what), getattr(sheet.identity, what)
             if None not in (live, stated) and live != stated:
                 words = what.replace("_", " ")
-                remarks.append(f"{sheet.name} is of another device: {words} 0x{stated:X}, {node.name} has 0x{live:X}")
+                remarks.append(
+                    f"{sheet.name} belongs to another device: {words} 0x{stated:X}, {node.name} has 0x{live:X}"
+                )
     return remarks
 
 
 def _obstacles(profiles: Sequence[DriveProfile]) -> list[str]:
-    """Profiles that are read and refuse motion."""
-    told = {profile.name: profile.obstacles for profile in profiles}
-    return [f"profile {name} refuses motion: {obstacle}" for name, found in told.items() for obstacle in found]
+    """Report profiles that refuse motion."""
+    reported = {profile.name: profile.obstacles for profile in profiles}
+    return [f"profile {name} refuses motion: {obstacle}" for name, found in reported.items() for obstacle in found]
 
 
 def _contradicted(nodes: Sequence[SeenNode | None], profiles: Sequence[DriveProfile]) -> list[str]:
-    """Profiles that count on what the data sheet of their drive does not have, once a pair."""
-    told: dict[tuple[str, str], str] = {}
+    """Report profiles that use objects missing in the data sheet of their drive, once per pair."""
+    reported: dict[tuple[str, str], str] = {}
     for node, profile in zip(nodes, profiles, strict=True):
         if node is not None and node.sheet is not None:
             problems = contradictions(profile, node.sheet)
             if problems:
                 what = f"profile {profile.name} and {node.sheet.name} contradict each other: {'; '.join(problems)}"
-                told[profile.name, node.sheet.name] = what
-    return list(told.values())
+                reported[profile.name, node.sheet.name] = what
+    return list(reported.values())
 
 
 def _own_gears(nodes: Sequence[SeenNode | None]) -> list[str]:
-    """Drives that divide by a gear ratio of their own: `check` refuses them."""
+    """Report drives with an internal gear ratio: `check` refuses them."""
     remarks: list[str] = []
     for node in nodes:
         motor = None if node is None else node.read("gear_motor_revolutions")

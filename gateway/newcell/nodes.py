@@ -1,4 +1,4 @@
-"""What a drive, or the file of its device, says of itself: values with their origin, and what follows from them."""
+"""Data of a drive or its device file: values with their source, and derived values."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Address = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Read:
-    """Value of an object and where it was read."""
+    """Value of an object and its source."""
 
     value: int
     source: str
@@ -28,15 +28,15 @@ class SeenNode:
     Attributes
     ----------
     node_id : int or None
-        None = a file that names none.
+        None = not stated in the file.
     identity : Identity
     values : mapping of (index, subindex) to Read
     profiles : tuple of str
-        Packaged profiles that fit, those that name its maker first.
+        Matching built-in profiles, those of its manufacturer first.
     name : str
-        How messages call it: `node 11`, `j1.eds`.
+        Name in messages: `node 11`, `j1.eds`.
     sheet : Sheet or None
-        Its EDS or DCF, where one was given.
+        Its EDS or DCF, if given.
     """
 
     node_id: int | None
@@ -47,15 +47,14 @@ class SeenNode:
     sheet: Sheet | None = None
 
     def read(self, name: str) -> Read | None:
-        """Value of a standard object."""
+        """Return the value of a standard object."""
         return self.values.get(OBJECTS[name].address)
 
 
 def of_axes(nodes: Sequence[int], on_bus: Sequence[SeenNode], in_files: Sequence[SeenNode]) -> list[SeenNode | None]:
-    """What is known of the device of each axis; what the bus says goes before what a file says.
+    """Return the known data of the device of each axis; readings take precedence over files.
 
-    A file belongs to an axis by its node id, else by its place in a list of as many files as axes, else it is the only
-    one.
+    A file belongs to an axis by its node id, else by its position in a list with one file per axis, else it is for all.
     """
     by_id = {node.node_id: node for node in on_bus}
     found: list[SeenNode | None] = []
@@ -82,7 +81,7 @@ def _file_of(axis: int, node_id: int, axes: int, in_files: Sequence[SeenNode]) -
 
 
 def rated_torque_nm(profile: DriveProfile, node: SeenNode) -> float | None:
-    """Rated torque [Nm] by the profile's arithmetic; None where the profile has none or the device does not say."""
+    """Return the rated torque [Nm] according to the profile; None if unknown."""
     rated = [
         signal.rated
         for signal in (profile.torque, profile.torque_offset)
@@ -97,7 +96,7 @@ def rated_torque_nm(profile: DriveProfile, node: SeenNode) -> float | None:
 
 
 def rated_current_a(profile: DriveProfile, node: SeenNode) -> float | None:
-    """Rated current [A], in the ampere that the torque constant refers to; None as `rated_torque_nm`."""
+    """Return the rated current [A] in the unit of the torque constant; None if unknown."""
     for signal in (profile.torque, profile.current):
         if isinstance(signal, Signal) and signal.kind == "permille_rated_current" and signal.rated is not None:
             rated = signal.rated
@@ -113,7 +112,7 @@ def _scaled(node: SeenNode, where: ObjectReference, unit: float | None) -> float
 
 
 def counts_per_turn(profile: DriveProfile, node: SeenNode) -> float | None:
-    """Position counts of one motor revolution; None where the device does not say."""
+    """Return the position counts per motor revolution; None if unknown."""
     counts = profile.position.counts_per_revolution
     if isinstance(counts, Constant):
         return counts.value
@@ -123,7 +122,7 @@ def counts_per_turn(profile: DriveProfile, node: SeenNode) -> float | None:
 
 
 def addresses(profiles: Sequence[DriveProfile]) -> dict[Address, str]:
-    """Objects that are worth reading, with their types: the standard's, and those that profiles name."""
+    """Return the objects to read, with their types: standard objects and those of profiles."""
     found = {OBJECTS[name].address: OBJECTS[name].type for name in STANDARD}
     for profile in profiles:
         for part in (profile.torque, profile.current, profile.torque_offset):

@@ -1,4 +1,4 @@
-"""What is offered where nobody answers: read from the arm's description or its drives, else a guess that says so."""
+"""Proposed values: from the robot description or the drives, otherwise marked as assumed."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from gateway.newcell.answers import ASSUMED, Answer
 from gateway.newcell.nodes import SeenNode, counts_per_turn, rated_current_a, rated_torque_nm
 from gateway.result.inertia import zyx_degrees
 
-#: Of a gear whose data sheet nobody has read: harmonic and cycloidal gears at their rated torque have 0.65 to 0.9.
+#: Assumed gear efficiency; harmonic and cycloidal gears have 0.65 to 0.9 at rated torque.
 GEAR_EFFICIENCY = 0.8
-#: Slow enough for an arm that moves for the first time [rad/s].
+#: Speed limit for the first motion of an arm [rad/s].
 FIRST_SPEED_RAD_S = 0.5
-#: Efforts of a URDF that exporters fill in: they carry no statement about the arm, and refuse motion until confirmed.
+#: Placeholder efforts of URDF exporters; motion is refused until they are confirmed.
 PLACEHOLDER = f"{ASSUMED}, a placeholder"
-#: 0x607E: the sign of positions is turned round in the drive.
+#: 0x607E: the drive inverts positions.
 _POSITION_REVERSED = 0x80
 
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """The axes as far as they are known: device and profile of each, gear ratios."""
+    """Known data of the axes: device and profile of each, gear ratios."""
 
     nodes: Sequence[SeenNode | None]
     profiles: Sequence[DriveProfile]
@@ -39,25 +39,27 @@ class Axes:
 
 
 def node_order(seen: Sequence[SeenNode], axes: int) -> Answer | None:
-    """Node ids in ascending order, where there are as many as axes."""
+    """Return node ids in ascending order, if there is one per axis."""
     ids = sorted(node.node_id for node in seen if node.node_id is not None)
     return Answer(tuple(ids), f"{ASSUMED}: ascending from the base") if len(ids) == axes else None
 
 
 def stored_order(in_files: Sequence[SeenNode], axes: int) -> Answer | None:
-    """Node ids of the DCF files, in the order of the files."""
+    """Return the node ids of the DCF files, in file order."""
     ids = tuple(node.node_id for node in in_files if node.node_id is not None)
     names = ", ".join(node.name for node in in_files)
     return Answer(ids, f"read from {names}") if len(ids) == len(in_files) == axes else None
 
 
 def profile_names(nodes: Sequence[SeenNode | None]) -> Answer | None:
-    """Profile of each device: read where it names maker and product, a guess where only a general one fits."""
+    """Return the profile of each device: matched by identity, otherwise assumed."""
     if any(node is None or not node.profiles for node in nodes):
         return None
     names = tuple(node.profiles[0] for node in nodes if node is not None)
-    sure = all(node is not None and node.identity.vendor_id is not None and _names_maker(node) for node in nodes)
-    return Answer(names, "read from drive, 0x1018" if sure else f"{ASSUMED}: no profile names this maker")
+    is_identified = all(
+        node is not None and node.identity.vendor_id is not None and _names_maker(node) for node in nodes
+    )
+    return Answer(names, "read from drive, 0x1018" if is_identified else f"{ASSUMED}: no profile for this manufacturer")
 
 
 def _names_maker(node: SeenNode) -> bool:
@@ -65,7 +67,7 @@ def _names_maker(node: SeenNode) -> bool:
 
 
 def gear_ratio(axes: Axes) -> Answer | None:
-    """Ratio that the drives themselves reckon with (0x6091), where it is not 1:1."""
+    """Return the gear ratio of the drives (0x6091), if it is not 1:1."""
     ratios: list[float] = []
     for node in axes.nodes:
         motor = None if node is None else node.read("gear_motor_revolutions")
@@ -77,7 +79,7 @@ def gear_ratio(axes: Axes) -> Answer | None:
 
 
 def torque_constant(axes: Axes) -> Answer | None:
-    """Rated torque over rated current: right as far as both are of the motor, which an engineer has to know."""
+    """Return rated torque over rated current; valid only if both are motor ratings."""
     found: list[float] = []
     for node, profile in zip(axes.nodes, axes.profiles, strict=True):
         torque = None if node is None else rated_torque_nm(profile, node)
@@ -89,7 +91,7 @@ def torque_constant(axes: Axes) -> Answer | None:
 
 
 def position_limits(robot: Robot, axes: Axes, sign: Sequence[float], zero_rad: Sequence[float]) -> Answer | None:
-    """Ranges of the URDF, narrowed by those that the drives keep; None where neither gives an axis one."""
+    """Return the joint ranges of the URDF, narrowed by those of the drives; None if neither has one."""
     found: list[tuple[float, float]] = []
     sources: list[str] = []
     for joint in range(robot.axes):
@@ -107,7 +109,7 @@ def position_limits(robot: Robot, axes: Axes, sign: Sequence[float], zero_rad: S
 
 
 def _drive_range_rad(axes: Axes, joint: int, sign: float, zero_rad: float) -> tuple[float, float] | None:
-    """Joint range that the drive keeps (0x607D); None where it has none or its meaning is not certain."""
+    """Return the joint range of the drive (0x607D); None if missing or ambiguous."""
     node, profile, ratio = axes.nodes[joint], axes.profiles[joint], axes.ratio[joint]
     low, high = (None, None) if node is None else (node.read("position_limit_min"), node.read("position_limit_max"))
     if node is None or low is None or high is None or not low.value < high.value:
@@ -118,7 +120,7 @@ def _drive_range_rad(axes: Axes, joint: int, sign: float, zero_rad: float) -> tu
     if counts is None:
         return None
     ends = [zero_rad + sign / ratio * 2.0 * math.pi * end.value / counts for end in (low, high)]
-    # inside the drive's own range, so that a stop which begins at the limit ends before the drive faults
+    # within the drive range, so that a stop that begins at the limit ends before the drive faults
     margin = min(0.05, 0.01 * abs(ends[1] - ends[0]))
     return _rounded(min(ends) + margin), _rounded(max(ends) - margin)
 
@@ -129,7 +131,7 @@ def _shifted(node: SeenNode) -> bool:
 
 
 def speed_limits(robot: Robot, axes: Axes) -> Answer:
-    """Slow for a first motion, and not beyond what robot and motors allow."""
+    """Return a slow speed limit for the first motion, within the limits of robot and motors."""
     found: list[float] = []
     for joint in range(robot.axes):
         bounds = [FIRST_SPEED_RAD_S]
@@ -144,9 +146,9 @@ def speed_limits(robot: Robot, axes: Axes) -> Answer:
 
 
 def torque_limits(robot: Robot, axes: Axes) -> Answer | None:
-    """Efforts of the URDF, at most what the drives give (0x6072); without efforts what the drives give.
+    """Return the efforts of the URDF, limited by the drives (0x6072); without efforts the drive limits.
 
-    Efforts that are placeholders are offered as such, unless the drives give less on every axis.
+    Placeholder efforts are proposed as such, unless the drives limit every axis to less.
     """
     found: list[float] = []
     by_drive: list[bool] = []
@@ -160,16 +162,16 @@ def torque_limits(robot: Robot, axes: Axes) -> Answer | None:
         by_drive.append(most_nm is not None and most_nm <= min(bounds))
     why = effort_placeholder(robot)
     if all(by_drive) and (why or not np.isfinite(robot.effort_nm).all()):
-        return Answer(tuple(found), f"{ASSUMED}: what the drive allows (0x6076, 0x6072) times the gear ratio")
+        return Answer(tuple(found), f"{ASSUMED}: drive limit (0x6076, 0x6072) times gear ratio")
     if why:
         return Answer(tuple(found), f"{PLACEHOLDER}: {why}")
     if np.isfinite(robot.effort_nm).all():
         return Answer(tuple(found), "URDF" if tuple(found) == tuple(robot.effort_nm) else "URDF and drive, 0x6072")
-    return Answer(tuple(found), f"{ASSUMED}: what the drive allows (0x6076, 0x6072) times the gear ratio")
+    return Answer(tuple(found), f"{ASSUMED}: drive limit (0x6076, 0x6072) times gear ratio")
 
 
 def _drive_torque_nm(axes: Axes, joint: int) -> float | None:
-    """Torque at the joint that the drive allows: rated torque x 0x6072 x gear ratio."""
+    """Return the joint torque limit of the drive: rated torque x 0x6072 x gear ratio."""
     node, profile = axes.nodes[joint], axes.profiles[joint]
     limit = None if node is None else node.read("max_torque")
     rated = None if node is None else rated_torque_nm(profile, node)
@@ -179,7 +181,7 @@ def _drive_torque_nm(axes: Axes, joint: int) -> float | None:
 
 
 def _rounded(value: float) -> float:
-    """To four digits, towards zero: never beyond what it was reckoned from."""
+    """Round to four digits towards zero, so that the source value is not exceeded."""
     if value == 0.0:
         return value
     step = 10.0 ** (math.floor(math.log10(abs(value))) - 3)
@@ -187,15 +189,17 @@ def _rounded(value: float) -> float:
 
 
 def inertials(robot: Robot) -> Answer:
-    """Trust of the description's masses."""
+    """Return the uncertainty of the link masses of the description."""
     what, why = default_inertials(robot), mass_placeholder(robot)
     if why:
         return Answer("ignore", f"{PLACEHOLDER}: {why}")
-    return Answer(what, "no masses in the description" if what == "ignore" else f"{ASSUMED}: masses of a maker's URDF")
+    return Answer(
+        what, "no masses in the description" if what == "ignore" else f"{ASSUMED}: masses from the manufacturer's URDF"
+    )
 
 
 def flange_frame(robot: Robot) -> tuple[Answer, Answer] | None:
-    """Place and turn of the `tool0` or `flange` that is fixed to the last link; None where there is none."""
+    """Return position and orientation of `tool0` or `flange` in the last link, or None."""
     found = [(kind, name, pose) for name, pose in robot.frames if (kind := flange_kind(name)) is not None]
     if not found:
         return None
@@ -209,5 +213,5 @@ def _vector(values: NDArray[np.float64], source: str) -> Answer:
 
 
 def everywhere(value: object, axes: int, why: str) -> Answer:
-    """The same guess for all axes."""
+    """Return the same assumed value for all axes."""
     return Answer((value,) * axes, f"{ASSUMED}: {why}")

@@ -1,4 +1,4 @@
-"""What a cell file needs and nobody can read: each question with its form, and how an engineer finds the answer."""
+"""Questions for a cell file: each with its format, and where to find the answer."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from gateway.newcell.forms import (
 
 @dataclass(frozen=True, slots=True)
 class CellQuestion:
-    """One thing to be known.
+    """A question.
 
     Attributes
     ----------
@@ -47,9 +47,9 @@ class CellQuestion:
     asks : str
         What is asked.
     how : str
-        Where the answer stands, or how it is found out.
+        Where to find the answer, or how to determine it.
     form : Form
-        What an answer looks like.
+        Format of the answer.
     """
 
     key: str
@@ -60,21 +60,21 @@ class CellQuestion:
 
 ROBOT: Final = CellQuestion(
     "robot",
-    "URDF of the arm, or dh for Denavit-Hartenberg rows",
-    "the maker's ROS package has a URDF (`xacro robot.urdf.xacro > robot.urdf`); the rows stand in the manual",
+    "URDF of the arm, or dh for Denavit-Hartenberg parameters",
+    "in the manufacturer's ROS package (`xacro robot.urdf.xacro > robot.urdf`); DH parameters are in the manual",
     text(),
 )
 TIP: Final = CellQuestion(
-    "tip", "last link of the arm in the URDF", "where fingers, jaws or a second arm are in the file too", text()
+    "tip", "last link of the arm in the URDF", "needed if the file also contains fingers, jaws or a second arm", text()
 )
 DH_CONVENTION: Final = CellQuestion(
     "dh_convention",
-    "convention of the rows: modified (Craig) or standard (Paul)",
-    "modified where alpha and a of a row belong to the link before its joint, standard where to the one behind it",
+    "Denavit-Hartenberg convention: modified (Craig) or standard (Paul)",
+    "modified: alpha and a of a row belong to the link before its joint; standard: to the link after it",
     choice("modified", "standard"),
 )
 DH_ROWS: Final = tuple(
-    CellQuestion(f"dh_{column}", f"{what}, base to flange", "the table of link parameters in the manual", numbers())
+    CellQuestion(f"dh_{column}", f"{what}, base to flange", "table of link parameters in the manual", numbers())
     for column, what in (
         ("alpha_rad", "twists alpha [rad]"),
         ("a_m", "lengths a [m]"),
@@ -85,26 +85,26 @@ DH_ROWS: Final = tuple(
 BUS: Final = CellQuestion(
     "bus",
     "bus of the drives, INTERFACE:CHANNEL[,key=value], such as socketcan:can0 or pcan:PCAN_USBBUS1,bitrate=500000",
-    "python-can's name of the adapter; the bit rate is set in the drives",
+    "name of the adapter in python-can; use the bit rate of the drives",
     text(),
 )
 NODES: Final = CellQuestion(
     "nodes",
     "node ids from the base to the flange, such as 1-6 or 11, 12, 13, 14, 15, 16",
-    "DIP switch or label of each drive; `check --move` sees an order that is wrong",
+    "DIP switch or label of each drive; `check --move` detects a wrong order",
     node_ids(),
 )
 PROFILE: Final = CellQuestion(
     "profile",
     "drive profile: a name of `profiles list` or a TOML file, one for all or one per axis",
-    "`servo-gateway profiles list`; for a drive that is not there `servo-gateway profiles new --eds FILE -o FILE.toml`",
+    "`servo-gateway profiles list`; for another drive `servo-gateway profiles new --eds FILE -o FILE.toml`",
     words(),
 )
 GEAR_RATIO: Final = CellQuestion(
     "gear_ratio",
     "gear ratio, motor turns per joint turn, such as 160 or 1:160, negative where it turns the sense; one for all or "
     "one per axis",
-    "data sheet or plate of the gear; `check --move` compares it with gravity and the drives' speeds",
+    "data sheet or rating plate of the gear; `check --move` compares it with gravity and drive speeds",
     per_axis(NOT_ZERO.of({}, ratio=True)),
 )
 GEAR_EFFICIENCY: Final = CellQuestion(
@@ -117,38 +117,38 @@ TORQUE_CONSTANT: Final = CellQuestion(
     "torque_constant_nm_per_a",
     "torque constant of the motor [Nm/A], such as 0.21 or 210 mNm/A, per ampere (rms or "
     "peak) as the profile states; one for all or one per axis",
-    "data sheet of the motor; for peak amperes it is the rms value over 1.414",
+    "data sheet of the motor; per peak ampere it is the value per rms ampere divided by 1.414",
     per_axis(POSITIVE.of(CONSTANTS)),
 )
 POSITION_SIGN: Final = CellQuestion(
     "position_sign",
-    "sign of the drives' position against the joint, 1 or -1; one for all or one per axis",
-    "`check --move` says which are turned round",
+    "sign of drive position relative to the joint, 1 or -1; one for all or one per axis",
+    "`check --move` reports reversed signs",
     per_axis(SIGN),
 )
 TORQUE_SIGN: Final = CellQuestion(
     "torque_sign",
-    "sign of the drives' torque against the joint, 1 or -1; one for all or one per axis",
-    "`check --move` says which are turned round",
+    "sign of drive torque relative to the joint, 1 or -1; one for all or one per axis",
+    "`check --move` reports reversed signs",
     per_axis(SIGN),
 )
 ZERO_OFFSET: Final = CellQuestion(
     "zero_offset_rad",
     "joint angle [rad] at which each drive's position is zero; one for all or one per axis",
-    "the calibration sheet of the arm, or the angle shown by its old controller while the drives show zero",
+    "calibration sheet of the arm, or the angle on its previous controller when the drive position is zero",
     per_axis(ANY.of(ANGLES)),
 )
 POSITION_LIMIT: Final = CellQuestion(
     "position_limit_rad",
     "lowest and highest joint angle [rad], or such as -170, 170 deg; one pair for all or one per axis, such as "
     "[[-2.9, 2.9], [-1.5, 2.0]]",
-    "the manual's working range, a little inside the hard stops",
+    "working range in the manual, slightly within the hard stops",
     pairs(ANY.of(ANGLES)),
 )
 SPEED_LIMIT: Final = CellQuestion(
     "speed_limit_rad_s",
-    "fastest that each joint may turn [rad/s]; one for all or one per axis",
-    "slow is enough: a load is measured at rest",
+    "speed limit of each joint [rad/s]; one for all or one per axis",
+    "a low value is sufficient: loads are measured at rest",
     per_axis(POSITIVE.of(SPEEDS)),
 )
 TORQUE_LIMIT: Final = CellQuestion(
@@ -159,55 +159,55 @@ TORQUE_LIMIT: Final = CellQuestion(
 )
 INERTIALS: Final = CellQuestion(
     "inertials",
-    "trust of the URDF's masses: exact, ignore, or prior:S with S their relative deviation",
-    "prior:0.05 for a maker's own URDF, ignore for masses of unknown origin",
-    pattern(r"exact|ignore|prior:\d*\.?\d+", "none of exact, ignore, prior:S such as prior:0.1"),
+    "uncertainty of the URDF masses: exact, ignore, or prior:S with relative standard deviation S",
+    "prior:0.05 for the manufacturer's URDF, ignore for masses of unknown source",
+    pattern(r"exact|ignore|prior:\d*\.?\d+", "not one of exact, ignore, prior:S (such as prior:0.1)"),
 )
 MOUNTING: Final = CellQuestion(
     "mounting",
     "how the arm is mounted: floor, ceiling, or gravity in its base frame [m/s2], such as [9.80665, 0, 0] on a wall",
-    "the base frame is that of the robot's drawing; z points away from the base plate",
+    "the base frame is that of the robot drawing; z points away from the base plate",
     place(floor=(0.0, 0.0, -9.80665), ceiling=(0.0, 0.0, 9.80665)),
 )
 FLANGE: Final = CellQuestion(
     "flange_xyz_m",
-    "flange in the last link, x, y, z [m], or none",
-    "the drawing of the wrist; without it results are in the last link alone",
+    "position of the flange in the last link, x, y, z [m], or none",
+    "drawing of the wrist; without it, results are given only in the last link",
     place(ANY.of(LENGTHS), none=()),
 )
 FLANGE_TURN: Final = CellQuestion(
     "flange_rpy_rad",
-    "turn of the flange in the last link, roll, pitch, yaw [rad], such as 0, 1.5708, 0 or 0, 90, 0 deg",
-    "the drawing of the wrist: where z of the flange points along another axis of the last link, it is turned",
+    "orientation of the flange in the last link, roll, pitch, yaw [rad], such as 0, 1.5708, 0 or 0, 90, 0 deg",
+    "drawing of the wrist: needed if z of the flange is not along z of the last link",
     place(ANY.of(ANGLES)),
 )
 RATED_LOAD: Final = CellQuestion(
     "rated_load_kg",
-    "load that the arm is rated for [kg], or none",
-    "data sheet or plate of the arm; loads beyond five times as much are refused as slips of units",
+    "rated load of the arm [kg], or none",
+    "data sheet or rating plate of the arm; loads above five times this value are refused as unit errors",
     number_or_none(POSITIVE.of(MASSES)),
 )
 MAX_LOAD: Final = CellQuestion(
     "max_load_kg",
-    "heaviest load that will hang on the flange [kg], or none",
-    "the rated load if not stated; without either half of each torque limit is kept for the load",
+    "heaviest load to be mounted [kg], or none",
+    "default: the rated load; without both, half of each torque limit is reserved for the load",
     number_or_none(POSITIVE.of(MASSES)),
 )
 NAME: Final = CellQuestion("name", "name of the cell", "", text())
 SYNC_PERIOD: Final = CellQuestion(
     "sync_period_s",
-    "time from SYNC to SYNC [s]",
-    "0.01 suits six drives at 1 Mbit/s; `check` reckons the load of the bus",
+    "SYNC period [s]",
+    "0.01 suits six drives at 1 Mbit/s; `check` computes the bus load",
     one_number(POSITIVE.of(TIMES)),
 )
 PACING: Final = CellQuestion("pacing", "real, or lockstep on the simulator", "", choice("real", "lockstep"))
-OFFLINE: Final = CellQuestion("offline", "true: no bus is looked at", "", flag())
+OFFLINE: Final = CellQuestion("offline", "true: no bus is used", "", flag())
 EDS: Final = CellQuestion(
-    "eds", "EDS or DCF files, one per axis or one for all", "the maker of the drive delivers it", words()
+    "eds", "EDS or DCF files, one per axis or one for all", "supplied by the drive manufacturer", words()
 )
 POSES: Final = CellQuestion("poses", "the table [poses] of the cell", "", table())
 
-#: Every key that an answer file may hold.
+#: All keys of an answer file.
 ALL: Final = (
     NAME,
     ROBOT,
@@ -238,7 +238,7 @@ ALL: Final = (
     MAX_LOAD,
     POSES,
 )
-#: Answers that may be one for all axes.
+#: Answers that may apply to all axes.
 FOR_ALL: Final = tuple(
     question.key
     for question in (
@@ -255,10 +255,10 @@ FOR_ALL: Final = tuple(
     )
 )
 DH_KEYS: Final = (DH_CONVENTION.key, *(question.key for question in DH_ROWS))
-#: Answers that are names of files.
+#: Answers that are file names.
 FILES: Final = (ROBOT.key, EDS.key, PROFILE.key)
 
-#: Questions that a person is not asked: an offer that holds without one, or an option of the command.
+#: Questions that are not asked at the terminal: a default exists, or an option of the command.
 UNASKED: Final = (NAME, TIP, OFFLINE, EDS, SYNC_PERIOD, PACING, MAX_LOAD, POSES)
 
 #: Their keys, in order.

@@ -1,4 +1,4 @@
-"""The one place of this room that talks to drives and reads their files; nothing is written to a drive."""
+"""Read drives and their files; nothing is written to a drive."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _DRIVE = 0x0192
 
 
 class BusEyes:
-    """Looks at drives on their bus and at files of drives; nothing is written.
+    """Reader of drives on a bus and of their files; nothing is written.
 
     Parameters
     ----------
     listen_s : float
-        How long a drive may take to answer [s].
+        Time limit for an answer [s].
     """
 
     def __init__(self, listen_s: float) -> None:
@@ -50,7 +50,7 @@ class BusEyes:
 
 
 def nodes_on(bus: Bus, listen_s: float) -> tuple[SeenNode, ...]:
-    """Drives on a bus, by node id; two devices at one id count as nobody."""
+    """Return the drives on a bus by node id; an id with two devices is omitted."""
     return tuple(
         SeenNode(found.identity.node_id, found.identity, {}, found.profiles, f"node {found.identity.node_id}")
         for found in scan(bus, listen_s=listen_s)
@@ -59,12 +59,12 @@ def nodes_on(bus: Bus, listen_s: float) -> tuple[SeenNode, ...]:
 
 
 def values_of(bus: Bus, node_id: int, addresses: Mapping[Address, str]) -> dict[Address, Read]:
-    """Objects of a node; what it does not have is left out.
+    """Return the objects of a node; missing ones are omitted.
 
     Raises
     ------
     SdoError
-        It does not answer, or breaks the protocol.
+        The node does not answer or violates the protocol.
     """
     sdo, found = SdoClient(bus, node_id), dict[Address, Read]()
     try:
@@ -80,12 +80,12 @@ def values_of(bus: Bus, node_id: int, addresses: Mapping[Address, str]) -> dict[
 
 
 def nodes_in(files: Sequence[Path]) -> tuple[SeenNode, ...]:
-    """Devices of EDS and DCF files, in the order of the files.
+    """Return the devices of EDS and DCF files, in file order.
 
     Raises
     ------
     ProfileError
-        A file cannot be read, or is none.
+        A file cannot be read or is not a data sheet.
     """
     return tuple(_node_in(path, read_sheet(path)) for path in files)
 

@@ -1,4 +1,4 @@
-"""Answers that can only be slips of units: what the cell file refuses is refused where it was typed."""
+"""Detect unit errors in answers: values that the cell file refuses are refused at the input."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ _CHECKS: Final[Mapping[str, Check]] = {
 
 
 def slips(key: str, value: Any, ratio: Iterable[float], bounds: LoadBounds) -> Iterator[str]:
-    """What is wrong with an answer, and what to write instead; nothing where it may be right.
+    """Return the error of an answer and a proposed correction; empty if it is plausible.
 
     Parameters
     ----------
     key : str
-        Of the question.
+        Key of the question.
     value
-        In the form of the question.
+        Value in the format of the question.
     ratio : iterable of float
-        Gear ratios, as far as they are known: a torque constant is judged by them.
+        Known gear ratios, for the check of a torque constant.
     bounds : LoadBounds
-        Largest credible load, as far as the arm is known.
+        Largest plausible load, if known.
     """
     if key in (questions.RATED_LOAD.key, questions.MAX_LOAD.key):
         wrong = "" if value is None else bounds.violation(value, ())

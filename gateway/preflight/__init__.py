@@ -1,1 +1,1 @@
-"""The drives are asked what they are, and judged, before anything is written or moves."""
+"""Pre-flight check: drives are read and assessed before anything is written or moves."""

@@ -1,6 +1,6 @@
-"""How a drive stops by itself: option codes and ramps (CiA 402-2, 8.4). What lets the arm coast refuses motion.
+"""Stop behaviour of a drive: option codes and ramps (CiA 402-2, 8.4). Settings that let the arm coast refuse motion.
 
-The values are read and judged, never provoked; what they come to is proven by `check --prove-stop`.
+The settings are read, not tested; the test is `check --prove-stop`.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from drives.objects import OBJECTS
 from gateway.preflight.rules import Axis, Lines, Readings, counts_per_revolution, value_of
 from gateway.result.result import Finding
 
-#: Time from the cell's speed limit to rest [s] above which a quick stop is refused, and told.
+#: Duration of a quick stop from the cell's speed limit [s] above which motion is refused.
 TOO_LONG_S: Final = 1.0
 LONG_S: Final = 0.5
-#: Quick stop options by what brings the axis to rest (CiA 402-2, table 22).
+#: Quick stop options by deceleration method (CiA 402-2, table 22).
 BY_SLOW_RAMP: Final = (1, 5)
 BY_QUICK_RAMP: Final = (2, 6)
 BY_LIMIT: Final = (3, 4, 7, 8)
-#: Options that may be missing or hold a value of the manufacturer's without a word against the drive.
+#: Options that may be missing or hold a manufacturer-specific value.
 _OPTIONAL: Final = (
     "quick_stop_option",
     "shutdown_option",
@@ -37,13 +37,13 @@ _OPTIONAL: Final = (
 
 
 def judge_coasting(axis: Axis, readings: Readings) -> list[Finding]:
-    """Judge what one drive does when it is stopped, disabled or in fault.
+    """Assess the behaviour of one drive on stop, disable and fault.
 
     Parameters
     ----------
     axis : Axis
     readings : mapping
-        (index, subindex) -> value, None where the drive has no such object.
+        (index, subindex) -> value; None if the drive has no such object.
 
     Returns
     -------
@@ -58,12 +58,12 @@ def judge_coasting(axis: Axis, readings: Readings) -> list[Finding]:
 def _quick_stop(lines: Lines, readings: Readings) -> None:
     option, address = value_of(readings, "quick_stop_option"), OBJECTS["quick_stop_option"].address
     if option == 0:
-        what = "0: a quick stop cuts the power, the axis coasts until its brake holds"
+        what = "0: a quick stop disables the drive; the axis coasts until the brake engages"
         lines.add("fail", address, what, "set 2 (quick stop ramp) in the drive")
     elif option in (*BY_SLOW_RAMP, *BY_QUICK_RAMP):
-        lines.add("ok", address, f"{option}: stops by a ramp")
+        lines.add("ok", address, f"{option}: stops on a ramp")
     elif option in BY_LIMIT:
-        lines.add("ok", address, f"{option}: stops with all the torque or voltage the drive may give, by no ramp")
+        lines.add("ok", address, f"{option}: stops at the current or voltage limit, without a ramp")
     elif option is not None:
         _of_the_maker(lines, "quick_stop_option", option)
 
@@ -71,10 +71,10 @@ def _quick_stop(lines: Lines, readings: Readings) -> None:
 def _fault_reaction(lines: Lines, readings: Readings) -> None:
     option, address = value_of(readings, "fault_reaction_option"), OBJECTS["fault_reaction_option"].address
     if option == 0:
-        what = "0: a fault cuts the power, the axis coasts until its brake holds"
+        what = "0: a fault disables the drive; the axis coasts until the brake engages"
         lines.add("fail", address, what, "set 2 (quick stop ramp) in the drive")
     elif option in (1, 2, 3, 4):
-        lines.add("ok", address, f"{option}: a fault brings the axis to rest before the power is cut")
+        lines.add("ok", address, f"{option}: a fault brings the axis to rest before the drive is disabled")
     elif option is not None:
         _of_the_maker(lines, "fault_reaction_option", option)
 
@@ -83,10 +83,10 @@ def _power_off(lines: Lines, readings: Readings) -> None:
     for name in ("shutdown_option", "disable_operation_option"):
         option, address = value_of(readings, name), OBJECTS[name].address
         if option == 0:
-            what = "0: cuts the power at once; a drive is told to only when standstill was measured"
+            what = "0: disables at once; the gateway requests it only after standstill is measured"
             lines.add("info", address, what)
         elif option == 1:
-            lines.add("ok", address, "1: brings the axis to rest by a ramp before the power is cut")
+            lines.add("ok", address, "1: brings the axis to rest on a ramp before the drive is disabled")
         elif option is not None:
             _of_the_maker(lines, name, option)
 
@@ -98,20 +98,20 @@ def _halt(lines: Lines, readings: Readings) -> None:
 
 
 def _of_the_maker(lines: Lines, name: str, option: int) -> None:
-    what = f"{option} is not one of CiA 402; what it does is shown by `servo-gateway check --prove-stop`"
-    advice = "look it up in the drive's manual: the arm must not coast"
+    what = f"{option} is manufacturer-specific; test its effect with `servo-gateway check --prove-stop`"
+    advice = "see the manual of the drive: the arm must not coast"
     lines.add("info" if option < 0 else "warn", OBJECTS[name].address, what, advice)
 
 
 def quick_stop_ramp(readings: Readings) -> tuple[str, int | None]:
-    """Name of the object that holds the ramp of a quick stop, and its value; None = there is none, or not told."""
+    """Return name and value of the object with the quick stop ramp; None if missing or unknown."""
     option = value_of(readings, "quick_stop_option")
     name = "profile_deceleration" if option in BY_SLOW_RAMP else "quick_stop_deceleration"
     return name, None if option in BY_LIMIT else value_of(readings, name)
 
 
 def _ramp(lines: Lines, readings: Readings) -> None:
-    """The ramp that a quick stop uses, and what it comes to at the cell's speed limit."""
+    """Check the quick stop ramp and its duration from the cell's speed limit."""
     name, raw = quick_stop_ramp(readings)
     if raw is None:
         return
@@ -122,13 +122,15 @@ def _ramp(lines: Lines, readings: Readings) -> None:
     counts = counts_per_revolution(lines.axis.profile, readings)
     unit_rad_s2 = None if velocity is None else velocity.ramp_rad_s2(counts)
     if unit_rad_s2 is None:
-        what = f"{raw}: how long a quick stop takes is not known, the profile has no [velocity]"
+        what = f"{raw}: duration of a quick stop unknown, because the profile has no [velocity]"
         lines.add("info", address, what)
         return
     config = lines.axis.config
     speed_rad_s = config.speed_limit_rad_s * abs(config.gear_ratio.value)
     ramp_s = speed_rad_s / (raw * unit_rad_s2)
-    what = f"{ramp_s:.2g} s from {config.speed_limit_rad_s:g} rad/s to rest, if its unit is the velocity's per second"
+    what = (
+        f"{ramp_s:.2g} s from {config.speed_limit_rad_s:g} rad/s to rest, if its unit is the velocity unit per second"
+    )
     if ramp_s > LONG_S:
         advice = f"raise it in the drive: more than {TOO_LONG_S:g} s is refused; or lower speed_limit_rad_s"
         lines.add("fail" if ramp_s > TOO_LONG_S else "warn", address, what, advice)
@@ -139,4 +141,4 @@ def _ramp(lines: Lines, readings: Readings) -> None:
 def _missing(lines: Lines, readings: Readings) -> None:
     absent = [f"{OBJECTS[name]}" for name in _OPTIONAL if value_of(readings, name) is None]
     if absent:
-        lines.add("info", None, f"the drive does not tell {', '.join(absent)}")
+        lines.add("info", None, f"the drive does not have {', '.join(absent)}")

@@ -1,4 +1,4 @@
-"""Pre-flight check: the drives are asked what they are, and judged. Nothing is written, nothing moves."""
+"""Pre-flight check: read the drives and assess them. Nothing is written, nothing moves."""
 
 from __future__ import annotations
 
@@ -39,9 +39,9 @@ from gateway.preflight.rules import (
 from gateway.preflight.swap import SeenDrive, judge_places
 from gateway.result.result import Finding
 
-# Largest planned worst-case load of a bus that the clock paces.
+# largest planned worst-case load of a bus in real time
 LOAD_LIMIT_PERCENT = 70.0
-#: Read from every drive: what it is at this moment, and how it is set up.
+#: Objects read from every drive: state and settings.
 READ_LIVE: Final = ("statusword", "position", "digital_inputs", "torque_offset")
 READ_SETTINGS: Final = (
     "abort_connection_option",
@@ -82,16 +82,16 @@ READ_SETTINGS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """What the drives of an arm said, and what it is worth.
+    """Readings of the drives of an arm, with their assessment.
 
     Attributes
     ----------
     items : tuple of Finding
     refusing : tuple of Finding
-        Failing ones that nobody else would refuse; a drive in fault, or a joint outside its limits, is refused in words
-        of its own when the drives are enabled or moved.
+        Failing items that no later step refuses. A drive in fault or a joint outside its limits is refused later, when
+        the drives are enabled or moved.
     readings : tuple of Readings, one per axis
-        (index, subindex) -> value, None where the drive has no such object; as the engineer left them.
+        (index, subindex) -> value before any write of the gateway; None if the drive has no such object.
     """
 
     items: tuple[Finding, ...]
@@ -100,7 +100,7 @@ class Preflight:
 
 
 def addresses(profile: DriveProfile) -> dict[Address, str]:
-    """Objects to read, with their types, for a drive of this profile."""
+    """Return the objects to read, with their types, for a drive of this profile."""
     wanted = {OBJECTS[name].address: OBJECTS[name].type for name in (*READ_LIVE, *READ_SETTINGS)}
     references: list[ObjectReference] = [profile.torque.object]
     rated = [signal.rated for signal in (profile.torque, profile.current) if signal is not None]
@@ -113,14 +113,14 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
 
 
 def live_addresses(profile: DriveProfile) -> frozenset[Address]:
-    """Objects among `addresses` that change by themselves or with every set point: state, position, torque."""
+    """Return the objects of `addresses` that vary in operation: state, position, torque."""
     shown = [profile.torque.object, *(condition.object for condition in conditions(profile))]
     named = {OBJECTS[name].address for name in READ_LIVE}
     return frozenset(named | {(reference.index, reference.subindex) for reference in shown})
 
 
 def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
-    """Read identity and every object of interest; None where the drive does not have it.
+    """Read identity and every relevant object; None if the drive does not have it.
 
     Raises
     ------
@@ -135,7 +135,7 @@ def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
 
 
 def read_objects(sdo: SdoClient, profile: DriveProfile) -> Readings:
-    """Read every object of interest; None where the drive does not have it.
+    """Read every relevant object; None if the drive does not have it.
 
     Raises
     ------
@@ -155,9 +155,9 @@ def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
 
 
 def as_left(readings: Readings, identity: Identity, ledger: WriteLedger, bus: str | None = None) -> Readings:
-    """Objects of one drive as the engineer left them: what the gateway wrote itself counts as before it was written.
+    """Return the objects of one drive with the original values of those that the gateway has written.
 
-    Such values are written again from what they were, whenever the drives are configured.
+    They are written again whenever the drives are configured.
     """
     kept = dict(readings)
     for entry in ledger.of(KnownDevice.of(identity, bus)):
@@ -170,9 +170,9 @@ def as_left(readings: Readings, identity: Identity, ledger: WriteLedger, bus: st
 def check_arm(
     bus: Bus, arm: ArmConfig, profiles: Sequence[DriveProfile], ledger: WriteLedger | None = None
 ) -> list[Finding]:
-    """Check the drives of an arm; a drive that does not answer is a failing line, the others are still read.
+    """Check the drives of an arm; a drive that does not answer is a failing item, the others are still read.
 
-    Drives in each other's place come before what each of them says of its limits, which follows from it.
+    Swapped drives are reported before the limit violations that result from the swap.
 
     Parameters
     ----------
@@ -181,18 +181,18 @@ def check_arm(
     profiles : sequence of DriveProfile, one per axis
         Of the axes, in order.
     ledger : WriteLedger, optional
-        What the gateway wrote itself.
+        Objects written by the gateway.
 
     Raises
     ------
     ForeignMaster
-        A master is at work: what is asked beside it stops its arm.
+        Another master is active: requests beside it could stop its arm.
     """
     ledger = ledger or WriteLedger()
     refuse_foreign(bus)
     answers = probe(bus, [config.node_id for config in arm.axis])
-    silent = [node_id for node_id, number in answers.items() if number == 0]
-    states = nmt_states(bus, silent, LISTEN_S) if silent else {}
+    not_answering = [node_id for node_id, number in answers.items() if number == 0]
+    states = nmt_states(bus, not_answering, LISTEN_S) if not_answering else {}
     items: list[Finding] = []
     seen: list[SeenDrive] = []
     for axis in _axes(arm, profiles):
@@ -212,7 +212,7 @@ def check_arm(
 
 
 def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity]) -> Preflight:
-    """Read and judge drives that are connected already.
+    """Read and assess connected drives.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity])
     Raises
     ------
     SdoError, SeveralFailures
-        Drives that do not answer, or refuse an object that they have; all at once.
+        Some drives do not answer or refuse an object; the error lists all of them.
     """
     seen: list[SeenDrive] = []
     failures: list[DriveError] = []
@@ -240,7 +240,7 @@ def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity])
 
 
 def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
-    """Judge drives that were read, drives in each other's place first."""
+    """Assess drives that were read, swapped drives first."""
     items = judge_places(arm, seen)
     refusing = [item for item in items if item.severity == "fail"]
     for drive in seen:
@@ -258,13 +258,13 @@ def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
 
 
 def require_passed(items: Sequence[Finding], otherwise: str) -> None:
-    """Make sure that no item fails.
+    """Raise an error if an item fails.
 
     Parameters
     ----------
     items : sequence of Finding
     otherwise : str
-        What an item that fails comes to: `nothing is measured`.
+        Consequence of a failing item, such as `nothing is measured`.
 
     Raises
     ------
@@ -285,7 +285,7 @@ def _axes(arm: ArmConfig, profiles: Sequence[DriveProfile]) -> list[Axis]:
 def judge_bus_load(
     config: BusConfig, axes: Sequence[tuple[int, DriveProfile]], instruments: Sequence[InstrumentSetup] = ()
 ) -> Finding:
-    """Worst-case share of the wire that the planned exchange of everything on a bus takes.
+    """Return the worst-case bus load of the planned exchange of all nodes.
 
     Parameters
     ----------
@@ -299,7 +299,7 @@ def judge_bus_load(
     Returns
     -------
     Finding
-        Failing above `LOAD_LIMIT_PERCENT` where the clock paces the bus; in lockstep the bus paces itself.
+        Failing above `LOAD_LIMIT_PERCENT` in real time; in lockstep there is no limit.
     """
     sizes = [0]
     for node_id, profile in axes:
@@ -322,7 +322,7 @@ def _twice(axis: Axis, answers: int) -> Finding:
         "fail",
         f"J{axis.joint} node {axis.config.node_id}",
         f"{answers} devices answer at this node id",
-        "give every drive a node id of its own before anything else",
+        "set a unique node id on each drive first",
     )
 
 
@@ -330,8 +330,9 @@ def _stopped(axis: Axis) -> Finding:
     return Finding(
         "fail",
         f"J{axis.joint} node {axis.config.node_id}",
-        "is in NMT state STOPPED, where a drive answers no question",
-        "find out who stopped it; `servo-gateway restore CELL` wakes it (NMT 0x80), or switch it off and on",
+        "is in NMT state STOPPED, in which a drive does not answer SDO requests",
+        "find the cause of the stop; `servo-gateway restore CELL` sets PRE-OPERATIONAL (NMT 0x80), or power-cycle "
+        "the drive",
     )
 
 
@@ -340,5 +341,5 @@ def _unreachable(axis: Axis, error: DriveError) -> Finding:
     if isinstance(error, SdoAbort) and error.index is not None:
         place = f"{where}:{object_name(error.index, error.subindex or 0)}"
         return Finding("fail", place, f"cannot be read: {error.what}", error.advice)
-    advice = "check power, wiring and node id; `servo-gateway scan` shows who is there"
+    advice = "check supply, wiring and node id; `servo-gateway scan` lists the nodes on the bus"
     return Finding("fail", where, f"does not answer: {error.what}", advice)

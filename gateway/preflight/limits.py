@@ -1,4 +1,4 @@
-"""Where a joint stands, and the ranges that its drive keeps, against the limits of the cell: pure rules."""
+"""Compare joint position and drive ranges with the limits of the cell: pure rules."""
 
 from __future__ import annotations
 
@@ -16,22 +16,22 @@ from gateway.errors import PlanRefused
 from gateway.preflight.rules import Axis, Lines, Readings, counts_per_revolution, value_of
 from gateway.result.result import Finding
 
-#: A following error window wider than so many of the cell's limits protects nothing.
+#: Following error windows beyond this multiple of the cell's limit are too wide to protect.
 WIDE: Final = 4.0
 _I32_MAX: Final = 0x7FFFFFFF
 _NARROW: Final = "narrow position_limit_rad to that, or lower the resolution of positions in the drive (0x608F)"
-#: Brings a joint inside its range; who knows the cell file writes its name for CELL.
+#: Command that moves a joint into its range; CELL is replaced by the file name where it is known.
 MOVE_HOME: Final = "servo-gateway move CELL --to home"
 
 
 def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
-    """Judge where the joint stands, and the drive's own ranges, against the limits of the cell.
+    """Check joint position and drive ranges against the limits of the cell.
 
     Parameters
     ----------
     axis : Axis
     arm : ArmConfig
-        For the conversion from motor to joint; a coupled joint needs all motors and is left to the run.
+        For the conversion from motor to joint; coupled joints need all motors and are checked during the run.
     readings : mapping
         (index, subindex) -> value.
     """
@@ -39,22 +39,22 @@ def judge_limits(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding
 
 
 def judge_place(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
-    """Where the joint stands, which any motion looks at again; parameters as `judge_limits`."""
+    """Check the joint position, which is checked again before each motion; parameters as `judge_limits`."""
     lines = Lines(axis)
     turn, position = counts_per_revolution(axis.profile, readings), value_of(readings, "position")
     if turn is not None and position is not None and arm.coupling is None:
         low, high = axis.config.position_limit_rad
         q_rad = _joint_rad(arm, axis.joint, position / turn)
         inside = low <= q_rad <= high
-        what = f"stands at {q_rad:.3f} rad, limits {low:g} to {high:g} rad"
-        way_in = f"bring the joint inside its limits ({MOVE_HOME}), or correct zero_offset_rad and position_sign"
-        advice = "" if inside else way_in
+        what = f"is at {q_rad:.3f} rad, limits {low:g} to {high:g} rad"
+        remedy = f"bring the joint inside its limits ({MOVE_HOME}), or correct zero_offset_rad and position_sign"
+        advice = "" if inside else remedy
         lines.add("ok" if inside else "fail", OBJECTS["position"].address, what, advice)
     return lines.items
 
 
 def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding]:
-    """The drive's software limits, its range of positions and its following error; parameters as `judge_limits`."""
+    """Check software limits, position range and following error window; parameters as `judge_limits`."""
     lines = Lines(axis)
     if counts_per_revolution(axis.profile, readings) is None:
         return lines.items
@@ -67,7 +67,7 @@ def judge_ranges(axis: Axis, arm: ArmConfig, readings: Readings) -> list[Finding
 
 
 def software_range_rad(axis: Axis, arm: ArmConfig, readings: Readings) -> tuple[float, float] | None:
-    """The drive's own range of the joint [rad], None where it has none or the joint is coupled."""
+    """Return the joint range of the drive [rad]; None if it has none or the joint is coupled."""
     return _range_rad(axis, arm, readings, "position_limit")
 
 
@@ -83,7 +83,7 @@ def _range_rad(axis: Axis, arm: ArmConfig, readings: Readings, name: str) -> tup
 def _software_limits(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
     drive = software_range_rad(lines.axis, arm, readings)
     if drive is None:
-        what = "no software limits in the drive; the gateway keeps to those of the cell file"
+        what = "no software limits in the drive; the gateway applies those of the cell file"
         lines.add("info", OBJECTS["position_limit_min"].address, what)
         return
     _covers(lines, "position_limit_min", drive, "the drive stops before the cell's limit: narrow position_limit_rad")
@@ -92,7 +92,7 @@ def _software_limits(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
 def _position_range(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
     drive = _range_rad(lines.axis, arm, readings, "position_range")
     if drive is not None:
-        advice = "the position jumps to the other end of this range there: widen it, or narrow position_limit_rad"
+        advice = "the position wraps around at the end of this range: widen it, or narrow position_limit_rad"
         _covers(lines, "position_range_min", drive, advice)
 
 
@@ -104,13 +104,13 @@ def _representable(lines: Lines, arm: ArmConfig, readings: Readings) -> None:
 
 
 def beyond_counts(arm: ArmConfig, joint: int, turn: float) -> str | None:
-    """Why positions between the limits of a joint do not fit the 32 bits of target and actual position; None = they do.
+    """Return why positions within the joint limits do not fit into 32 bits; None if they fit.
 
     Parameters
     ----------
     arm : ArmConfig
     joint : int
-        From 1; of a coupled arm the motor of this number, whichever joints turn it.
+        From 1; for a coupled arm the number of the motor.
     turn : float
         Position counts of one motor revolution.
     """
@@ -130,7 +130,7 @@ def beyond_counts(arm: ArmConfig, joint: int, turn: float) -> str | None:
 
 
 def refuse_beyond_counts(loaded: LoadedCell, arm: ArmConfig) -> None:
-    """See that paths inside the joint limits fit the 32 bits of a position, where the profile gives the resolution.
+    """Check that positions within the joint limits fit into 32 bits, if the profile gives the resolution.
 
     Raises
     ------
@@ -162,10 +162,10 @@ def _following(lines: Lines, readings: Readings) -> None:
     error_rad = 2.0 * math.pi * window / turn / abs(config.gear_ratio.value)
     limit = f"following_error_limit_rad of the cell is {config.following_error_limit_rad:g}"
     if window == 0:
-        what = "0: the drive does not watch its following error, or faults at once"
+        what = "0: the drive does not monitor its following error, or faults at once"
         lines.add("warn", address, what, f"set the window in the drive; {limit}")
     elif error_rad > WIDE * config.following_error_limit_rad:
-        what = f"{error_rad:.3g} rad at the joint: a drive without its master would notice a collision late or never"
+        what = f"{error_rad:.3g} rad at the joint: too wide for the drive to detect a collision without the master"
         lines.add("warn", address, what, f"narrow the window in the drive; {limit}")
     else:
         lines.add("ok", address, f"{error_rad:.3g} rad at the joint; {limit}")

@@ -1,4 +1,4 @@
-"""What a drive said of itself, judged against profile and cell: pure rules, one function each."""
+"""Compare drive readings with profile and cell: pure rules, one function each."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from drives.values import Identity
 from gateway.cell.config import AxisConfig
 from gateway.result.finding import Finding, Severity
 
-#: Drive's and cell's torque limit farther apart than this are no choice but a mistake of units.
+#: Ratio of torque limits (drive to cell) above which a unit error is assumed.
 IMPLAUSIBLE = 50.0
-#: Torque limits of one direction each, beside 0x6072.
+#: Torque limits of one direction, in addition to 0x6072.
 DIRECTED: Final = ("positive_torque_limit", "negative_torque_limit")
-CONFIRM_TORQUE: Final = "write the limit of the joint's data sheet to the cell, and its source to torque_limit_source"
+CONFIRM_TORQUE: Final = "write the limit from the data sheet to the cell, and its source to torque_limit_source"
 SATURATES: Final = "readings saturate there; lower torque_limit_nm or raise the drive's limit"
 
 Address = tuple[int, int]
@@ -36,7 +36,7 @@ class Axis:
 
 
 class Lines:
-    """Collects the lines of one axis.
+    """Collector of the items of one axis.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Lines:
         self.items: list[Finding] = []
 
     def add(self, severity: Severity, address: Address | None, what: str, advice: str = "") -> None:
-        """One more line, about an object or about the whole axis."""
+        """Add an item about an object or about the axis."""
         place = f"J{self.axis.joint} node {self.axis.config.node_id}"
         if address is not None:
             place += f":{object_name(*address)}"
@@ -60,13 +60,13 @@ class Lines:
 
 
 def judge_axis(axis: Axis, readings: Readings) -> list[Finding]:
-    """Judge what one drive said of its state and of itself.
+    """Assess state and settings of one drive.
 
     Parameters
     ----------
     axis : Axis
     readings : mapping
-        (index, subindex) -> value, None where the drive has no such object.
+        (index, subindex) -> value; None if the drive has no such object.
 
     Returns
     -------
@@ -76,12 +76,12 @@ def judge_axis(axis: Axis, readings: Readings) -> list[Finding]:
 
 
 def judge_state(axis: Axis, readings: Readings) -> list[Finding]:
-    """State and constants: what bringing the drive up refuses with an error of its own; parameters as `judge_axis`."""
+    """Check state and constants, which are refused again when the drive is enabled; parameters as `judge_axis`."""
     return _judged(axis, readings, (_state, _rated, _resolution, _conditions))
 
 
 def judge_settings(axis: Axis, readings: Readings) -> list[Finding]:
-    """How the drive is set up: what nobody else would refuse; parameters as `judge_axis`."""
+    """Check the settings of the drive that no later step refuses; parameters as `judge_axis`."""
     rules = (_obstacles, _mode, _torque_object, _torque_limits, _encoder, _scaling, _offsets, _watchdog)
     return _judged(axis, readings, rules)
 
@@ -94,13 +94,13 @@ def _judged(axis: Axis, readings: Readings, rules: Sequence[Callable[[Lines, Rea
 
 
 def value_of(readings: Readings, name: str) -> int | None:
-    """What a named object holds; None where the drive does not have it."""
+    """Return the value of a named object; None if the drive does not have it."""
     value = readings.get(OBJECTS[name].address)
     return value if isinstance(value, int) else None
 
 
 def judge_identity(axis: Axis, identity: Identity) -> list[Finding]:
-    """Judge who the drive says it is.
+    """Check the identity of the drive.
 
     Parameters
     ----------
@@ -120,14 +120,14 @@ def judge_identity(axis: Axis, identity: Identity) -> list[Finding]:
         "product": _hex(identity.product_code),
         "revision": _hex(identity.revision),
         "serial": _hex(identity.serial_number),
-        "firmware": identity.software_version or "not told",
+        "firmware": identity.software_version or "not reported",
     }
     lines.add("info", None, ", ".join(f"{name} {value}" for name, value in parts.items()))
     return lines.items
 
 
 def _hex(value: int | None) -> str:
-    return "not told" if value is None else f"0x{value:X}"
+    return "not reported" if value is None else f"0x{value:X}"
 
 
 def _state(lines: Lines, readings: Readings) -> None:
@@ -140,13 +140,13 @@ def _state(lines: Lines, readings: Readings) -> None:
     if state in FAULTED:
         lines.add("fail", address, describe(word), "read the fault, remove its cause, reset it at the drive")
     elif state is State.OPERATION_ENABLED:
-        lines.add("warn", address, describe(word), "somebody else has enabled this drive; find out who")
+        lines.add("warn", address, describe(word), "another master has enabled this drive; find and stop it")
     else:
         lines.add("ok", address, describe(word))
 
 
 def conditions(profile: DriveProfile) -> tuple[Condition, ...]:
-    """What the drive itself says must hold for motion: safety chain, referenced encoder."""
+    """Check the conditions for motion: safety chain, referenced encoder."""
     return (*profile.safety, *(() if profile.reference is None else (profile.reference,)))
 
 
@@ -157,20 +157,20 @@ def _conditions(lines: Lines, readings: Readings) -> None:
         safety = isinstance(condition, SafetyCondition)
         name = condition.what if safety else "encoder is not referenced"
         if value is None:
-            what = f"{name}: the drive does not have the object that tells"
+            what = f"{name}: the drive does not have this status object"
             lines.add("fail", address, what, "correct [safety] or [reference] of the profile")
         elif not condition.holds(value):
-            advice = "release it before the arm is to move" if safety else "have the encoder referenced at the drive"
+            advice = "release it before the arm moves" if safety else "reference the encoder at the drive"
             lines.add("fail", address, f"{name}: {condition.describe(value)}", advice)
         else:
-            lines.add("ok", address, f"0x{value:X}: as it must be for motion")
+            lines.add("ok", address, f"0x{value:X}: ready for motion")
 
 
 def _mode(lines: Lines, readings: Readings) -> None:
     modes = value_of(readings, "supported_modes")
     address = OBJECTS["supported_modes"].address
     if modes is None:
-        lines.add("info", address, "the drive does not say which modes it has; the mode is read back when it is set")
+        lines.add("info", address, "the drive does not report its modes; the mode is read back when it is set")
     elif not mode_supported(modes, Mode.CYCLIC_SYNC_POSITION):
         lines.add("fail", address, f"0x{modes:X}: no cyclic synchronous position mode", "enable mode 8 in the drive")
     else:
@@ -181,8 +181,8 @@ def _torque_object(lines: Lines, readings: Readings) -> None:
     torque = lines.axis.profile.torque
     address = (torque.object.index, torque.object.subindex)
     if torque.nature != "measured":
-        what = f"the profile says this torque is {torque.nature}, not measured: a load cannot be estimated from it"
-        lines.add("fail", address, what, "name the drive's measured torque or current in the profile")
+        what = f"the torque object of the profile is {torque.nature}, not measured: a load cannot be estimated from it"
+        lines.add("fail", address, what, "use the measured torque or current of the drive in the profile")
     elif readings.get(address) is None:
         lines.add("fail", address, "the drive does not have the torque object", "use another profile")
     elif torque.assumed:
@@ -213,7 +213,7 @@ def _rated(lines: Lines, readings: Readings) -> None:
     address = (rated.object.index, rated.object.subindex)
     value = readings.get(address)
     if not isinstance(value, int) or value <= 0:
-        what = "missing" if value is None else f"{value}: every torque would be zero"
+        what = "missing" if value is None else f"{value}: all torques would be zero"
         lines.add("fail", address, what, "set the rated value of the motor in the drive")
     else:
         unit = "A" if lines.axis.profile.torque.is_current else "Nm"
@@ -221,14 +221,14 @@ def _rated(lines: Lines, readings: Readings) -> None:
 
 
 def joint_torque_limit_nm(axis: Axis, readings: Readings, name: str = "max_torque") -> float | None:
-    """Torque that a limit of the drive allows at the joint [Nm]; None where the drive does not tell."""
+    """Return the joint torque that a limit of the drive allows [Nm]; None if unknown."""
     limit, torque = value_of(readings, name), axis.profile.torque
     full = None if torque.is_current else _rated_value(torque, readings)
     return None if limit is None or not full else abs(axis.config.gear_ratio.value) * full * limit / 1000.0
 
 
 def joint_current_limit_nm(axis: Axis, readings: Readings) -> float | None:
-    """Torque at the joint [Nm] that the current limit 0x6073 allows; None where the drive does not tell."""
+    """Return the joint torque that the current limit 0x6073 allows [Nm]; None if unknown."""
     limit, profile = value_of(readings, "max_current"), axis.profile
     signals = [signal for signal in (profile.current, profile.torque) if signal is not None]
     signal = next((each for each in signals if each.kind == "permille_rated_current"), None)
@@ -240,7 +240,7 @@ def joint_current_limit_nm(axis: Axis, readings: Readings) -> float | None:
 
 
 def _rated_value(signal: Signal, readings: Readings) -> float | None:
-    """Nm or A of 1000 per mille."""
+    """Return the value of 1000 per mille [Nm or A]."""
     rated = signal.rated
     if rated is None or rated.object is None:
         return None if rated is None else rated.value
@@ -255,7 +255,7 @@ def _torque_limits(lines: Lines, readings: Readings) -> None:
     for name, joint in beside.items():
         limit, address = value_of(readings, name), OBJECTS[name].address
         if limit == 0:
-            lines.add("fail", address, "0: the drive gives no torque", "set the limit in the drive")
+            lines.add("fail", address, "0: the drive produces no torque", "set the limit in the drive")
         elif joint is not None and joint < lines.axis.config.torque_limit_nm:
             lines.add("warn", address, _narrow(lines.axis, limit, joint), SATURATES)
 
@@ -267,7 +267,7 @@ def _max_torque(lines: Lines, readings: Readings) -> None:
     if joint is None:
         return
     if limit == 0:
-        lines.add("fail", address, "0: the drive gives no torque", "set the torque limit in the drive")
+        lines.add("fail", address, "0: the drive produces no torque", "set the torque limit in the drive")
     elif not 1.0 / IMPLAUSIBLE < joint / config.torque_limit_nm < IMPLAUSIBLE:
         what = f"{limit} per mille is {joint:.3g} Nm at the joint, the cell allows {config.torque_limit_nm:g} Nm"
         lines.add("fail", address, what, "rated torque in another unit (uNm, mNm) or a wrong gear_ratio: correct it")
@@ -282,7 +282,7 @@ def _narrow(axis: Axis, limit: int | None, joint_nm: float) -> str:
 
 
 def _encoder(lines: Lines, readings: Readings) -> None:
-    """0x608F of the drive against what the profile takes for the counts of one motor revolution."""
+    """Compare 0x608F of the drive with the counts per motor revolution of the profile."""
     increments, turns = value_of(readings, "encoder_increments"), value_of(readings, "encoder_revolutions")
     profile = lines.axis.profile
     assumed = profile.position.counts_per_revolution
@@ -306,13 +306,13 @@ def _encoder(lines: Lines, readings: Readings) -> None:
 def _scaling(lines: Lines, readings: Readings) -> None:
     polarity = value_of(readings, "polarity")
     if polarity:
-        what = f"0x{polarity:02X}: position or velocity is turned round in the drive, torque perhaps not"
+        what = f"0x{polarity:02X}: the drive inverts position or velocity, possibly not torque"
         advice = "set it to 0 and use position_sign and torque_sign of the cell file"
         lines.add("fail", OBJECTS["polarity"].address, what, advice)
     motor, shaft = value_of(readings, "gear_motor_revolutions"), value_of(readings, "gear_shaft_revolutions")
     if motor is not None and shaft is not None and motor != shaft:
-        what = f"{motor}:{shaft}: the drive applies a gear ratio of its own to the position"
-        advice = "set it to 1:1; the ratio belongs in the cell file"
+        what = f"{motor}:{shaft}: the drive applies a gear ratio to the position"
+        advice = "set it to 1:1; state the ratio in the cell file"
         lines.add("fail", OBJECTS["gear_motor_revolutions"].address, what, advice)
     _feed(lines, readings)
     offset = value_of(readings, "position_offset")
@@ -322,14 +322,14 @@ def _scaling(lines: Lines, readings: Readings) -> None:
 
 
 def _feed(lines: Lines, readings: Readings) -> None:
-    """Feed constant: 1:1, or as many units as the encoder has counts; anything else scales the position."""
+    """Check the feed constant: 1:1 or the encoder counts; other values scale the position."""
     feed, turns = value_of(readings, "feed_constant_feed"), value_of(readings, "feed_constant_revolutions")
     if feed is None or turns is None or feed == turns:
         return
     counts = counts_per_revolution(lines.axis.profile, readings)
     if counts is None or feed != counts * turns:
-        what = f"{feed}:{turns}: the drive scales the position by a feed of its own"
-        advice = "set it to 1:1, or to the counts of one motor revolution; lengths have no place at a joint"
+        what = f"{feed}:{turns}: the drive scales the position by a feed constant"
+        advice = "set it to 1:1, or to the counts of one motor revolution"
         lines.add("fail", OBJECTS["feed_constant_feed"].address, what, advice)
 
 
@@ -342,21 +342,23 @@ def _resolution(lines: Lines, readings: Readings) -> None:
 def _offsets(lines: Lines, readings: Readings) -> None:
     offset = value_of(readings, "torque_offset")
     if offset:
-        what = f"{offset} per mille is added to the torque already"
-        lines.add("warn", OBJECTS["torque_offset"].address, what, "clear it: a feedforward left behind biases readings")
+        what = f"{offset} per mille torque offset is active"
+        lines.add(
+            "warn", OBJECTS["torque_offset"].address, what, "set it to 0: a remaining torque offset biases readings"
+        )
 
 
 def _watchdog(lines: Lines, readings: Readings) -> None:
     missing = [name for name in ("abort_connection_option", "consumer_heartbeat") if value_of(readings, name) is None]
     for name in missing:
-        what = "missing: the drive would not notice that the master is gone"
-        lines.add("fail", OBJECTS[name].address, what, "use a drive or firmware that watches the master's heartbeat")
+        what = "missing: the drive does not detect loss of the master"
+        lines.add("fail", OBJECTS[name].address, what, "use a drive or firmware that monitors the master's heartbeat")
     if not missing:
-        lines.add("ok", OBJECTS["consumer_heartbeat"].address, "the drive can watch the master's heartbeat")
+        lines.add("ok", OBJECTS["consumer_heartbeat"].address, "the drive can monitor the master's heartbeat")
 
 
 def counts_per_revolution(profile: DriveProfile, readings: Readings) -> float | None:
-    """Position counts of one motor revolution, None where it cannot be known."""
+    """Return the position counts per motor revolution; None if unknown."""
     counts = profile.position.counts_per_revolution
     if isinstance(counts, Constant):
         return counts.value

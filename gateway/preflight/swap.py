@@ -1,8 +1,8 @@
-"""Are two drives in each other's place? What each keeps of its own axis, held against the axes of the cell.
+"""Detect swapped drives: compare the settings of each drive with the axes of the cell.
 
-A drive that was set up for one axis holds that axis' software limits, rated torque and gear, and is of its model. Where
-two drives are refused as they are addressed and each fits the axis of the other, that is the one sentence to say; a
-single number that is off fits nowhere else and is left to its own rule.
+A drive holds the software limits, rated torque and gear of the axis that it was set up for. If two drives fail at their
+own axes and each fits the axis of the other, one swap is reported. A single deviating value is reported by its own
+rule.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from gateway.preflight.limits import software_range_rad
 from gateway.preflight.rules import Axis, Readings, joint_torque_limit_nm
 from gateway.result.result import Finding
 
-#: How far a drive's range may stand outside the cell's and still be that of the axis, as a share of the cell's span.
+#: Allowed excess of a drive range over the cell's range, as a share of the cell's span.
 WIDER: Final = 0.15
-#: What a range may lack by rounding, as a share of the cell's span.
+#: Rounding tolerance of a range, as a share of the cell's span.
 ROUNDING: Final = 1e-3
-#: How many times better two drives must fit in each other's place than as they are addressed.
+#: Required ratio of fit, swapped over as addressed.
 CLEARLY: Final = 2.5
-#: Least factor between two axes' torque margins that asks for a reason; chosen limits differ by less.
+#: Least factor between the torque margins of two axes that is significant; chosen limits differ by less.
 MARGINS_APART: Final = 2.0
-#: Share by which a drive's own gear may differ from the cell's ratio.
+#: Allowed relative difference of a drive's gear ratio from the cell's.
 SAME_GEAR: Final = 0.01
-#: Evidence that alone only warns, and only where the drives tell no limits.
+#: Evidence that alone gives a warning, if the drives have no limits.
 TORQUE: Final = "torque limit"
 
 
@@ -42,10 +42,10 @@ class SeenDrive:
     Attributes
     ----------
     axis : Axis
-        As which it is addressed.
+        Axis of its node id.
     identity : Identity
     readings : mapping
-        (index, subindex) -> value, None where the drive has no such object.
+        (index, subindex) -> value; None if the drive has no such object.
     """
 
     axis: Axis
@@ -53,25 +53,25 @@ class SeenDrive:
     readings: Readings
 
     def at(self, axis: Axis) -> SeenDrive:
-        """The same drive, taken for that of another axis."""
+        """Return the same drive, assigned to another axis."""
         return replace(self, axis=axis)
 
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """Two drives, as they are addressed and as they would be in each other's place."""
+    """Two drives, as addressed and swapped."""
 
     arm: ArmConfig
     as_stated: tuple[SeenDrive, SeenDrive]
     exchanged: tuple[SeenDrive, SeenDrive]
 
 
-#: True: speaks for an exchange; False: against it; None: says nothing.
+#: True: evidence for a swap; False: against it; None: no evidence.
 _Evidence = Callable[[_Pair], bool | None]
 
 
 def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[Finding]:
-    """Name the drives that are in each other's place.
+    """Return findings for swapped drives.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[Finding]:
     Returns
     -------
     list of Finding
-        One failing line per pair; a warning where only the torques speak for it. A drive that would fit more than one
-        other axis so well gives none.
+        One failing item per pair; a warning if only the torques indicate it. A drive that fits several other axes
+        gives none.
     """
     found: list[tuple[SeenDrive, SeenDrive, list[str]]] = []
     for first, second in combinations(drives, 2):
@@ -100,13 +100,13 @@ def judge_places(arm: ArmConfig, drives: Sequence[SeenDrive]) -> list[Finding]:
 
 
 def _reasons(pair: _Pair) -> list[str]:
-    """What speaks for an exchange; nothing where anything speaks against it."""
+    """Return the evidence for a swap; empty if any evidence contradicts it."""
     says = {name: evidence(pair) for name, evidence in _EVIDENCE.items()}
     reasons = [name for name, value in says.items() if value]
     if False in says.values():
         return []
-    limits_told = all(software_range_rad(drive.axis, pair.arm, drive.readings) for drive in pair.as_stated)
-    return [] if reasons == [TORQUE] and limits_told else reasons
+    have_limits = all(software_range_rad(drive.axis, pair.arm, drive.readings) for drive in pair.as_stated)
+    return [] if reasons == [TORQUE] and have_limits else reasons
 
 
 def _line(first: Axis, second: Axis, reasons: Sequence[str]) -> Finding:
@@ -114,9 +114,9 @@ def _line(first: Axis, second: Axis, reasons: Sequence[str]) -> Finding:
     ids = f"{first.config.node_id} and {second.config.node_id}"
     what = f"the drives of {joints} look swapped (node ids or motor cables): each fits the other's axis by its "
     only_torque = list(reasons) == [TORQUE]
-    advice = f"exchange node ids {ids} in the cell file or in the drives, or the cables, before any limit is changed"
+    advice = f"swap node ids {ids} in the cell file or in the drives, or swap the cables, before changing any limit"
     if only_torque:
-        advice = f"see which drive is wired to which motor; `servo-gateway check --move` tells; then exchange {ids}"
+        advice = f"check the wiring of drives and motors with `servo-gateway check --move`; then swap {ids}"
     where = f"J{first.joint} node {first.config.node_id}"
     return Finding("warn" if only_torque else "fail", where, what + " and ".join(reasons), advice)
 
@@ -133,7 +133,7 @@ def _models(pair: _Pair) -> bool | None:
 
 
 def _ranges(pair: _Pair) -> bool | None:
-    """Software limits 0x607D against the ranges of the cell."""
+    """Compare software limits 0x607D with the ranges of the cell."""
     stated = [_range_off(pair.arm, drive) for drive in pair.as_stated]
     exchanged = [_range_off(pair.arm, drive) for drive in pair.exchanged]
     if None in stated or None in exchanged:
@@ -147,7 +147,7 @@ def _ranges(pair: _Pair) -> bool | None:
 
 
 def _range_off(arm: ArmConfig, drive: SeenDrive) -> tuple[float, float] | None:
-    """How far the drive's range ends inside the cell's, and how far outside it, as shares of the cell's span."""
+    """Return how far the drive range ends within and beyond the cell's range, as shares of the cell's span."""
     own = software_range_rad(drive.axis, arm, drive.readings)
     if own is None:
         return None
@@ -165,9 +165,9 @@ def _size(off: tuple[float, float] | None) -> float:
 
 
 def _torques(pair: _Pair) -> bool | None:
-    """Torque limits, from 0x6072 and 0x6076, against those of the cell.
+    """Compare torque limits, from 0x6072 and 0x6076, with those of the cell.
 
-    The margins of both drives multiply to the same whatever their order; in the right one they resemble each other.
+    The product of both margins does not depend on the order; in the right order they are similar.
     """
     stated = [_margin(drive) for drive in pair.as_stated]
     exchanged = [_margin(drive) for drive in pair.exchanged]
@@ -183,7 +183,7 @@ def _torques(pair: _Pair) -> bool | None:
 
 
 def _margin(drive: SeenDrive) -> float | None:
-    """What the drive can give over what the cell allows; None where every drive of the model says the same."""
+    """Return the torque of the drive over the cell's limit; None if all drives of the model have the same value."""
     rated = drive.axis.profile.torque.rated
     if rated is None or rated.object is None:
         return None
@@ -197,7 +197,7 @@ def _apart(margins: Sequence[float | None]) -> float | None:
 
 
 def _gears(pair: _Pair) -> bool | None:
-    """A gear that the drives reckon with themselves, 0x6091, against the ratios of the cell."""
+    """Compare the gear ratios of the drives, 0x6091, with those of the cell."""
     stated = [_same_gear(drive) for drive in pair.as_stated]
     exchanged = [_same_gear(drive) for drive in pair.exchanged]
     if None in stated or all(stated) == all(exchanged):

@@ -69,7 +69,7 @@ def test_what_nobody_said_is_assumed_and_named(folder):
     arm = axes_of(folder)
     assert [axis.node_id for axis in arm.axis] == [11, 12, 13, 14, 15, 16]
     assert {axis.gear_ratio.value for axis in arm.axis} == {100}
-    assert {axis.gear_efficiency.source for axis in arm.axis} == {"assumed: an ordinary robot gear"}
+    assert {axis.gear_efficiency.source for axis in arm.axis} == {"assumed: typical robot gear"}
     left = {entry["key"]: entry for entry in json.loads((folder / "out.json").read_text())["left"]}
     for key in ("gear_efficiency", "position_sign", "torque_sign", "zero_offset_rad", "speed_limit_rad_s", "mounting"):
         assert left[key]["why"].startswith("assumed")
@@ -78,7 +78,7 @@ def test_what_nobody_said_is_assumed_and_named(folder):
     assert not {"gear_ratio", "nodes", "position_limit_rad", "torque_limit_nm"} & set(left)
     text = (folder / "cell.toml").read_text(encoding="utf-8")
     assert "speed_limit_rad_s = 0.5   # assumed: slow for a first motion" in text
-    assert "# J1, turret: no drive was looked at" in text
+    assert "# J1, turret: no drive was read" in text
 
 
 def test_joint_limits_are_those_of_the_urdf(folder):
@@ -113,8 +113,8 @@ def test_a_person_is_asked_for_what_cannot_be_read_and_asked_again(folder):
     lines = ["1, 2, 3, 4, 5", "11, 12, 13, 14, 15, 16", "generic-cia402", "many", "101; plate", "", "0.12", *[""] * 9]
     done = new(folder, "--robot", folder / "arm.urdf", "--bus", "socketcan:can0", "--offline", input="\n".join(lines))
     assert done.exit_code == 0, done.output
-    assert "has 5 numbers and the arm 6 axes" in done.stderr
-    assert "holds 'many', which is no number" in done.stderr
+    assert "has 5 numbers but the arm has 6 axes" in done.stderr
+    assert "holds 'many', which is not a number" in done.stderr
     arm = axes_of(folder)
     assert arm.axis[0].gear_ratio.value == 101
     assert arm.axis[0].gear_ratio.source == "plate"
@@ -152,8 +152,12 @@ def test_nothing_is_replaced_unasked(folder):
     ("old", "new_", "words"),
     [
         ("gear_ratio = 100\n", "", "gear_ratio is missing: gear ratio, motor turns per joint turn"),
-        ("gear_ratio = 100", "gear_ratio = [100, 100]", "answers.toml line 6: gear_ratio has 2 values and the arm 6"),
-        ("gear_ratio = 100", "gear_ration = 100", "answers.toml line 6: gear_ration answers no question"),
+        (
+            "gear_ratio = 100",
+            "gear_ratio = [100, 100]",
+            "answers.toml line 6: gear_ratio has 2 values but the arm has 6",
+        ),
+        ("gear_ratio = 100", "gear_ration = 100", "answers.toml line 6: unknown key gear_ration"),
         ("gear_ratio = 100", "gear_ratio = 100\ngear_efficiency = 80", "line 7: gear_efficiency holds 80"),
         ("gear_ratio = 100", "gear_ratio = 0.01", "line 6: gear_ratio must not be 0.01"),
         ("gear_ratio = 100", "gear_ratio = 100\nposition_limit_rad = [-170, 170]", "these are degrees"),
@@ -161,7 +165,7 @@ def test_nothing_is_replaced_unasked(folder):
         ("gear_ratio = 100", "gear_ratio = 100\nflange_xyz_m = [0, 0, 80]", "these are millimetres"),
         ("gear_ratio = 100", 'gear_ratio = 100\ninertials = "good"', "line 7: inertials is 'good'"),
         ("gear_ratio = 100", "gear_ratio = 100\nposes = { count = 1 }", "nothing was written"),
-        ("11, 12, 13", "11, 11, 13", "node id 11 is given to more than one axis"),
+        ("11, 12, 13", "11, 11, 13", "node id 11 is used for more than one axis"),
         ('"generic-cia402"', '"nobody"', "nobody' cannot be read"),
         ('"arm.urdf"', '"none.urdf"', "none.urdf: cannot be read"),
         ('"arm.urdf"', '"dh"', "dh_alpha_rad is missing"),

@@ -52,17 +52,17 @@ def test_one_value_for_each_axis():
 @pytest.mark.parametrize(
     ("form", "value", "words"),
     [
-        (per_axis(), [1, 2], "has 2 values and the arm 3 axes"),
-        (per_axis(), "many", "holds 'many', which is no number"),
-        (per_axis(), math.nan, "which is no number"),
+        (per_axis(), [1, 2], "has 2 values but the arm has 3 axes"),
+        (per_axis(), "many", "holds 'many', which is not a number"),
+        (per_axis(), math.nan, "which is not a number"),
         (per_axis(SHARE), 80, "holds 80, which is not in 0 to 1"),
-        (per_axis(), True, "which is no number"),
-        (node_ids(), 5, "has 1 numbers and the arm 3 axes"),
-        (node_ids(), [1, 2, 128], "holds 128, which is no node id"),
-        (node_ids(), [1, 2, 2.5], "holds 2.5, which is no node id"),
+        (per_axis(), True, "which is not a number"),
+        (node_ids(), 5, "has 1 numbers but the arm has 3 axes"),
+        (node_ids(), [1, 2, 128], "holds 128, which is not a node id"),
+        (node_ids(), [1, 2, 2.5], "holds 2.5, which is not a node id"),
         (pairs(), [[-1, 1]], "neither a pair"),
-        (pairs(), [2, 1], "of which the first is not below the second"),
-        (place(floor=(0, 0, -9.8)), "wall", "no list of three numbers or no `floor`"),
+        (pairs(), [2, 1], "whose first value is not below the second"),
+        (place(floor=(0, 0, -9.8)), "wall", "not a list of three numbers or no `floor`"),
         (words(), 3, "neither a text nor a list of texts"),
     ],
 )
@@ -117,11 +117,11 @@ def test_node_ids_may_be_a_range(line, ids):
     ("question", "line", "says"),
     [
         (questions.GEAR_RATIO, "0:160", "1:160"),
-        (questions.TORQUE_CONSTANT, "210 Nm", "such as 1 Nm/A, 1 mNm/A"),
+        (questions.TORQUE_CONSTANT, "210 Nm", "for example 1 Nm/A, 1 mNm/A"),
         (questions.GEAR_EFFICIENCY, "850 %", "holds 8.5, which is not in 0 to 1"),
         (questions.GEAR_EFFICIENCY, "85 Nm", "1 %"),
-        (questions.NODES, "1-", "write such as 1-6"),
-        (questions.NODES, "100-140", "one for each is needed; write such as 1-6"),
+        (questions.NODES, "1-", "example: 1-6"),
+        (questions.NODES, "100-140", "give one per axis; example: 1-6"),
     ],
 )
 def test_what_is_refused_comes_with_an_example(question, line, says):

@@ -98,7 +98,7 @@ def test_limits_of_the_drives_narrow_those_of_the_urdf():
     limits = taken.answers.taken["position_limit_rad"].value
     # 1 % of the range inside of it, to four digits
     assert limits[0] == pytest.approx((-1.97, 0.97), abs=1e-3)
-    # turned round and moved: 0.1 - 1.0 to 0.1 + 2.0, of which the URDF allows 1.9
+    # inverts position and moved: 0.1 - 1.0 to 0.1 + 2.0, of which the URDF allows 1.9
     assert limits[1] == pytest.approx((-0.87, 1.9), abs=1e-3)
     for shift in ({(0x607C, 0): 5}, {(0x607E, 0): 0x80}):  # whose meaning is not certain
         shifted = asked(Bench(six(STANDARD | ends | shift)))
@@ -128,8 +128,8 @@ def test_what_is_missing_or_does_not_fit_is_said():
     other = node(None, vendor_id=0x999)
     draft = asked(Bench(there, [replace(other, node_id=None, name="x.eds")]), nodes=[11, 12, 13, 14, 15, 16])
     remarks = "\n".join(entry.why for entry in left_over(draft))
-    assert "node 16: nobody answers" in remarks
-    assert "node 40: on the bus, and no axis of this arm" in remarks
+    assert "node 16: no answer" in remarks
+    assert "node 40: on the bus, but not an axis of this arm" in remarks
     assert "x.eds is of another device: vendor id 0x999, node 11 has 0x123" in remarks
     assert "node 11: 0x6091 is 50:1; set it to 1:1" in remarks
     assert draft.nodes[5] is not None
@@ -205,9 +205,9 @@ def test_a_flange_that_nobody_turned_is_marked_as_assumed():
     assert turn.guessed
     assert "flange_rpy_rad" in {entry.key for entry in left_over(draft)}
     text = cell_text(draft, str)
-    assert "flange_rpy_rad = [0, 0, 0]   # assumed: not turned in the last link" in text
+    assert "flange_rpy_rad = [0, 0, 0]   # assumed: not rotated in the last link" in text
     (arm,) = parse_cell(text, "cell.toml").arm
-    assert arm.flange_origin == "assumed: not turned in the last link"
+    assert arm.flange_origin == "assumed: not rotated in the last link"
 
 
 def test_a_flange_that_was_turned_is_not():

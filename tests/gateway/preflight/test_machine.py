@@ -76,7 +76,7 @@ def test_a_network_is_called_one_and_real_drives_on_it_are_warned_of(interface):
     spec = BusSpec(interface, "somewhere")
     closed = judge_bus(config(), spec)
     assert {item.severity for item in closed} == {"info"}
-    assert any("anybody" in item.what and "only simulated" in item.what for item in closed)
+    assert any("every host" in item.what and "only simulated" in item.what for item in closed)
     opened = [item for item in judge_bus(config(allow_real_drive=True), spec) if item.severity == "warn"]
     assert len(opened) == 1
     assert "allow_real_drive" in opened[0].what
@@ -85,7 +85,7 @@ def test_a_network_is_called_one_and_real_drives_on_it_are_warned_of(interface):
 
 def test_frame_times_of_the_kernel_are_those_of_socketcan():
     assert [item.severity for item in judge_bus(config(), BusSpec("socketcan", "can0"))] == ["ok"]
-    assert "not of the kernel" in judge_bus(config(), BusSpec("slcan", "/dev/ttyACM0"))[0].what
+    assert "not from the kernel" in judge_bus(config(), BusSpec("slcan", "/dev/ttyACM0"))[0].what
 
 
 @pytest.mark.parametrize(

@@ -83,24 +83,24 @@ def test_a_healthy_drive_passes_every_rule():
         ({"statusword": 0x0637}, "warn", "OPERATION ENABLED"),
         ({"statusword": None}, "fail", "no statusword"),
         ({"supported_modes": 0x2D}, "fail", "no cyclic synchronous position"),
-        ({"rated_torque": 0}, "fail", "every torque would be zero"),
+        ({"rated_torque": 0}, "fail", "all torques would be zero"),
         ({"rated_torque": None}, "fail", "missing"),
         ({"torque": None}, "fail", "does not have the torque object"),
-        ({"max_torque": 0}, "fail", "gives no torque"),
+        ({"max_torque": 0}, "fail", "produces no torque"),
         ({"rated_torque": 1_270_000}, "fail", "another unit"),
         ({"max_torque": 500}, "warn", "saturate"),
-        ({"polarity": 0xC0}, "fail", "turned round"),
-        ({"gear_motor_revolutions": 100}, "fail", "gear ratio of its own"),
-        ({"feed_constant_feed": 360_000, "feed_constant_revolutions": 1}, "fail", "feed of its own"),
+        ({"polarity": 0xC0}, "fail", "inverts position"),
+        ({"gear_motor_revolutions": 100}, "fail", "applies a gear ratio"),
+        ({"feed_constant_feed": 360_000, "feed_constant_revolutions": 1}, "fail", "by a feed constant"),
         ({"position_offset": -5}, "fail", "added to every target"),
-        ({"positive_torque_limit": 0}, "fail", "gives no torque"),
+        ({"positive_torque_limit": 0}, "fail", "produces no torque"),
         ({"negative_torque_limit": 500}, "warn", "64 Nm at the joint"),
-        ({"max_current": 0}, "fail", "gives no torque"),
+        ({"max_current": 0}, "fail", "produces no torque"),
         ({"max_current": 500, "rated_current": 4000}, "warn", "62 Nm at the joint"),
         ({"encoder_increments": 0}, "fail", "encoder resolution"),
-        ({"torque_offset": 30}, "warn", "added to the torque"),
-        ({"consumer_heartbeat": None}, "fail", "master is gone"),
-        ({"abort_connection_option": None}, "fail", "master is gone"),
+        ({"torque_offset": 30}, "warn", "torque offset is active"),
+        ({"consumer_heartbeat": None}, "fail", "loss of the master"),
+        ({"abort_connection_option": None}, "fail", "loss of the master"),
     ],
 )
 def test_each_rule_says_what_is_wrong_and_what_to_do(changes, severity, says):
@@ -165,7 +165,7 @@ good = 1
         (0xFF01_0000, 1, []),
         (0xFF03_0000, 1, ["safe torque off"]),
         (0, 0, ["safe torque off", "not referenced"]),
-        (None, 1, ["does not have the object"]),
+        (None, 1, ["does not have this status object"]),
     ],
 )
 def test_safety_chain_and_reference_where_the_profile_names_them(inputs, referenced, says):
@@ -222,7 +222,7 @@ def test_where_the_joint_stands_with_sign_and_offset():
     config = arm(position_sign=-1, zero_offset_rad=0.25)
     counts = round(100 / (2 * math.pi) * COUNTS)
     item = judge_limits(axis(config), config, readings(position=counts))[0]
-    assert "stands at -0.750 rad" in item.what
+    assert "is at -0.750 rad" in item.what
 
 
 def test_software_limits_narrower_than_the_cell_fail():
