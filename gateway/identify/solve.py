@@ -20,7 +20,6 @@ Ints = NDArray[np.int_]
 TOLERANCE = 1e-7
 #: Length of a column, over that of the longest, below which it is the rounding of none.
 NOTHING = 1e-13
-_RIDGE = 1e-10
 #: Rows that are reduced at once: with the columns of one group they stay in the cache of a core.
 _CHUNK = 1024
 
@@ -69,6 +68,16 @@ class Prior:
     def precision(self) -> Floats:
         """What is known as a matrix (p, p), the inverse of a covariance where it has one."""
         return np.diag(self.std**-2.0) + self.rows.T @ self.rows
+
+    @property
+    def pull(self) -> Floats:
+        """The right side (p,) that belongs to the precision."""
+        return self.mean * self.std**-2.0 + self.rows.T @ self.right
+
+    def penalty(self, value: Floats) -> float:
+        """Square of how far parameters (p,) lie off what is known, in its standard deviations."""
+        apart, tied = (value - self.mean) / self.std, self.rows @ value - self.right
+        return float(apart @ apart + tied @ tied)
 
     def stds(self, index: NDArray[np.int_]) -> Floats:
         """Standard deviations (k,) of parameters that no combination ties to others than each other."""
@@ -385,33 +394,6 @@ def reduce(design: ByGroup, target: Floats, weight: Floats, known: Floats, toler
     null = turned[~keep].T / scale[:, None]
     basis = Basis(design, weight, inverse)
     return Reduced(triangle[:, :p], triangle[:, p], scale, size[keep], left[:, keep], inverse, null, basis)
-
-
-def solve_normal(information: Floats, right: Floats, mean: Floats, precision: Floats) -> tuple[Floats, Floats]:
-    """The same minimum by the information matrix: many rows, all columns held by a prior, nothing left undetermined.
-
-    Parameters
-    ----------
-    information : array of shape (p, p)
-        Weighted columns by weighted columns.
-    right : array of shape (p,)
-        Weighted columns by the weighted target.
-    mean, precision : arrays of shape (p,)
-        Of the prior; precision 0 = free.
-
-    Returns
-    -------
-    covariance (p, p), parameters (p,)
-    """
-    normal = information.copy()
-    normal[np.diag_indices_from(normal)] += precision
-    scale = np.sqrt(np.diag(normal))
-    scale[scale == 0] = 1.0
-    normal /= scale
-    normal /= scale[:, None]
-    normal[np.diag_indices_from(normal)] += _RIDGE
-    inverse: Floats = np.linalg.inv(normal) / scale / scale[:, None]
-    return inverse, inverse @ (right + precision * mean)
 
 
 def _singular_values(factor: Floats) -> tuple[Floats, Floats, Floats]:

@@ -155,7 +155,12 @@ def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
 
     A large arm that turns slowly needs less rounding than `SMOOTH_RAD_S`.
     """
-    return np.tanh(speed_rad_s / (SLOW * np.maximum(top_rad_s, LEAST_TOP_RAD_S)))
+    return np.tanh(speed_rad_s / rounding_rad_s(top_rad_s))
+
+
+def rounding_rad_s(top_rad_s: float | Floats) -> Floats:
+    """Speed below which the sign of a velocity is rounded off (same shape as `top_rad_s`)."""
+    return SLOW * np.maximum(top_rad_s, LEAST_TOP_RAD_S)
 
 
 def turns(qd_rad_s: Floats, top_rad_s: Floats, share: float = SLOW) -> Mask:

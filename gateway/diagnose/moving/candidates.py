@@ -24,19 +24,20 @@ def suggested(problem: MovingProblem, full: MovingFit, allowed: frozenset[str]) 
 
 
 def _setup(problem: MovingProblem, full: MovingFit) -> MotionSetup:
-    return MotionSetup(problem.base.trust is not None, tuple(problem.base.loads), full.residual_nm)
+    return MotionSetup(problem.null.trust is not None, tuple(problem.null.columns.loads), full.residual_nm)
 
 
 def possible(problem: MovingProblem, full: MovingFit, term: Term, value: Floats, covariance: Floats) -> bool:
     """Whether coefficients (k,) mean something physical: the right sign and a size an arm can have."""
-    base, motion = problem.base, problem.motion
+    null, motion = problem.null, problem.motion
 
     def friction_nm(axis: int, columns: Floats, own: Floats) -> Floats:
-        first = base.friction[axis]
+        first = null.friction[axis, :2]
         weight = full.weight[:, axis] ** 2
         change = full.inverse @ (full.cross([axis], (columns * weight[:, None])[:, None]) @ own)
-        parameters = (full.value[: len(change)] - change)[first[:2]]
-        return base.columns[:, axis, first[:2]] @ parameters + columns @ own
+        parameters = (full.value[: len(change)] - change)[first]
+        return null.columns.design[:, axis, first] @ parameters + columns @ own
 
-    drawn = motion.rigid @ (base.body @ base.mean[: base.body.shape[1]])
+    links = null.columns.links
+    drawn = null.columns.design[:, :, links] @ null.columns.prior.mean[links]
     return term.possible(value, np.sqrt(np.diag(covariance)), Seen(motion, full.modelled, drawn, friction_nm))

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.mistakes import MovingMistake, find_mistakes, undo
 from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.null_model import null_model
 from gateway.diagnose.moving.select import select, without_idle
 from gateway.diagnose.moving.splits import choosing
 from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trust import choose_trust
 from gateway.identify.loads import BARE_LABEL
-from gateway.identify.moving_baseline import baseline
-from gateway.identify.nuisance import NuisancePrior
+from gateway.identify.rest.problem import Knowledge
 from gateway.model.motion import MovingRows
 from gateway.model.term import Label
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,16 +30,14 @@ class MovingKnowledge:
     allowed : names of effects that may be tried
     trust : relative standard deviation of the CAD values to start with, None = worth nothing
     free : whether the rows may change the trust
-    known : label -> (mass [kg], centre of mass (3,) [m] in the last link)
-    usual : what every arm has
+    stated : gravity, known loads and torque constants
     refuted : mistakes that rows which judge have not borne out
     """
 
     allowed: frozenset[str]
     trust: float | None
     free: bool
-    known: Mapping[str, tuple[float, Floats]]
-    usual: NuisancePrior
+    stated: Knowledge
     refuted: frozenset[Label] = frozenset()
 
 
@@ -59,9 +53,9 @@ class Choice:
 
 def problem_of(motion: MovingRows, trust: float | None, knowledge: MovingKnowledge) -> MovingProblem:
     """The problem of rows under a trust of the CAD values, without effects."""
-    splits = choosing(motion, MOVING.blocks, frozenset(knowledge.known) | {BARE_LABEL})
-    base = baseline(motion, trust, knowledge.known, knowledge.usual)
-    return with_noise_of(MovingProblem(motion, base, MovingNoise(*np.ones((2, motion.axes))), splits), (), None)
+    splits = choosing(motion, MOVING.blocks, frozenset(knowledge.stated.known) | {BARE_LABEL})
+    null = null_model(motion, trust, knowledge.stated)
+    return with_noise_of(MovingProblem(motion, null, MovingNoise(*np.ones((2, motion.axes))), splits), (), None)
 
 
 def choose(motion: MovingRows, knowledge: MovingKnowledge) -> Choice:
@@ -71,9 +65,9 @@ def choose(motion: MovingRows, knowledge: MovingKnowledge) -> Choice:
     if mistakes:
         problem = problem_of(undo(motion, mistakes), knowledge.trust, knowledge)
     problem, state = select(problem, knowledge.allowed)
-    if knowledge.free and problem.base.trust is not None:
+    if knowledge.free and problem.null.trust is not None:
         chosen = choose_trust(problem, state.terms)
-        if chosen != problem.base.trust:
+        if chosen != problem.null.trust:
             problem, state = _under(chosen, problem, state, knowledge)
     return Choice(problem, state, tuple(mistakes), as_read)
 
@@ -89,8 +83,8 @@ def _under(
 ) -> tuple[MovingProblem, MovingState]:
     """The choice under another trust: effects that are not needed go; all is open where the links are worth nothing."""
     if trust is None:
-        base = baseline(problem.motion, None, knowledge.known, knowledge.usual)
-        return select(with_noise_of(replace(problem, base=base), (), None), knowledge.allowed)
-    problem = replace(problem, base=problem.base.trusting(problem.motion, trust))
+        null = null_model(problem.motion, None, knowledge.stated)
+        return select(with_noise_of(replace(problem, null=null), (), None), knowledge.allowed)
+    problem = replace(problem, null=problem.null.trusting(trust))
     problem = with_noise_of(problem, state.terms, state.full)
     return problem, without_idle(problem, state_of(problem, state.terms))

@@ -7,7 +7,7 @@ provenance.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection
 from dataclasses import replace
 
 import numpy as np
@@ -33,9 +33,7 @@ from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
 from gateway.identify.links import default_inertials, has_inertials, parse_inertials
 from gateway.identify.loads import BARE_LABEL, unknown_labels
-from gateway.identify.moving_baseline import EXACT, ordinary
-from gateway.identify.nuisance import gain_stds
-from gateway.identify.rest.problem import Knowledge
+from gateway.identify.rest.problem import EXACT, Knowledge
 from gateway.model.motion import MovingRows
 from gateway.model.robot import Robot
 from gateway.result.result import Result
@@ -65,11 +63,11 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     delay_s = lags(table, robot, options)
     gravity_m_s2 = np.asarray(options.gravity_m_s2)
     motion = prepare_in_step(table, options.holdout, robot, gravity_m_s2, delay_s)
-    known = _known(motion, options.known)
-    motion = _foretold(motion, known)
+    unknown_labels(np.unique(motion.load), options.known)
+    motion = _foretold(motion, options.known)
     trust, free = _trust(robot, options.inertials)
-    usual = ordinary(motion, gain_stds(options.gain_std, motion.axes))
-    knowledge = MovingKnowledge(_allowed(options), trust, free, known, usual)
+    stated = Knowledge(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
+    knowledge = MovingKnowledge(_allowed(options), trust, free, stated)
     if (~motion.given).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
         problem = problem_of(motion, trust, knowledge)
         answer = answer_of(table, robot, _told_to_fit(robot, options, MOVING.usual_trust), (), delay_s)
@@ -85,10 +83,10 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     if wound and not found.mistakes:
         stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))
-        by_motor = _foretold(prepare_in_step(stiff, held, robot, gravity_m_s2, delay_s), known)
-        as_read = problem_of(by_motor, outcome.problem.base.trust, knowledge)
+        by_motor = _foretold(prepare_in_step(stiff, held, robot, gravity_m_s2, delay_s), options.known)
+        as_read = problem_of(by_motor, outcome.problem.null.trust, knowledge)
         parts = judging(by_motor, MOVING.judged_blocks)
-        read = Judges(tuple(plain_choice(part, outcome.problem.base.trust, knowledge) for part in parts))
+        read = Judges(tuple(plain_choice(part, outcome.problem.null.trust, knowledge) for part in parts))
         outcome = replace(outcome, as_read=state_of(as_read, ()), held_before=read.before())
     return _written(replace(outcome, wound=wound), table, robot, options)
 
@@ -97,7 +95,7 @@ def _written(outcome: MovingOutcome, table: Table, robot: Robot, options: Diagno
     """The result, its loads from the fit of an estimate: without effects, and with those that the answer has."""
     problem, state = outcome.told
     sound = undo(table, [mistake for mistake, _ in outcome.mistakes])
-    knowledge, delay_s = _told_to_fit(robot, options, problem.base.trust), problem.motion.delay_s
+    knowledge, delay_s = _told_to_fit(robot, options, problem.null.trust), problem.motion.delay_s
     plain = answer_of(sound, robot, knowledge, (), delay_s)
     return result_of(outcome, plain, answer_of(sound, robot, knowledge, state.terms, delay_s) if state.terms else plain)
 
@@ -116,7 +114,7 @@ def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Jud
     found = choose(motion, knowledge)
     if motion.given.any():
         return found, Judges((found,))
-    near = replace(knowledge, trust=found.problem.base.trust) if knowledge.free else knowledge
+    near = replace(knowledge, trust=found.problem.null.trust) if knowledge.free else knowledge
     return found, Judges(tuple(choose(part, near) for part in judging(motion, MOVING.judged_blocks)))
 
 
@@ -158,10 +156,10 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
 
 def _told(problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge) -> tuple[MovingProblem, MovingState]:
     """The model that the answer is read from: a drawing that the rows do not contradict is no better than usual."""
-    trust = problem.base.trust
+    trust = problem.null.trust
     if not knowledge.free or trust is None or trust >= MOVING.usual_trust:
         return problem, state
-    usual = replace(problem, base=problem.base.trusting(problem.motion, MOVING.usual_trust))
+    usual = replace(problem, null=problem.null.trusting(MOVING.usual_trust))
     return usual, state_of(usual, state.terms)
 
 
@@ -171,7 +169,7 @@ def _allowed(options: DiagnoseOptions) -> frozenset[str]:
     return options.allowed | {"torque_constant_scale"} if peak else options.allowed
 
 
-def _foretold(motion: MovingRows, known: Mapping[str, tuple[float, Floats]]) -> MovingRows:
+def _foretold(motion: MovingRows, known: Collection[str]) -> MovingRows:
     """Hold-out rows under a load that is neither fitted nor known cannot be foretold: they are not judged."""
     seen = [BARE_LABEL, *known, *np.unique(motion.load[~motion.given])]
     strange = motion.given & ~np.isin(motion.load, seen)
@@ -184,13 +182,6 @@ def _foretold(motion: MovingRows, known: Mapping[str, tuple[float, Floats]]) -> 
             " hold out rows under a load that is"
         )
     return replace(motion, judged=motion.judged & ~strange[:, None])
-
-
-def _known(
-    motion: MovingRows, known: Mapping[str, tuple[float, float, float, float]]
-) -> dict[str, tuple[float, Floats]]:
-    unknown_labels(np.unique(motion.load), known)
-    return {label: (float(values[0]), np.asarray(values[1:], dtype=float)) for label, values in known.items()}
 
 
 def _trust(robot: Robot, inertials: str | None) -> tuple[float | None, bool]:

@@ -137,7 +137,7 @@ def _friction_power(problem: MovingProblem, solved: MovingFit, axis: int) -> flo
     rows = solved.weight[:, axis] > 0
     speed = np.abs(motion.qd_rad_s[rows, axis])
     direction = np.array([speed.mean(), (speed**2).mean()])
-    where = problem.base.friction[axis, :2]
+    where = problem.null.friction[axis, :2]
     covariance = solved.inverse[np.ix_(where, where)]
     left = float(np.mean((solved.weight * solved.residual_nm)[rows, axis] ** 2) / problem.noise.share[axis])
     return float(direction @ solved.value[where] / np.sqrt(direction @ covariance @ direction * max(left, 1e-12)))

@@ -15,11 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.correlation import counting_share
-from gateway.identify.moving_baseline import axis_alone
-from gateway.model.motion import Mask, Modelled, MovingRows
+from gateway.identify.loads import BARE_LABEL
+from gateway.identify.motion.columns import Columns
+from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
+#: Length of a column below which there is none.
+NOTHING_NM = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +38,7 @@ class MovingNoise:
         return np.sqrt(self.share) / self.sigma_nm
 
 
-def noise_of(motion: MovingRows, terms: Sequence[Term], modelled: Modelled | None) -> MovingNoise:
+def noise_of(motion: MovingRows, columns: Columns, terms: Sequence[Term], modelled: Modelled | None) -> MovingNoise:
     """Scale and share of each axis from a fit of that axis alone; unmeasured axes get 1 and 1."""
     sigma, share = np.ones((2, motion.axes))
     for axis in np.flatnonzero(motion.measured):
@@ -44,12 +47,30 @@ def noise_of(motion: MovingRows, terms: Sequence[Term], modelled: Modelled | Non
             axes = term.enters(motion.axes)
             if axis in axes and (modelled is not None or not term.modelled):
                 more.append(term.columns(motion, modelled)[:, axes.index(axis)])  # type: ignore[arg-type]
-        _, rest = axis_alone(motion, int(axis), more)
+        _, rest = axis_alone(motion, columns, int(axis), more)
         rows = motion.judged[:, axis] & ~motion.given
         floor = 1e-6 * max(float(np.abs(motion.tau_nm[rows, axis]).max()), 1e-6)
         sigma[axis] = max(float(np.sqrt(np.mean(rest**2))), floor)
         share[axis] = counting_share(rest)
     return MovingNoise(sigma, share)
+
+
+def axis_alone(motion: MovingRows, columns: Columns, axis: int, more: Sequence[Floats] = ()) -> tuple[float, Floats]:
+    """Coulomb friction [Nm] and residual (k,) of the fitted rows of one axis, by a fit of that axis alone in which its
+    links, its loads and further columns (n, m) are free.
+    """
+    rows = motion.judged[:, axis] & ~motion.given
+    bodies = motion.rigid[:, axis]
+    # a load left out would pass for noise where two of them differ
+    labels = np.setdiff1d(motion.load[~motion.given], [BARE_LABEL])
+    loaded = [bodies[:, -PER_BODY:] * (motion.load == label)[:, None] for label in labels]
+    own = columns.design[:, axis, columns.lasting[axis]]
+    matrix = np.column_stack([own, bodies, *loaded, *more])[rows]
+    scale = np.linalg.norm(matrix, axis=0)
+    there = scale > NOTHING_NM
+    target, value = motion.tau_nm[rows, axis], np.zeros(len(scale))
+    value[there] = np.linalg.lstsq(matrix[:, there] / scale[there], target, rcond=1e-6)[0] / scale[there]
+    return float(value[0]), target - matrix @ value
 
 
 def scaled_to(problem_noise: MovingNoise, residual_nm: Floats, judged: Mask) -> MovingNoise:

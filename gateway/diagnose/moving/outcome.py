@@ -184,7 +184,7 @@ def _rejected(outcome: MovingOutcome) -> tuple[Rejected, ...]:
 
 
 def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, object]:
-    motion, trust = problem.motion, problem.base.trust
+    motion, trust = problem.motion, problem.null.trust
     return {
         "kind": "moving",
         "rows": len(motion),
@@ -240,7 +240,7 @@ def _rows(problem: MovingProblem, state: MovingState) -> Rows:
 
 def _friction_level(problem: MovingProblem, state: MovingState) -> Floats:
     """Dry friction (N,) [Nm] towards standstill, NaN for an axis that was not judged."""
-    level = state.full.value[problem.base.friction[:, 0]].copy()
+    level = state.full.value[problem.null.friction[:, 0]].copy()
     for term in state.terms:
         if isinstance(term, Stribeck):
             level[term.axis] += state.full.value[state.full.part([term])[0]]

@@ -68,7 +68,7 @@ def at_edge(problem: MovingProblem, terms: Sequence[Term], values: Named) -> lis
 def _over_decays(problem: MovingProblem, state: MovingState, term: Stribeck, values: Named, std: Named) -> Named:
     """Standard deviations with that of the decay, which is one of a few: all of them weighed by what the rows say."""
     motion, others = problem.motion, [other for other in state.terms if other != term]
-    index = problem.base.friction[term.axis, :2]
+    index = problem.null.friction[term.axis, :2]
     keys = ("coulomb_nm", "viscous_nm_s_rad", "stribeck_nm", "stribeck_velocity_rad_s")
     costs, found = [], []
     for share in FRACTIONS:
@@ -104,7 +104,7 @@ def certain(problem: MovingProblem, state: MovingState, terms: Sequence[Term]) -
 
 def _law(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Named, Named]:
     """Coulomb and viscous friction of the effect's axis."""
-    index = problem.base.friction[term.joints[0] - 1, :2]
+    index = problem.null.friction[term.joints[0] - 1, :2]
     covariance = spread_of(problem, state, index)
     names = ("coulomb_nm", "viscous_nm_s_rad")
     values = zip(names, state.full.value[index].tolist(), strict=True)

@@ -106,9 +106,9 @@ def coupling_cost(problem: MovingProblem, others: Sequence[Term], term: MotorCou
     """Cost of the fitted rows if all friction and rotor inertia of the outer axis sit on its motor: only then does the
     coefficient show, because what sits on the joint turns at the joint's own speed."""
     axis = term.outer
-    precision = problem.base.precision.copy()
-    columns = problem.base.columns[:, axis, problem.base.friction[axis, :3]]
-    precision[problem.base.friction[axis, :3]] = 1e8 * (columns**2).sum(axis=0) * problem.noise.weight[axis] ** 2
-    clamped = replace(problem, base=replace(problem.base, precision=precision))
+    columns, own = problem.null.columns, problem.null.friction[axis, :3]
+    seen = (columns.design[:, axis, own] ** 2).sum(axis=0) * problem.noise.weight[axis] ** 2
+    prior = columns.prior.with_std(own, (1e8 * seen) ** -0.5)
+    clamped = replace(problem, null=replace(problem.null, columns=replace(columns, prior=prior)))
     member = replace(term, coefficient=coefficient)
     return fit(clamped, (*others, member), ~problem.motion.given, problem.motion.given).cost

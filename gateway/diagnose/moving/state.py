@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit, usual_of
+from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
 from gateway.diagnose.moving.noise import noise_of, scaled_to
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.thresholds import MOVING
@@ -42,7 +42,7 @@ def state_of(problem: MovingProblem, terms: Sequence[Term]) -> MovingState:
 def with_noise_of(problem: MovingProblem, terms: Sequence[Term], full: MovingFit | None) -> MovingProblem:
     """The problem with noise figures that belong to the model with `terms`, as `full` fitted it."""
     motion = problem.motion
-    noise = noise_of(motion, terms, full.modelled if full is not None else None)
+    noise = noise_of(motion, problem.null.columns, terms, full.modelled if full is not None else None)
     problem = replace(problem, noise=noise)
     everything = ~motion.given
     full = fit(problem, terms, everything, motion.given)
@@ -56,11 +56,11 @@ def lacking(problem: MovingProblem, state: MovingState, label: Label) -> MovingS
 
 def beyond_usual(problem: MovingProblem, term: Term, value: Floats, covariance: Floats) -> bool:
     """Whether the interval of an effect that every arm has a share of lies outside what is ordinary; others do."""
-    index = usual_of(problem.base, term)
+    index = problem.null.columns.usual_of(term)
     if index is None:
         return True
-    off = abs(float(value[0]) - float(problem.base.mean[index]))
-    usual = float(problem.base.precision[index]) ** -0.5
+    usual = problem.null.std_of(index)
+    off = abs(float(value[0]) - float(problem.null.columns.prior.mean[index]))
     return off - TWO_SIDED_95 * float(np.sqrt(covariance[0, 0])) > ORDINARY_STD * usual
 
 

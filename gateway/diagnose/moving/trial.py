@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
 from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, prior_precision, usual_of
+from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, prior_precision
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.correlation import counting_share
 from gateway.model.term import Label, Term
@@ -89,7 +89,7 @@ def trials_of(
     ordinary: what is tried is the rest, and the trial's value is the whole.
     """
     out: list[Trial | None] = [None] * len(terms)
-    usual = [usual_of(problem.base, term) for term in terms]
+    usual = [problem.null.columns.usual_of(term) for term in terms]
     there = [number for number, index in enumerate(usual) if index is None or full.at_limit(index)]
     asked = _ask(problem, full, [terms[number] for number in there], hopeless)
     best = sorted(asked, key=lambda place: asked[place].log_p)[:most]

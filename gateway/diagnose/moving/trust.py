@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem, fit, prior_precision
+from gateway.diagnose.moving.fit import MovingProblem, fit, prior_of
 from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.identify.correlation import counting_share
@@ -32,16 +32,14 @@ def log_evidence(problem: MovingProblem, terms: Sequence[Term]) -> float:
     """Log marginal likelihood of the rows to be fitted, up to a constant that trust and effects do not change."""
     everything = ~problem.motion.given
     solved = fit(problem, terms, everything, problem.motion.given)
-    prior = problem.base.precision
-    wide = np.concatenate([np.maximum(prior_precision(term), WIDE) for term in terms]) if terms else np.zeros(0)
-    _, spread = np.linalg.slogdet(_scaled(solved.inverse, np.concatenate([prior, wide])))
-    return -0.5 * solved.cost + 0.5 * float(spread)
+    prior = problem.null.columns.prior.beside(prior_of(terms)).precision
+    return 0.5 * (_log_det(prior + WIDE * np.eye(len(prior))) + _log_det(solved.inverse) - solved.cost)
 
 
-def _scaled(covariance: Floats, precision: Floats) -> Floats:
-    """Covariance in units of the prior's standard deviations."""
-    root = np.sqrt(np.maximum(precision, 1e-300))
-    return covariance * root * root[:, None]
+def _log_det(matrix: Floats) -> float:
+    """Logarithm of the determinant of a matrix whose rows differ much in size."""
+    size = np.sqrt(np.diag(matrix))
+    return float(np.linalg.slogdet(matrix / size / size[:, None])[1] + 2.0 * np.log(size).sum())
 
 
 def choose_trust(problem: MovingProblem, terms: Sequence[Term]) -> float | None:
@@ -73,5 +71,5 @@ def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingPro
 
 def _score(problem: MovingProblem, terms: Sequence[Term], level: float) -> float:
     worse = np.log(max(level / MOVING.usual_trust, 1.0)) / np.log(MOVING.usual_factor)
-    trusting = replace(problem, base=problem.base.trusting(problem.motion, level))
+    trusting = replace(problem, null=problem.null.trusting(level))
     return log_evidence(trusting, terms) - 0.5 * float(worse) ** 2

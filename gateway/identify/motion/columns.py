@@ -16,6 +16,7 @@ from gateway.identify.motion.friction import (
     FALL,
     FRICTION,
     FRICTION_UNITS,
+    RUN,
     fall_columns,
     fall_speeds,
     friction_columns,
@@ -26,7 +27,7 @@ from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
-from gateway.model.motion import SLOW, SMOOTH_RAD_S
+from gateway.model.motion import SLOW, SMOOTH_RAD_S, MovingRows
 from gateway.model.regressor import full_names, regressor
 from gateway.model.robot import Robot
 from gateway.model.term import Term
@@ -35,11 +36,11 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
 #: What every arm has beside: the reading's gain, a loss that grows with the torque, in proportion or not quite, a
-#: reading that lags behind the position, friction that differs by direction and near standstill, and loads that are no
-#: points.
-ORDINARY = ("gain", "load_friction", "loss_bend", "delay", "uneven_friction", "load_inertia")
-NUISANCES = ORDINARY[:2]
-_LOCAL = ORDINARY[:4]
+#: reading that lags behind the position, friction that differs by direction, near standstill and from run to run, and
+#: loads that are no points.
+NUISANCES = ("gain", "load_friction")
+_LOCAL = (*NUISANCES, "loss_bend", "delay")
+ORDINARY = (*_LOCAL, "bias", "uneven_friction", "load_inertia")
 #: Radius of gyration of a load [m].
 _GYRATION_M = 0.2
 INERTIA_NAMES = tuple(f"inertia_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
@@ -54,19 +55,19 @@ class MovingSetup:
 
     Attributes
     ----------
-    smooth_rad_s : float
+    smooth_rad_s : float or array of shape (N,)
         Coulomb friction is `tanh(qd / smooth_rad_s)`.
     slow_share : float
         Rows in which an axis is slower than this share of its speed limit are not used on it, of its top speed where no
         limit is stated.
-    ordinary : names out of `ORDINARY` that every axis or load gets, with their priors
+    ordinary : names out of `ORDINARY` that every axis or load gets, with their priors; or `run_friction`
     passes : int or None
         None: axes are weighted by the residual of a fit with free link parameters, which has one answer. A number:
         that many solutions, each axis weighted by its residual in the one before, beginning with equal weights; with
         fixed link parameters this has several fixed points.
     """
 
-    smooth_rad_s: float = SMOOTH_RAD_S
+    smooth_rad_s: float | Floats = SMOOTH_RAD_S
     slow_share: float = SLOW
     ordinary: tuple[str, ...] = ORDINARY
     passes: int | None = None
@@ -86,6 +87,8 @@ class Columns:
     names, units : tuples of p str
     link_columns : int array of shape (k,)
         Which of the 10 N link parameters the first k columns belong to.
+    to_links : array of shape (10 N, k)
+        The link parameters by the first k, those that nothing tells apart set to one choice of many.
     fixed_links : array of shape (10 N,)
         Parameters of links that are known exactly, 0 elsewhere.
     known : parameters (10,) of each load that is known
@@ -94,7 +97,7 @@ class Columns:
     ordinary : columns (N,) of what every arm has, by its name
     sign : array of shape (n, N)
         Rounded sign of the speed.
-    smooth_rad_s : float
+    smooth_rad_s : float or array of shape (N,)
         By which it is rounded.
     falls_rad_s : array of shape (N, k)
         Speeds over which friction falls from breakaway, each a column; k = 0: none.
@@ -110,13 +113,14 @@ class Columns:
     names: tuple[str, ...]
     units: tuple[str, ...]
     link_columns: Ints
+    to_links: Floats
     fixed_links: Floats
     known: dict[str, Floats]
     loads: dict[str, int]
     bodies: int
     ordinary: dict[str, Ints]
     sign: Floats
-    smooth_rad_s: float
+    smooth_rad_s: float | Floats
     falls_rad_s: Floats
     effects: SeenEffects | None = None
     taken: Ints = field(default_factory=lambda: np.zeros(0, dtype=int))
@@ -146,16 +150,21 @@ class Columns:
         """Columns (n, N, k) of the effects that hang on the torque of the bodies with parameters (p,), if any does."""
         if self.effects is None or not any(term.modelled for term in self.effects.terms):
             return None
-        bodies, load_kg = np.tile(self.fixed_links, (len(self.design), 1)), np.zeros(len(self.design))
-        bodies[:, self.link_columns] += value[self.links]
+        bodies, load_kg = self.bodies_of(value, self.effects.load)
+        return self.effects.columns(self.effects.modelled(bodies, load_kg, value[-len(self.effects.std) :]))
+
+    def bodies_of(self, value: Floats, load: NDArray[np.str_]) -> tuple[Floats, Floats]:
+        """Link parameters (n, 10 N) of rows under these loads (n,), the load on the last link; mass (n,) of loads."""
+        links = self.fixed_links + self.to_links @ value[self.links]
+        bodies, load_kg = np.tile(links, (len(load), 1)), np.zeros(len(load))
         count = PER_LINK_MOVING if self.inertia else PER_LINK_AT_REST
         first = bodies.shape[1] - PER_LINK_MOVING
         loads = {label: value[place : place + count] for label, place in self.loads.items()}
         for label, own in {**loads, **self.known}.items():
-            here = self.effects.load == label
+            here = load == label
             bodies[here, first : first + len(own)] += own
             load_kg[here] = own[0]
-        return self.effects.columns(self.effects.modelled(bodies, load_kg, value[-len(self.effects.std) :]))
+        return bodies, load_kg
 
     def dry(self, value: Floats) -> Floats:
         """Coulomb friction (N,) [Nm] among the parameters (p,)."""
@@ -179,6 +188,12 @@ class Columns:
         return np.arange(min(self.loads.values(), default=self.bodies))
 
     @property
+    def lasting(self) -> Ints:
+        """Columns (N, 4) of Coulomb and viscous friction, rotor inertia and a constant torque of every axis."""
+        axes, shapes = self.design.shape[1], len(FRICTION)
+        return self.bodies + np.arange(axes * shapes).reshape(axes, shapes)
+
+    @property
     def friction(self) -> Ints:
         """Columns of friction, the loss that grows with the torque among them."""
         last = min((int(index[0]) for index in self.ordinary.values()), default=len(self.names))
@@ -195,8 +210,8 @@ class _Block:
     units: Sequence[str]
 
 
-def moving_columns(moving: Table, robot: Robot, knowledge: Knowledge, motion: MovingSetup) -> Columns:
-    """Columns of the moving rows of a table.
+def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledge, motion: MovingSetup) -> Columns:
+    """Columns of moving rows.
 
     Raises
     ------
@@ -208,7 +223,10 @@ def moving_columns(moving: Table, robot: Robot, knowledge: Knowledge, motion: Mo
         label: body_parameters(values[0], np.array(values[1:]), np.zeros((3, 3)))
         for label, values in knowledge.known.items()
     }
-    rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, knowledge.gravity_m_s2)
+    if isinstance(moving, MovingRows):
+        rows = moving.rigid
+    else:
+        rows = regressor(robot, moving.q_rad, moving.qd_rad_s, moving.qdd_rad_s2, knowledge.gravity_m_s2)
     mean, std = link_prior(robot, parse_inertials(knowledge.inertials), PER_LINK_MOVING)
     held, free = np.flatnonzero((std > 0.0) & np.isfinite(std)), np.flatnonzero(np.isinf(std))
     base, fixed = _free_base(robot, knowledge, free), np.where(std == 0.0, mean, 0.0)
@@ -218,7 +236,9 @@ def moving_columns(moving: Table, robot: Robot, knowledge: Knowledge, motion: Mo
     bodies = [links, *loads]
     firsts = np.cumsum([len(block.names) for block in bodies])
     falls_rad_s = fall_speeds(moving.qd_rad_s)[:, : None if "uneven_friction" in motion.ordinary else 0]
-    own = _friction_blocks(moving, _shapes(motion, unknown), motion.smooth_rad_s, falls_rad_s)
+    own = list(_friction_blocks(moving, _shapes(motion, unknown), motion.smooth_rad_s, falls_rad_s))
+    if "run_friction" in motion.ordinary:
+        own.append(_run_block(moving, motion.smooth_rad_s))
     first = int(firsts[-1]) + sum(len(block.names) for block in own)
     local = [name for name in motion.ordinary if name in _LOCAL]
     ordinary = {name: first + k * robot.axes + np.arange(robot.axes) for k, name in enumerate(local)}
@@ -233,7 +253,7 @@ def moving_columns(moving: Table, robot: Robot, knowledge: Knowledge, motion: Mo
         np.concatenate([block.design for block in blocks], axis=2),
         _known_nm(moving, rows, fixed, known),
         prior, names, tuple(unit for block in blocks for unit in block.units), chosen,
-        fixed, known, places, int(firsts[-1]), ordinary,
+        np.eye(len(fixed))[:, chosen], fixed, known, places, int(firsts[-1]), ordinary,
         np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, falls_rad_s,
     )  # fmt: skip
 
@@ -246,7 +266,7 @@ def _link_block(robot: Robot, rows: Floats, which: tuple[Ints, Ints], base: Base
     return _Block(rows[:, :, chosen], [*(full[k] for k in held), *base.names], units)
 
 
-def _load_block(moving: Table, rows: Floats, label: str, motion: MovingSetup) -> _Block:
+def _load_block(moving: Table | MovingRows, rows: Floats, label: str, motion: MovingSetup) -> _Block:
     here = (np.asarray(moving.load) == label)[:, None, None]
     if "load_inertia" not in motion.ordinary:
         return _Block(rows[:, :, _LOAD] * here, [f"{name}[{label}]" for name in LOAD_NAMES], LOAD_UNITS)
@@ -256,11 +276,11 @@ def _load_block(moving: Table, rows: Floats, label: str, motion: MovingSetup) ->
 
 def _shapes(motion: MovingSetup, unknown: Sequence[str]) -> tuple[str, ...]:
     """Friction of every axis; a free offset swallows the gravity of an unknown load, one that is held does not."""
-    return FRICTION if "uneven_friction" in motion.ordinary or not unknown else FRICTION[:3]
+    return FRICTION if "bias" in motion.ordinary or not unknown else FRICTION[:3]
 
 
 def _friction_blocks(
-    moving: Table, shapes: tuple[str, ...], smooth_rad_s: float, falls_rad_s: Floats
+    moving: Table | MovingRows, shapes: tuple[str, ...], smooth_rad_s: float | Floats, falls_rad_s: Floats
 ) -> tuple[_Block, _Block]:
     joints = [f"[J{axis + 1}]" for axis in range(moving.axes)]
     units = [FRICTION_UNITS[FRICTION.index(name)] for name in shapes] * len(joints)
@@ -272,13 +292,23 @@ def _friction_blocks(
     )
 
 
+def _run_block(moving: Table | MovingRows, smooth_rad_s: float | Floats) -> _Block:
+    """Coulomb friction of each of several runs off that of all."""
+    here = np.asarray(moving.run)[:, None] == np.unique(moving.run)
+    here, axes = here[:, : here.shape[1] if here.shape[1] > 1 else 0], moving.axes
+    sign = np.tanh(moving.qd_rad_s / smooth_rad_s)
+    design = np.einsum("na,nr,ab->nabr", sign, here, np.eye(axes)).reshape(len(sign), axes, -1)
+    names = [f"{RUN}_{k + 1}[J{axis + 1}]" for axis in range(axes) for k in range(here.shape[1])]
+    return _Block(design, names, ["Nm"] * len(names))
+
+
 def _local_block(rows: int, axes: int, name: str) -> _Block:
     """What every axis has for itself, of the modelled torque: nothing of it is known before a fit."""
     names = [f"{name}[J{axis + 1}]" for axis in range(axes)]
     return _Block(np.zeros((rows, axes, axes)), names, ["s" if name == "delay" else ""] * axes)
 
 
-def _known_nm(moving: Table, rows: Floats, fixed: Floats, loads: Mapping[str, Floats]) -> Floats:
+def _known_nm(moving: Table | MovingRows, rows: Floats, fixed: Floats, loads: Mapping[str, Floats]) -> Floats:
     """Torque (n, N) of links that are exact, `fixed` (10 N,), and of known loads."""
     known = rows @ fixed
     for label, body in loads.items():
@@ -287,7 +317,7 @@ def _known_nm(moving: Table, rows: Floats, fixed: Floats, loads: Mapping[str, Fl
     return known
 
 
-def _heaviest_kg(moving: Table) -> float:
+def _heaviest_kg(moving: Table | MovingRows) -> float:
     """Mass whose weight at 1 m is the torque of the axis that carries most."""
     torque = float(np.sqrt(np.nanmean(moving.tau_nm**2, axis=0)).max())
     return torque / float(np.linalg.norm(STANDARD_GRAVITY_M_S2))

@@ -26,7 +26,7 @@ from gateway.identify.motion.prior import alike, gains_prior, held_to_friction, 
 from gateway.identify.motion.problem import MotionProblem, Still, about, solved
 from gateway.identify.motion.rest_rows import FittedRest, columns_beside
 from gateway.identify.motion.stretches import Stretches
-from gateway.identify.nuisance import gain_stds
+from gateway.identify.nuisance import BIAS_SHARE, gain_stds
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Solution, determined
 from gateway.model.motion import at_links, turns
@@ -142,8 +142,10 @@ def _fit(
     seen = None if effects is None else effects.of_rows(moving)
     scale_nm, level_nm = _weights(periods, robot, knowledge.of_loads(moving.load), setup, (used, seen))
     columns = columns.with_effects(seen)
-    if "uneven_friction" in setup.ordinary:
-        prior = held_to_friction(columns.prior, columns.names, level_nm, offsets=bool(columns.loads))
+    if "bias" in setup.ordinary:
+        # a free constant torque swallows the gravity of an unknown load
+        offset = BIAS_SHARE if columns.loads else np.inf
+        prior = held_to_friction(columns.prior, columns.names, level_nm, offset)
         columns = replace(columns, prior=prior)
     return _solved((columns, still), periods, used, scale_nm, knowledge)
 

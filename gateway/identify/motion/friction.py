@@ -19,6 +19,10 @@ FRICTION: Final = ("coulomb", "viscous", "rotor_inertia", "offset")
 FRICTION_UNITS: Final = ("Nm", "Nm s/rad", "kg m2", "Nm")
 #: Of a fall from breakaway, before its number.
 FALL: Final = "stribeck"
+#: Of the Coulomb friction of one of several runs off that of all, before its number.
+RUN: Final = "run_coulomb"
+#: Standard deviation of that, of the Coulomb level.
+RUN_SHARE: Final = 0.1
 #: Speeds over which friction falls, of the fastest of each axis.
 _FALLS: Final = (0.01, 0.03, 0.09)
 #: Standard deviation of each of them, of the Coulomb level.
@@ -34,7 +38,9 @@ def fall_speeds(qd_rad_s: Floats) -> Floats:
     return np.outer(np.abs(qd_rad_s).max(axis=0, initial=0.0), _FALLS)
 
 
-def friction_columns(qd_rad_s: Floats, qdd_rad_s2: Floats, shapes: tuple[str, ...], smooth_rad_s: float) -> Floats:
+def friction_columns(
+    qd_rad_s: Floats, qdd_rad_s2: Floats, shapes: tuple[str, ...], smooth_rad_s: float | Floats
+) -> Floats:
     """Columns (n, N, N len(shapes)) of what is in proportion to speeds and accelerations (n, N)."""
     (n, axes), count = qd_rad_s.shape, len(shapes)
     values = {
@@ -50,13 +56,14 @@ def friction_columns(qd_rad_s: Floats, qdd_rad_s2: Floats, shapes: tuple[str, ..
     return out
 
 
-def fall_columns(qd_rad_s: Floats, falls_rad_s: Floats, smooth_rad_s: float) -> Floats:
+def fall_columns(qd_rad_s: Floats, falls_rad_s: Floats, smooth_rad_s: float | Floats) -> Floats:
     """Columns (n, N, N k) of falls over speeds (N, k)."""
     axes, count = falls_rad_s.shape
     out = np.zeros((*qd_rad_s.shape, axes * count))
+    sign = np.tanh(qd_rad_s / smooth_rad_s)
     for axis, speeds in enumerate(falls_rad_s):
-        qd = qd_rad_s[:, axis]
-        out[:, axis, axis * count : (axis + 1) * count] = np.tanh(qd / smooth_rad_s)[:, None] * _falls(qd, speeds)
+        falls = _falls(qd_rad_s[:, axis], speeds)
+        out[:, axis, axis * count : (axis + 1) * count] = sign[:, [axis]] * falls
     return out
 
 

@@ -17,8 +17,10 @@ Floats = NDArray[np.float64]
 
 _STEPS: Final = 12
 _SETTLED: Final = 1e-6
+#: Times that parameters are held to their limits: what is held moves others beyond theirs.
+LIMIT_PASSES: Final = 3
 #: Standard deviation of a parameter at its limit.
-_HELD: Final = 1e-7
+HELD_STD: Final = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,9 +46,13 @@ def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None)
         return Settled(here, solution, solution)
     for _ in range(_STEPS):
         before = here.model_nm[used]
-        solution = solved(problem, here, sigma_nm, columns.prior)
-        prior = _limited(columns, solution.value)
-        if prior is not columns.prior:
+        prior = columns.prior
+        solution = solved(problem, here, sigma_nm, prior)
+        for _ in range(LIMIT_PASSES):
+            narrower = limited(columns, solution.value, prior)
+            if narrower is prior:
+                break
+            prior = narrower
             solution = solved(problem, here, sigma_nm, prior)
         here = about(problem, solution.value)
         if np.linalg.norm(here.model_nm[used] - before) < _SETTLED * np.linalg.norm(problem.tau_nm[used]):
@@ -55,17 +61,17 @@ def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None)
     return Settled(here, solution, free)
 
 
-def _limited(columns: Columns, value: Floats) -> Prior:
-    """The prior with what went beyond the ordinary held where that ends; the same object where nothing did."""
+def limited(columns: Columns, value: Floats, prior: Prior) -> Prior:
+    """The prior with what went beyond the ordinary held where that ends; the same object where nothing more did."""
     held = [columns.ordinary[name] for name in NUISANCES if name in columns.ordinary]
     if not held:
-        return columns.prior
+        return prior
     usual = np.setdiff1d(np.concatenate(held), columns.taken)
-    mean, most = columns.prior.mean, ORDINARY_STD * columns.prior.stds(usual)
-    off = (value - mean)[usual]
-    beyond = np.abs(off) > most
+    most = ORDINARY_STD * columns.prior.stds(usual)
+    off = (value - columns.prior.mean)[usual]
+    beyond = (np.abs(off) > most) & (prior.std[usual] > HELD_STD)
     if not beyond.any():
-        return columns.prior
-    over, changed = usual[beyond], mean.copy()
-    changed[over] += np.sign(off[beyond]) * most[beyond]
-    return replace(columns.prior.with_std(over, np.full(len(over), _HELD)), mean=changed)
+        return prior
+    over, changed = usual[beyond], prior.mean.copy()
+    changed[over] = columns.prior.mean[over] + np.sign(off[beyond]) * most[beyond]
+    return replace(prior.with_std(over, np.full(len(over), HELD_STD)), mean=changed)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.links import as_bodies
-from gateway.identify.motion.friction import FALL, FALL_SHARE
-from gateway.identify.nuisance import BIAS_SHARE, COMMON_SHARE, nuisance_prior
+from gateway.identify.motion.friction import FALL, FALL_SHARE, RUN, RUN_SHARE
+from gateway.identify.nuisance import COMMON_SHARE, nuisance_prior
 from gateway.identify.solve import Prior
 
 Floats = NDArray[np.float64]
@@ -74,16 +74,15 @@ def alike(prior: Prior, index: Ints) -> Prior:
     return replace(changed, rows=np.vstack([prior.rows, rows]), right=right)
 
 
-def held_to_friction(prior: Prior, names: tuple[str, ...], level_nm: Floats, *, offsets: bool) -> Prior:
+def held_to_friction(prior: Prior, names: tuple[str, ...], level_nm: Floats, offset: float) -> Prior:
     """The prior with what is a share of the Coulomb friction (N,) held to that.
 
-    Falls towards standstill; and constant torques (`offsets`), where a load is unknown: a free one swallows gravity.
+    Falls towards standstill; friction of one run off that of all; and constant torques, to the share `offset`.
     """
-    std = prior.std.copy()
+    std, shares = prior.std.copy(), {FALL: FALL_SHARE, RUN: RUN_SHARE, "offset": offset}
     for k, name in enumerate(names):
         kind, _, axis = name.partition("[J")
-        if kind.startswith(FALL):
-            std[k] = FALL_SHARE * level_nm[int(axis[:-1]) - 1]
-        elif kind == "offset" and offsets:
-            std[k] = BIAS_SHARE * level_nm[int(axis[:-1]) - 1]
+        for start, share in shares.items():
+            if kind.startswith(start):
+                std[k] = share * level_nm[int(axis[:-1]) - 1]
     return replace(prior, std=std)

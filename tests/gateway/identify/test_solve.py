@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 import statsmodels.api as sm
-from scipy import linalg
 
-from gateway.identify.solve import Prior, determined, solve, solve_normal
+from gateway.identify.solve import Prior, determined, solve
 
 
 @pytest.fixture
@@ -73,15 +72,15 @@ def test_units_do_not_change_the_rank(problem):
     np.testing.assert_allclose(found.value * 1e-9, solve(design, target, 1 / std).value, rtol=1e-8)
 
 
-def test_penalised_least_squares_is_least_squares_with_the_prior_as_rows():
+def test_a_prior_as_normal_equations_is_the_prior_as_rows():
     generator = np.random.default_rng(2)
     columns, tau = generator.normal(size=(300, 4)), generator.normal(size=300)
-    mean, precision = generator.normal(size=4), np.array([0.0, 1.0, 4.0, 100.0])
-    inverse, value = solve_normal(columns.T @ columns, columns.T @ tau, mean, precision)
-    rows = np.vstack([columns, np.diag(np.sqrt(precision))])
-    right = np.concatenate([tau, np.sqrt(precision) * mean])
-    assert value == pytest.approx(np.linalg.lstsq(rows, right)[0], abs=1e-8)
-    assert inverse == pytest.approx(linalg.inv(rows.T @ rows), rel=1e-6, abs=1e-12)
+    rows, right = generator.normal(size=(2, 4)), generator.normal(size=2)
+    prior = Prior(generator.normal(size=4), np.array([np.inf, 1.0, 0.5, 0.1]), rows, right)
+    value = np.linalg.solve(columns.T @ columns + prior.precision, columns.T @ tau + prior.pull)
+    found = solve(columns, tau, np.ones(300), prior)
+    assert value == pytest.approx(found.value, abs=1e-8)
+    assert found.misfit == pytest.approx(((tau - columns @ value) ** 2).sum() + prior.penalty(value))
 
 
 def test_condition_is_that_of_columns_of_unit_length():

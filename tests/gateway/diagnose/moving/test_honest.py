@@ -14,7 +14,7 @@ from gateway.diagnose.moving.fit import fit
 from gateway.diagnose.moving.mistakes import find_mistakes
 from gateway.diagnose.moving.parameters import at_edge
 from gateway.diagnose.moving.remarks import edge_findings
-from gateway.identify.moving_baseline import ordinary
+from gateway.identify.rest.problem import Knowledge
 from gateway.model.effects import LIBRARY
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.velocity_friction import FRACTIONS, Stribeck
@@ -27,7 +27,7 @@ LOADS = {"none": None, "a": (2.0, 0.02, -0.01, 0.08), "b": (5.0, -0.03, 0.02, 0.
 
 def problem(table, robot, trust=0.05):
     motion = prepare(table, None, robot, GRAVITY)
-    return problem_of(motion, trust, MovingKnowledge(frozenset(LIBRARY), trust, False, {}, ordinary(motion)))
+    return problem_of(motion, trust, MovingKnowledge(frozenset(LIBRARY), trust, False, Knowledge()))
 
 
 def parted(seed, world, at_s=18.0, **keys):
@@ -139,10 +139,10 @@ def test_no_gain_and_no_loss_goes_beyond_what_is_ordinary_unless_it_is_an_effect
     plain = problem(table, robot)
     everything = ~plain.motion.given
     without = fit(plain, (), everything, plain.motion.given)
-    base = plain.base
-    assert without.value[base.gain[1]] == pytest.approx(-2.0 * base.precision[base.gain[1]] ** -0.5, abs=2e-3)
-    assert without.value[base.loss[2]] == pytest.approx(0.15, abs=1e-6)
-    assert without.at_limit(int(base.loss[2]))
+    gain, loss = plain.null.usual.reshape(2, 6)
+    assert without.value[gain[1]] == pytest.approx(-2.0 * plain.null.std_of(gain[1]), abs=2e-3)
+    assert without.value[loss[2]] == pytest.approx(0.15, abs=1e-6)
+    assert without.at_limit(int(loss[2]))
     found = fit(plain, (LoadDependentFriction(2),), everything, plain.motion.given)
     assert found.value[-1] == pytest.approx(0.3, abs=0.03)
 

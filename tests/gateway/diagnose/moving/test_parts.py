@@ -13,13 +13,14 @@ from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.moving.fit import MovingProblem, fit
 from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.null_model import null_model
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import state_of
 from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import ConfigError, DataUnusable, InputError
 from gateway.identify.links import link_values
-from gateway.identify.moving_baseline import baseline
+from gateway.identify.rest.problem import Knowledge
 from gateway.model.base import moving_base
 from gateway.model.effect import nowhere
 from gateway.model.effects import LIBRARY
@@ -59,10 +60,9 @@ def table_of(seed=0, n=400, run="1", load="none", rate_hz=20.0):
 def problem_of(robot, table, trust=None, count=4):
     """Gains and load frictions held at 0: with them the model is not linear."""
     motion = prepare(table, None, robot, GRAVITY)
-    base = baseline(motion, trust, {})
-    for index in (*base.gain, *base.loss):
-        base = base.held(index, 0.0)
-    return MovingProblem(motion, base, MovingNoise(np.ones(6), np.ones(6)), blocks(motion, count))
+    null = null_model(motion, trust, Knowledge())
+    null = null.held(null.usual, 0.0)
+    return MovingProblem(motion, null, MovingNoise(np.ones(6), np.ones(6)), blocks(motion, count))
 
 
 @pytest.mark.parametrize(

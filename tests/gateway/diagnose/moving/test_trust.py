@@ -11,9 +11,10 @@ from scipy import stats
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.null_model import null_model
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.trust import log_evidence
-from gateway.identify.moving_baseline import baseline
+from gateway.identify.rest.problem import Knowledge
 from gateway.identify.spread import jackknife
 from gateway.model.motion import prepare
 from tests.moving_arm import GRAVITY, World, measured
@@ -45,19 +46,19 @@ def test_evidence_is_the_marginal_density_of_the_rows():
     noise = MovingNoise(np.full(6, 3.0), np.full(6, 0.5))
     values, expected = [], []
     for trust in (0.05, 0.2):
-        base = baseline(motion, trust, {})
-        # friction that is nearly free is beyond what a dense density resolves: here it has a size
-        base = replace(base, precision=np.maximum(base.precision, 1e-4))
-        for index in (*base.gain, *base.loss):
-            base = base.held(index, 0.0)
-        linear = base.columns.shape[2]
-        problem = MovingProblem(motion, base, noise, blocks(motion, 3))
+        null = null_model(motion, trust, Knowledge())
+        # friction that is free is beyond what a dense density resolves: here it has a size
+        prior = null.columns.prior
+        prior = prior.with_std(null.friction.ravel(), np.full(24, 100.0))
+        null = replace(null, columns=replace(null.columns, prior=prior)).held(null.usual, 0.0)
+        problem = MovingProblem(motion, null, noise, blocks(motion, 3))
         values.append(log_evidence(problem, ()))
-        judged = motion.judged.ravel()
-        columns = (base.columns * noise.weight[:, None]).reshape(-1, base.columns.shape[2])[judged]
-        target = (motion.tau_nm * noise.weight).ravel()[judged] - columns @ base.mean[:linear]
-        covariance = np.eye(len(target)) + (columns / base.precision[:linear]) @ columns.T
-        expected.append(stats.multivariate_normal.logpdf(target, np.zeros(len(target)), covariance))
+        judged, prior = motion.judged.ravel(), null.columns.prior
+        columns = (null.columns.design * noise.weight[:, None]).reshape(len(judged), -1)[judged]
+        covariance = np.linalg.inv(prior.precision)
+        target = (motion.tau_nm * noise.weight).ravel()[judged] - columns @ covariance @ prior.pull
+        spread = np.eye(len(target)) + columns @ covariance @ columns.T
+        expected.append(stats.multivariate_normal.logpdf(target, np.zeros(len(target)), spread))
     assert values[1] - values[0] == pytest.approx(expected[1] - expected[0], rel=1e-4)
 
 
