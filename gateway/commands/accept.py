@@ -63,7 +63,8 @@ class _Job:
 @click.option("--label", metavar="LABEL", help="Load of the result, if it holds several.")
 @click.option(
     "--tolerance",
-    required=True,
+    default="5%",
+    show_default=True,
     metavar="P%|NM,NM,..",
     help="Residual torque that the controller tolerates: P% of each torque limit, or one torque an axis [Nm].",
 )

@@ -148,7 +148,7 @@ def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method
     refuse_absent(table.load, options.masses)
     found = ESTIMATORS[method](table, robot, options)
     advice = [next_pose(load, robot, found.sigma_nm, options) for load in found.loads]
-    advice += [shrinks_most(load) for load in found.loads]
+    advice += [shrinks_most(load) for load in found.loads if load.label not in options.weighed]
     return replace(found, next=tuple(entry for entry in advice if entry is not None))
 
 

@@ -68,14 +68,14 @@ def identified(tmp_path_factory):
 
 @pytest.fixture
 def accept(identified, tmp_path):
-    def run(*more, content=None, result=None):
+    def run(*more, content=None, result=None, tolerance=TOLERANCE):
         write_csv(rows("tool", TOOL, UNSEEN, 2000.0, 7) if content is None else content, tmp_path / "unseen.csv")
         load = identified / "result.json"
         if result is not None:
             load = tmp_path / "changed.json"
             load.write_text(to_json(result), encoding="utf-8")
         words = ["accept", identified / "cell.toml", "--load", load, "--from", tmp_path / "unseen.csv"]
-        words += [*more, *(() if "--tolerance" in more else ("--tolerance", TOLERANCE))]
+        words += [*more, *(() if tolerance is None else ("--tolerance", tolerance))]
         return CliRunner(env={"COLUMNS": "200"}).invoke(main, [str(word) for word in words])
 
     return run
@@ -95,6 +95,12 @@ def test_a_right_load_passes_with_map_page_and_junit(accept, tmp_path):
     assert page.count('class="map-measured"') == len(UNSEEN)
     suite = ElementTree.parse(tmp_path / "a.xml").getroot()
     assert not list(suite.iter("failure"))
+
+
+def test_without_a_tolerance_it_is_5_percent_of_the_torque_limits(accept, tmp_path):
+    accept("--json", tmp_path / "a.json", tolerance=None)
+    answer = json.loads((tmp_path / "a.json").read_text())
+    assert answer["tolerance_nm"] == pytest.approx((0.05 * torque_limits()).tolist())
 
 
 def heavier(result, factor):
@@ -142,7 +148,7 @@ def test_poses_that_were_seen_do_not_count(accept):
 
 @pytest.mark.parametrize("tolerance", ["3", "0%", "-1%", "200%", "x", "1,2,3", "nan%", "1,1,1,1,1,inf"])
 def test_a_tolerance_that_is_none_is_a_usage_error(accept, tolerance):
-    done = accept("--tolerance", tolerance)
+    done = accept(tolerance=tolerance)
     assert done.exit_code == 3, done.output
     assert "--tolerance" in done.output
 

@@ -34,6 +34,7 @@ def test_the_mass_alone_gives_the_torque_constants_and_the_other_load(table, arm
     assert loads["tool"].mass_std_kg < 0.5 * before["tool"].mass_std_kg
     assert abs(loads["tool"].mass_kg - TOOL[0]) < 4 * loads["tool"].mass_std_kg
     assert loads["weight"].mass_kg == pytest.approx(WEIGHT[0], rel=1e-3)
+    assert [sum("weight's mass" in entry.what for entry in found.next) for found in (plain, result)] == [1, 0]
     for value, std, truth in zip(loads["weight"].com_m, loads["weight"].com_std_m, WEIGHT[1:], strict=True):
         assert abs(value - truth) < 4 * std
 
