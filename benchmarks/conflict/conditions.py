@@ -113,11 +113,31 @@ def flipped(*names: str, one: bool = True) -> WrongStatement:
     return WrongStatement(after=change)
 
 
-def torque_in_mnm(cell: ConflictCell) -> None:
-    """Torque columns in mNm."""
-    for name in cell.columns:
-        if name.startswith("tau"):
-            cell.columns[name] = 1000.0 * cell.columns[name]
+def torque_times(of: Callable[[ConflictCell], object]) -> WrongStatement:
+    """Torque columns hold the torque of each axis times a factor: another unit, a current, or the motor's torque."""
+
+    def change(cell: ConflictCell) -> None:
+        factor = np.broadcast_to(np.asarray(of(cell), dtype=float), AXES)
+        for axis, name in ((axis, f"tau{axis + 1}{kind}_nm") for axis in range(AXES) for kind in ("", "_std")):
+            cell.columns[name] = factor[axis] * cell.columns[name]
+
+    return WrongStatement(after=change)
+
+
+def motor_side(cell: ConflictCell) -> object:
+    """One over a gear ratio of 50 to 160 on each axis."""
+    return 1.0 / cell.change.uniform(50.0, 160.0, AXES)
+
+
+def amperes(cell: ConflictCell) -> object:
+    """Current instead of torque: one over torque constants of 0.3 to 2 Nm/A and a gear ratio."""
+    return np.asarray(motor_side(cell)) / cell.change.uniform(0.3, 2.0, AXES)
+
+
+def quarter_turns(cell: ConflictCell) -> None:
+    """The zero of one of axes 2 to 6 is 90, 180 or 270 degrees from that of the URDF."""
+    column = f"q{int(cell.change.integers(2, AXES + 1))}_rad"
+    cell.columns[column] = cell.columns[column] + np.pi / 2 * cell.change.integers(1, 4)
 
 
 def set_to(**values: object) -> WrongStatement:
@@ -226,7 +246,11 @@ CONDITIONS: Mapping[str, WrongStatement] = {
     "dir reversed, all": flipped("dir{}", one=False),
     "joint counted the other way": flipped("q{}_rad", "dir{}", "tau{}_nm"),
     "q3 holds q3 + q2": WrongStatement(after=coupled),
-    "torque in mNm": WrongStatement(after=torque_in_mnm),
+    "zero convention": WrongStatement(after=quarter_turns),
+    "torque in mNm": torque_times(lambda cell: 1000.0),
+    "torque in kNm": torque_times(lambda cell: 0.001),
+    "torque of the motors": torque_times(motor_side),
+    "current as torque": torque_times(amperes),
     "lengths in mm": set_to(length_unit=1000.0),
     "known mass in grams": known(1000.0),
     "known mass": known(1.0, clean=True),

@@ -35,5 +35,6 @@ def refuse_small_torques(table: Table, robot: Robot, gravity_m_s2: tuple[float, 
     if share < LEAST_SHARE:
         raise InputError(
             f"{at_rest.file[0]}: the torques are {100 * share:.2g} % of what the weight of the links needs: are they in"
-            " kNm, or of the motors? tauN_nm is in Nm on the side of the joint, taumN_nm on that of the motor"
+            " kNm, of the motors, or currents in A? tauN_nm is in Nm on the side of the joint, taumN_nm on that of the"
+            " motor, iN_a is a current"
         )

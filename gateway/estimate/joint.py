@@ -13,6 +13,7 @@ from gateway.estimate.describe import axis_sigma, describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies
+from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import require_postures, unknown_labels
 from gateway.identify.mass_change import mass_changes
@@ -63,7 +64,8 @@ def estimate_joint(
     if not refused:
         trusted = replace(options, inertials=settled.knowledge.inertials)
         found = describe(settled.problem, settled.fit, robot, trusted, settled.spread)
-        return replace(found, findings=(*found.findings, *settled.findings))
+        gravity = reversed_gravity(robot, *settled.stated, options)
+        return replace(found, findings=(*found.findings, *settled.findings, *gravity))
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)
     if not len(kept):

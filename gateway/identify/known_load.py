@@ -19,7 +19,7 @@ from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import EXACT, Knowledge, build_problem
 from gateway.model.robot import Robot, reach_m
-from gateway.result.result import Finding
+from gateway.result.finding import Finding
 
 Floats = NDArray[np.float64]
 

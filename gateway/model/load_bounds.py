@@ -45,12 +45,14 @@ class LoadBounds:
         com_m : sequence of 3 floats
             In the last link or the flange; empty = not known.
         margin_kg, margin_m : float, sequence of 3 floats
-            Half widths of their intervals: a violation has to be significant. NaN counts as 0.
+            Half widths of their intervals: a violation has to be significant. NaN counts as 0. A mass with a margin is
+            measured, so that the likely unit is that of the torque.
         """
         if mass_kg - np.nan_to_num(margin_kg) > self.mass_kg:
+            unit = "grams" if margin_kg == 0.0 else "torque in mNm"
             return (
                 f"{mass_kg:.6g} kg is beyond {self.mass_kg:.4g} kg ({self.mass_source}):"
-                f" grams? that is {mass_kg / 1000:.4g} kg"
+                f" {unit}? that is {mass_kg / 1000:.4g} kg"
             )
         nearest = np.maximum(np.abs(com_m) - np.nan_to_num(margin_m), 0.0) if len(com_m) else np.zeros(3)
         if float(np.linalg.norm(nearest)) > self.lever_m:

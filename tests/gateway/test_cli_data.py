@@ -89,7 +89,7 @@ def test_a_load_beyond_the_arm_is_refused_and_not_exported(table, tmp_path):
     complains(done, 7)
     (load,) = json.loads(out.read_text())["loads"]
     assert load["mass_kg"] is None
-    assert "grams?" in load["refused"]
+    assert "torque in mNm?" in load["refused"]
     assert json.loads(out.read_text())["after"]["loads"] == [load]
     complains(run("export", out, "--format", "kuka"), 6, "grams?")
 

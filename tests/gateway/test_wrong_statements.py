@@ -226,3 +226,41 @@ def test_zero_errors_and_hoses_are_in_the_interval_of_the_centre_and_in_the_budg
     assert disturbed == ({source} if source else set())
     away = np.abs(np.array(load["com_m"]) - cell.loads["tool"][1:]) / np.array(load["com_std_m"])
     assert (away < 3.0).all()
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_gravity_that_is_upside_down_is_named(command, tmp_path):
+    code, _, result = typed(quiet_cell("gravity upside down"), tmp_path, command)
+    assert code == 7
+    assert "gravity_reversed" in {finding["check"] for finding in warnings(result) if "check" in finding}
+
+
+def test_reversed_signs_of_all_axes_are_not_called_gravity(tmp_path):
+    _, _, result = typed(quiet_cell("torque sign, all"), tmp_path)
+    checks = {finding.get("check") for finding in warnings(result)}
+    assert "sign_reversed" in checks
+    assert "gravity_reversed" not in checks
+
+
+@pytest.mark.slow
+def test_zero_of_another_convention_is_named_and_undone(tmp_path):
+    cell = quiet_cell("zero convention")
+    plain = quiet_cell().columns
+    joint = next(axis for axis in range(1, 7) if (cell.columns[f"q{axis}_rad"] != plain[f"q{axis}_rad"]).any())
+    _, _, result = typed(cell, tmp_path, "diagnose")
+    assert [(effect["name"], effect["joints"]) for effect in result["effects"]] == [("zero_convention", [joint])]
+    turned = plain[f"q{joint}_rad"][0] - cell.columns[f"q{joint}_rad"][0]
+    assert np.cos(result["effects"][0]["parameters"]["offset_rad"] - turned) == pytest.approx(1.0)
+    assert off(result, cell) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("condition", "unit"),
+    [("torque in mNm", "torque in mNm?"), ("torque in kNm", "kNm"), ("torque of the motors", "of the motors")]
+    + [("current as torque", "currents in A")],
+)
+def test_torque_in_another_unit_is_refused_with_that_unit(condition, unit, tmp_path):
+    code, output, result = typed(quiet_cell(condition), tmp_path)
+    assert code in (3, 7)
+    assert all(load["mass_kg"] is None for load in result["loads"])
+    assert unit in output + " ".join(finding["what"] for finding in result["findings"])

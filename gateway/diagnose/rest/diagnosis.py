@@ -51,6 +51,7 @@ from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies, without_placeholder
+from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.links import parse_inertials
 from gateway.identify.load_estimate import REFUSED, refused_findings
 from gateway.identify.loads import BARE_LABEL, require_postures
@@ -277,12 +278,16 @@ class RestDiagnosis:
         return to_result(found, self.robot, self.as_estimate)
 
     def refusal(self, read: ReadVisits) -> Result | None:
-        """Return what `estimate` gives where the mass under a label changes; None where it does not.
+        """Return what `estimate` gives where the mass under a label changes, or gravity is reversed; None otherwise.
 
-        No effect is searched then: each that moves the load or the arm would take up a part of the change.
+        No effect is searched then: each that moves the load or the arm would take up a part of it.
         """
         rows, changed = read.problem.rows, mass_changes(read.problem, read.plain)
-        if not changed and not two_bodies(self.robot, rows, self.knowledge):
+        if (
+            not changed
+            and not two_bodies(self.robot, rows, self.knowledge)
+            and not reversed_gravity(self.robot, read.problem, read.plain, self.knowledge)
+        ):
             return None
         settled = settle(self.robot, rows, self.knowledge, (read.problem, read.plain))
         result = self._as_estimated(rows, settled)

@@ -38,11 +38,12 @@ class Mistake:
 
     Attributes
     ----------
-    name : sign_reversed, joint_reversed, axes_swapped, angles_coupled or current_rms_peak
+    name : sign_reversed, joint_reversed, axes_swapped, angles_coupled, zero_convention or current_rms_peak
     joints : joints counted from 1
     factor : reported over true current (current_rms_peak), else 1
     with_positions : whether the positions of swapped axes are swapped too
     sign : of the first joint's angle in the second one's column (angles_coupled)
+    offset_rad : angle of the robot model less the reported one (zero_convention)
     ratio : RMS on left-out poses with it undone over that of the data as they were read; NaN = not judged
     """
 
@@ -51,6 +52,7 @@ class Mistake:
     factor: float = 1.0
     with_positions: bool = False
     sign: float = 1.0
+    offset_rad: float = 0.0
     ratio: float = field(default=np.nan, compare=False)
 
     @property
@@ -69,6 +71,12 @@ class Mistake:
             q_rad = table.q_rad.copy()
             q_rad[:, second] -= self.sign * q_rad[:, first]
             return replace(table, q_rad=q_rad)
+        if self.name == "zero_convention":
+            turned = {}
+            for name in ("q_rad", "q2nd_rad"):
+                turned[name] = getattr(table, name).copy()
+                turned[name][:, axes] += self.offset_rad
+            return replace(table, **turned)
         scale[axes] = 1.0 / self.factor if self.name == "current_rms_peak" else -1.0
         if self.name == "joint_reversed":
             columns = {name: getattr(table, name) for name in ("q_rad", "q2nd_rad", "direction")}
@@ -97,6 +105,9 @@ def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
     for first in axes[:-1]:
         for sign in (1.0, -1.0):
             yield Mistake("angles_coupled", (first, first + 1), sign=sign)
+    for joint in axes:
+        for quarters in (1, 2, 3):
+            yield Mistake("zero_convention", (joint,), offset_rad=float(np.pi / 2 * (quarters if quarters < 3 else -1)))
     for factor in (FACTOR, 1.0 / FACTOR):
         for joint in axes:
             yield Mistake("current_rms_peak", (joint,), float(factor))

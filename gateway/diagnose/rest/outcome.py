@@ -178,7 +178,9 @@ def mistake_effect(mistake: Mistake, gained: float) -> list[EffectResult]:
     pair = mistake.name in ("axes_swapped", "angles_coupled")
     places = [mistake.joints] if pair else [(joint,) for joint in mistake.joints]
     factor, sign = {"factor": mistake.factor}, {"sign": mistake.sign}
-    parameters = {"current_rms_peak": factor, "angles_coupled": sign}.get(mistake.name, {})
+    offset = {"offset_rad": mistake.offset_rad}
+    known = {"current_rms_peak": factor, "angles_coupled": sign, "zero_convention": offset}
+    parameters = known.get(mistake.name, {})
     evidence = Evidence(
         holdout_rms_ratio=mistake.ratio,
         p_value=float(np.exp(-min(gained, 690.0))),

@@ -47,6 +47,7 @@ def test_every_mistake_of_the_measured_axes_is_looked_for_once(axes):
         "joint_reversed": axes,
         "axes_swapped": 2 * pairs,
         "angles_coupled": 2 * (axes - 1),
+        "zero_convention": 3 * axes,
         "current_rms_peak": 2 * (axes + (axes > 1)),
     }
     assert counts == {name: count for name, count in expected.items() if count}
@@ -67,6 +68,9 @@ def test_undoing_a_mistake_touches_its_axes_alone():
     apart = Mistake("angles_coupled", (2, 3), sign=-1.0).undo(read)
     assert apart.q_rad[:, 2] == pytest.approx(read.q_rad[:, 2] + read.q_rad[:, 1])
     assert apart.tau_nm is read.tau_nm
+    quarter = Mistake("zero_convention", (4,), offset_rad=np.pi / 2).undo(read)
+    assert quarter.q_rad == pytest.approx(read.q_rad + np.pi / 2 * np.array([0, 0, 0, 1, 0, 0]))
+    assert quarter.tau_nm is read.tau_nm
     halved = Mistake("current_rms_peak", (2, 5), 2.0).undo(read)
     assert halved.tau_nm == pytest.approx(read.tau_nm * [1, 0.5, 1, 1, 0.5, 1])
     assert halved.tau_std_nm == pytest.approx(read.tau_std_nm * [1, 0.5, 1, 1, 0.5, 1])

@@ -305,7 +305,7 @@ def test_standard_deviations_are_passed_on_to_first_order():
 
 
 def test_the_library_says_what_each_effect_is():
-    names = {"sign_reversed", "joint_reversed", "axes_swapped", "angles_coupled", "current_rms_peak"}
+    names = {"sign_reversed", "joint_reversed", "axes_swapped", "angles_coupled", "zero_convention", "current_rms_peak"}
     assert set(MISTAKES) == names
     assert {"velocity_friction", "load_dependent_friction"} == FRICTION
     assert {"balancer_spring", "link_mass", "base_tilt"} <= DRAWN
