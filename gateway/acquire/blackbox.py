@@ -22,11 +22,11 @@ KEPT: Final = tuple(name for name, _ in FIELDS)
 
 
 class BlackBoxWatch:
-    """An observer that hands all it sees of one arm to a keeper.
+    """Observer that passes all samples of one arm to a recorder.
 
     Parameters
     ----------
-    keeper : BoxKeeper
+    recorder : BoxKeeper
     arm : str
         Whose rows are kept; others may be under power beside it.
 
@@ -36,9 +36,9 @@ class BlackBoxWatch:
         Arms were about to be powered.
     """
 
-    def __init__(self, keeper: BoxKeeper, arm: str) -> None:
+    def __init__(self, recorder: BoxKeeper, arm: str) -> None:
         self.powered = False
-        self._keeper: BoxKeeper | None = keeper
+        self._recorder: BoxKeeper | None = recorder
         self._arm, self._place = arm, -1
 
     def began(self, scene: Scene) -> None:
@@ -49,32 +49,32 @@ class BlackBoxWatch:
 
     def sampled(self, observed: Observed) -> None:
         """One SYNC."""
-        if self._keeper is None or self._place < 0:
+        if self._recorder is None or self._place < 0:
             return
         sample = observed.samples[self._place]
-        fill(self._keeper.row(sample.time_s, sample.sync_index), 0, observed, self._place, KEPT)
+        fill(self._recorder.row(sample.time_s, sample.sync_index), 0, observed, self._place, KEPT)
 
     def reported(self, event: object) -> None:
         """Nothing of it is kept."""
 
     def ended(self, failure: BaseException | None) -> None:
-        """The frames of the stop still come: whoever keeps the recording closes the box."""
+        """The frames of the stop follow: the owner of the recording closes the box."""
 
     def leave(self) -> None:
         """Take no more."""
-        self._keeper = None
+        self._recorder = None
 
 
 @contextmanager
 def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
     """While this is open the last seconds are kept; they stay where the header says if it ends badly.
 
-    What goes wrong with the box itself is among the notes of what ended the run, and ends nothing.
+    Errors of the box itself become notes of the error that ended the run; they do not end it.
     """
-    keeper = BoxKeeper(header)
-    watch, bus = BlackBoxWatch(keeper, opened.config.name), opened.group.bus
-    keeper.wait_until_kept()
-    bus.add_tap(keeper.frame)
+    recorder = BoxKeeper(header)
+    watch, bus = BlackBoxWatch(recorder, opened.config.name), opened.group.bus
+    recorder.wait_until_kept()
+    bus.add_tap(recorder.frame)
     reason: str | None = None
     failure: BaseException | None = None
     try:
@@ -85,9 +85,9 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
             reason = str(error) or type(error).__name__
         raise
     finally:
-        bus.remove_tap(keeper.frame)
+        bus.remove_tap(recorder.frame)
         watch.leave()
-        trouble = keeper.close(reason)
+        trouble = recorder.close(reason)
         if failure is not None and reason is not None:
             box = box_of(header.recording)
             failure.add_note(trouble or f"The last seconds before it: {box}; servo-gateway report {box} -o STOP.html")

@@ -1,4 +1,4 @@
-"""What the runner tells while it works; console, recording and log listen."""
+"""Events of a run, for console, recording and log."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Where the run stands; times are those of the arm, as planned."""
+    """Progress of the run; times are those of the arm, as planned."""
 
     step: int
     steps: int

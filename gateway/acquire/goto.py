@@ -1,4 +1,4 @@
-"""Getting there: from where an arm stands to home, to where loads are hung, or to joint angles, over a checked way."""
+"""Transfer motions to home, to the loading posture or to joint angles, over a checked path."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import MoveInwards, MoveTo, Plan, plan_to
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.run import Shelf, VisitStation
-from gateway.acquire.runner import run_way
+from gateway.acquire.run import MemoryStore, VisitStation
+from gateway.acquire.runner import run_transfer
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
 from gateway.motion.joint_path import angles
@@ -22,7 +22,7 @@ from gateway.motion.workspace import Workspace
 
 HOME: Final = "home"
 LOADING: Final = "loading"
-#: By how much an arm in its brakes may sag and still stand where its way was planned from [rad].
+#: Largest change of posture in the brakes after which a planned transfer is still valid [rad].
 STILL_RAD: Final = 1e-3
 
 
@@ -58,7 +58,7 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
     ConfigError
         The cell file does not say where that is.
     PlanRefused
-        The arm may not stand there.
+        The posture is not allowed.
     """
     if to == HOME:
         found = _home(config, workspace)
@@ -66,14 +66,14 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
         if config.loading_rad is None:
             raise ConfigError(
                 f"arm '{config.name}': loading_rad is missing in the cell file: the joint angles at which a person "
-                "hangs a load, such as loading_rad = [0.0, 0.4, ..]; or go to joint angles: --to J1,J2,.."
+                "mounts a load, such as loading_rad = [0.0, 0.4, ..]; or go to joint angles: --to J1,J2,.."
             )
-        found = Destination("where loads are hung", config.loading_rad)
+        found = Destination("the loading posture", config.loading_rad)
     else:
         found = Destination("the posture that was asked for", tuple(float(value) for value in to))
     reason = workspace.why_not(np.array(found.q_rad))
     if reason is not None:
-        raise PlanRefused(f"arm '{config.name}' may not stand at {found}: {reason}; choose another posture")
+        raise PlanRefused(f"arm '{config.name}' may not rest at {found}: {reason}; choose another posture")
     return found
 
 
@@ -86,47 +86,45 @@ def _home(config: ArmConfig, workspace: Workspace) -> Destination:
     if reason is not None:
         raise ConfigError(
             f"arm '{config.name}': home_rad is missing in the cell file, and the middle of the joint ranges, "
-            f"{angles(middle)}, is no place to stand: {reason}; write home_rad = [..], one joint angle per axis"
+            f"{angles(middle)}, is not an allowed posture: {reason}; write home_rad = [..], one joint angle per axis"
         )
     return Destination(f"{HOME} (the middle of the joint ranges, as home_rad is not given)", tuple(middle.tolist()))
 
 
-def plan_way(opened: OpenArm, target: Destination) -> Plan:
-    """Plan of the way from where the arm stands; nothing moves.
+def plan_transfer(opened: OpenArm, target: Destination) -> Plan:
+    """Plan the transfer from the present posture; nothing moves.
 
     Raises
     ------
     PlanRefused
-        The arm stands where nothing may begin, or no way that keeps all limits leads to the target.
+        No motion may begin in this posture, or no path that keeps all limits leads to the target.
     """
     config, workspace = opened.config, opened.workspace
     settings = visit_settings(opened.loaded, config)
     return plan_to(config.name, workspace, opened.arm.where(), np.array(target.q_rad), settings)
 
 
-def way_from_here(opened: OpenArm, target: Destination, plan: Plan) -> Plan:
-    """A way that was planned before a person was asked: anew only where the arm stands elsewhere by now.
+def transfer_from_here(opened: OpenArm, target: Destination, plan: Plan) -> Plan:
+    """Return a transfer that was planned before a person confirmed it; planned again where the arm has moved since.
 
     Raises
     ------
     PlanRefused
-        As `plan_way`.
+        As `plan_transfer`.
     """
     moved_rad = np.abs(opened.arm.where() - np.array(plan.start_rad))
-    return plan if bool(np.all(moved_rad <= STILL_RAD)) else plan_way(opened, target)
+    return plan if bool(np.all(moved_rad <= STILL_RAD)) else plan_transfer(opened, target)
 
 
 def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:
-    """What a person should know of a way before it is driven: that it begins inwards, and why it is not straight."""
+    """Return remarks on a transfer for the operator: a first motion inwards, and why it is not straight."""
     said: list[str] = []
     start = np.array(plan.start_rad)
     for step in plan.steps:
         if isinstance(step, MoveInwards):
             joints = np.flatnonzero(np.abs(np.array(step.q_rad) - start) > 0) + 1
             which = ", ".join(str(joint) for joint in joints)
-            said.append(
-                f"joint {which} stands outside its range: it first moves inwards, slowly, to {angles(step.q_rad)}"
-            )
+            said.append(f"joint {which} is outside its range: it first moves inwards, slowly, to {angles(step.q_rad)}")
             start = np.array(step.q_rad)
     points = [step.q_rad for step in plan.steps if isinstance(step, MoveTo)]
     if len(points) > 1:
@@ -137,14 +135,14 @@ def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:
 
 
 def go(opened: OpenArm, plan: Plan, listeners: Sequence[Listener] = (), options: MoveOptions | None = None) -> None:
-    """Bring the arm from where it stands to a posture; it is in its brakes before and after.
+    """Bring the arm to a posture; the brakes are on before and after.
 
     Parameters
     ----------
     opened : OpenArm
         Connected and configured, in its brakes; the stop on loss of the master is proven.
     plan : Plan
-        Of `plan_way`, from where the arm stands.
+        Of `plan_transfer`, from the present posture.
     listeners : sequence of Listener
     options : MoveOptions, optional
 
@@ -154,6 +152,7 @@ def go(opened: OpenArm, plan: Plan, listeners: Sequence[Listener] = (), options:
         The arm was stopped, and is in its brakes.
     """
     pacing = opened.group.timing.pacing
-    run_way(
-        VisitStation(opened.arm, opened.workspace, Shelf(), tuple(listeners), options or MoveOptions(), pacing), plan
+    run_transfer(
+        VisitStation(opened.arm, opened.workspace, MemoryStore(), tuple(listeners), options or MoveOptions(), pacing),
+        plan,
     )

@@ -12,7 +12,7 @@ from gateway.acquire.moving_run import DrivenLeg, MovingRun, legs_from
 from gateway.acquire.passes import passes_of
 from gateway.acquire.planning import visit_settings
 from gateway.acquire.run import VisitStation
-from gateway.acquire.runner import Powered, state_told, under_power
+from gateway.acquire.runner import Powered, tracked_state, under_power
 from gateway.acquire.session import RecordRequest, arm_header, keeping
 from gateway.data.recording.reader import read
 from gateway.errors import InputError
@@ -60,14 +60,14 @@ def record_moving(
 ) -> MovingSummary:
     """Drive a moving plan under one load; the arm stays in its brakes if nothing is missing.
 
-    Whoever asks the desk of `options` for a stop stops the arm; the periods that were driven are kept.
+    A person who asks the desk of `options` for a stop stops the arm; the periods that were driven are kept.
 
     Raises
     ------
     InputError
         The file exists and is not to be gone on with, or belongs to another cell.
     PlanRefused
-        A motion leaves a limit, or no way leads to its start; nothing was enabled.
+        A motion leaves a limit, or no path leads to its start; nothing was enabled.
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped.
     """
@@ -101,7 +101,7 @@ def record_moving(
 
 
 def run_legs(station: VisitStation, legs: Sequence[DrivenLeg], load: str) -> tuple[tuple[str, int], ...]:
-    """Drive legs from where the arm stands; on return, and after any error, the brakes are on and periods on disk.
+    """Drive legs from the present posture; on return, and after any error, the brakes are on and periods on disk.
 
     Returns
     -------
@@ -113,11 +113,11 @@ def run_legs(station: VisitStation, legs: Sequence[DrivenLeg], load: str) -> tup
     LimitExceeded, DriveError, InputError, KeyboardInterrupt
         The arm was stopped.
     """
-    way = legs[0].way
-    run = MovingRun(station, legs, load, state_told(station, way.arm))
+    transfer = legs[0].transfer
+    run = MovingRun(station, legs, load, tracked_state(station, transfer.arm))
     # what is driven has been made slow already
     as_it_is = replace(station.options, override=1.0)
-    under_power(station, run, Powered(way.arm, way.settings.period_s, as_it_is), run.execute)
+    under_power(station, run, Powered(transfer.arm, transfer.settings.period_s, as_it_is), run.execute)
     return run.missed
 
 

@@ -32,24 +32,24 @@ from gateway.motion.trajectory import MotionLimits, straight
 
 #: Rest before each pass: what the servos lag behind is made up for, the first period begins as the others do [s].
 REST_S: Final = 0.3
-#: A way that is longer counts as the first motion with these drives [rad].
+#: A transfer that is longer counts as the first motion with these drives [rad].
 FAR_RAD: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenLeg:
-    """A pass and the way to where it starts.
+    """A pass and the transfer to its start.
 
     Attributes
     ----------
-    way : Plan
+    transfer : Plan
         Of `plan_to`.
     driven : Pass
     modelled_nm : array of shape (n, N) or None
         Torque of the free motion of one period.
     """
 
-    way: Plan
+    transfer: Plan
     driven: Pass
     modelled_nm: np.ndarray | None
 
@@ -57,18 +57,18 @@ class DrivenLeg:
 def legs_from(
     station: VisitStation, config: ArmConfig, start_rad: np.ndarray, passes: Sequence[Pass], settings: VisitSettings
 ) -> tuple[DrivenLeg, ...]:
-    """Ways and passes from where the arm stands; nothing moves. `check_moving_plan` has passed the excitations.
+    """Plan transfers and passes from the present posture; nothing moves. `check_moving_plan` has to come first.
 
     Raises
     ------
     PlanRefused
-        The samples of a pass would not tell what was driven, or no way that keeps the limits leads to its start.
+        The samples of a pass do not determine what was driven, or no path that keeps the limits leads to its start.
     """
     legs, at = [], start_rad
     for one in passes:
         check_pass(config.name, one, station.workspace.robot.axes)
-        way = plan_to(config.name, station.workspace, at, one.excitation.start_rad, settings)
-        legs.append(DrivenLeg(way, one, free_torque_nm(station.workspace, config, one.motion, station.arm.known)))
+        transfer = plan_to(config.name, station.workspace, at, one.excitation.start_rad, settings)
+        legs.append(DrivenLeg(transfer, one, free_torque_nm(station.workspace, config, one.motion, station.arm.known)))
         at = one.excitation.start_rad
     return tuple(legs)
 
@@ -79,9 +79,9 @@ class MovingRun:
     Parameters
     ----------
     station : VisitStation
-        Its speed override is taken here: ways and passes are made slower, the stream drives them as they are.
+        Its speed override is taken here: transfers and passes are made slower, the stream drives them as they are.
     legs : tuple of DrivenLeg
-        From where the arm stands.
+        From the present posture of the arm.
     load : str
     state : StateTracker
 
@@ -98,7 +98,7 @@ class MovingRun:
         self._legs, self._load = tuple(legs), load
         self._station, self._store, self._tell = station, station.store, station.tell
         self._speed = station.options.override
-        self._period_s = legs[0].way.settings.period_s
+        self._period_s = legs[0].transfer.settings.period_s
         self._first = station.options.first_done is not None
         self._gone_rad = 0.0
         self._incomplete: list[int] = []
@@ -110,21 +110,21 @@ class MovingRun:
         """Time of every motion and every rest, as planned."""
         out: list[float] = []
         for leg in self._legs:
-            out += [second / self._speed for second in step_durations(leg.way, self._station.workspace)]
+            out += [second / self._speed for second in step_durations(leg.transfer, self._station.workspace)]
             out += [REST_S, leg.driven.duration_s]
         out[0] /= FIRST_SHARE if self._first else 1.0
         return out
 
     def execute(self, stream: Stream) -> None:
         """All legs."""
-        refuse_sunk(self._legs[0].way, stream)
+        refuse_sunk(self._legs[0].transfer, stream)
         self._stream = stream
         periods = sum(len(leg.driven.periods) for leg in self._legs)
-        self._tell(Started(self._legs[0].way.arm, self._load, periods, sum(self._ahead_s)))
+        self._tell(Started(self._legs[0].transfer.arm, self._load, periods, sum(self._ahead_s)))
         stream.take_over()
         for leg in self._legs:
             self.state.enter(Phase.MOVING, stream.sync_index)
-            self._go(leg.way)
+            self._go(leg.transfer)
             self._try(leg.driven)
             self.state.enter(Phase.SAMPLING, stream.sync_index)
             self._drive(leg, leg.driven.periods)
@@ -137,7 +137,7 @@ class MovingRun:
         self._tell(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
 
     def disk(self) -> StopRequest | None:
-        """Tell of the periods that are on disk by now; a wish to stop where the disk does not keep up.
+        """Report the periods on disk; a request to stop where the disk does not keep up.
 
         The motion loop asks at every SYNC.
         """
@@ -148,7 +148,7 @@ class MovingRun:
         return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
 
     def report(self, what: str, row: int, rows: int) -> None:
-        """Where the run stands, told by the motion loop now and then."""
+        """Progress of the run, reported by the motion loop now and then."""
         done_s = self._now_s * max(row, 0) / rows
         left_s = self._now_s - done_s + sum(self._ahead_s)
         self._tell(Progress(self._steps - len(self._ahead_s), self._steps, what, self._elapsed_s + done_s, left_s))
@@ -158,11 +158,11 @@ class MovingRun:
         self._elapsed_s += self._now_s
         self._now_s = self._ahead_s.popleft()
 
-    def _go(self, way: Plan) -> None:
+    def _go(self, transfer: Plan) -> None:
         workspace = self._station.workspace
-        for step in way.steps:
+        for step in transfer.steps:
             if not isinstance(step, MoveTo | MoveInwards):
-                raise TypeError("a way to a start only goes there")
+                raise TypeError("a transfer to a start has moves only")
             self._next()
             inwards = isinstance(step, MoveInwards)
             limits = _slowed(inward_limits(workspace) if inwards else travel_limits(workspace), self._speed)
@@ -172,7 +172,7 @@ class MovingRun:
             self._stream.move([straight(at, target, limits, self._period_s)], what)
 
     def _try(self, driven: Pass) -> None:
-        """The first motion with these drives is slow; where the way was none to speak of, a period is driven slowly."""
+        """The first motion with these drives is slow; after a very short transfer, a period is driven slowly."""
         if not self._first or self._gone_rad > FAR_RAD:
             return
         self._first = False
@@ -201,15 +201,15 @@ class MovingRun:
             if log.incomplete_epochs:
                 self._incomplete.append(periods[place])
             if len(log):
-                store.add(leg.way.arm, log.period())
+                store.add(leg.transfer.arm, log.period())
             log = None
 
         self._next()
         self._stream.stand(REST_S, "rest before it moves")
         self._next()
-        way = PeriodicSetpoints(self._stream.q_rad[0], driven.motion, len(periods), leg.modelled_nm, taken)
+        setpoints = PeriodicSetpoints(self._stream.q_rad[0], driven.motion, len(periods), leg.modelled_nm, taken)
         try:
-            self._stream.drive(way, what)
+            self._stream.drive(setpoints, what)
         except BaseException:
             self.broken = log.period() if log is not None and len(log) else None
             raise
@@ -229,7 +229,7 @@ class MovingRun:
 
 
 def _slowed(limits: MotionLimits, speed: float) -> MotionLimits:
-    """Limits of the same way, driven at a share of its speed."""
+    """Limits of the same path, driven at a share of its speed."""
     return MotionLimits(
         speed * limits.speed_rad_s, speed**2 * limits.acceleration_rad_s2, speed**3 * limits.jerk_rad_s3
     )

@@ -26,7 +26,7 @@ from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
 
-#: Share of its speed at which the first excitation is driven once when a load hangs on the flange for the first time.
+#: Share of its speed at which the first excitation is driven once with a load that is new.
 TRIED_SPEED: Final = 0.25
 #: How far rounding may go [rad, rad/s].
 HAIR: Final = 1e-6
@@ -97,15 +97,15 @@ def passes_of(
         first = plan.excitations[0]
         passes.append(Pass(first, tried, (1,), slowed(first, tried, sync_period_s)))
     for excitation in plan.excitations:
-        way = fingerprint(excitation)
-        missing = tuple(k for k in range(1, excitation.periods + 1) if (way, speed, k) not in driven)
+        shape = fingerprint(excitation)
+        missing = tuple(k for k in range(1, excitation.periods + 1) if (shape, speed, k) not in driven)
         if missing:
             passes.append(Pass(excitation, speed, missing, slowed(excitation, speed, sync_period_s)))
     return tuple(passes)
 
 
 def check_pass(arm: str, one: Pass, axes: int) -> None:
-    """Refuse a motion whose periods do not follow one another, or whose samples would not tell what was driven.
+    """Refuse a motion whose periods do not follow one another, or whose samples do not determine what was driven.
 
     Whether the arm may drive it is `check_moving_plan`'s part.
 
@@ -128,10 +128,10 @@ def check_pass(arm: str, one: Pass, axes: int) -> None:
 def free_torque_nm(
     workspace: Workspace, arm: ArmConfig, motion: Motion, known: Sequence[AxisConstants] = ()
 ) -> Floats | None:
-    """Torque (n, N) [Nm] that the bare arm needs for a motion as far as it is known; None where links are unknown.
+    """Torque (n, N) [Nm] of the unloaded arm for a motion, as far as known; None where links are unknown.
 
     Bodies as drawn, rotors as identified, else as typed. Friction as typed: what was identified of an axis is added by
-    the watch itself. What nobody says is left out.
+    the watch itself. Unknown terms are left out.
 
     Parameters
     ----------
@@ -169,12 +169,12 @@ class PeriodicSetpoints(MotionSetpoints):
     Parameters
     ----------
     start_rad : array of shape (N,)
-        Where the arm was last told to be.
+        Last setpoint of the arm.
     motion : Motion
         One period.
     periods : int
     modelled_nm : array of shape (n, N) or None
-        Torque of the free motion, row by row of a period; None = gravity of the bare arm.
+        Torque of the free motion, row by row of a period; None = gravity of the unloaded arm.
     taken : callable
     """
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.acquire.route import Leg, Route, find_route, way_to
-from gateway.acquire.standing import inside_from
+from gateway.acquire.route import Leg, Route, find_route, path_to
+from gateway.acquire.start_posture import inside_from
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.joint_path import angles
@@ -37,7 +37,7 @@ class MoveTo:
 
 @dataclass(frozen=True, slots=True)
 class MoveInwards:
-    """Slow straight motion of the joints that stand outside their range, back into it; first step, if any."""
+    """Slow straight motion of the joints outside their range, back into it; first step, if any."""
 
     q_rad: tuple[float, ...]
 
@@ -118,7 +118,7 @@ class Plan:
         All poses, in the order of their numbers.
     settings : VisitSettings
     start_rad : tuple of floats, one per axis or None
-        Where the arm stands at the start; None = not known yet, the plan starts at its first point.
+        Posture at the start; None = not known yet, the plan starts at its first point.
     steps : tuple of Step
     duration_s : float
     expectation : Expectation or None
@@ -147,7 +147,7 @@ def plan_poses(
 ) -> tuple[Plan, tuple[RestPose, ...]]:
     """Plan over all poses from anywhere, and the poses that no checked path reaches.
 
-    Ways may lead over known postures (k, N), beside random ones.
+    Paths may lead over known postures (k, N), beside random ones.
     """
     route = _route(workspace, poses, None, settings.approach_offset_rad, known_rad)
     steps = tuple(_steps(route.legs, settings, {}))
@@ -162,15 +162,15 @@ def _route(
     offset_rad: float,
     known_rad: np.ndarray | None,
 ) -> Route:
-    """Route with room beside the ways, else one that only keeps clear."""
+    """Route with clearance beside the paths, else one that only keeps clear."""
     route = find_route(workspace.with_clearance(), poses, start_rad, offset_rad, known_rad)
     return find_route(workspace, poses, start_rad, offset_rad, known_rad) if route.unreachable else route
 
 
 def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Sequence[tuple[int, int]] = ()) -> Plan:
-    """The same poses ordered from where the arm stands, without the visits that are done.
+    """The same poses ordered from the present posture, without the visits that are done.
 
-    An arm that stands outside its joint range moves back into it first, slowly.
+    An arm outside its joint range moves back into it first, slowly.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     Raises
     ------
     PlanRefused
-        The arm stands where it may not stand, or no checked path leads to a pose.
+        The arm is in a posture that is not allowed, or no checked path leads to a pose.
     """
     inwards = inward_steps(workspace, start_rad, plan.arm)
     begin_rad = np.array(inwards[-1].q_rad) if inwards else start_rad
@@ -203,12 +203,12 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
 
 
 def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple[MoveInwards, ...]:
-    """The slow motion (one step) that an arm outside its joint range begins with; none for one that stands inside.
+    """The slow motion (one step) that an arm outside its joint range begins with; none for one inside.
 
     Raises
     ------
     PlanRefused
-        The arm stands where it may not stand, and cannot be brought inwards.
+        The arm is in a posture that is not allowed, and cannot be brought inwards.
     """
     inside = inside_from(workspace, start_rad, arm)
     return () if inside is None else (MoveInwards(tuple(inside.tolist())),)
@@ -217,9 +217,9 @@ def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple
 def plan_to(
     arm: str, workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray, settings: VisitSettings
 ) -> Plan:
-    """Plan from where the arm stands to a posture, where nothing is measured.
+    """Plan from the present posture to a posture, where nothing is measured.
 
-    An arm that stands outside its joint range moves back into it first, slowly.
+    An arm outside its joint range moves back into it first, slowly.
 
     Parameters
     ----------
@@ -231,14 +231,14 @@ def plan_to(
     Raises
     ------
     PlanRefused
-        The arm may not stand at one of the two, or no checked way leads from one to the other.
+        One of the two postures is not allowed, or no checked path leads from one to the other.
     """
     inwards = inward_steps(workspace, start_rad, arm)
     begin_rad = np.array(inwards[-1].q_rad) if inwards else start_rad
     reason = workspace.why_not(end_rad)
     if reason is not None:
-        raise PlanRefused(f"arm '{arm}' may not stand at {angles(end_rad)}: {reason}; choose another posture")
-    points = way_to(workspace, begin_rad, end_rad)
+        raise PlanRefused(f"arm '{arm}' may not rest at {angles(end_rad)}: {reason}; choose another posture")
+    points = path_to(workspace, begin_rad, end_rad)
     steps = (*inwards, *(MoveTo(tuple(point.tolist())) for point in points))
     plan = Plan(arm, (), settings, tuple(start_rad.tolist()), steps, 0.0)
     return replace(plan, duration_s=sum(step_durations(plan, workspace)))
@@ -268,7 +268,7 @@ def approach_limits(workspace: Workspace, speed_rad_s: float | np.ndarray) -> Mo
 
 
 def inward_limits(workspace: Workspace) -> MotionLimits:
-    """Limits of the way back into the joint range."""
+    """Limits of the motion back into the joint range."""
     return approach_limits(workspace, workspace.inward_speed_rad_s())
 
 
@@ -352,7 +352,7 @@ def _check_limits(plan: Plan, workspace: Workspace) -> None:
 def _check_inwards(workspace: Workspace, step: MoveInwards, start: np.ndarray | None, where: str) -> np.ndarray:
     inside = None if start is None else workspace.path_into_range(start)
     if inside is None or np.abs(inside - step.q_rad).max() > SAME_RAD:
-        raise PlanRefused(f"{where}: is not the way of an arm outside its joint range straight back into it")
+        raise PlanRefused(f"{where}: is not the straight motion of an arm outside its joint range back into it")
     return inside
 
 

@@ -83,18 +83,18 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
 
 
 def _more_joined(joined: np.ndarray, plan: Plan) -> np.ndarray:
-    """Postures (k, N) between which ways are known, with those that a plan passes."""
+    """Postures (k, N) between which paths are known, with those that a plan passes."""
     passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
     return np.vstack([joined, passed])
 
 
 def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
-    """Plan over given poses that a load shall be told from, such as those of a file or of an earlier recording.
+    """Plan over given poses that shall identify a load, such as those of a file or of an earlier recording.
 
     Raises
     ------
     PlanRefused
-        A pose is not feasible or out of reach, or the poses do not tell mass and centre of gravity apart.
+        A pose is not feasible or out of reach, or the poses do not determine mass and centre of gravity.
     """
     return _expected(plan_of_any(loaded, config, workspace, poses), loaded, config, workspace)
 
@@ -148,7 +148,7 @@ def expectation(
     noise_source: str,
     gain_std: Sequence[float],
 ) -> Expectation:
-    """Standard deviations that measuring a load against the bare arm at these poses promises (Cramer-Rao bound).
+    """Return the expected standard deviations of a load measured at these poses (Cramer-Rao bound).
 
     Parameters
     ----------
@@ -158,20 +158,20 @@ def expectation(
         Standard deviation of a two-sided joint torque.
     noise_source : str
     gain_std : sequence of N floats
-        Relative standard deviation of the torque constants. What known links tell of them is left out: an arm whose
+        Relative standard deviation of the torque constants. What known links add to them is left out: an arm whose
         links are well known does better.
 
     Raises
     ------
     PlanRefused
-        The poses do not tell mass and centre of gravity apart.
+        The poses do not determine mass and centre of gravity.
     """
     q_rad = np.array([pose.q_rad for pose in poses]).reshape(-1, workspace.robot.axes)
     mass_kg, com_m = reference_load(workspace, q_rad)
     std = expected_stds(workspace, q_rad, mass_kg * np.append(1.0, com_m), (noise_nm, gain_std))
     if not np.isfinite(std).all():
         raise PlanRefused(
-            "these poses do not tell mass and centre of gravity apart: gravity must come from directions that differ "
+            "these poses do not determine mass and centre of gravity: gravity must come from directions that differ "
             "by more than 30 degrees in the frame of the flange; turn the wrist further between poses"
         )
     return Expectation(

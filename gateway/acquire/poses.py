@@ -1,9 +1,9 @@
 """Choice of rest poses: D-optimal for the load's mass and first moment, drawn from random feasible postures.
 
-Measured bare and loaded at the same poses, a pose adds L' W L / 2 to the information on [m, h], L the load's columns of
-all axes and W the inverse variances. Greedy choice, then exchange until nothing improves. Near-copies of a pose
-share their friction and add less than they promise: poses keep a distance, and a small weight on the information about
-the links spreads them.
+Measured without and with the load, a pose adds L' W L / 2 to the information on [m, h]. L are the load's columns of all
+axes, W the inverse variances. Greedy choice, then exchange until nothing improves. The determinant lemma evaluates
+all candidates at once, which a fit per candidate cannot. Similar poses share their friction and add less information:
+poses keep a distance, and a small weight on the information about the links spreads them.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ DRAWS = 60
 DISTANCE_RAD = 0.3
 LINK_WEIGHT = 0.1
 SWEEPS = 4
-#: Postures with known ways that a candidate is tried to be joined to.
+#: Postures with known paths that a candidate is tried to be joined to.
 NEAREST = 3
 #: Distance to the joint limits beyond the approach offset.
 LIMIT_MARGIN_RAD = 0.02
-#: Postures that are looked at for what stands against most of them.
+#: Postures in the statistics of violations.
 MOST_LOOKED_AT = 3000
 
 
@@ -67,12 +67,12 @@ def choose_poses(
     noise_nm : array of shape (N,)
         Standard deviation of a two-sided joint torque.
     joined_rad : array of shape (k, N), optional
-        Postures between which ways are known: only such poses are chosen as a straight way joins to one of them.
+        Postures between which paths are known: only such poses are chosen as a straight path joins to one of them.
 
     Raises
     ------
     PlanRefused
-        Too few feasible postures; says what stands against most of them.
+        Too few feasible postures; the most frequent violation is named.
     """
     random = np.random.default_rng(request.seed)
     candidates = feasible_postures(workspace, request, random)
@@ -122,7 +122,7 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
 def _joined_to(
     workspace: Workspace, candidates: np.ndarray, joined_rad: np.ndarray, request: PoseRequest
 ) -> np.ndarray:
-    """Candidates (m, N) with a straight way to their approach from one of the `NEAREST` of some postures, and back."""
+    """Candidates (m, N) with a straight path to their approach from one of the `NEAREST` of some postures, and back."""
     time_s = workspace.travel_time(candidates[:, None], joined_rad[None])
     nearest = joined_rad[np.argsort(time_s, axis=1)[:, :NEAREST]]
     tried = nearest.shape[1]
@@ -132,7 +132,7 @@ def _joined_to(
     needed = request.count + request.validation
     if len(found) < 2 * needed:
         raise PlanRefused(
-            f"{len(found)} of {len(candidates)} feasible postures are joined to one another by a free way, at least "
+            f"{len(found)} of {len(candidates)} feasible postures are joined to one another by a free path, at least "
             f"{2 * needed} are needed to choose {needed} poses: narrow the joint limits to the part of the cell that "
             "the arm can reach, or say in the cell what is assumed (floor_m, wall, column_radius_m, link_radius_m, "
             "load_size_m)"
@@ -177,14 +177,14 @@ def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> n
     for rows, weight in designs:
         information = 1e-4 * np.eye(rows.shape[2]) + np.einsum("nij,nik->jk", rows[chosen], rows[chosen])
         spread = rows @ np.linalg.solve(information, rows.transpose(0, 2, 1))
-        # positive definite: its triangle tells the determinant in a third of the time of an elimination
+        # positive definite: its triangle gives the determinant in a third of the time of an elimination
         triangle = np.linalg.cholesky(np.eye(rows.shape[1]) + spread)
         total += 2.0 * weight * np.log(np.diagonal(triangle, axis1=1, axis2=2)).sum(axis=1)
     return total
 
 
 def _near(candidates: np.ndarray) -> np.ndarray:
-    """Pairs (n, n) of postures that no joint tells apart by the distance to keep."""
+    """Pairs (n, n) of postures closer than the distance to keep in all joints."""
     span = np.zeros((len(candidates), len(candidates)), dtype=np.float32)
     for joint in candidates.T.astype(np.float32):
         np.maximum(span, np.abs(joint[:, None] - joint), out=span)
@@ -207,7 +207,7 @@ def _apart(candidates: np.ndarray, chosen: list[int], count: int) -> list[int]:
             found.append(row)
     if len(found) < count:
         raise PlanRefused(
-            f"only {len(found)} of {count} validation poses stand apart from the others by {DISTANCE_RAD} rad; widen "
+            f"only {len(found)} of {count} validation poses keep {DISTANCE_RAD} rad to the others; widen "
             "the limits or lower [poses] validation"
         )
     return found
@@ -219,7 +219,7 @@ def read_poses(path: Path, axes: int) -> tuple[RestPose, ...]:
     Raises
     ------
     InputError
-        With file and line: missing or unknown column, too many axes, cell that is no number, pose given twice.
+        With file and line: missing or unknown column, too many axes, cell that is not a number, pose given twice.
     """
     columns = read_columns(path)
     if columns.axes > axes:
@@ -233,7 +233,7 @@ def read_poses(path: Path, axes: int) -> tuple[RestPose, ...]:
     poses: list[RestPose] = []
     for row, number in enumerate(numbers):
         if number != round(number) or not 0 <= number < 1e6 or any(pose.number == number for pose in poses):
-            raise InputError(f"{columns.where(row)}: pose: {number:g} is no new number from 0 on")
+            raise InputError(f"{columns.where(row)}: pose: {number:g} is not a new number from 0 on")
         if validation[row] not in (0, 1):
             raise InputError(f"{columns.where(row)}: x_validation: {validation[row]} is neither 0 nor 1")
         q_rad = tuple(float(columns.values[name][row]) for name in names[1:])

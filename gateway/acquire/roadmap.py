@@ -1,6 +1,6 @@
-"""Ways around what stands between two postures: the shortest over random postures whose straight pieces are clear.
+"""Paths around obstacles between two postures: the shortest over random postures whose straight pieces are clear.
 
-Pieces are checked only where the shortest way so far leads over them (lazy probabilistic roadmap; Bohlin and Kavraki,
+Pieces are checked only where the shortest path so far leads over them (lazy probabilistic roadmap; Bohlin and Kavraki,
 Path planning using lazy PRM, 2000).
 """
 
@@ -18,7 +18,7 @@ SEED = 7
 #: Nearest postures that a posture is joined to, and that a begin or an end is joined to.
 NEIGHBOURS = 12
 NEIGHBOURS_OF_ENDS = 30
-#: How often ways are looked for again without the pieces that were found to be blocked.
+#: How often paths are searched again without the pieces that were found to be blocked.
 ROUNDS = 30
 #: Random postures that are drawn for each that is asked for.
 _DRAWN = 6
@@ -32,14 +32,14 @@ def via_points(workspace: Workspace, count: int) -> np.ndarray:
     return q_rad[workspace.feasible(q_rad)][:count]
 
 
-def find_ways(
+def find_paths(
     workspace: Workspace,
     points: np.ndarray,
     begins: np.ndarray,
     ends: np.ndarray,
     wanted: Sequence[tuple[int, int]],
 ) -> Mapping[tuple[int, int], np.ndarray]:
-    """Postures (k, N) to pass from a begin to an end, for every wanted pair that a way was found for.
+    """Postures (k, N) to pass from a begin to an end, for every wanted pair that a path was found for.
 
     Parameters
     ----------
@@ -50,29 +50,34 @@ def find_ways(
     """
     nodes = np.vstack([points, begins, ends])
     time_s = _pieces(workspace, points, begins, ends)
-    sure = np.zeros(time_s.shape, dtype=bool)
+    checked = np.zeros(time_s.shape, dtype=bool)
     sources = sorted({a for a, _ in wanted})
     found: dict[tuple[int, int], np.ndarray] = {}
     left = list(wanted)
     for _ in range(ROUNDS):
         _, before = dijkstra(csr_array(time_s), indices=[len(points) + a for a in sources], return_predecessors=True)
-        ways = {}
+        paths = {}
         for a, b in left:
-            way = _way(before[sources.index(a)], len(points) + a, len(points) + len(begins) + b)
-            if way:
-                ways[a, b] = way
+            path = _path(before[sources.index(a)], len(points) + a, len(points) + len(begins) + b)
+            if path:
+                paths[a, b] = path
         doubtful = sorted(
-            {(min(p), max(p)) for way in ways.values() for p in zip(way[:-1], way[1:], strict=True) if not sure[p]}
+            {
+                (min(p), max(p))
+                for path in paths.values()
+                for p in zip(path[:-1], path[1:], strict=True)
+                if not checked[p]
+            }
         )
         if doubtful:
             from_, to = np.array(doubtful).T
             clear = workspace.path_clear(nodes[from_], nodes[to])
-            sure[from_[clear], to[clear]] = sure[to[clear], from_[clear]] = True
+            checked[from_[clear], to[clear]] = checked[to[clear], from_[clear]] = True
             time_s[from_[~clear], to[~clear]] = time_s[to[~clear], from_[~clear]] = 0.0
-        for pair, way in ways.items():
-            if all(sure[piece] for piece in zip(way[:-1], way[1:], strict=True)):
-                found[pair] = nodes[way[1:-1]]
-        left = [pair for pair in ways if pair not in found]
+        for pair, path in paths.items():
+            if all(checked[piece] for piece in zip(path[:-1], path[1:], strict=True)):
+                found[pair] = nodes[path[1:-1]]
+        left = [pair for pair in paths if pair not in found]
         if not left:
             break
     return found
@@ -96,11 +101,11 @@ def _pieces(workspace: Workspace, points: np.ndarray, begins: np.ndarray, ends: 
     return np.where(joined, full, 0.0)
 
 
-def _way(before: np.ndarray, begin: int, end: int) -> list[int]:
-    """Nodes from begin to end by the node before each; empty where there is no way."""
-    way = [end]
-    while way[-1] != begin:
-        if before[way[-1]] < 0:
+def _path(before: np.ndarray, begin: int, end: int) -> list[int]:
+    """Nodes from begin to end by the node before each; empty where there is no path."""
+    path = [end]
+    while path[-1] != begin:
+        if before[path[-1]] < 0:
             return []
-        way.append(int(before[way[-1]]))
-    return way[::-1]
+        path.append(int(before[path[-1]]))
+    return path[::-1]

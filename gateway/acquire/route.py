@@ -9,19 +9,19 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 
-from gateway.acquire.roadmap import find_ways, via_points
+from gateway.acquire.roadmap import find_paths, via_points
 from gateway.data.rest_pose import RestPose
 from gateway.errors import PlanRefused
 from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace
 
-#: Postures that a way may pass; the larger number is drawn where a pose was not reached over the smaller.
+#: Postures that a path may pass; the larger number is drawn where a pose was not reached over the smaller.
 VIA_POINTS = (150, 450)
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One pose and the points to pass on the way to the start of its approach."""
+    """One pose and the points to pass before the start of its approach."""
 
     pose: RestPose
     via_rad: tuple[tuple[float, ...], ...]
@@ -52,10 +52,10 @@ def find_route(
     workspace : Workspace
     poses : sequence of RestPose
     start_rad : array of shape (N,) or None
-        Where the arm stands; None = anywhere.
+        Present posture; None = anywhere.
     approach_offset_rad : float
     known_rad : array of shape (k, N), optional
-        Postures that ways are known to lead over, beside random ones. None: no other poses can be chosen in place of
+        Postures that paths are known to lead over, beside random ones. None: no other poses can be chosen in place of
         one that is not reached, and more random postures are drawn.
     """
     if not poses:
@@ -82,24 +82,24 @@ def find_route(
 
 
 def _joined(cost: np.ndarray) -> np.ndarray:
-    """The largest set of poses that can be come to from one another: bool array (n,)."""
+    """The largest set of poses that can be reached from one another: bool array (n,)."""
     _, of_pose = connected_components(csr_array(np.isfinite(cost)), connection="strong")
     return of_pose == np.argmax(np.bincount(of_pose))
 
 
-def way_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
-    """Points of a checked way, the end included: straight where that is free, else over points in between.
+def path_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
+    """Points of a checked path, the end included: straight where that is free, else over points in between.
 
     Raises
     ------
     PlanRefused
-        No such way was found; says what the straight one meets.
+        No such path was found; the violation of the straight one is named.
     """
     route = find_route(workspace, [RestPose(1, tuple(end_rad.tolist()), "fit")], start_rad, 0.0)
     if not route.legs:
         met = workspace.why_not_path(np.array([start_rad, end_rad]))
         raise PlanRefused(
-            f"no way that keeps the limits leads from {angles(start_rad)} to {angles(end_rad)}: straight there, {met}, "
+            f"no path inside the limits leads from {angles(start_rad)} to {angles(end_rad)}: straight there, {met}, "
             "and no posture was found over which it would be free; go there in steps, by postures of your own choice "
             "(servo-gateway move CELL --to J1,J2,..), or say in the cell what is assumed (floor_m, wall, "
             "column_radius_m, link_radius_m, load_size_m)"
@@ -112,7 +112,7 @@ def _paths(
 ) -> tuple[np.ndarray, list[list[tuple[tuple[float, ...], ...]]]]:
     """Travel time (exits, entries), infinite where no path was found, and the points to pass.
 
-    Ways lead over known postures (k, N) and random ones, of which the next number is drawn while a pose is not reached.
+    Paths lead over known postures (k, N) and random ones, of which more are drawn while a pose is not reached.
     """
     known, counts = over
     cost = workspace.travel_time(exits[:, None], entries[None])
@@ -126,11 +126,11 @@ def _paths(
         points = np.vstack([known, via_points(workspace, count)])
         if not len(points):
             break
-        found = find_ways(workspace, points, exits, entries, blocked)
-        for (a, b), way in found.items():
-            whole = np.vstack([exits[a], way, entries[b]])
+        found = find_paths(workspace, points, exits, entries, blocked)
+        for (a, b), path in found.items():
+            whole = np.vstack([exits[a], path, entries[b]])
             cost[a, b] = workspace.travel_time(whole[:-1], whole[1:]).sum()
-            via[a][b] = tuple(tuple(point.tolist()) for point in way)
+            via[a][b] = tuple(tuple(point.tolist()) for point in path)
         blocked = [pair for pair in blocked if pair not in found]
         if _all_reached(cost):
             break

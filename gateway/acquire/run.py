@@ -84,7 +84,7 @@ class VisitStore(Protocol):
         ...
 
 
-class Shelf:
+class MemoryStore:
     """Visits and periods in memory."""
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ class VisitStation:
     def tell(self, event: Event) -> None:
         """Hand an event to all listeners, then to who looks on; one that listens and fails stops the arm.
 
-        All others still hear.
+        All others are still notified.
         """
         for listener in self.listeners:
             guarded(listener, self.options.desk)(event)
@@ -155,7 +155,7 @@ class Run:
     ----------
     station : VisitStation
     plan : Plan
-        From where the arm stands.
+        From the present posture of the arm.
     load : str
     state : StateTracker
     """
@@ -196,20 +196,20 @@ class Run:
         self.end()
 
     def begin(self, stream: Stream, visits: int, further_s: float) -> None:
-        """Tell that a run begins, of so many visits and with so much time expected beyond the plan [s]."""
+        """Report that a run begins, of so many visits and with so much time expected beyond the plan [s]."""
         self.check_start(stream)
         self._stream, self._further_s = stream, further_s
         self._tell(Started(self.plan.arm, self._load, visits, self._slower * (self._ends[-1] + further_s)))
         stream.take_over()
 
     def go_on(self, plan: Plan, further_s: float) -> None:
-        """All steps of another plan, from where the arm stands now; so much time is expected beyond it [s]."""
+        """All steps of another plan, from the present posture now; so much time is expected beyond it [s]."""
         self._ends = self._timed(plan, self._ends[-1])
         self.plan, self._step, self._further_s = plan, -1, further_s
         self.steps()
 
     def end(self) -> None:
-        """Tell that all is done."""
+        """Report the end of the run."""
         self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
 
     def _timed(self, plan: Plan, begin_s: float) -> list[float]:
@@ -237,7 +237,7 @@ class Run:
                 self._sample(step)
 
     def disk(self) -> StopRequest | None:
-        """Tell of the visits that are on disk by now; a wish to stop where the disk does not keep up.
+        """Report the visits on disk; a request to stop where the disk does not keep up.
 
         The motion loop asks at every SYNC.
         """
@@ -326,7 +326,7 @@ class Run:
             self._tell(PoseDone(visit.pose, visit.load, gravity, band))
 
     def report(self, what: str, row: int, rows: int) -> None:
-        """Where the run stands, told by the motion loop now and then."""
+        """Progress of the run, reported by the motion loop now and then."""
         begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else self._ends[:1] * 2
         elapsed = begin + (end - begin) * max(row, 0) / rows
         left = self._slower * (self._ends[-1] - elapsed + self._further_s)

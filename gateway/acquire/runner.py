@@ -1,4 +1,4 @@
-"""From a plan to visits on disk: checked from where the arm stands, run under power, what was cut short kept too."""
+"""From a plan to visits on disk: check of the plan, run under power, storage of interrupted visits."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class RunRequest:
     ----------
     plan : Plan
     load : str
-        Label of what hangs on the flange.
+        Label of the mounted load.
     done : tuple of (pose, direction)
         Visits that need not be repeated.
     """
@@ -38,7 +38,7 @@ class RunRequest:
 
 
 def run_plan(station: VisitStation, request: RunRequest) -> None:
-    """Run a plan from where the arm stands; on return, and after any error, the brakes are on and visits on disk.
+    """Run a plan from the present posture; on return, and after any error, the brakes are on and visits on disk.
 
     Raises
     ------
@@ -59,14 +59,14 @@ def run_plan(station: VisitStation, request: RunRequest) -> None:
     execute(station, plan, request.load, Run.execute)
 
 
-def run_way(station: VisitStation, plan: Plan) -> None:
-    """Run a plan that only goes somewhere, as it stands; the brakes are on afterwards, and after any error.
+def run_transfer(station: VisitStation, plan: Plan) -> None:
+    """Run a plan of moves only, without changes; the brakes are on afterwards, and after any error.
 
     Parameters
     ----------
     station : VisitStation
     plan : Plan
-        Of `plan_to`, from where the arm stands.
+        Of `plan_to`, from the present posture.
 
     Raises
     ------
@@ -84,17 +84,17 @@ def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, 
     ----------
     station : VisitStation
     plan : Plan
-        From where the arm stands, checked.
+        From the present posture of the arm, checked.
     load : str
     drive : callable
         Called with the run and the stream once the arm is under power.
     """
-    run = Run(station, plan, load, state_told(station, plan.arm))
+    run = Run(station, plan, load, tracked_state(station, plan.arm))
     under_power(station, run, Powered(plan.arm, plan.settings.period_s, station.options), lambda on: drive(run, on))
 
 
-def state_told(station: VisitStation, arm: str) -> StateTracker:
-    """State of a run; whoever listens to the station is told."""
+def tracked_state(station: VisitStation, arm: str) -> StateTracker:
+    """Return the state of a run, which notifies the listeners of the station."""
     return StateTracker(arm, lambda new: station.tell(StateChanged(new)))
 
 
@@ -112,11 +112,11 @@ class PoweredRun(Protocol):
         ...
 
     def disk(self) -> StopRequest | None:
-        """Tell of what is on disk by now; a wish to stop where the disk does not keep up."""
+        """Report what is on disk; a request to stop where the disk does not keep up."""
         ...
 
     def report(self, what: str, row: int, rows: int) -> None:
-        """Where the run stands."""
+        """Progress of the run."""
         ...
 
 
@@ -165,7 +165,7 @@ def _moved(station: VisitStation, run: PoweredRun, what: Powered) -> Station:
 
 
 def _keep_the_rest(station: VisitStation, run: PoweredRun, arm: str, failure: BaseException) -> None:
-    """The arm stands: store what a broken visit or period has, tell why the run ended."""
+    """After the stop, store an interrupted visit or period and report why the run ended."""
     try:
         if run.broken is not None:
             station.store.add(arm, run.broken)

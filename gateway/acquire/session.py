@@ -58,7 +58,7 @@ class RecordRequest:
     Attributes
     ----------
     load : str
-        Label of what hangs on the flange, `none` for the bare arm.
+        Label of the mounted load, `none` for the unloaded arm.
     path : Path
         The recording.
     resume : bool
@@ -129,7 +129,7 @@ def record(
 ) -> RecordingSummary:
     """Measure a plan under one load; the arm is in its brakes before and after, and all the time if nothing is missing.
 
-    Whoever asks the desk of `options` for a stop stops the arm; what was measured is kept.
+    A person who asks the desk of `options` for a stop stops the arm; what was measured is kept.
 
     Raises
     ------
@@ -170,10 +170,10 @@ class Kept:
         """Where a run finds the arm, and where its visits go."""
         opened, pacing = self._opened, self._opened.group.timing.pacing
         store = QueuedStore(self._queue, opened.config.name, pacing)
-        heard = (self._tally, *listeners)
+        listening = (self._tally, *listeners)
         options = options or MoveOptions()
         options.observers.add(self._watch)
-        return VisitStation(opened.arm, opened.workspace, store, heard, options, pacing)
+        return VisitStation(opened.arm, opened.workspace, store, listening, options, pacing)
 
     def finish(self) -> None:
         """Store that the run has ended well."""
@@ -227,7 +227,7 @@ def keeping(opened: OpenArm, path: Path, header: ArmHeader, earlier: Recording |
 
 
 def _finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
-    """Store why a run ended before its time, if it has measured anything; what goes wrong with that is noted."""
+    """Store why a run ended before its time, if it has measured anything; an error of that becomes a note."""
     if not writer.visits:
         return
     status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"

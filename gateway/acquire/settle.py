@@ -1,4 +1,4 @@
-"""When an arm stands: a test on the data, with time given by the samples."""
+"""Test on the samples whether an arm has settled."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LEAST_WINDOW = 10
 WINDOWS = 3
 #: Difference of two window means that noise alone explains, in its standard deviations.
 SIGMAS = 3.0
-#: Movement within a window that counts as standing.
+#: Movement within a window that counts as rest.
 POSITION_FLOOR_RAD = 1e-4
 #: Torque difference that counts as none, as a share of the torque limit.
 TORQUE_FLOOR_SHARE = 5e-4
@@ -21,7 +21,7 @@ TORQUE_FLOOR_SHARE = 5e-4
 class SettleTest:
     """Compares three successive windows of samples.
 
-    A joint stands if its positions in the last window lie within noise, and if the mean torques of the windows differ
+    A joint is settled if its positions in the last window are within noise and the mean torques of the windows differ
     by no more than noise explains. Noise is taken from the differences of neighbouring samples, which a slow drift
     does not inflate.
 
@@ -36,7 +36,7 @@ class SettleTest:
     def __init__(self, period_s: float, torque_limit_nm: np.ndarray) -> None:
         self.window = max(LEAST_WINDOW, round(WINDOW_S / period_s))
         self._floor_nm = TORQUE_FLOOR_SHARE * torque_limit_nm
-        #: Joint, from 0, that stands least: it moves farthest, or else its torque drifts farthest for its limit.
+        #: Joint, from 0, that is least settled: it moves farthest, or else its torque drifts farthest for its limit.
         self.worst = 0
         self._rows: deque[np.ndarray] = deque(maxlen=WINDOWS * self.window)
 
@@ -45,14 +45,14 @@ class SettleTest:
         self._rows.append(np.concatenate([q_rad, torque_nm]))
 
     def restless(self) -> np.ndarray | None:
-        """Joints that do not stand yet: bool array of shape (N,); None = too few samples to tell."""
+        """Return the joints (N,) that are not settled; None = too few samples."""
         if len(self._rows) < WINDOWS * self.window:
             return None
         axes, rows = len(self._floor_nm), np.array(self._rows)
         noise = np.sqrt((np.diff(rows, axis=0) ** 2).mean(axis=0) / 2.0)
-        way = np.ptp(rows[-self.window :, :axes], axis=0)
-        moved = way > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:axes]
+        travel = np.ptp(rows[-self.window :, :axes], axis=0)
+        moved = travel > POSITION_FLOOR_RAD + 2.0 * SIGMAS * noise[:axes]
         drift = np.ptp(rows[:, axes:].reshape(WINDOWS, self.window, axes).mean(axis=1), axis=0)
         allowed = self._floor_nm + SIGMAS * np.sqrt(2.0 / self.window) * noise[axes:]
-        self.worst = int(np.argmax(way * moved if moved.any() else drift / allowed))
+        self.worst = int(np.argmax(travel * moved if moved.any() else drift / allowed))
         return moved | (drift > allowed)

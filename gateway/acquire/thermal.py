@@ -1,6 +1,6 @@
 """Meeting drift: the order of the loads, and a warm-up before them.
 
-Loads are measured forth and back, the bare arm twice in the middle: a, bare, bare, a. What drifts evenly in time is
+Loads are measured forth and back, the unloaded arm twice in the middle: a, bare, bare, a. What drifts evenly in time is
 then the same on average under every load and cancels in their differences.
 """
 
@@ -49,8 +49,8 @@ class Block:
 def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal | None) -> tuple[Block, ...]:
     """Blocks in the order in which they are measured.
 
-    Without `thermal` the bare arm, then each load; with it the loads, the bare arm twice, the loads backwards, each
-    load with the same poses under other numbers the second time.
+    Without `thermal` the unloaded arm, then each load; with it the loads, the unloaded arm twice, the loads backwards,
+    each load with the same poses under other numbers the second time.
     """
     once = tuple(poses)
     if thermal is None:
@@ -61,7 +61,7 @@ def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal
 
 
 def bracket_of(label: str, poses: Sequence[RestPose]) -> tuple[Block, ...]:
-    """Blocks of a load between two of the bare arm: what drifts evenly in time cancels in their difference."""
+    """Blocks of a load between two of the unloaded arm: what drifts evenly in time cancels in their difference."""
     once = tuple(poses)
     return (Block(BARE_LABEL, once), Block(label, once), Block(BARE_LABEL, _again(once)))
 

@@ -142,6 +142,8 @@ def _postures(about: Given) -> NDArray[np.float64] | None:
     """Postures (k, N) [rad] that a result may ask for, within the limits of the cell; None without a cell."""
     if about.arm is None:
         return None
-    from gateway.acquire.asking import postures_to_ask  # the planning code takes longer to import than the rest
+    from gateway.acquire.requested_poses import (
+        postures_to_ask,  # the planning code takes longer to import than the rest
+    )
 
     return postures_to_ask(about)

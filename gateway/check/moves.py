@@ -16,9 +16,9 @@ from drives.busload import cycle_bits_worst, load_percent
 from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.run import Shelf, VisitStation
+from gateway.acquire.run import MemoryStore, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
-from gateway.acquire.standing import refuse_start
+from gateway.acquire.start_posture import refuse_start
 from gateway.check.torque import Scales, judge_torque
 from gateway.check.wiring import Moves, WiredArm, Wiring
 from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring
@@ -142,7 +142,7 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
     """
     group, config = opened.group, opened.config
     plan = plan_moves(config.name, opened.workspace, opened.arm.where(), group.timing.period_s)
-    visits = Shelf()
+    visits = MemoryStore()
     with TorqueSignalReader(group.bus, group.drives if _bus_has_capacity(opened) else ()) as reader:
         try:
             pacing = group.timing.pacing

@@ -14,16 +14,16 @@ from typing import Protocol
 
 import numpy as np
 
-from gateway.acquire.asking import postures_to_ask
-from gateway.acquire.goto import LOADING, Destination, destination, plan_way
+from gateway.acquire.goto import LOADING, Destination, destination, plan_transfer
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
+from gateway.acquire.requested_poses import postures_to_ask
 from gateway.acquire.session import RecordRequest, make_plan, open_arm
 from gateway.acquire.thermal import Block, Thermal, blocks_of, bracket_of, warm_up
 from gateway.acquire.until.goal import Goal
+from gateway.acquire.until.messages import end_of
 from gateway.acquire.until.prepare import UntilRequest, search_of
 from gateway.acquire.until.run import UntilSummary
 from gateway.acquire.until.search import LoadSearch, decide
-from gateway.acquire.until.words import end_of
 from gateway.analyse.complete import complete
 from gateway.analyse.given import (
     WARM_CHANGE,
@@ -282,7 +282,7 @@ class _Robot:
             return
         target = destination(opened.config, opened.workspace, LOADING)
         try:
-            plan = plan_way(opened, target)
+            plan = plan_transfer(opened, target)
         except PlanRefused as refused:
             self._dialogue.say(f"the arm stays at its current posture, mount the load there: {refused}")
             return

@@ -255,6 +255,6 @@ def diagnose(
 
 def postures(about: Given) -> NDArray[np.float64] | None:
     """Return postures (k, N) that a result may propose; the planning code is imported only here."""
-    from gateway.acquire.asking import postures_to_ask
+    from gateway.acquire.requested_poses import postures_to_ask
 
     return postures_to_ask(about)

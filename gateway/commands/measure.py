@@ -333,7 +333,7 @@ def _refuse_to_replace(wanted: _Wanted) -> None:
 
 def _plan_for(loaded: LoadedCell, arm: ArmConfig, wanted: _Wanted) -> Plan:
     """Return the requested poses, otherwise those of the continued file, otherwise those of the cell."""
-    from gateway.acquire.asking import Asked, asked_by, plan_again, plan_asked
+    from gateway.acquire.requested_poses import Asked, asked_by, plan_again, plan_asked
     from gateway.acquire.session import make_plan, plan_of_recording
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import refuse_other_cell

@@ -57,7 +57,7 @@ def move(
     An arm outside its joint range first moves inwards. The first time with these drives, the command proves that they
     stop on loss of the master before it moves.
     """
-    from gateway.acquire.goto import destination, plan_way
+    from gateway.acquire.goto import destination, plan_transfer
     from gateway.commands.cell_context import open_cell
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.motion.opening import open_arm
@@ -73,7 +73,7 @@ def move(
     session = session_of()
     proof = context.stop_proof(arm)
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
-        plan = plan_way(opened, target)
+        plan = plan_transfer(opened, target)
         announce(session, opened, target, plan, options)
         besides = (
             ""
@@ -104,10 +104,10 @@ def announce(session: Session, opened: OpenArm, target: Destination, plan: Plan,
 
 
 def go_with_progress(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-    """Move there and show the progress; raises as `way_from_here` and `go` of `gateway.acquire.goto`."""
-    from gateway.acquire.goto import go, way_from_here
+    """Move there and show the progress; raises as `transfer_from_here` and `go` of `gateway.acquire.goto`."""
+    from gateway.acquire.goto import go, transfer_from_here
     from gateway.commands.progress import ProgressListener
 
-    plan = way_from_here(opened, target, plan)
+    plan = transfer_from_here(opened, target, plan)
     with session.progress(plan.duration_s / options.override, "move") as bar:
         go(opened, plan, (ProgressListener(session, bar),), options)

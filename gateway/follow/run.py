@@ -11,8 +11,8 @@ import numpy as np
 from drives.errors import DriveError
 from drives.exchange import Pacing
 from gateway.acquire.plan import travel_limits
-from gateway.acquire.route import way_to
-from gateway.acquire.standing import refuse_start
+from gateway.acquire.route import path_to
+from gateway.acquire.start_posture import refuse_start
 from gateway.follow.fed_arm import FedArm
 from gateway.follow.path import FollowPath, check_path
 from gateway.follow.settings import Setting
@@ -80,7 +80,7 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
     lead = _lead(station.workspace, path.start_rad)
     start_rad = station.arm.where()
     refuse_start(station.workspace, start_rad, station.arm.name)
-    transfers = [way_to(station.workspace, begin, lead) for begin in (start_rad, path.end_rad)]
+    transfers = [path_to(station.workspace, begin, lead) for begin in (start_rad, path.end_rad)]
     run = _Run(station, path)
     with run.under_power():
         return tuple(run.drive(setting, transfers[min(number, 1)], number) for number, setting in enumerate(settings))

@@ -29,5 +29,5 @@ def test_python_can_is_loaded_without_the_library_of_mf4_files_which_stays_to_be
 
 @pytest.mark.slow
 def test_planning_and_recording_do_without_the_distributions_of_scipy():
-    assert said("import gateway.acquire.asking, sys\nprint('scipy.stats' in sys.modules)") == "False"
+    assert said("import gateway.acquire.requested_poses, sys\nprint('scipy.stats' in sys.modules)") == "False"
     assert said("import gateway.diagnose, sys\nprint('scipy.stats' in sys.modules)") == "False"

@@ -34,7 +34,7 @@ def test_it_asks_first_and_says_where_it_goes_and_how(place, gateway, serve):
     done = move(gateway, place, drives, "loading", input="n\n")
     assert done.exit_code == 130, done.output
     assert (
-        "to where loads are hung, [0.000, 0.500, 0.600, 0.000, 0.400, 0.000] rad ([0, 28.6, 34.4, 0, 22.9, 0]"
+        "to the loading posture, [0.000, 0.500, 0.600, 0.000, 0.400, 0.000] rad ([0, 28.6, 34.4, 0, 22.9, 0]"
         in said(done)
     )
     assert "deg), at 10 % of its speed" in said(done)
@@ -126,6 +126,6 @@ def test_from_outside_its_range_it_moves_inwards_first_and_the_check_says_so(pla
     assert f"servo-gateway move {cell} --bus {drives.bus} --to home" in " ".join(check.stderr.split())
     moved = move(gateway, place, drives, "0.15,0,0,0,0,0", "--yes", "--override", 100, cell=cell)
     assert moved.exit_code == 0, moved.output
-    assert "joint 1 stands outside its range: it first moves inwards, slowly, to [0.120," in said(moved)
+    assert "joint 1 is outside its range: it first moves inwards, slowly, to [0.120," in said(moved)
     assert "every drive stopped by itself" in moved.stderr, "proven on the way inwards"
     assert drives.stand_still()

@@ -14,10 +14,10 @@ from gateway.result.interval import half_width
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Poses of a load before it may count as known, and at most: the noise must have been seen, and an hour is no answer.
+#: Poses of a load before it may count as known, and at most: the noise has to be measured, and the duration is limited.
 LEAST_POSES: Final = 4
 MOST_POSES: Final = 40
-#: Samples a side at least: fewer tell too little of their own scatter.
+#: Least samples a side: fewer do not determine their scatter.
 LEAST_SAMPLES: Final = 20
 #: Where the goal is out of reach, a half width so close to what `MOST_POSES` would leave is worth no further pose.
 NEAR: Final = 1.25
@@ -142,7 +142,7 @@ def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candid
 def best_first(
     known: Outlook, verdict: Narrowness, choice: Candidates, seconds: Floats, sampling: Sampling
 ) -> tuple[NDArray[np.int_], int]:
-    """Candidates in the order in which they tell most per second, and the samples a side.
+    """Candidates by decreasing information per second, and the samples a side.
 
     Parameters
     ----------
@@ -150,7 +150,7 @@ def best_first(
     verdict : Narrowness
     choice : Candidates
     seconds : array of shape (n,)
-        Time of the way to each, both approaches and settling, sampling not included; infinite = out of question.
+        Time of the path to each, both approaches and settling, sampling not included; infinite = out of question.
     sampling : Sampling
 
     Returns

@@ -16,7 +16,7 @@ from gateway.result.interval import PLUS_MINUS, half_width
 Floats = NDArray[np.float64]
 
 OPTION: Final = "--until"
-#: What may be asked for: its units, the first of them the one of the house, with the size of each in it.
+#: What may be asked for: its units, the first is the SI unit, with the factor of each.
 UNITS: Final = {"mass": {"kg": 1.0, "g": 1e-3, "%": 1e-2}, "com": {"m": 1.0, "mm": 1e-3}}
 _EXAMPLE: Final = "such as mass=0.5%,com=3mm, mass=0.2kg or com=0.003m"
 #: No more than this makes sense: a mass that is known to half of itself, a centre known to a metre.
@@ -80,7 +80,7 @@ def parse_until(text: str) -> Goal:
 
 
 def _number(text: str, name: str, value: str) -> tuple[float, str]:
-    """The number in the unit of the house, and the unit that was typed."""
+    """Return the number in SI units, and the unit that was typed."""
     units = UNITS[name]
     unit = max((each for each in units if value.endswith(each)), key=len, default="")
     choice = ", ".join(units)
@@ -88,7 +88,7 @@ def _number(text: str, name: str, value: str) -> tuple[float, str]:
         number = float(value[: len(value) - len(unit)])
     except ValueError:
         raise InputError(
-            f"{OPTION} {text}: '{value}' of {name} is no number with a unit ({choice}); {_EXAMPLE}"
+            f"{OPTION} {text}: '{value}' of {name} is not a number with a unit ({choice}); {_EXAMPLE}"
         ) from None
     if not unit:
         raise InputError(f"{OPTION} {text}: {name}={value} lacks its unit ({choice}); {_EXAMPLE}")

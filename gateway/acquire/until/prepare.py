@@ -1,4 +1,4 @@
-"""From a cell file and what was measured to a search: what is known of the bare arm, and which postures there are."""
+"""From a cell file and earlier visits to the search for a load: unloaded arm, and candidate postures."""
 
 from __future__ import annotations
 
@@ -71,9 +71,9 @@ def search_of(
     Raises
     ------
     InputError
-        Nothing is known of the bare arm, or a file that cannot be used.
+        Nothing is known of the unloaded arm, or a file that cannot be used.
     PlanRefused
-        There are hardly any postures that can be measured.
+        There are too few postures that can be measured.
     """
     if request.label == BARE_LABEL:
         raise InputError(
@@ -112,7 +112,7 @@ def search_of(
 
 
 def _refuse_unknown_arm(request: UntilRequest, table: Table | None, options: EstimateOptions) -> None:
-    """A load is told from the arm only where the arm without it is known."""
+    """Refuse a load on an arm whose own torque is not known."""
     loads = set() if table is None else set(np.unique(table.load).tolist())
     if BARE_LABEL in loads or options.bare is not None or options.trust == 0.0 or loads.intersection(options.known):
         return

@@ -13,8 +13,8 @@ from gateway.acquire.plan import SIDES
 from gateway.acquire.run import Run, VisitStation, VisitStore
 from gateway.acquire.runner import execute
 from gateway.acquire.session import RecordingSummary, arm_header, keeping
+from gateway.acquire.until.messages import ended, narrowed
 from gateway.acquire.until.search import LoadSearch, NextStep, decide
-from gateway.acquire.until.words import ended, narrowed
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.data.visit import Visit

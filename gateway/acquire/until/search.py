@@ -1,6 +1,6 @@
 """One step of a measurement that is no longer than needed: from what was measured to the next pose, or to an end.
 
-Pure: visits and the posture of the arm in, a decision with a checked plan out. The run only drives what it is told.
+Pure: visits and the posture of the arm in, a decision with a checked plan out. The run executes the decision.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ Floats = NDArray[np.float64]
 
 #: Postures of the whole joint range that are chosen among.
 POOL: Final = 240
-#: Further ones about the posture that the arm stands in, drawn anew each time, and how far off at least and at most.
+#: Further ones about the present posture, drawn again each time, and how far off at least and at most.
 NEAR_BY: Final = 240
 _NEAREST_RAD, _FARTHEST_RAD = DISTANCE_RAD, 1.2
-#: Best ones whose straight way is looked at together, and those that are tried over postures in between where none is
+#: Best ones whose straight paths are checked together, and those that are tried over postures in between where none is
 #: free.
 _STRAIGHT: Final = 24
 _AROUND: Final = 3
@@ -68,7 +68,7 @@ class LoadSearch:
     guess : array of shape (4,)
         [m, hx, hy, hz] of the load as long as nothing was measured.
     earlier : Table or None
-        What was measured before: the bare arm, other loads, this one.
+        What was measured before: the unloaded arm, other loads, this one.
     apart_rad : array of shape (k, N)
         Postures to keep away from: those that judge.
     number : int
@@ -103,7 +103,7 @@ class NextStep:
     stock : Stock
     verdict : Narrowness
     plan : Plan or None
-        Of the next pose, from where the arm stands; None = there is nothing more to measure.
+        Of the next pose, from the present posture; None = there is nothing more to measure.
     expected_s : float
         Time of the poses that are expected beyond it.
     """
@@ -120,7 +120,7 @@ def pool_of(workspace: Workspace, request: PoseRequest) -> Candidates:
     Raises
     ------
     PlanRefused
-        There are hardly any.
+        There are too few.
     """
     q_rad = feasible_postures(workspace.with_clearance(), request, np.random.default_rng(request.seed))[:POOL]
     return Candidates(q_rad, gravity_regressor(workspace.robot, q_rad, workspace.gravity_m_s2))
@@ -133,7 +133,7 @@ def guess_of(workspace: Workspace, pool: Candidates) -> Floats:
 
 
 def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextStep:
-    """What the visits tell, and what to measure next.
+    """Return what the visits identify and what to measure next.
 
     Parameters
     ----------
@@ -141,12 +141,12 @@ def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextSt
     measured : Table or None
         Visits of this run.
     at_rad : array of shape (N,)
-        Where the arm stands.
+        Present posture.
 
     Raises
     ------
     PlanRefused
-        The arm may not stand where it stands, or no way leads to any pose that is worth it.
+        The present posture is not allowed, or no path leads to any pose that is worth it.
     InputError, DataUnusable
         As the joint estimator.
     """
@@ -181,7 +181,7 @@ def _poses(table: Table, label: str) -> Floats:
 
 
 def _stock(search: LoadSearch, table: Table | None) -> Stock:
-    """What the rows tell of the load; before the first row, what is known without them."""
+    """Return the estimate of the load; before the first row, what is known without them."""
     if table is None:
         band_nm = BAND_SHARE * search.workspace.torque_nm
         noise = PoseNoise(assumed_noise_nm(search.workspace) ** 2, np.zeros(len(band_nm)))
@@ -204,7 +204,7 @@ def _sample_std_nm(table: Table) -> Floats:
 
 
 def _choice(search: LoadSearch, at_rad: Floats, count: int) -> Candidates:
-    """The pool, and postures about where the arm stands: short ways are drawn seldom from the whole range."""
+    """The pool, and postures about the present posture: the whole range has few postures close by."""
     random = np.random.default_rng([search.seed, count])
     size = random.uniform(_NEAREST_RAD, _FARTHEST_RAD, (NEAR_BY, 1))
     q_rad = at_rad + size * random.uniform(-1.0, 1.0, (NEAR_BY, len(at_rad)))
@@ -215,22 +215,22 @@ def _choice(search: LoadSearch, at_rad: Floats, count: int) -> Candidates:
 
 
 def _seconds(search: LoadSearch, at_rad: Floats, q_rad: Floats) -> Floats:
-    """Time (n,) [s] of the straight way to each pose, both approaches and settling."""
+    """Time (n,) [s] of the straight path to each pose, both approaches and settling."""
     settings, workspace = search.settings, search.workspace
     offset = np.full(len(at_rad), settings.approach_offset_rad)
     slow = approach_limits(workspace, settings.approach_speed_rad_s)
     across = straight(np.zeros(len(offset)), offset, travel_limits(workspace), settings.period_s).duration_s
     approach = straight(np.zeros(len(offset)), offset, slow, settings.period_s).duration_s
-    way = workspace.travel_time(at_rad[None], q_rad + settings.approach_offset_rad)
-    return way + across + 2.0 * (approach + min(TYPICAL_SETTLE_S, settings.settle_timeout_s))
+    travel_s = workspace.travel_time(at_rad[None], q_rad + settings.approach_offset_rad)
+    return travel_s + across + 2.0 * (approach + min(TYPICAL_SETTLE_S, settings.settle_timeout_s))
 
 
 def _plan(search: LoadSearch, at_rad: Floats, best_rad: Floats, named: tuple[int, int]) -> Plan:
-    """Plan of the best pose that a way leads to; `named` are its number and the samples a side."""
+    """Plan of the best pose with a free path; `named` are its number and the samples a side."""
     number, samples = named
     if not len(best_rad):
         raise PlanRefused(
-            f"arm '{search.arm}': every posture that could be measured lies within {DISTANCE_RAD} rad of one that was; "
+            f"arm '{search.arm}': every posture that could be measured is within {DISTANCE_RAD} rad of one that was; "
             "widen the limits of the cell, or ask for less by --until"
         )
     settings = replace(search.settings, samples=samples)
@@ -249,4 +249,4 @@ def _plan(search: LoadSearch, at_rad: Floats, best_rad: Floats, named: tuple[int
             refused = error
             continue
         return plan
-    raise refused or PlanRefused(f"arm '{search.arm}': no way leads to any pose")
+    raise refused or PlanRefused(f"arm '{search.arm}': no path leads to any pose")

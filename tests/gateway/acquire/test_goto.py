@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from drives.errors import DriveFault
-from gateway.acquire.goto import Destination, destination, go, plan_way, remarks, way_from_here
+from gateway.acquire.goto import Destination, destination, go, plan_transfer, remarks, transfer_from_here
 from gateway.acquire.plan import MoveInwards, MoveTo, inward_steps
-from gateway.acquire.standing import refuse_start, way_out, widened
+from gateway.acquire.start_posture import refuse_start, smallest_exit, widened
 from gateway.cell.config import KeepOut
 from gateway.check.stop import slow_motion
 from gateway.errors import ConfigError, LimitExceeded, PlanRefused, WrongPlace
@@ -41,7 +41,7 @@ def post(cell):
 
 def went(arm, target, *more):
     """Plan the way and go; the plan that was driven."""
-    plan = plan_way(arm, target)
+    plan = plan_transfer(arm, target)
     go(arm, plan, *more)
     return plan
 
@@ -110,23 +110,23 @@ def test_a_posture_where_the_arm_may_not_stand_is_refused_with_what_it_would_tou
 
 
 def test_a_free_way_is_straight(opened, fake, workspace):
-    plan = plan_way(opened(), to(TARGET))
+    plan = plan_transfer(opened(), to(TARGET))
     assert plan.steps == (MoveTo(TARGET),)
     assert remarks(plan, workspace) == ()
 
 
 def test_a_way_is_planned_anew_only_where_the_arm_stands_elsewhere_by_then(opened, fake):
-    plan = plan_way(opened(), to(TARGET))
-    assert way_from_here(opened(), to(TARGET), plan) is plan
+    plan = plan_transfer(opened(), to(TARGET))
+    assert transfer_from_here(opened(), to(TARGET), plan) is plan
     stand(fake, LEFT)
-    anew = way_from_here(opened(), to(TARGET), plan)
+    anew = transfer_from_here(opened(), to(TARGET), plan)
     assert anew.start_rad == pytest.approx(LEFT)
 
 
 def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(small_cell, opened, fake):
     room = post(small_cell)
     stand(fake, LEFT)
-    plan = plan_way(opened(room=room), to(RIGHT))
+    plan = plan_transfer(opened(room=room), to(RIGHT))
     assert len(plan.steps) == 2
     ends = [np.array(LEFT), *(np.array(step.q_rad) for step in plan.steps)]
     for begin, end in zip(ends, ends[1:], strict=False):
@@ -143,7 +143,7 @@ def test_where_no_way_is_found_it_says_what_the_straight_one_meets(small_cell, o
     pinned = replace(pinned, upper_rad=np.array([1.3, -0.15, 0.45, 0.1, 0.1, 0.1]))
     stand(fake, LEFT)
     with pytest.raises(PlanRefused, match=r"straight there, at .*in keep_out box 1.*of your own choice"):
-        plan_way(opened(room=pinned), to(RIGHT))
+        plan_transfer(opened(room=pinned), to(RIGHT))
     assert fake.log == []
 
 
@@ -153,7 +153,7 @@ def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, 
     stand(fake, (0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0))
     plan = went(opened(pacing), to(TARGET))
     assert isinstance(plan.steps[0], MoveInwards)
-    assert "joint 4 stands outside its range: it first moves inwards" in remarks(plan, workspace)[0]
+    assert "joint 4 is outside its range: it first moves inwards" in remarks(plan, workspace)[0]
     path = np.array(fake.path)
     assert (np.diff(path[:, 3]) <= COUNTS_RAD).all(), "never outwards"
     assert path[-1] == pytest.approx(TARGET, abs=COUNTS_RAD)
@@ -169,7 +169,7 @@ def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(small_cell, o
         went(opened(room=room), to(LEFT))
     assert not isinstance(refused.value, WrongPlace), "no command leads out of there"
     assert fake.log == []
-    said = way_out(room, fake.q_rad)
+    said = smallest_exit(room, fake.q_rad)
     joint, turn = int(said.split("joint ")[1][0]), float(said.split(" by ")[1].split(" rad")[0])
     turned = fake.q_rad.copy()
     turned[joint - 1] += turn

@@ -14,7 +14,7 @@ from gateway.acquire.moving import run_legs
 from gateway.acquire.moving_run import legs_from
 from gateway.acquire.passes import TRIED_SPEED, passes_of
 from gateway.acquire.plan import VisitSettings
-from gateway.acquire.run import Shelf, VisitStation
+from gateway.acquire.run import MemoryStore, VisitStation
 from gateway.errors import InputError, LimitExceeded, PlanRefused
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
@@ -27,7 +27,7 @@ SETTINGS = VisitSettings(0.03, 0.05, 2.0, 40, PERIOD_S)
 NOTHING: frozenset[tuple[int, float, int]] = frozenset()
 
 
-class Store(Shelf):
+class Store(MemoryStore):
     """Keeps periods in memory; full after some."""
 
     full_after: int | None = None

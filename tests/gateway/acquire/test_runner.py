@@ -8,7 +8,7 @@ import pytest
 from drives.errors import DriveFault, IncompleteEpochs
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.run import Shelf, VisitStation
+from gateway.acquire.run import MemoryStore, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
@@ -26,7 +26,7 @@ POSES = (
 )
 
 
-class Store(Shelf):
+class Store(MemoryStore):
     """Keeps visits in memory; full after some."""
 
     def __init__(self) -> None:

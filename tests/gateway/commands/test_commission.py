@@ -1,4 +1,4 @@
-"""Before a load is hung, the arm goes where loads are hung, if the cell says where and the way is free."""
+"""Before a load is hung, the arm moves to the loading posture, if the cell names it and a path is free."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gateway.acquire.goto import way_from_here
+from gateway.acquire.goto import transfer_from_here
 from gateway.acquire.plan import VisitSettings
 from gateway.acquire.thermal import Block, Thermal, blocks_of
 from gateway.cell.config import KeepOut
@@ -40,7 +40,7 @@ class Listener:
         self.keeping = False
 
     def bring(self, opened, target, plan, options) -> None:
-        assert way_from_here(opened, target, plan) is plan, "planned once"
+        assert transfer_from_here(opened, target, plan) is plan, "planned once"
         assert self.keeping, "a way that ends badly leaves a black box"
         self.done.append(str(target))
         self.overrides.append(options.override)
@@ -76,7 +76,7 @@ def test_it_goes_there_slowly_before_each_load_and_not_before_the_bare_arm(robot
     made, person = robot(LOADING, override)
     for label in ("none", "a", "b"):
         made.measure_load(Block(label, (POSE,)))
-    there = "where loads are hung, [0.300, 0.500, 0.600, 0.000, 0.400, 0.000] rad"
+    there = "the loading posture, [0.300, 0.500, 0.600, 0.000, 0.400, 0.000] rad"
     assert person.done == ["measure", there, "hang a", "measure", there, "hang b", "measure"]
     assert person.overrides == [slow, slow]
 
@@ -94,7 +94,7 @@ def test_a_way_that_is_not_free_is_told_and_ends_nothing(small_cell, robot, fake
     tight = replace(walled, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
     made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), room=tight)
     made.measure_load(Block("a", (POSE,)))
-    assert "the arm stays at its current posture, mount the load there: no way" in person.done[0]
+    assert "the arm stays at its current posture, mount the load there: no path" in person.done[0]
     assert person.done[1:] == ["hang a", "measure"]
     assert fake.log == []
 

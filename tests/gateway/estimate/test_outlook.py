@@ -14,8 +14,8 @@ from gateway.acquire.until.choice import (
     best_first,
     judge,
 )
+from gateway.acquire.until.messages import ended
 from gateway.acquire.until.search import NextStep
-from gateway.acquire.until.words import ended
 from gateway.data.table import concatenate
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.outlook import PoseNoise, Sought, outlook_of_priors, take_stock

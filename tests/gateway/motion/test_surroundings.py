@@ -231,7 +231,7 @@ def test_distances_of_shapes_are_those_of_an_independent_library(small_cell):
 
 
 def test_an_arm_that_stands_in_an_assumed_thing_is_told_what_to_write(small_cell):
-    with pytest.raises(PlanRefused, match=r"stands at .*in the floor .*give arm.floor_m.*move it clear by hand"):
+    with pytest.raises(PlanRefused, match=r"is at .*in the floor .*give arm.floor_m.*move it clear by hand"):
         inward_steps(of(small_cell), np.array([0.0, 1.8, 0.5, 0.0, 0.0, 0.0]), "main")
 
 

@@ -18,7 +18,7 @@ from typing import Any
 from drives.bus import SDO_ANSWER_BASE, BusSpec
 from drives.realtime import RealTime
 from gateway.acquire.events import Started
-from gateway.acquire.run import Shelf, VisitStation
+from gateway.acquire.run import MemoryStore, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.commands.console import Session
 from gateway.motion.opening import BusOverride, OpenArm, frame_log_watched, open_arm
@@ -104,7 +104,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
     pacing, real = bus.pacing, bus.pacing == "real"
     error: BaseException | None = None
     broken: Broken | None = None
-    shelf, desk, planned = Shelf(), StopDesk(), 0
+    shelf, desk, planned = MemoryStore(), StopDesk(), 0
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         if kind == "frozen terminal":  # nobody reads its other end before the run is over

@@ -24,7 +24,7 @@ from drives.realtime import RealTime
 from gateway.acquire.events import Event, Started, StateChanged
 from gateway.acquire.plan import Plan, plan_poses
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.run import Shelf, VisitStation
+from gateway.acquire.run import MemoryStore, VisitStation
 from gateway.acquire.runner import RunRequest, run_plan
 from gateway.check.brakes import try_brakes
 from gateway.check.moves import check_moves
@@ -263,7 +263,7 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
         return
     if kind == "queue_full":
         fill_queue(opened, random.Random(outcome.seed))
-    shelf = Shelf()
+    shelf = MemoryStore()
     evidence.visits = shelf.visits
     station = VisitStation(
         opened.arm,

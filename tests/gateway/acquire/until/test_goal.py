@@ -31,7 +31,7 @@ def test_what_is_typed_is_meant(text, goal):
         ("", "neither mass=.. nor com=.."),
         ("weight=1kg", "'weight=1kg' is neither"),
         ("mass=0.5", "lacks its unit (kg, g, %)"),
-        ("com=3%", "no number with a unit (m, mm)"),
+        ("com=3%", "not a number with a unit (m, mm)"),
         ("mass=-1kg", "a half width is above 0"),
         ("mass=nan%", "a half width is above 0"),
         ("mass=1kg,mass=2%", "mass is given twice"),

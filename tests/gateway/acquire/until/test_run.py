@@ -9,12 +9,12 @@ from drives.errors import DriveFault
 from gateway.acquire.events import Narrowed, PoseDone, Progress, StateChanged
 from gateway.acquire.plan import VisitSettings
 from gateway.acquire.poses import DISTANCE_RAD, PoseRequest
-from gateway.acquire.run import Shelf, VisitStation
+from gateway.acquire.run import MemoryStore, VisitStation
 from gateway.acquire.until.choice import LEAST_POSES
 from gateway.acquire.until.goal import Goal, half_widths
+from gateway.acquire.until.messages import ended, narrowed
 from gateway.acquire.until.run import run_until
 from gateway.acquire.until.search import LoadSearch, NextStep, decide, guess_of, pool_of
-from gateway.acquire.until.words import ended, narrowed
 from gateway.cell.conversion import AxisConversion
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.estimate.options import EstimateOptions
@@ -85,14 +85,14 @@ class Finished:
 
     drives: FakeDrives
     events: list
-    store: Shelf
+    store: MemoryStore
     decision: NextStep
 
 
 @pytest.fixture(scope="module")
 def finished(small_cell, workspace, search, rows) -> Finished:
     drives, arm = fake_arm(small_cell, workspace)
-    events, store = [], Shelf()
+    events, store = [], MemoryStore()
     return Finished(
         drives, events, store, run_until(VisitStation(arm, workspace, store, (events.append,)), search, rows)
     )
@@ -130,7 +130,7 @@ def test_poses_keep_a_distance_and_what_the_band_hides_is_sampled_shortly(finish
 def test_a_load_that_is_known_is_not_measured_again(finished, small_cell, workspace, search, rows):
     drives, arm = fake_arm(small_cell, workspace)
     known = replace(search, earlier=rows(finished.store.visits), number=50)
-    again = run_until(VisitStation(arm, workspace, Shelf()), known, rows)
+    again = run_until(VisitStation(arm, workspace, MemoryStore()), known, rows)
     assert again.plan is None
     assert drives.log == []
 
@@ -147,7 +147,7 @@ def test_the_same_visits_lead_to_the_same_decision(finished, search, rows):
 def test_a_fault_on_the_way_ends_it_in_the_brakes_and_keeps_the_visits(small_cell, workspace, search, rows):
     drives, arm = fake_arm(small_cell, workspace)
     drives.fault_at = 500
-    store = Shelf()
+    store = MemoryStore()
     with pytest.raises(DriveFault):
         run_until(VisitStation(arm, workspace, store), search, rows)
     assert drives.log[0] == "enable"

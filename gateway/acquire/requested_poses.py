@@ -124,7 +124,7 @@ def _numbered(
 
 
 def postures_to_ask(about: Given) -> np.ndarray | None:
-    """Postures (k, N) [rad] that a result may ask for: inside the limits of the cell, clear, come to from both sides.
+    """Postures (k, N) [rad] that a result may request: inside the limits, free, approachable from both sides.
 
     None where no cell is known; none at all where a thousand draws find none.
     """

@@ -1,4 +1,4 @@
-"""Where an arm stands, and whether anything may begin there: what is in the way, and how to get out of it."""
+"""Check of the posture in which a motion begins: the violated limit, and the smallest motion out of it."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace
 
-#: A way out is looked for in turns of one joint, by steps of the first and up to the second [rad].
+#: A motion out of a violation is searched with one joint: step and largest motion [rad].
 _STEP_RAD: Final = 0.02
 _MOST_RAD: Final = 1.0
-#: Steps that are looked at together.
+#: Steps per batch.
 _AT_ONCE: Final = 10
 
 
 def inside_from(workspace: Workspace, q_rad: np.ndarray, arm: str) -> np.ndarray | None:
-    """Where an arm that stands outside its joint range comes in, (N,) [rad]; None = it stands inside.
+    """Return the nearest posture (N,) [rad] inside the joint range; None = the arm is inside.
 
     Raises
     ------
     PlanRefused
-        The arm stands where it may not stand, and nothing that the drives are told here brings it out.
+        The arm is in a posture that is not allowed, and no motion of this program brings it out.
     """
-    where = f"arm '{arm}' stands at {angles(q_rad)}"
+    where = f"arm '{arm}' is at {angles(q_rad)}"
     try:
         inside = workspace.path_into_range(q_rad)
     except PlanRefused as refused:
@@ -34,7 +34,7 @@ def inside_from(workspace: Workspace, q_rad: np.ndarray, arm: str) -> np.ndarray
     begin_rad = q_rad if inside is None else inside
     reason = workspace.why_not(begin_rad)
     if reason is not None:
-        out = "" if inside is not None else way_out(workspace, begin_rad)
+        out = "" if inside is not None else smallest_exit(workspace, begin_rad)
         raise PlanRefused(
             f"{where}: {reason}; move it clear by hand or jog it with the drive's own tool{out}, or correct the cell "
             "file if nothing is there, then start again: no command moves it from there"
@@ -42,8 +42,8 @@ def inside_from(workspace: Workspace, q_rad: np.ndarray, arm: str) -> np.ndarray
     return inside
 
 
-def way_out(workspace: Workspace, q_rad: np.ndarray) -> str:
-    """The smallest turn of one joint to where the arm may stand, in words; empty where one joint is not enough."""
+def smallest_exit(workspace: Workspace, q_rad: np.ndarray) -> str:
+    """Return the text of the smallest motion of one joint to an allowed posture; empty where one is not enough."""
     axes = workspace.robot.axes
     signs = np.concatenate([np.eye(axes), -np.eye(axes)])
     sizes = np.arange(_STEP_RAD, _MOST_RAD + _STEP_RAD / 2, _STEP_RAD)
@@ -53,26 +53,26 @@ def way_out(workspace: Workspace, q_rad: np.ndarray) -> str:
         if free.any():
             turn = turns[int(np.argmax(free))]
             joint = int(np.argmax(np.abs(turn)))
-            return f" (as the cell is drawn, joint {joint + 1} by {turn[joint]:+.2f} rad is the shortest way out)"
+            return f" (as the cell is drawn, joint {joint + 1} by {turn[joint]:+.2f} rad is the smallest motion out)"
     return ""
 
 
 def refuse_start(workspace: Workspace, q_rad: np.ndarray, arm: str) -> None:
-    """Make sure that an arm stands where something may begin that goes to either side.
+    """Require a posture from which the joints may move to either side.
 
     Raises
     ------
     WrongPlace
-        It stands outside its joint range.
+        It is outside its joint range.
     PlanRefused
-        It stands where it may not stand.
+        Its posture is not allowed.
     """
     if inside_from(workspace, q_rad, arm) is not None:
         reason = workspace.why_not(q_rad)
-        raise WrongPlace(f"arm '{arm}' stands where it may not move to either side: {reason}", arm)
+        raise WrongPlace(f"arm '{arm}' is where it may not move to either side: {reason}", arm)
 
 
 def widened(workspace: Workspace, q_rad: np.ndarray) -> Workspace:
-    """The same limits, with room for an arm that stands outside its joint range to come in, and none to go out."""
+    """Return the limits widened to the posture of an arm outside its joint range, so that it may move inwards."""
     lower, upper = np.minimum(workspace.lower_rad, q_rad), np.maximum(workspace.upper_rad, q_rad)
     return replace(workspace, lower_rad=lower, upper_rad=upper)

@@ -17,7 +17,7 @@ from gateway.result.result import Finding
 Floats = NDArray[np.float64]
 
 PARTS: Final = ("mass", "x", "y", "z")
-_KNOWN_LOAD: Final = "hang a load of known mass and estimate with --known LABEL=MASS,X,Y,Z"
+_KNOWN_LOAD: Final = "mount a load of known mass and estimate with --known LABEL=MASS,X,Y,Z"
 
 
 def narrowed(decision: NextStep) -> str:
@@ -64,7 +64,7 @@ def what_helps(known: Outlook, verdict: Narrowness) -> str:
     if (constants <= goal).all() or (constants / now).max() < (links / now).max():
         return f"what would: better torque constants (std_percent in the cell file), or {_KNOWN_LOAD}"
     if (links <= goal).all() or (links / now).max() < 1.0:
-        return "what would: more poses of the bare arm, so that its own weight is known better"
+        return "what would: more poses of the unloaded arm, so that its own weight is known better"
     return f"what would: a quieter approach (approach_speed_rad_s) or more samples, and {_KNOWN_LOAD}"
 
 
