@@ -121,8 +121,7 @@ class DriveSetup:
         self.left_pdos: tuple[str, ...] = ()
         #: Every axis is in OPERATION ENABLED and follows `exchange`.
         self.enabled = False
-        #: The last row, also the one that led to an error. Called before the axes are stopped because of an error, so
-        #: that other arms stop in the same cycle.
+        #: Called before the axes are stopped because of an error, so that other arms stop in the same cycle.
         self.on_stop: Callable[[], None] = lambda: None
         self._bus = bus
         self._master_node_id = master_node_id

@@ -25,11 +25,11 @@ def main() -> None:
 @click.option("--bus", metavar="SPEC", help="INTERFACE:CHANNEL[,key=value]... in place of the cell's bus.")
 @click.option("--payload", type=click.Path(path_type=Path), help="Loads: [[load]] label, mass_kg, com_m.")
 @click.option("--undeclared", type=click.Path(path_type=Path), help="Effects: [[effect]] name, joints, parameters.")
-@click.option("--seed", type=click.IntRange(min=0), help="Draw what the gateway is not told from this seed.")
-@click.option("--fault", type=click.Path(path_type=Path), help="What goes wrong: [[fault]] kind, node, at_sync.")
+@click.option("--seed", type=click.IntRange(min=0), help="Draw undeclared effects from this seed.")
+@click.option("--fault", type=click.Path(path_type=Path), help="Fault scenario: [[fault]] kind, node, at_sync.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the truth here at start.")
-@click.option("--pacing", type=click.Choice(PACINGS), help="In place of the cell's: by SYNC, or by the clock.")
-@click.option("--unbuffered", is_flag=True, help="By the clock, take over each target when it comes.")
+@click.option("--pacing", type=click.Choice(PACINGS), help="Instead of the cell's: by SYNC, or in real time.")
+@click.option("--unbuffered", is_flag=True, help="In real time, take over each target when it arrives.")
 def serve(
     cell: Path,
     bus: str | None,

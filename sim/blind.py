@@ -1,4 +1,5 @@
-"""Blind cells: an arm drawn from a seed with an undeclared effect, none, or two; the truth goes to a file of its own.
+"""Blind cells: an arm drawn from a seed with one undeclared effect, none, or two; the truth is written to a separate
+file.
 
 The strength of an effect is what it does to the measured rows beyond everything that link and load parameters can take
 over: its torques are weighted by the floor of each axis and projected on the base and load columns, with the prior on

@@ -1,4 +1,4 @@
-"""Build errors: the arm that stands there is not quite the arm of the drawing."""
+"""Build errors: geometric differences between the real arm and its drawing."""
 
 from __future__ import annotations
 

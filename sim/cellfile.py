@@ -70,10 +70,10 @@ class AxisSpec:
 
 @dataclass(frozen=True, slots=True)
 class ArmSpec:
-    """One arm: its chain, its axes, and how it stands in gravity.
+    """One arm: its chain, its axes, and its mounting in gravity.
 
-    `start_rad` is where an arm of a pair grips the part; `assumed_links` says that nobody stated masses and shapes.
-    `base` (4, 4) is the base in the world, `flange` and `fingertip` (4, 4) are both in the frame of the last link [m].
+    `start_rad` is where an arm of a pair grips the part; `assumed_links` = masses and shapes are assumed. `base` (4, 4)
+    is the base in the world, `flange` and `fingertip` (4, 4) are both in the frame of the last link [m].
     """
 
     name: str

@@ -1,8 +1,8 @@
-"""The whole job on the simulator, as a person at the robot would do it: `python -m sim.demo --out out/demo`.
+"""Run a complete commissioning on the simulator: `python -m sim.demo --out out/demo`.
 
-Two programs in two processes on a free bus: the simulated drives, and the gateway, which is told to commission the
-cell. When the gateway asks for a load to be hung, it is hung. The arm has a balancer that its model does not know (or
-whatever a seed hides). At the end the truth, which only the simulator knew, is put beside the estimate.
+Two programs in two processes on a free bus: the simulated drives, and the gateway, which commissions the cell. When the
+gateway requests a load, it is mounted. The arm has a balancer that its model lacks (or effects drawn from a seed). At
+the end the simulator's truth is compared with the estimate.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sim.serve import command, free_bus, wait_until_ready
 from sim.simulation import ServeOptions
 
 EXAMPLE = Path(__file__).parent / "example"
-HANG = re.compile(r"HANG LOAD (\S+)")
+LOAD_PROMPT = re.compile(r"LOAD_PROMPT LOAD (\S+)")
 FAILED_FINDING = 7
 #: Both programs wait for each other instead of the clock: the whole job in a fraction of its time.
 PACING = "lockstep"
@@ -33,7 +33,7 @@ PACING = "lockstep"
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """What is run: cell, what can hang on the flange, what is undeclared, where the results go."""
+    """Inputs of the demo: cell, loads, undeclared effects, output folder."""
 
     cell: Path
     payload: Path
@@ -96,7 +96,7 @@ def _simulator(words: Sequence[str]):
 
 
 def _commission(demo: Demo, bus: str, simulator: subprocess.Popen[str]) -> int:
-    """Run the gateway, show what it says, hang the loads it asks for."""
+    """Run the gateway, show its output, mount the loads that it requests."""
     words = [sys.executable, "-m", "gateway.cli", "commission", str(demo.cell)]
     words += ["--bus", bus, "--pacing", PACING, "--yes", "--out", str(demo.out)]
     for label in read_payloads(demo.payload):
@@ -106,15 +106,15 @@ def _commission(demo: Demo, bus: str, simulator: subprocess.Popen[str]) -> int:
             return 1
         for line in gateway.stdout:
             click.echo(line.rstrip("\n"))
-            asked = HANG.search(line)
+            asked = LOAD_PROMPT.search(line)
             if asked:
-                click.echo(_hang(simulator, asked.group(1)))
+                click.echo(_mount(simulator, asked.group(1)))
                 gateway.stdin.write("\n")
                 gateway.stdin.flush()
         return gateway.wait()
 
 
-def _hang(simulator: subprocess.Popen[str], label: str) -> str:
+def _mount(simulator: subprocess.Popen[str], label: str) -> str:
     if simulator.stdin is None or simulator.stdout is None:
         return ""
     simulator.stdin.write(f"payload {label}\n")

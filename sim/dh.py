@@ -1,7 +1,7 @@
 """An arm of Denavit-Hartenberg rows as a chain that can be simulated: joints from the rows, links of a stated shape.
 
-The rows say nothing of masses. Each link is taken as a solid cylinder from its joint to the next one, thick at the base
-and thin at the hand, as light as the axes can carry.
+The rows contain no masses. Each link is assumed to be a solid cylinder from its joint to the next one, thick at the
+base and thin at the hand, as light as the axes can carry.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 FIRST_RADIUS, LAST_RADIUS = 0.08, 0.05
 #: No link is thinner: a motor has to go into it.
 LEAST_RADIUS_M = 0.04
-#: Length of the last link where no flange says it, share of the length of the arm.
+#: Length of the last link without a flange, share of the length of the arm.
 LAST_LENGTH = 0.05
 #: Mass over volume of a link: aluminium and steel, with some air.
 DENSITY_KG_M3 = 2500.0
@@ -72,7 +72,7 @@ def _standing(rows: Array, convention: str, name: str) -> tuple[list[Array], Arr
     starts = [np.eye(4), *ends[:-1]]
     if abs(rows[-1, 1]) > ON_AXIS_M:
         raise UrdfError(f"[arm.dh] of '{name}': the last a_m must be 0 in the standard convention; use the flange")
-    # each link stands on its own axis, which is the z of the frame before it; the last one is its own frame
+    # each link is on its own axis, which is the z of the frame before it; the last one is its own frame
     poses = [*starts[:-1], ends[-1]]
     return poses, np.array([pose[:3, :3].T @ start[:3, 2] for pose, start in zip(poses, starts, strict=True)])
 

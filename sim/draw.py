@@ -29,7 +29,7 @@ LOADED_S = POSES * VISIT_S + CHANGE_S
 
 @dataclass(frozen=True, slots=True)
 class DrawnArm:
-    """One arm as it is, and as its owner believes it to be.
+    """One arm: its true parameters, and those stated by its owner.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class DrawnArm:
     urdf : text of the URDF with wrong inertials
     prior_std : (24,) standard deviation of the CAD's [m, hx, hy, hz] per link
     plant : true physics without undeclared effects
-    loads : what can be hung on the flange
+    loads : loads that can be mounted on the flange
     known : label -> (mass, x, y, z) of loads that were weighed
     protocol : how it is measured
     gear_ratio, efficiency : (6,) as the cell file states them
@@ -209,7 +209,9 @@ def rated_torque_nm(chain: SimChain, masses: Array, coms: Array, load: Payload, 
 
 
 def choose_poses(arm: DrawnArm, count: int, rng: np.random.Generator) -> Array:
-    """Rest poses (count, 6) that say most about load and links: greedy D-optimal among random ones."""
+    """Return rest poses (count, 6) that are most informative about load and links: greedy D-optimal among random
+    ones.
+    """
     return informative_poses(arm.chain, arm.floor_nm, arm.prior_std, count, rng)
 
 

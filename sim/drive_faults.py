@@ -1,4 +1,4 @@
-"""Faults that happen inside a simulated drive, or in what it says about itself."""
+"""Faults inside a simulated drive, or in its reports."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ENCODER_FAULT = 0x7305
 OTHER_SERIAL = 0x0100_0000
 STO_CODE = 0x5442
 WOBBLE_RAD, WOBBLE_HZ = 0.004, 1.5
-#: What strict, talkative and broken drives do where the scenario does not say.
+#: Defaults of strict, flooding and defective drives.
 STRICT_INHIBIT_100US = 100
 REFUSED_S = 0.5
 CYCLE_US = 1_000
@@ -41,7 +41,7 @@ def act(server: BusServer, fault: Fault) -> None:
 
 
 def _killed(drive: FakeDrive, _fault: Fault) -> None:
-    drive.node.silent = True
+    drive.node.unpowered = True
     drive.axis.lock()
     drive.automaton.power_up()
 
@@ -118,7 +118,7 @@ def _other_make(drive: FakeDrive, fault: Fault) -> None:
 
 
 def _exchanged(drive: FakeDrive, fault: Fault) -> None:
-    """The successor of a drive: what it was told by a master is gone with its predecessor."""
+    """Exchange a drive: the configuration by a master is lost."""
     limit = fault.code or drive.store.number((0x6072, 0)) * 9 // 10
     drive.reset()
     _shows(drive, (0x1018, 4), drive.store.number((0x1018, 4)) ^ OTHER_SERIAL)

@@ -17,7 +17,7 @@ from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word
 VENDOR_ID = 0x0000053A
 REVISION = 0x00010000
 MODES = {1: 0, 8: 7, 10: 9}
-#: How far the drive's software limits stand outside the cell's [rad].
+#: Margin of the drive's software limits outside the cell's [rad].
 LIMIT_MARGIN_RAD = 0.05
 FOLLOWING_WINDOW_RAD = 0.15
 

@@ -1,8 +1,8 @@
-"""Effects that are built into the simulated arm and that the gateway is never told.
+"""Undeclared effects of the simulated arm.
 
 Each effect is a function from one `Plant` to the next, written from the mechanism: a spring between two points, a cable
-that is wound up, a gear that gives way. Nothing here knows how an effect is looked for. The names and the parameters of
-the library are those of the undeclared-effects file (`[[effect]] name, joints, parameters`).
+that is wound up, a gear that gives way. Nothing here depends on how effects are detected. The names and the parameters
+of the library are those of the undeclared-effects file (`[[effect]] name, joints, parameters`).
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def base_tilt(request: Request) -> Transform:
 
 
 def joint_zero_offset(request: Request) -> Transform:
-    """The link stands `offset_rad` further than the encoder says."""
+    """Shift the link by `offset_rad` against the encoder."""
     axis, offset = request.axis(), request.number("offset_rad")
     return lambda plant: replace(
         plant, zero_offset_rad=changed(plant.zero_offset_rad, axis, lambda value: value + offset)
@@ -102,7 +102,7 @@ def balancer_spring(request: Request) -> Transform:
     by the pull, `force = F0 (1 - x / gas_length)^-1.3` with stiffness `stiffness_n_m` at its shortest length.
     """
     if request.joints not in ((2,), ()):
-        raise EffectError(f"effect {request.name} sits on joint 2, got {list(request.joints)}")
+        raise EffectError(f"effect {request.name} acts on joint 2, got {list(request.joints)}")
     stiffness = request.number("stiffness_n_m")
     lever, anchor = request.number("lever_m", 0.2), request.number("anchor_m", 0.7)
     phase, free = request.number("phase_rad", 0.0), request.number("free_length_m", 0.4)

@@ -33,13 +33,13 @@ REGISTER_GENERIC, REGISTER_COMMUNICATION, REGISTER_PROFILE = 0x01, 0x10, 0x20
 
 @dataclass(frozen=True, slots=True)
 class DriveSite:
-    """Where a drive sits.
+    """Position of a drive in the cell.
 
     Attributes
     ----------
     node_id : on the bus
     spec : the axis of the cell it is built for
-    sync_period_s : of the SYNC it will hear
+    sync_period_s : of the SYNC that it receives
     limited : it has software limits (not on a coupled axis, whose range depends on other joints)
     """
 
@@ -59,7 +59,7 @@ class FakeDrive:
     axis : the motor it feeds
     reading_nm : torque it measured last, gear output side [Nm]
     error_code : 0x603F
-    quirks : in what it differs from a patient and healthy drive
+    quirks : deviations from a tolerant and healthy drive
     """
 
     def __init__(self, site: DriveSite, axis: MotorAxis, send: Callable[[can.Message], None]) -> None:
@@ -98,7 +98,7 @@ class FakeDrive:
         self.error_code = 0
 
     def reset(self, keeps: Callable[[int], bool] = lambda _index: False) -> None:
-        """Start anew: brake closed, parameters and PDOs as at power-up but for the objects that the drive keeps."""
+        """Restart: brake closed, parameters and PDOs as at power-up except objects that the drive keeps."""
         self.axis.lock()
         mode = self.mode
         self.reset_setpoints()
@@ -120,14 +120,14 @@ class FakeDrive:
             tpdo.inhibit_abort = self.quirks.inhibit_abort
 
     def repair(self) -> None:
-        """Take everything away that is wrong with the drive, then start it anew; its boot-up is the caller's."""
+        """Remove all faults of the drive and restart it; the caller sends its boot-up."""
         self.quirks = as_made(self.spec.profile)
         self._mend()
         self.reset()
 
     def _mend(self) -> None:
         self._conduct = Conduct(self)
-        self.node.silent = False
+        self.node.unpowered = False
         self.node.on_heartbeat_lost = self._heartbeat_lost
         self.node.may_start = self._conduct.may_start
         self.node.sdo.refuse = self._conduct.refuse
@@ -161,7 +161,7 @@ class FakeDrive:
 
     def rpdo_received(self, number: int, data: bytes) -> None:
         """A frame on the identifier of RPDO `number`."""
-        if self.node.state != OPERATIONAL or self.node.silent:
+        if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         rpdo = self.rpdos[number]
         if len(data) < rpdo.packing.size:
@@ -173,7 +173,7 @@ class FakeDrive:
 
     def sync(self) -> None:
         """SYNC: synchronous RPDOs become valid, synchronous TPDOs are sampled and sent."""
-        if self.node.state != OPERATIONAL or self.node.silent:
+        if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         self._sync_count += 1
         for number, data in enumerate(self._buffers):
@@ -189,7 +189,7 @@ class FakeDrive:
 
     def send_events(self, time_s: float) -> None:
         """Event-driven TPDOs: on change, not faster than the inhibit time, at least every event time."""
-        if self.node.state != OPERATIONAL or self.node.silent:
+        if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         for number, tpdo in enumerate(self.tpdos):
             if not tpdo.enabled or tpdo.transmission not in (0, *EVENT_TYPES):
@@ -234,7 +234,7 @@ class FakeDrive:
         return self.automaton.state is PdsState.OPERATION_ENABLED
 
     def drop_out(self) -> None:
-        """Fall back from OPERATION ENABLED to SWITCHED ON without being told."""
+        """Fall back from OPERATION ENABLED to SWITCHED ON without a command."""
         self.automaton.state = PdsState.SWITCHED_ON
         self.motion.state_changed(PdsState.SWITCHED_ON)
 

@@ -1,4 +1,4 @@
-"""What goes wrong on a bus and in a drive: the kinds of faults, and scenario files that name them.
+"""Faults of a bus and of a drive: their kinds, and scenario files.
 
     [[fault]]
     kind = "tpdo_lost"
@@ -6,10 +6,9 @@
     at_sync = 200      # SYNC on the bus at which it starts, counted from the first one
     syncs = 5          # how many SYNCs it lasts; 0 = from then on
 
-Where a fault acts decides who carries it out: the wire (`sim.faulty_wire`), the drive, or the drive's objects and
-habits, which are there before a master comes (`sim.quirks`). What happens at the master is not the simulator's business
-and is listed for completeness. Every kind acts in lockstep and by the clock; how long it lasts is counted in SYNCs in
-both, and what is late is late by time: nobody waits for it but the frame itself.
+A fault is implemented where it acts: on the wire (`sim.faulty_wire`), in the drive, or in the drive's objects and
+behaviour before a master starts (`sim.quirks`). Faults of the master are listed for completeness. Every kind acts in
+lockstep and in real time; its duration is counted in SYNCs in both, and delays are in seconds.
 """
 
 from __future__ import annotations
@@ -28,8 +27,8 @@ REACTIONS: dict[Reaction, str] = {
     "retried": "the SYNCs concerned are incomplete, are reported, and the samples are taken again",
     "stops": "every axis stops, controlled; what was recorded is kept; nothing resumes by itself",
     "refuses": "nothing moves: typed error, named node and object",
-    "finding": "the pre-flight check or the data say so, with advice; no value is used silently",
-    "drives stop": "every drive stops by itself (heartbeat consumer), whatever the master does",
+    "finding": "the pre-flight check or the data report it, with a remedy; no value is used without a message",
+    "drives stop": "every drive stops itself (heartbeat consumer), whatever the master does",
     "kept": "the run ends with an error, every finished visit is on disk",
 }
 
@@ -46,10 +45,10 @@ class Kind:
     ----------
     where : where it acts; "object": from power-up on, so it has to be armed before a master comes
     reaction : what has to happen
-    bound : SYNCs from its start to the master's reaction; None = not by SYNCs (before motion, or by the clock)
+    bound : SYNCs from its start to the master's reaction; None = not by SYNCs (before motion, or in real time)
     meaning : one line
-    real : what has to happen by the clock, where that differs; None = the same
-    bound_s : by the clock, seconds from its start to the master's reaction; None = `bound` SYNCs there too
+    real : what has to happen in real time, where that differs; None = the same
+    bound_s : in real time, seconds from its start to the master's reaction; None = `bound` SYNCs there too
     """
 
     where: Where
@@ -60,7 +59,7 @@ class Kind:
     bound_s: float | None = None
 
     def reaction_in(self, pacing: str) -> Reaction:
-        """What has to happen in lockstep, or by the clock ("real")."""
+        """Return what has to happen in lockstep, or in real time ("real")."""
         return self.real if pacing == "real" and self.real is not None else self.reaction
 
 
@@ -82,8 +81,8 @@ KINDS: dict[str, Kind] = {
     "rpdo_gone": Kind("wire", "stops", 100, "no command reaches one drive any more"),
     "sync_lost": Kind("wire", "retried", 1, "a SYNC reaches no drive"),
     # SDO on the wire
-    "sdo_late": Kind("wire", "goes on", None, "answers late, but in time"),
-    "sdo_too_late": Kind("wire", "goes on", None, "one answer after the time-out: asked again, never mistaken"),
+    "sdo_late": Kind("wire", "goes on", None, "delayed answers within the time-out"),
+    "sdo_too_late": Kind("wire", "goes on", None, "one answer after the time-out: requested again, never mistaken"),
     "sdo_lost": Kind("wire", "goes on", None, "one answer is lost, the read is repeated"),
     "sdo_silent": Kind("wire", "refuses", None, "no answer at all"),
     "sdo_aborted": Kind("wire", "refuses", None, "refuses an object"),
@@ -94,23 +93,27 @@ KINDS: dict[str, Kind] = {
     "heartbeat_lost": Kind("wire", "stops", None, "the drive's heartbeat is missing", bound_s=0.85),
     "heartbeat_back": Kind("wire", "stops", None, "the drive's heartbeat is missing and comes back", bound_s=0.85),
     "node_killed": Kind("drive", "stops", 6, "the drive is without power"),
-    "power_cycle": Kind("drive", "stops", 2, "the drive starts anew in the middle of a run"),
-    "reboot_keeps_all": Kind("drive", "goes on", None, "the drive starts anew in its brake and keeps all objects"),
-    "reboot_keeps_communication": Kind(
-        "drive", "refuses", None, "the drive starts anew in its brake and keeps 0x1000 to 0x1FFF"
+    "power_cycle": Kind("drive", "stops", 2, "the drive restarts during a run"),
+    "reboot_keeps_all": Kind(
+        "drive", "goes on", None, "the drive restarts with its brake applied and keeps all objects"
     ),
-    "reboot_keeps_nothing": Kind("drive", "refuses", None, "the drive starts anew in its brake, as delivered"),
+    "reboot_keeps_communication": Kind(
+        "drive", "refuses", None, "the drive restarts with its brake applied and keeps 0x1000 to 0x1FFF"
+    ),
+    "reboot_keeps_nothing": Kind(
+        "drive", "refuses", None, "the drive restarts with its brake applied, with factory settings"
+    ),
     "boot_up_frame": Kind("wire", "stops", 2, "a boot-up frame in the middle of a run"),
     "nmt_stopped": Kind("drive", "stops", 2, "the drive goes to NMT state STOPPED"),
     "nmt_preoperational": Kind("drive", "stops", 2, "the drive falls back to PRE-OPERATIONAL"),
     # EMCY
     "emcy": Kind("wire", "stops", 2, "an emergency message"),
     "emcy_short": Kind("wire", "stops", 2, "an emergency message of two bytes"),
-    "emcy_reset": Kind("wire", "goes on", 1, "an emergency message that says that all is well again"),
+    "emcy_reset": Kind("wire", "goes on", 1, "an emergency message that reports an error as cleared"),
     "emcy_storm": Kind("wire", "stops", 2, "two hundred emergency messages at once"),
     # the drive
     "drive_fault": Kind("drive", "stops", 2, "the drive goes to FAULT"),
-    "quick_stop": Kind("drive", "stops", 2, "the drive does a quick stop by itself"),
+    "quick_stop": Kind("drive", "stops", 2, "the drive does a quick stop without a command"),
     "internal_limit": Kind("wire", "stops", 2, "statusword bit 11: a limit of the drive acts"),
     "following_error": Kind("wire", "stops", 2, "statusword bit 13: following error"),
     "safe_torque_off": Kind("drive", "stops", 2, "the safety circuit takes the torque away"),
@@ -120,10 +123,10 @@ KINDS: dict[str, Kind] = {
     "brake_engaged": Kind("drive", "stops", 100, "the holding brake falls in under power"),
     "never_settles": Kind("drive", "stops", None, "the position loop hunts: the axis never comes to rest"),
     "torque_spike": Kind("wire", "stops", 4, "the torque jumps and stays, as on contact"),
-    # what the drive says about itself
+    # reports of the drive
     "demand_torque": Kind("drive", "finding", None, "0x6077 shows the demand, not the measurement"),
     "unsigned_torque": Kind("drive", "finding", None, "0x6077 has lost its sign"),
-    "heartbeat_ignored": Kind("drive", "finding", None, "the drive goes on when the master's heartbeat is gone"),
+    "heartbeat_ignored": Kind("drive", "finding", None, "the drive continues when the master's heartbeat stops"),
     "wrong_rated": Kind("object", "finding", None, "rated torque in uNm instead of mNm"),
     "write_ignored": Kind("object", "refuses", None, "acknowledges a write of an object (0x6007) and keeps its value"),
     "drive_exchanged": Kind(
@@ -131,12 +134,12 @@ KINDS: dict[str, Kind] = {
     ),
     "rated_zero": Kind("object", "refuses", None, "rated torque is zero"),
     "wrong_vendor": Kind("object", "refuses", None, "another make of drive"),
-    "node_missing": Kind("wire", "refuses", None, "nobody at a node id"),
+    "node_missing": Kind("wire", "refuses", None, "no device at a node id"),
     "duplicate_node": Kind("wire", "refuses", None, "two devices with one node id"),
     "fault_at_start": Kind("drive", "refuses", None, "the drive is in FAULT before anything begins"),
-    # strict slaves: nothing is wrong with them
+    # strict slaves: conforming
     "strict_inhibit": Kind("object", "goes on", None, "aborts an inhibit time written while the PDO exists; has 10 ms"),
-    "start_refused": Kind("object", "goes on", None, "refuses START while a communication error stands; it clears"),
+    "start_refused": Kind("object", "goes on", None, "refuses START while a communication error is active; it clears"),
     "cycle_period_set": Kind("object", "goes on", None, "0x1006 is set; another SYNC period ends OPERATIONAL"),
     "no_data_abort": Kind("object", "goes on", None, "answers 'no data available' for optional objects"),
     "tpdo3_on": Kind("object", "goes on", None, "TPDO3 is on at power-up and sends 5000 frames a second"),
@@ -165,7 +168,7 @@ KINDS: dict[str, Kind] = {
     "queue_full": Kind("master", "goes on", 1, "transmit queue full (ENOBUFS) for a moment"),
     "queue_stays_full": Kind("master", "drives stop", None, "transmit queue full for ever"),
     "master_killed": Kind("master", "drives stop", None, "the master process is killed (SIGKILL)"),
-    "master_stalled": Kind("master", "drives stop", None, "the master process stands still for a while (SIGSTOP)"),
+    "master_stalled": Kind("master", "drives stop", None, "the master process is suspended for a while (SIGSTOP)"),
     "disk_full": Kind("master", "kept", None, "the recording's disk is full"),
 }
 
@@ -180,11 +183,11 @@ class Fault:
     Attributes
     ----------
     kind : one of `KINDS`
-    node : whom it concerns; 0 = every node, or nobody in particular
+    node : the node; 0 = every node, or none in particular
     at_sync : SYNC at which it starts
     syncs : how many SYNCs it lasts; 0 = from then on
     count : how many frames it touches at most; 0 = all
-    delay_s : of late answers; of a burst; until a refused START is obeyed; 0 = the kind's own
+    delay_s : of delayed answers; of a burst; until a refused START is obeyed; 0 = the kind's own
     index, subindex : object that an SDO fault is about; index 0 = any
     code : EMCY or SDO abort code; value of the object that a strict slave has set (0x1006, 0x1014), or an exchanged
         drive (0x6072)

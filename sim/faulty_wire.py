@@ -1,7 +1,7 @@
 """An adapter that loses, delays, repeats and invents frames between the simulated drives and their bus.
 
-It stands where the drives' python-can bus stands: what they send passes `send`, what they receive passes `recv`. Time
-is counted in SYNC frames; only late answers are late by the clock. Faults inside a drive are handed to the drive.
+It replaces the drives' python-can bus: their frames pass `send` and `recv`. Time is counted in SYNC frames; only
+delayed answers are delayed in seconds. Faults inside a drive are passed to the drive.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class FaultyWire:
 
     def __init__(self, bus: Any, faults: Iterable[Fault] = (), act: DriveAction | None = None) -> None:
         self.sync = 0
-        #: SYNC period [s], and whether time is the clock's or what SYNCs stand for.
+        #: SYNC period [s], and whether time is real or counted by SYNCs.
         self.period_s, self.real = 0.01, False
         #: Frames by what was done to them.
         self.touched: dict[str, int] = {}
         self.act = act
-        #: Called with the number of each SYNC, before the drives hear of it.
+        #: Called with the number of each SYNC, before the drives receive it.
         self.on_sync: Callable[[int], None] = lambda _sync: None
         #: Called with the number of the SYNC and each frame of a drive, before anything is done to it.
         self.on_frame: Callable[[int, can.Message], None] = lambda _sync, _frame: None
@@ -109,14 +109,14 @@ class FaultyWire:
     # -- python-can --------------------------------------------------------------------------------------------------
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send what the faults leave of a frame."""
+        """Send a frame, subject to the faults."""
         with self._lock:
             self.on_frame(self.sync, msg)
             for frame in self._through(msg):
                 self._put(frame)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Next frame that reaches the drives; late frames are sent when they are due."""
+        """Next frame that reaches the drives; delayed frames are sent when they are due."""
         end = None if timeout is None else time.monotonic() + timeout
         while True:
             self._flush()
@@ -158,7 +158,7 @@ class FaultyWire:
                 self._put(self._due.pop(0)[1])
 
     def later(self, frame: can.Message, delay_s: float) -> None:
-        """Send the frame after a time by the clock."""
+        """Send the frame after a real time."""
         self._at(frame, time.monotonic() + delay_s)
 
     def _at(self, frame: can.Message, due_s: float) -> None:
@@ -167,11 +167,11 @@ class FaultyWire:
 
     @property
     def now_s(self) -> float:
-        """Time that the drives know: by the clock, or by SYNCs."""
+        """Return the time of the drives: real, or by SYNCs."""
         return time.monotonic() if self.real else self.sync * self.period_s
 
     def hold(self, frame: can.Message, due_s: float) -> None:
-        """Send the frame at a time that the drives know, after those that are due by then."""
+        """Send the frame at a time of the drives, after those that are due by then."""
         if self.real:
             self._at(frame, due_s)
         else:

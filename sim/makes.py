@@ -1,7 +1,7 @@
-"""How drives of known makes count, each written from its maker's manual or from code that runs it.
+"""Scaling of drives of known makes, from the manufacturer's manual or from code that runs them.
 
-Nothing here is read from the profile: where the profile says otherwise than the make, the master reads a wrong torque,
-and the loop test over all profiles shows it.
+Nothing here is read from the profile. A profile that contradicts the make gives a wrong torque, which the test over all
+profiles detects.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ TPDO_COUNT = 4
 
 @dataclass(frozen=True, slots=True)
 class MeasuringSite:
-    """Where a measuring device sits and what it shows.
+    """Node id and channels of a measuring device.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class FakeMeasuringDevice:
 
     def sync(self) -> None:
         """SYNC: sample, then send what is mapped to it."""
-        if self.node.state != OPERATIONAL or self.node.silent:
+        if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         self._sync_count += 1
         self._sample()

@@ -1,11 +1,10 @@
 """What a simulated drive does with its axis in each CiA 402 state and mode: reference, brake, ramps, monitoring.
 
 The reference advances once per stretch of simulated time (one SYNC in lockstep); the servo loop moves it evenly over
-the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. By the clock, a set
-point waits for a clock of the drive's own, which a phase-locked loop keeps half a period behind the SYNCs: each one
-moves it a little, their mean sets its delay, and set points may come up to half a period early or late. At a tick the
-newest set point is taken, as there is one target position (0x607A) and no queue; where none has come the reference goes
-on.
+the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. In real time, a
+setpoint waits for the drive's own clock, which a phase-locked loop keeps half a period behind the SYNCs. Setpoints may
+therefore arrive up to half a period early or delayed. At a tick the newest setpoint is taken, as there is one target
+position (0x607A) and no queue; without a new one the reference is extrapolated.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ PP, CSP, CST = 1, 8, 10
 NEW_SET_POINT, RELATIVE, HALT = 1 << 4, 1 << 6, 1 << 8
 TARGET_REACHED, INTERNAL_LIMIT, MODE_SPECIFIC, FOLLOWING_ERROR = 1 << 10, 1 << 11, 1 << 12, 1 << 13
 EMCY_FOLLOWING = 0x8611
-#: A stopping axis counts as standing below this speed [rad/s], or this long after its ramp whatever it does [s].
+#: A stopping axis counts as at rest below this speed [rad/s], or this long after its ramp in any case [s].
 STANDSTILL_RAD_S = 0.02
-#: Option codes: what happens on the way out of OPERATION ENABLED, and while a quick stop or a fault is answered.
+#: Option codes: reaction when leaving OPERATION ENABLED, and during a quick stop or a fault.
 QUICK_STOP_OPTION, HALT_OPTION = (0x605A, 0), (0x605D, 0)
 LEAVING = {PdsState.READY_TO_SWITCH_ON: (0x605B, 0), PdsState.SWITCHED_ON: (0x605C, 0)}
 STOPPING = {PdsState.QUICK_STOP_ACTIVE: QUICK_STOP_OPTION, PdsState.FAULT_REACTION_ACTIVE: (0x605E, 0)}
 SLOW_DOWN_RAMP, QUICK_STOP_RAMP = 0x6084, 0x6085
 STOP_TIMEOUT_S = 0.3
-#: How much of its way off half a period behind the SYNCs the drive's own clock makes up for in a period, and at most.
+#: Share of its phase error that the drive's own clock corrects in a period, and the largest correction.
 CLOCK_PULL, CLOCK_DRAW = 0.01, 0.03
-#: Ticks without a set point after which the reference stands: on for one period, then slower.
+#: Ticks without a setpoint after which the reference is at rest: extrapolated for one period, then slower.
 MISSED_UNTIL_REST = 2
 
 
@@ -79,7 +78,7 @@ class DriveMotion:
     target_limited : the target position was cut by a software limit
     brake_stuck : the holding brake does not open
     wobble : amplitude [rad] and frequency [Hz] of a loop that hunts and never comes to rest
-    buffered : a set point waits for a clock of the drive's own
+    buffered : a setpoint waits for the drive's own clock
     """
 
     def __init__(self, drive: MovingDrive) -> None:
@@ -88,10 +87,10 @@ class DriveMotion:
         self.brake_stuck = False
         self.wobble: tuple[float, float] | None = None
         self.buffered = False
-        #: Set point that no tick has taken yet.
+        #: Setpoint that no tick has taken yet.
         self._waiting_rad: float | None = None
         self._goal = self._since_s = 0.0
-        #: Ticks in a row without a set point.
+        #: Ticks in a row without a setpoint.
         self._missed = MISSED_UNTIL_REST + 1
         self._wobbled = 0.0
         self._speed = 0.0
@@ -133,7 +132,7 @@ class DriveMotion:
             self._disable()
 
     def _unlock(self) -> None:
-        """No clock runs: the next set point starts it."""
+        """Stop the drive's clock: the next setpoint starts it."""
         self._waiting_rad, self._left_s, self._missed = None, 0.0, MISSED_UNTIL_REST + 1
 
     def _brake_delay_s(self) -> float:
@@ -211,7 +210,7 @@ class DriveMotion:
         self._speed = self._move(self._commanded(seconds), ticks)
 
     def _commanded(self, seconds: float) -> float:
-        """Way [rad] that the master asks for in its mode."""
+        """Return the movement [rad] commanded by the master in its mode."""
         drive, servo = self._drive, self._drive.axis.servo
         if drive.mode == CSP:
             return self._track(seconds)
@@ -221,7 +220,7 @@ class DriveMotion:
         return 0.0
 
     def _move(self, travel_rad: float, ticks: float) -> float:
-        """Spread the way over the milliseconds; returns its speed [rad/s]."""
+        """Distribute the movement over the milliseconds; return its speed [rad/s]."""
         seconds = ticks * TICK_S
         self.feed_torque()
         travel = travel_rad + self._hunting(seconds)
@@ -231,7 +230,7 @@ class DriveMotion:
     def target_set(self) -> None:
         """A target position came: it is to be reached within the interpolation period (0x60C2)."""
         if self.buffered:
-            if self._missed > MISSED_UNTIL_REST and self._waiting_rad is None:  # a clock that nothing hangs on is set
+            if self._missed > MISSED_UNTIL_REST and self._waiting_rad is None:  # the clock is unused: set it
                 self._left_s = 0.5 * self.period_s()
             self._waiting_rad, self._since_s = self._drive.target_rad(), 0.0
         else:
@@ -243,9 +242,9 @@ class DriveMotion:
         return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
 
     def _by_own_clock(self, seconds: float) -> float:
-        """Way of the reference [rad] when set points wait for a tick.
+        """Return the movement of the reference [rad] when setpoints wait for a tick.
 
-        Without one the axis goes on for a period, as drives that extrapolate a late one do, then slows down to a stop.
+        Without one the axis continues for a period, as drives do that extrapolate, then slows down to a stop.
         """
         at = self._drive.axis.servo.reference_rad - self._wobbled
         begin, period_s = at, self.period_s()
@@ -265,7 +264,7 @@ class DriveMotion:
         return at - begin
 
     def _tick(self, period_s: float) -> None:
-        """One period of the drive's own clock begins, with a set point or without."""
+        """Begin a period of the drive's own clock, with a setpoint or without."""
         if self._waiting_rad is None:
             self._missed += 1
             self._left_s = period_s
@@ -275,7 +274,7 @@ class DriveMotion:
         self._left_s = period_s * (1.0 - min(max(CLOCK_PULL * behind, -CLOCK_DRAW), CLOCK_DRAW))
 
     def _track(self, seconds: float) -> float:
-        """Cyclic synchronous position: what is left of the way, evenly over what is left of the period."""
+        """Cyclic synchronous position: the remaining movement, evenly over the remaining period."""
         drive = self._drive
         if self.buffered:
             travel = self._by_own_clock(seconds)
@@ -309,7 +308,7 @@ class DriveMotion:
         return way if abs(way - travel) < 1e-9 else travel
 
     def _ramp_down(self, seconds: float, index: int) -> float:
-        """Stop on the deceleration of an object; when the reference stands, the automaton is told."""
+        """Stop with the deceleration of an object; notify the state machine when the reference is at rest."""
         drive = self._drive
         rate = drive.joint_ramp(drive.store.number((index, 0)))
         slower = max(abs(self._speed) - rate * seconds, 0.0)
@@ -323,7 +322,7 @@ class DriveMotion:
         return travel
 
     def _stopped(self) -> None:
-        """The axis stands: end the transition that waited for it."""
+        """End the transition that waits for the axis to be at rest."""
         automaton = self._drive.automaton
         before = automaton.state
         if self._then is not None:

@@ -7,7 +7,7 @@ import math
 from sim.friction import JointFriction
 from sim.servo import TICK_S, ServoLoop
 
-#: An axis that falls comes to lie on something soft after so much.
+#: A falling axis meets a soft stop after this movement.
 FALL_RAD = 0.1
 
 
@@ -92,7 +92,7 @@ class MotorAxis:
         return self._down != 0.0 and self.fall_rad_s2 > 0.0
 
     def release(self) -> None:
-        """Feed the motor and open the brake; the reference is where the axis stands."""
+        """Power the motor and open the brake; the reference is the present position."""
         if not self.fed:
             self.servo.reset(self.position_rad)
             self.friction.stuck_s = 0.0
@@ -100,7 +100,7 @@ class MotorAxis:
             self._down = self._fallen_rad_s = self._fallen_rad = 0.0
 
     def coast(self) -> None:
-        """Cut the motor and leave the brake open."""
+        """Cut the motor power and leave the brake open."""
         if self.fed:
             self.fed = False
             self.servo.reset(self.position_rad)

@@ -1,4 +1,4 @@
-"""python-can's udp_multicast bus for a sender that has no use for its own frames.
+"""python-can's udp_multicast bus for a sender that ignores its own frames.
 
 Multicast loops every frame back to its sender. Six drives would decode twice as many of their own frames as of the
 master's, so frames that were just sent are dropped by their bytes, before they are decoded. The socket and the frame
@@ -63,7 +63,7 @@ class QuietMulticastBus:
             raise can.CanOperationError(f"udp_multicast: {error}") from error
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Next frame of somebody else, None after the timeout [s].
+        """Return the next frame of another sender, None after the timeout [s].
 
         Raises
         ------
@@ -102,7 +102,7 @@ class QuietMulticastBus:
 
 
 def _received_s(notes: list[tuple[int, int, bytes]]) -> float:
-    """When the kernel received a datagram, wall clock [s]; 0 where it does not say."""
+    """When the kernel received a datagram, wall clock [s]; 0 where it is not available."""
     for level, kind, data in notes:
         if level == socket.SOL_SOCKET and kind == SO_TIMESTAMPNS and len(data) >= _STAMP.size:
             seconds, nanoseconds = _STAMP.unpack_from(data)

@@ -23,7 +23,7 @@ START = 1
 MAX_HISTORY = 8
 #: Bit 31 of 0x1014: the device sends no EMCY.
 EMCY_OFF = 1 << 31
-#: Object by which every simulated node says what it is; it stands in the range that is free to manufacturers.
+#: Object that identifies a simulated node, in the manufacturer-specific range.
 SIMULATOR_OBJECT, SIMULATOR_NAME = (0x5FFE, 0), "servo-sim"
 
 SdoFilter = Callable[[int, int], int | None]
@@ -32,7 +32,7 @@ SdoFilter = Callable[[int, int], int | None]
 class SlaveSdoServer(SdoServer):
     """SDO server: expedited and segmented, one transfer at a time.
 
-    `refuse` is asked before each access: an abort code instead of an answer, -1 for no answer at all, None to go on.
+    `refuse` is called before each access: an abort code instead of an answer, -1 for no answer, None to continue.
     """
 
     def __init__(self, rx_cobid: int, tx_cobid: int, node: SlaveNode) -> None:
@@ -43,7 +43,7 @@ class SlaveSdoServer(SdoServer):
 
     def on_request(self, can_id: int, data: bytearray, timestamp: float) -> None:
         """Answer one frame of a client."""
-        if len(data) != 8 or self._node.silent or self._node.state in (STOPPED, INITIALISING):
+        if len(data) != 8 or self._node.unpowered or self._node.state in (STOPPED, INITIALISING):
             return
         kind = data[0] & 0xE0
         if kind in (0x20, 0x40, 0xA0, 0xC0):
@@ -79,7 +79,7 @@ class SlaveSdoServer(SdoServer):
 
 
 class SlaveNmt(NmtSlave):
-    """NMT slave: commands act on the drive, the heartbeat is sent by whoever keeps the time."""
+    """NMT slave: commands act on the drive, the heartbeat is sent by the time base."""
 
     def on_command(self, can_id: int, data: bytearray, timestamp: float) -> None:
         """NMT frame of the master."""
@@ -98,10 +98,10 @@ class SlaveNode(canopen.LocalNode):
     store : its objects
     number : node id
     state : NMT state, 0 initialising, 4 stopped, 5 operational, 127 pre-operational
-    silent : sends and answers nothing (no power)
+    unpowered : sends and answers nothing (no power)
     on_nmt : called with (old state, new state)
     on_reset : called when the application is reset
-    on_heartbeat_lost : called with the node that fell silent
+    on_heartbeat_lost : called with the node whose heartbeat stopped
     may_start : asked before START is obeyed
     mute : never sends a heartbeat
     """
@@ -114,7 +114,7 @@ class SlaveNode(canopen.LocalNode):
         self.sdo = SlaveSdoServer(0x600 + node_id, 0x580 + node_id, self)
         self.nmt = SlaveNmt(node_id, self)
         self.state = INITIALISING
-        self.silent = False
+        self.unpowered = False
         self.error_register = 0
         self._history: list[int] = []
         self._beat_s: dict[str, float] = {}
@@ -175,7 +175,7 @@ class SlaveNode(canopen.LocalNode):
 
     def nmt_command(self, command: int) -> None:
         """NMT command of the master."""
-        if self.silent:
+        if self.unpowered:
             return
         if command in (RESET_NODE, RESET_COMMUNICATION):
             self.enter(INITIALISING)
@@ -194,7 +194,7 @@ class SlaveNode(canopen.LocalNode):
     # --------------------------------------------------------------------------------------------------- heartbeats
 
     def keep_time(self, simulated_s: float, wall_s: float) -> None:
-        """Send the heartbeat when it is due by the simulated clock or by the wall clock, whichever comes first."""
+        """Send the heartbeat when it is due in simulated or real time, whichever is first."""
         period = self.store.number((0x1017, 0)) * 1e-3
         if not period or self.mute or self.state == INITIALISING:
             return
@@ -203,13 +203,13 @@ class SlaveNode(canopen.LocalNode):
             self._beat_s = now
             self.send(0x700 + self.number, bytes([self.state]))
 
-    def heard(self, node_id: int, time_s: float) -> None:
-        """A heartbeat of another node; watching begins with the first one."""
+    def note_heartbeat(self, node_id: int, time_s: float) -> None:
+        """Note a heartbeat of another node; monitoring begins with the first one."""
         if self.store.number((0x1016, 1)) >> 16 == node_id:
             self._watched_s[node_id] = time_s
 
     def watch(self, time_s: float) -> None:
-        """Look whether a watched node fell silent (0x1016)."""
+        """Check whether the heartbeat of a monitored node stopped (0x1016)."""
         setting = self.store.number((0x1016, 1))
         node_id, limit = setting >> 16, (setting & 0xFFFF) * 1e-3
         since = self._watched_s.get(node_id)
@@ -231,5 +231,5 @@ class SlaveNode(canopen.LocalNode):
 
     def send(self, cob_id: int, data: bytes) -> None:
         """Put a frame on the bus, if the device has power."""
-        if not self.silent:
+        if not self.unpowered:
             self.network.send_message(cob_id, data)

@@ -1,4 +1,4 @@
-"""The arm of a cell file as a plant without effects: inertials of the URDF, ordinary gears, ordinary sensors."""
+"""The arm of a cell file as a plant without effects: inertials of the URDF, typical gears, typical sensors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Mechanisms that no diagnosis has a name for: what is right about them is to say that something is there."""
+"""Mechanisms outside the effect library: the correct diagnosis is an unexplained structure."""
 
 from __future__ import annotations
 

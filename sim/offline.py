@@ -1,8 +1,8 @@
 """Measured tables straight from the physics of a plant, without bus, drives or time steps.
 
-At rest the torque that a gear transmits follows from static equilibrium; what the motor gives differs from it by
-friction, which is a set: after a slow approach in direction d the gear stands anywhere between full kinetic friction
-and what is left of it once the controller has settled. Every pose is approached from both sides.
+At rest the torque that a gear transmits follows from static equilibrium; the motor torque differs from it by friction,
+which is a set: after a slow approach in direction d friction is anywhere between its kinetic level and the remainder
+once the controller has settled. Every pose is approached from both sides.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class PlannedVisit:
     Attributes
     ----------
     pose : number of the pose
-    load : label of what hangs on the flange
+    load : label of the mounted load
     time_s : start of the visit
     q_rad : (N,) joint angles as the encoders give them
     """

@@ -1,6 +1,6 @@
-"""How simulated time passes: with each SYNC, or by the clock."""
+"""Pacing of simulated time: by SYNC, or in real time."""
 
 from __future__ import annotations
 
-#: "lockstep": simulated time advances by one period with each SYNC and stands still otherwise; "real": by the clock.
+#: "lockstep": simulated time advances by one period with each SYNC; "real": in real time.
 PACINGS = ("lockstep", "real")

@@ -1,7 +1,7 @@
 """Process data objects of a simulated drive: communication and mapping as the master wrote them (CiA 301, 7.5).
 
 Nothing is assumed about a map: what is packed into a TPDO and taken out of an RPDO follows from 0x1A00 and 0x1600 as
-they stand, and both may be changed only while the PDO is switched off.
+stored, and both may be changed only while the PDO is switched off.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
-"""The arm in PyBullet, stepped one millisecond at a time; it knows no clock.
+"""The arm in PyBullet, stepped one millisecond at a time, without a clock.
 
 Links are PyBullet's. Motors are not: each rotor is integrated here, behind its gear, and hands its torque to the link
 through a stiff, damped coupling (PyBullet has no rotor inertia). Friction therefore acts where it does in a machine,
-between motor and gear output, and is exact at rest. The coupling is numerical: its wind-up is not seen by the encoder.
+between motor and gear output, and is exact at rest. The coupling is numerical: the encoder does not measure its
+wind-up.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ Array = NDArray[np.float64]
 
 #: Milliseconds after which springs, drift and payload shift are looked at again.
 REFRESH_TICKS = 20
-#: Displacement of the payload after which the links are built anew [m].
+#: Displacement of the payload after which the links are built again [m].
 SHIFT_M = 1e-4
 
 
@@ -69,7 +70,7 @@ class ArmWorld:
     # ------------------------------------------------------------------------------------------------------- set-up
 
     def _load_body(self) -> None:
-        """Build the links with what hangs on the flange, in the present posture.
+        """Build the links with the mounted load, in the present posture.
 
         PyBullet refuses an inertia that its own rounding made unsymmetrical in the last bit; centres of gravity a few
         picometres further out round otherwise.
@@ -83,7 +84,7 @@ class ArmWorld:
     def _build(self, stretch: float) -> None:
         """Build the links, their centres of gravity stretched by a factor.
 
-        In a fresh engine: PyBullet keeps inverse dynamics by address, and may hand out those of a body that is gone.
+        In a fresh engine: PyBullet keeps inverse dynamics by address, and may return those of a deleted body.
         """
         self.close()
         self._client = bullet.connect(bullet.DIRECT)
@@ -113,7 +114,7 @@ class ArmWorld:
         return inverse.T @ mass @ inverse
 
     def _tune(self) -> None:
-        """Size the numerical coupling for what hangs on the arm."""
+        """Size the numerical coupling for the mounted load."""
         rotor = self.plant.rotor_inertia_kg_m2
         self._gears: Coupling = coupling(self._masses(), rotor)
         for i, axis in enumerate(self.axes):
@@ -145,7 +146,7 @@ class ArmWorld:
             gear.set_efficiency(float(now.gear_efficiency[i]))
 
     def _settle(self) -> None:
-        """Wind the couplings up to gravity, so that the arm hangs still in its brakes from the first moment."""
+        """Wind the couplings up to gravity, so that the arm is at rest in its brakes from the start."""
         still = [0.0] * len(self._q)
         self._qd = still
         gravity = bullet.calculateInverseDynamics(self._body, self._q, still, still, physicsClientId=self._client)
@@ -164,8 +165,8 @@ class ArmWorld:
 
     # ---------------------------------------------------------------------------------------------------- operation
 
-    def hang(self, payload: Payload) -> None:
-        """Bolt another load to the last link; an arm that stands in its brakes keeps still."""
+    def mount(self, payload: Payload) -> None:
+        """Mount another load on the last link; an arm held by its brakes does not move."""
         self.plant = self.plant.with_payload(payload)
         self._now = self.plant.at(self.time_s)
         self._load_body()
@@ -255,7 +256,7 @@ class ArmWorld:
         return np.array([axis.fastest_rad_s for axis in self.axes])
 
     def forget_fastest(self) -> None:
-        """Begin anew to look for the largest speed."""
+        """Reset the largest speed."""
         for axis in self.axes:
             axis.fastest_rad_s = 0.0
 
@@ -263,7 +264,7 @@ class ArmWorld:
         """One reading of the motor torques, shape (N,), gear output side [Nm]: `r` of `sim.plant`.
 
         The mean over the stretch of time that was stepped last, as a drive shows it that averages between set points:
-        its speed that is fed forward makes the torque a saw tooth in step with them.
+        its speed feedforward makes the torque a saw tooth in step with them.
         """
         now = self._now
         u = self._shown

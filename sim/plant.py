@@ -1,10 +1,9 @@
-"""What the simulated arm obeys and the gateway is never told.
+"""True physics of the simulated arm, unknown to the gateway.
 
-A `Plant` is a complete description of the physics of one arm: its true inertials, what the gears lose, what the
-sensors report wrongly, what hangs on the flange. Every field is neutral by default, so that a plant without effects is
-exactly the arm of the URDF with ideal gears. Effects are functions from one plant to the next
-(`dataclasses.replace`); the bus simulation and the tables computed without a bus read the same fields and therefore
-obey the same physics.
+A `Plant` is a complete description of the physics of one arm: its true inertials, gear losses, sensor errors, load on
+the flange. Every field is neutral by default, so that a plant without effects is exactly the arm of the URDF with ideal
+gears. Effects are functions from one plant to the next (`dataclasses.replace`); the bus simulation and the tables
+computed without a bus read the same fields and therefore obey the same physics.
 
 Symbols used in the field descriptions, per joint:
 
@@ -33,7 +32,7 @@ ReadingRipple = Callable[[Array, Array], Array]
 Drift = Callable[[float], Mapping[str, object]]
 
 GRAVITY_M_S2 = 9.80665
-#: What changes nothing, of the fields with a number per axis.
+#: Neutral values of the fields with a number per axis.
 NEUTRAL = {
     "rotor_inertia_kg_m2": 0.0,
     "zero_offset_rad": 0.0,
@@ -86,7 +85,7 @@ class Plant:
     link_com_m : (N, 3) true centre of gravity in each link's frame [m]; no default
     link_inertia_kg_m2 : (N, 3, 3) about the centre of gravity, axes of the link's frame [kg m2]; no default
     gravity_m_s2 : (3,) gravity in the frame the arm is bolted to [m/s2]; a tilted base is a turned vector
-    payload : what hangs on the last link
+    payload : load on the last link
     payload_shift : time_s -> (3,) displacement of the payload's centre of gravity in the last link [m]; None = fixed
     rotor_inertia_kg_m2 : (N,) motor rotor inertia reflected to the joint (ratio squared applied) [kg m2]
 
@@ -116,7 +115,7 @@ class Plant:
 
     torque_constant_scale : (N,) true torque constant over the stored one
     current_factor : (N,) reported current over the true one (sqrt 2 or 1 / sqrt 2 where rms and peak are confused)
-    reading_offset_nm : (N,) constant added to what is reported, joint-side [Nm]
+    reading_offset_nm : (N,) constant added to the reported torque, joint-side [Nm]
     reading_ripple : (q_enc (N,), u (N,)) -> (N,) position-dependent error of the reading, joint-side [Nm]
     coupling : (N, N) mixes the readings: reported axis i shows `sum_j coupling[i, j] * axis j`
     torque_sign : (N,) +1 or -1: -1 reports the torque with the wrong sign (position is right)
@@ -189,7 +188,7 @@ class Plant:
 
 
 def nominal_plant(link_mass_kg: Array, link_com_m: Array, link_inertia_kg_m2: Array, **fields: object) -> Plant:
-    """Plant of an arm with the given inertials; whatever is not named stays neutral.
+    """Plant of an arm with the given inertials; all other fields stay neutral.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""In what a simulated drive differs from a patient one: strict, deaf, talkative or broken.
+"""Deviations of a simulated drive from a tolerant one: strict, unresponsive, flooding or defective.
 
-Everything here is read where it acts (objects, PDOs, network management, motion). A drive without quirks is one that a
-fresh `Quirks` describes; what is set here outlives an NMT reset, as firmware and hardware do.
+Everything here is read where it acts (objects, PDOs, network management, motion). A default `Quirks` describes a drive
+without deviations; the settings persist over an NMT reset, as firmware and hardware do.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class Quirks:
     ----------
     inhibit_abort : SDO abort code of an inhibit time that is written while the PDO exists
     inhibit_100us : inhibit time of the TPDOs at power-up
-    start_refused_s : how long a communication error stands after the first START; while it does, START is refused
+    start_refused_s : duration of a communication error after the first START; meanwhile START is refused
     watches_cycle : SYNC is compared with 0x1006, and OPERATIONAL is left where they differ
     without_data : indices that answer "no data available"
-    flood_hz : rate at which TPDO3, switched on at power-up, sends by itself; 0 = off at power-up
+    flood_hz : rate at which TPDO3, switched on at power-up, sends unrequested; 0 = off at power-up
     values : objects that hold another value from power-up on
     sto_open : the safety circuit is open (emergency stop pressed)
     unreferenced : the encoder has lost its reference
@@ -58,7 +58,7 @@ class Quirks:
 
 
 class QuirkyDrive(Protocol):
-    """What the conduct of a drive is made of."""
+    """Interface of a drive used by its conduct."""
 
     node: SlaveNode
     store: ObjectStore
@@ -85,7 +85,7 @@ class Conduct:
 
     Attributes
     ----------
-    clock : monotonic, by which a communication error stands
+    clock : monotonic clock of a communication error
     """
 
     def __init__(self, drive: QuirkyDrive) -> None:
@@ -99,12 +99,12 @@ class Conduct:
         self._enabled_syncs = 0
 
     def entered_operational(self) -> None:
-        """Nothing of an earlier time in OPERATIONAL is compared with what comes."""
+        """Reset the SYNC comparison when OPERATIONAL is entered."""
         self._synced_at_s = self._flooded_s = None
         self._wrong_cycles = 0
 
     def may_start(self) -> bool:
-        """Whether START is obeyed: not while the communication error stands, which is said each time."""
+        """Return whether START is obeyed: not while the communication error is active, which is reported each time."""
         node, lasts_s = self._drive.node, self._drive.quirks.start_refused_s
         if not lasts_s:
             return True

@@ -1,4 +1,4 @@
-"""Effects of the reading chain: what drives, motors and wiring make of the torque before it is reported.
+"""Effects of the reading chain: errors of drives, motors and wiring in the reported torque.
 
 Each is a function from one `Plant` to the next, as in `sim.effects`.
 """
@@ -85,7 +85,7 @@ def torque_ripple(request: Request) -> Transform:
 
 
 def axis_coupling(request: Request) -> Transform:
-    """Motor j turns when joint i turns; axis i feels `coefficient` times the torque of axis j.
+    """Motor j turns when joint i turns; axis i carries `coefficient` times the torque of axis j.
 
     Several couplings of one arm add up: each is a share of the torque that axis j has by itself.
     """
@@ -95,9 +95,9 @@ def axis_coupling(request: Request) -> Transform:
     coefficient = request.number("coefficient")
 
     def apply(plant: Plant) -> Plant:
-        felt = plant.coupling.copy()
-        felt[row, column] += coefficient
-        return replace(plant, coupling=felt)
+        coupling = plant.coupling.copy()
+        coupling[row, column] += coefficient
+        return replace(plant, coupling=coupling)
 
     return apply
 

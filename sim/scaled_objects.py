@@ -1,4 +1,4 @@
-"""Words of a simulated drive: objects that show a measured quantity, and what one bit of them is."""
+"""Objects of a simulated drive that hold a measured quantity, and their scale."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Address = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Word:
-    """An object that shows a measured quantity: raw = quantity x `bits_per_unit`."""
+    """An object that holds a measured quantity: raw = quantity x `bits_per_unit`."""
 
     address: Address
     type: str

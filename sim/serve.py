@@ -1,4 +1,4 @@
-"""Put the simulated drives of a cell on their buses: for the command line, and as a context manager for tests."""
+"""Serve the simulated drives of a cell on their buses: for the command line, and as a context manager for tests."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ START_TIMEOUT_S = 60.0
 
 
 def serve(cell_path: Path, options: ServeOptions, say: Callable[[str], None]) -> None:
-    """Serve a cell until SIGINT or SIGTERM; lines on stdin hang loads.
+    """Serve a cell until SIGINT or SIGTERM; lines on stdin mount loads.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def serve(cell_path: Path, options: ServeOptions, say: Callable[[str], None]) ->
 
 
 def _assumed(simulation: Simulation) -> str:
-    """What is said of arms whose links nobody stated."""
+    """Return the message about arms with assumed links."""
     told = ""
     for arm in simulation.cell.arms:
         if arm.assumed_links:
@@ -66,7 +66,7 @@ def _obey(simulation: Simulation, lines: IO[str], say: Callable[[str], None]) ->
             simulation.stop()
         elif len(words) == 2 and words[0] == "payload":
             try:
-                simulation.hang(words[1])
+                simulation.mount(words[1])
                 say(f"payload {words[1]} on the flange")
             except KeyError:
                 known = ", ".join(["none", *simulation.loads])
@@ -114,10 +114,10 @@ class RunningSimulation:
         self._process.stdin.flush()
         return self._process.stdout.readline().strip()
 
-    def hang(self, label: str) -> None:
-        """Hang a load on the flange; returns when it hangs."""
+    def mount(self, label: str) -> None:
+        """Mount a load on the flange; return when it is mounted."""
         if self.simulation is not None:
-            self.simulation.hang(label)
+            self.simulation.mount(label)
             return
         answer = self._ask(f"payload {label}")
         if "on the flange" not in answer:
@@ -193,7 +193,7 @@ def wait_until_ready(process: subprocess.Popen[str]) -> str:
 
     Raises
     ------
-    RuntimeError : it ended, or said nothing for a minute; its own message is passed on
+    RuntimeError : it ended, or had no output for a minute; its own message is passed on
     """
     killer = threading.Timer(START_TIMEOUT_S, process.kill)
     killer.start()
@@ -210,7 +210,7 @@ def wait_until_ready(process: subprocess.Popen[str]) -> str:
 
 
 def free_bus() -> str:
-    """A udp_multicast bus on a port that nobody uses now."""
+    """Return a udp_multicast bus on an unused port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         port = probe.getsockname()[1]

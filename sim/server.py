@@ -1,12 +1,11 @@
 """Simulated drives on one bus: frames in, physics forward, frames out; one thread, no asyncio.
 
-Where one plant hangs on several buses that can be waited for together, one thread serves them by the clock, frame after
-frame in the order in which they came.
+If one plant is on several buses that can be waited for together, one thread serves them in real time, frame after frame
+in the order of arrival.
 
-Lockstep: simulated time advances by one SYNC period with each SYNC and stands still otherwise. Real: it follows the
-wall clock, and a frame acts at the time it was received, also where the machine gets round to it later. At a SYNC the
-synchronous RPDOs become valid and the TPDOs show the state of that instant; only then does the physics move on, while
-the master already works on the answers.
+Lockstep: simulated time advances by one SYNC period with each SYNC. Real: it follows the wall clock, and a frame acts
+at the time it was received, even if it is processed later. At a SYNC the synchronous RPDOs become valid and the TPDOs
+show the state of that instant; only then does the physics move on, while the master already works on the answers.
 """
 
 from __future__ import annotations
@@ -38,9 +37,9 @@ IDLE_S = 0.05
 REAL_STEP_S = 0.001
 #: Real pacing: what the physics may have to catch up at once after a stall of the machine [s].
 MOST_CATCH_UP_S = 0.5
-#: A frame that is said to have come longer ago than this has a clock of its own [s].
+#: A frame with an older time stamp has a different clock [s].
 OLDEST_FRAME_S = 5.0
-#: In lockstep a master that has sent no frame for so long is gone, and time passes by the clock [s].
+#: In lockstep a master that has sent no frame for this time counts as lost, and real time applies [s].
 ABANDONED_S = 10.0
 
 
@@ -111,12 +110,12 @@ class BusServer:
     Parameters
     ----------
     bus : python-can bus, owned and shut down by the server
-    arms : the arms whose drives hang on it
+    arms : the arms whose drives are on it
     sync_period_s, pacing : as in the cell file
 
     Attributes
     ----------
-    latest_s : by the clock, longest time after which this process got round to what was due [s]
+    latest_s : in real time, longest delay of this process [s]
     """
 
     def __init__(self, bus: Any, arms: Sequence[ArmUnit], sync_period_s: float, pacing: str) -> None:
@@ -130,7 +129,7 @@ class BusServer:
         self._routes: dict[int, tuple[FakeDrive, int]] = {}
         self._real_at_s = time.monotonic()
         self._beat_at_s = 0.0
-        self._heard_at_s = self._alone_at_s = time.monotonic()
+        self._received_at_s = self._alone_at_s = time.monotonic()
         self.drives = [drive for arm in self.arms for drive in arm.drives]
         self.instruments = [device for arm in self.arms for device in arm.instruments]
         for arm in self.arms:
@@ -166,12 +165,12 @@ class BusServer:
         """Have the serving thread do something between two frames."""
         self._jobs.append(job)
 
-    def hang(self, arm: ArmUnit, payload: Payload) -> None:
-        """Hang a load on an arm's flange; returns when it hangs (call from another thread than the server's)."""
+    def mount(self, arm: ArmUnit, payload: Payload) -> None:
+        """Mount a load on an arm's flange; return when it is mounted (call from another thread than the server's)."""
         done = threading.Event()
 
         def job() -> None:
-            arm.world.hang(payload)
+            arm.world.mount(payload)
             done.set()
 
         self.later(job)
@@ -187,10 +186,10 @@ class BusServer:
             self.boot()
             wait, recv = self.step_s, self.bus.recv
             while not self._stop.is_set():
-                silent_s = time.monotonic() + wait
+                gap_s = time.monotonic() + wait
                 message = recv(wait)
                 if self._real:
-                    self._follow_the_clock(message, silent_s)
+                    self._follow_the_clock(message, gap_s)
                 self.serve(message)
         finally:
             self.end()
@@ -215,7 +214,7 @@ class BusServer:
         self._real_at_s = time.monotonic()
         for node in self.nodes:
             node.boot()
-        if self._real:  # a collection that looks at everything takes longer than a SYNC period
+        if self._real:  # a full garbage collection takes longer than a SYNC period
             gc.collect()
             gc.freeze()
 
@@ -235,16 +234,16 @@ class BusServer:
             self._jobs.popleft()()
         now = time.monotonic()
         if message is not None:
-            self._heard_at_s = now
-        elif not self._real and now - self._heard_at_s > ABANDONED_S:
+            self._received_at_s = now
+        elif not self._real and now - self._received_at_s > ABANDONED_S:
             self._go_on_alone(now)
         if message is None or message.arbitration_id == SYNC_ID or now - self._beat_at_s > IDLE_S:
             self._beat_at_s = now
             self._keep_time(now)
 
     def _go_on_alone(self, now_s: float) -> None:
-        """In lockstep, when the master is gone: let time pass by the clock while a drive feeds its motor."""
-        passed = min(now_s - max(self._alone_at_s, self._heard_at_s + ABANDONED_S), MOST_CATCH_UP_S)
+        """In lockstep, when the master is lost: advance in real time while a drive powers its motor."""
+        passed = min(now_s - max(self._alone_at_s, self._received_at_s + ABANDONED_S), MOST_CATCH_UP_S)
         self._alone_at_s = now_s
         for arm in self.arms:
             if any(drive.automaton.energised for drive in arm.drives):
@@ -260,7 +259,7 @@ class BusServer:
         elif identifier > HEARTBEAT_ID and not message.is_remote_frame:
             for drive in self.drives:
                 if drive.node_id != identifier - HEARTBEAT_ID:
-                    drive.node.heard(identifier - HEARTBEAT_ID, self._time_s(drive))
+                    drive.node.note_heartbeat(identifier - HEARTBEAT_ID, self._time_s(drive))
         elif identifier not in range(0x081, 0x580) and not message.is_remote_frame:
             self._network.notify(identifier, message.data, message.timestamp)
 
@@ -273,16 +272,16 @@ class BusServer:
             arm.sync()
         if not self._real:
             for arm, born_s in zip(self.arms, self._born_s, strict=True):
-                told_s = arm.drives[0].motion.period_s()
-                # a SYNC stands for the time of the cell, until the master has told the drives another one (0x60C2)
-                arm.advance(self._period_s if told_s == born_s else told_s)
+                period_s = arm.drives[0].motion.period_s()
+                # a SYNC advances by the period of the cell, until the master has set another one (0x60C2)
+                arm.advance(self._period_s if period_s == born_s else period_s)
 
-    def _follow_the_clock(self, message: can.Message | None, silent_s: float) -> None:
-        """Let the time pass until a frame was received, or until nothing had come yet.
+    def _follow_the_clock(self, message: can.Message | None, gap_s: float) -> None:
+        """Advance the time until a frame was received, or until now.
 
-        Not until now: a frame may have come since, and what it asks for belongs to when it came.
+        Not beyond: a frame may have arrived since, and its command belongs to its time of arrival.
         """
-        self.pass_until(silent_s if message is None else _came_s(message))
+        self.pass_until(gap_s if message is None else _came_s(message))
 
     def pass_until(self, now_s: float) -> None:
         """Let the time pass until an instant of the monotonic clock."""
@@ -313,7 +312,7 @@ def can_be_waited_for(bus: Any) -> bool:
 
 
 def serve_together(servers: Sequence[BusServer]) -> None:
-    """By the clock, several buses of one plant in this thread, until one of them is told to stop; closes all of them.
+    """Serve several buses of one plant in real time in this thread, until one of them is stopped; close all of them.
 
     Frames of all buses are acted on in the order in which they were received: where one bus has no frame, none has come
     on it before the one that is acted on.
@@ -324,7 +323,7 @@ def serve_together(servers: Sequence[BusServer]) -> None:
         for server in servers:
             server.boot()
         while not any(server.stopped for server in servers):
-            silent_s = time.monotonic() + wait
+            gap_s = time.monotonic() + wait
             heads = [
                 server.bus.recv(0.0) if head is None else head for server, head in zip(servers, heads, strict=True)
             ]
@@ -333,7 +332,7 @@ def serve_together(servers: Sequence[BusServer]) -> None:
                 if select.select(sockets, [], [], wait)[0]:
                     continue
                 for server in servers:
-                    server.pass_until(silent_s)
+                    server.pass_until(gap_s)
                 for server in servers:
                     server.serve(None)
                 continue

@@ -1,7 +1,7 @@
 """Cascaded loops of one simulated drive, 1 kHz: position P, velocity PI with feedforward, current loop of first order.
 
-All quantities stand on the gear output ("joint side" of a motor): angles are motor angle over ratio, torques motor
-torque times ratio. One call is one millisecond.
+All quantities are at the gear output ("joint side" of a motor): angles are motor angle over ratio, torques motor torque
+times ratio. One call is one millisecond.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ class ServoLoop:
         self.reset(0.0)
 
     def reset(self, position_rad: float) -> None:
-        """Power off: no torque, the reference stands where the axis stands."""
+        """Power off: no torque, the reference is the present position."""
         self.reference_rad, self.reference_step_rad = position_rad, 0.0
         self.error_rad = self.demand_nm = self.u_nm = self._integral_nm = 0.0
         self.limited = False

@@ -37,23 +37,23 @@ class SimulationBusError(OSError):
 
 
 class GripError(ValueError):
-    """Grippers that are not there."""
+    """The cell has no grippers."""
 
 
 @dataclass(frozen=True, slots=True)
 class ServeOptions:
-    """What `servo-sim serve` may be told beside the cell.
+    """Options of `servo-sim serve` besides the cell.
 
     Attributes
     ----------
     bus : INTERFACE:CHANNEL[,key=value]... in place of the cell's bus; with several buses NAME=SPEC;NAME=SPEC
-    payload : file of loads that can be hung on the flange
-    undeclared : file of effects that the gateway is not told; `build_errors = SEED` in it draws build errors beside
+    payload : file of loads that can be mounted on the flange
+    undeclared : file of undeclared effects; `build_errors = SEED` in it draws build errors beside
     seed : draw build errors, and an effect, none or two instead
-    fault : scenario of what goes wrong
+    fault : fault scenario
     truth : where the truth is written at start
     pacing : "lockstep" or "real" in place of every bus's own
-    unbuffered : by the clock, each target is taken over when it comes instead of at a tick of the drive's own clock
+    unbuffered : in real time, each target is taken over when it arrives instead of at a tick of the drive's own clock
     """
 
     bus: str | None = None
@@ -128,17 +128,17 @@ class Simulation:
         return [found[arm.name] for arm in self.cell.arms]
 
     def truth(self) -> dict[str, Any]:
-        """What only the scoring may know: loads and effects."""
+        """Return the truth for the scoring: loads and effects."""
         loads = [
             {"label": load.label, "mass_kg": load.mass_kg, "com_m": [float(value) for value in load.com_m]}
             for load in self.loads.values()
         ]
         return {"loads": loads, "effects": self.effects} | self._pair_truth
 
-    def hang(self, label: str, arm: str | None = None) -> None:
-        """Hang a load on the flange (`none`: take it off); returns when it hangs. Call from outside the servers.
+    def mount(self, label: str, arm: str | None = None) -> None:
+        """Mount a load on the flange (`none`: remove it); return when it is mounted. Call from outside the servers.
 
-        `load` stands for the only load of the file, whatever its name.
+        `load` is an alias of the only load of the file.
 
         Raises
         ------
@@ -151,16 +151,16 @@ class Simulation:
         for server in self.servers:
             for unit in server.arms:
                 if arm in (None, unit.name) and isinstance(unit, PairUnit):
-                    unit.hang(payload)
+                    unit.mount(payload)
                 elif arm in (None, unit.name):
-                    server.hang(unit, payload)
+                    server.mount(unit, payload)
 
     def grip(self, open: bool) -> None:
         """Open or close both grippers of a pair; closing grips the part afresh, free of force, where the hands are.
 
         Raises
         ------
-        GripError : there is no pair, or nothing is held between its hands
+        GripError : there is no pair, or it holds no part
         """
         worlds = [unit.world for unit in list[Any](self.arms) if isinstance(unit, PairUnit)]
         if not worlds:

@@ -77,7 +77,7 @@ class Automaton:
         return state
 
     def stopped(self) -> None:
-        """The axis stands: transition 12 after a quick stop, 14 after a fault reaction."""
+        """Notify that the axis is at rest: transition 12 after a quick stop, 14 after a fault reaction."""
         if self.state is S.FAULT_REACTION_ACTIVE:
             self.state = S.FAULT
         elif self.state is S.QUICK_STOP_ACTIVE and not self.quick_stop_holds:

@@ -1,4 +1,4 @@
-"""What the gateway is not told of an arm on the bus, drawn from a seed: one effect, none, or two.
+"""Draw the undeclared effects of an arm on the bus from a seed: one effect, none, or two.
 
 The sizes are scaled to the strength wanted over the noise floor of this arm, on rest poses inside the limits of the
 cell, as in the blind cells; what does not reach the least strength is not built in.
@@ -28,7 +28,7 @@ NONE, TWO = 0.35, 0.15
 DRAWS = 8
 POSES = 10
 SAMPLES = 100
-#: Time from one visit to the next, and while a load is hung: what a recording at the cell's speeds takes, about.
+#: Time from one visit to the next, and while a load is mounted: typical of a recording at the cell's speeds.
 VISIT_S, CHANGE_S = 9.0, 6.0
 MISTAKES = frozenset({"sign_reversed", "axes_swapped", "current_rms_peak"})
 #: A common scale shows against a weighed load alone, which the cell file does not name.
@@ -46,7 +46,7 @@ def draw_undeclared(arm: ArmSpec, plant: Plant, loads: Mapping[str, Payload], se
     plant : Plant
         Its physics, build errors included.
     loads : mapping
-        What can be hung on the flange; the first one counts.
+        Loads that can be mounted on the flange; the first one is used.
     seed : int
 
     Returns

@@ -24,7 +24,7 @@ COUNTS_PER_REVOLUTION = 131072
 
 
 def drive_units(axis: AxisSpec) -> DriveUnits:
-    """Scales of the drive that sits on one axis.
+    """Scales of the drive of one axis.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def _bits_per_nm(signal: Table, kt: float, torque_nm: float, constants: dict[Add
     """Bits of a torque or current word per Nm of motor torque."""
     kind = str(signal["kind"])
     if "rated" not in signal and kind.startswith("permille"):
-        return 1000.0 / torque_nm  # the drive knows its motor, the profile does not say where
+        return 1000.0 / torque_nm  # the drive has the data of its motor, the profile does not state the object
     if kind == "permille_rated_torque":
         return 1000.0 / _rated(signal["rated"], torque_nm, constants)
     ampere = drive_ampere_per_nm(signal, kt)

@@ -1,9 +1,9 @@
 """URDF of an arm: read into arrays, written from arrays.
 
-The reader keeps what a simulator needs: where the joints sit, their axes and limits, and the inertials. Links that
-hang on fixed joints are merged into the moving link that carries them, and so are those on joints that no servo of the
-arm drives: slides, joints that mimic others, joints beyond its last link; all of them are at zero. The writer gives
-every link its inertia on principal axes, so that a physics engine takes it over without any repair of its own.
+The reader keeps what a simulator needs: the joint positions, axes and limits, and the inertials. Links on fixed joints
+are merged into the moving link that carries them, and so are those on joints that no servo of the arm drives: slides,
+joints that mimic others, joints beyond its last link; all of them are at zero. The writer gives every link its inertia
+on principal axes, so that a physics engine uses it unchanged.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ FEWEST_AXES, MOST_AXES = 2, 8
 
 
 class UrdfError(ValueError):
-    """A robot description the simulator cannot use; the message says where and why."""
+    """A robot description the simulator cannot use; the message states where and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +142,7 @@ def _chain(robot: ElementTree.Element, where: str, tip: str | None) -> SimChain:
         by_parent.setdefault(_ref(joint, "parent"), []).append(joint)
 
     if tip is not None and tip not in links:
-        raise UrdfError(f"{where}: there is no link '{tip}', where the arm is said to end")
+        raise UrdfError(f"{where}: there is no link '{tip}', the stated tip of the arm")
     driven = _driven(joints, tip)
     found: list[tuple[ElementTree.Element, Array]] = []
     bodies: list[SimBody | None] = []

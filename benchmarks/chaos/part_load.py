@@ -55,7 +55,7 @@ def recorded(folder: Path, share: float) -> tuple[Path, int]:
     with Rig(folder, few_poses, payload=EXAMPLE / "payload.toml") as rig:
         for label in ("none", "load"):
             rig.renew()
-            rig.simulation.hang(label)
+            rig.simulation.mount(label)
             with rig.open() as opened:
                 plan = make_plan(opened.loaded, POSES)
                 if share:

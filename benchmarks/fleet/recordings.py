@@ -61,7 +61,7 @@ def recorded(folder: Path) -> Path:
     with running(cell, bus, payload=folder / "payload.toml") as handle:
         for label, more in (("none", ()), ("load", ("--resume",))):
             if label != "none":
-                handle.hang(label)
+                handle.mount(label)
             told = ["record", str(cell), "--load", label, "-o", str(run), "--bus", bus, "--yes", "-q", *more]
             done = CliRunner(env=environment).invoke(main, told)
             assert done.exit_code == 0, done.output

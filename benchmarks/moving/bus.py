@@ -90,7 +90,7 @@ def record_both(place: Place, handle: RunningSimulation, plan: MovingPlan) -> No
     context = open_cell(place.cell, handle.bus)
     arm = arm_named(context.loaded)
     for label in ("none", LABEL):
-        handle.hang(label)
+        handle.mount(label)
         with open_arm(context.loaded, context.override(arm), arm.name) as opened:
             record_moving(opened, plan, RecordRequest(label, place.run(label)))
 

@@ -65,7 +65,7 @@ def times(arm: str) -> tuple[float, float, int]:
         with running(cell, bus, payload=folder / "payload.toml") as handle:
             moved = ("--bus", bus, "--yes", "-q")
             _gateway("record", cell, "--load", "none", "-o", run, *moved)
-            handle.hang(LABEL)
+            handle.mount(LABEL)
             shutil.copy(run, today)
             today_s = _time_s(folder, "record", cell, "--load", LABEL, "-o", today, "--resume", *moved)[0]
             _gateway("estimate", today, "--cell", cell, "--json", folder / "today.json")

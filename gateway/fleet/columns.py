@@ -15,8 +15,6 @@ TEMPERATURE: Final = "temperature_c"
 RECORDING, RESULT, ESTIMATE, SUMMARY = "recording", "result", "estimate", "summary"
 #: Columns that identify a row: the same file gives the same rows.
 IDENTITY: Final = ("sha256", "line", "kind", "software")
-#: Columns of the hive partitions, in the names of the folders.
-PARTITIONS: Final = ("robot", "month")
 
 
 def axis_columns() -> tuple[str, ...]:

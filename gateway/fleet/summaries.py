@@ -36,7 +36,6 @@ _LONGEST_HEADER: Final = 1 << 16
 _UNPACKED_RATIO: Final = 100
 _TEXTS: Final = ("cell", "arm", "software", "load", "outcome", "time_utc")
 _OUTCOMES: Final = ("pass", "fail", "cannot tell")
-_DAY_US: Final = 86_400_000_000
 WENT_BACK: Final = "the clock went back: it follows a later one of the same robot"
 
 

@@ -1,4 +1,4 @@
-"""One arm as it stands, and what its owner states of it."""
+"""One real arm, and the statements of its owner."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MOST_SIGMAS = 2.5
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """What the owner hands over.
+    """Statements of the owner.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Stated:
     link_std : relative standard deviation of the CAD's inertials, as `prior:S`
     gain_std : (6,) relative standard deviation of the torque constants
     efficiency : (6,) declared gear efficiencies
-    gear_ratio : (6,) or None where nobody knows them
+    gear_ratio : (6,) or None where unknown
     misstated : whether `link_std` and `gain_std` are wrong by a factor of 2
     """
 
@@ -44,17 +44,17 @@ class Stated:
 
 @dataclass(frozen=True, slots=True)
 class NatureArm:
-    """One arm with everything ordinary.
+    """One arm with all nuisance effects.
 
     Attributes
     ----------
     chain : geometry with the CAD's inertials
     links : (24,) true [m, hx, hy, hz] of every link [kg, kg m]
     links_std : (24,) standard deviation that they differ from the CAD's with
-    tool : what hangs on the flange in the loaded visits
+    tool : load on the flange in the loaded visits
     rated_nm : (6,) rated torque
     gain, gain_std : (6,) relative error of the torque constants, and what it was drawn with
-    friction : what the gears lose and scatter
+    friction : gear losses and their scatter
     cogging_nm : (6, 4) sine and cosine of once and twice the motor's turn
     cogging_std_nm : (6,) standard deviation of each of these amplitudes
     gear_ratio : (6,) true ratio
@@ -107,7 +107,7 @@ def draw_arm(levels: Harshness, rng: np.random.Generator) -> tuple[NatureArm, St
     noise, resolution = rated * rng.uniform(0.002, 0.012, 6), rated * rng.uniform(0.0002, 0.001, 6)
     samples = int(rng.integers(40, 200))
     floor = np.hypot(friction.half_sum_std_nm(friction.coulomb_nm, friction.coulomb_nm), noise / np.sqrt(2.0 * samples))
-    cogging_rms = rng.uniform(*levels.cogging_floors, 6) * floor
+    cogging_rms = rng.uniform(*levels.cogging_ratio, 6) * floor
     # four amplitudes of the same standard deviation: RMS of the sum is sqrt(2) of it
     cogging_std = cogging_rms / np.sqrt(2.0)
     gear_ratio = np.round(rng.uniform(50.0, 200.0, 6))

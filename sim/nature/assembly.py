@@ -77,7 +77,7 @@ def slipping_load(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> 
 
 
 def geared_wrist(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A hollow wrist whose last gear is carried by axis 5: motor 5 feels a share of what motor 6 gives."""
+    """A hollow wrist whose last gear is carried by axis 5: motor 5 carries a share of the torque of motor 6."""
     sign = rng.choice([-1.0, 1.0])
 
     def build(ratio: float) -> Mechanism:

@@ -1,4 +1,4 @@
-"""Cells: an arm under a condition, its visits, and what is built in beyond the ordinary."""
+"""Cells: an arm under a condition, its visits, and mechanisms beyond the nuisance effects."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from sim.nature.assembly import ASSEMBLY
 from sim.nature.drives import DRIVES
 from sim.nature.effect import Mechanism, TableRows, rows_of
 from sim.nature.levels import CONDITIONS, levels_of
-from sim.nature.measuring import GrossVisit, measure
+from sim.nature.measuring import OutlierVisit, measure
 from sim.nature.springs import SPRINGS, Maker
 from sim.nature.strength import Absorbing, absorbing, strength
 from sim.nature.unmodelled import UNMODELLED
@@ -30,7 +30,7 @@ KINDS = {"one": 0.55, "several": 0.25, "strange": 0.12, "wiring": 0.08}
 NAMED: dict[str, Maker] = SPRINGS | ASSEMBLY | DRIVES
 LEAST_STRENGTH, MOST_STRENGTH = 1.5, 20.0
 VISIT_S, CHANGE_S, REPEATED = 28.0, 240.0, 4
-#: Arms and sizes that are tried until a mechanism comes out near the strength that was drawn.
+#: Number of arms and sizes tried until a mechanism is near the drawn strength.
 TRIES, STEPS = 4, 5
 #: No mechanism beside another one that acts on the same joint in nearly the same way.
 CLASH = ({"gas_balancer", "coil_balancer"}, {"offset_sensor", "one_way_drag"}, {"shifted_zero", "stiffening_gear"})
@@ -42,10 +42,11 @@ class NatureCell:
 
     Attributes
     ----------
-    seed, condition, kind : what it was drawn from; `kind` is ordinary, one, several, strange or wiring
-    arm, stated : the arm as it stands, and as its owner states it
+    seed, condition, kind : what it was drawn from; `kind` is one of `ordinary` (no mechanism), `one`, `several`,
+    `strange` (unmodelled), `wiring`
+    arm, stated : the real arm, and the statements of its owner
     visits : of the first recording, in order of time
-    effects, strengths : what is beyond the ordinary, and how strong it is in these visits
+    effects, strengths : mechanisms beyond the nuisance effects, and their strength in these visits
     """
 
     seed: int
@@ -59,13 +60,13 @@ class NatureCell:
 
     def measure(
         self, visits: Sequence[PlannedVisit], stream: int = 0
-    ) -> tuple[dict[str, NDArray[Any]], tuple[GrossVisit, ...]]:
+    ) -> tuple[dict[str, NDArray[Any]], tuple[OutlierVisit, ...]]:
         """Columns of a measured table, and which visits went wrong; `stream` makes later recordings differ."""
         rng = np.random.default_rng([self.seed, CONDITIONS.index(self.condition), 7, stream])
         return measure(self.arm, visits, self.effects, rng)
 
     def poses(self, count: int, stream: int) -> Array:
-        """Further poses (count, 6) that say much about load and links."""
+        """Return further poses (count, 6) that are informative about load and links."""
         rng = np.random.default_rng([self.seed, CONDITIONS.index(self.condition), 9, stream])
         return informative_poses(self.arm.chain, self.arm.floor_nm, self.arm.links_std, count, rng)
 

@@ -1,4 +1,6 @@
-"""What drives, motors and gears do: offset sensors, wrong and warm constants, ripple, losses, drag one way."""
+"""Effects of drives, motors and gears: sensor offsets, wrong and warm constants, ripple, losses, direction-dependent
+drag.
+"""
 
 from __future__ import annotations
 
@@ -87,7 +89,9 @@ def lossy_gear(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tup
 
 
 def one_way_drag(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A seal or a brake that drags more one way: half a band and more between the directions, less of it when warm."""
+    """A seal or a brake with more drag in one direction: half a band and more between the directions, less when
+    warm.
+    """
     axis, sign = int(rng.integers(6)), rng.choice([-1.0, 1.0])
 
     def build(share: float) -> Mechanism:

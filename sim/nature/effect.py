@@ -1,4 +1,4 @@
-"""What a mechanism beyond the ordinary may act on, and the rows it acts in."""
+"""Interface of a mechanism: what it acts on, and the rows it acts in."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from sim.offline import PlannedVisit
 Array = NDArray[np.float64]
 
 SIDE_S = 9.0
-#: Way of the last approach [rad].
+#: Movement of the last approach [rad].
 APPROACH_RAD = 0.04
 #: What the hall has when everything is cold [K].
 HALL_K = 293.0
@@ -21,14 +21,14 @@ HALL_K = 293.0
 
 @dataclass(frozen=True, slots=True)
 class TableRows:
-    """Sides of visits in the order that they were taken.
+    """Approaches of visits in the order of measurement.
 
     Attributes
     ----------
     pose : (n,) number of the pose
     loaded : (n,) whether the tool is on
     time_s : (n,) when the joint came to rest
-    direction : (n,) of the last approach, all joints alike
+    direction : (n,) of the last approach, equal for all joints
     q_rad : (n, 6) encoder angles
     """
 
@@ -39,7 +39,7 @@ class TableRows:
     q_rad: Array
 
     def path(self, values: Callable[[Array], Array]) -> Array:
-        """`values` at the corners of the way (n, 2, ...): before the last approach of each row, and where it ends."""
+        """`values` at the corners of the path (n, 2, ...): before the last approach of each row, and at its end."""
         before = values(self.q_rad - APPROACH_RAD * self.direction[:, None])
         return np.stack([before, values(self.q_rad)], axis=1)
 
@@ -57,7 +57,7 @@ def rows_of(visits: Sequence[PlannedVisit]) -> TableRows:
 
 
 def play(corners: Array, width: float) -> Array:
-    """Play operator of half width `width` over `corners` (n, 2): where it stands at the ends (n,)."""
+    """Play operator of half width `width` over `corners` (n, 2): its state at the ends (n,)."""
     follower, ends = float(corners[0, 0]), np.empty(len(corners))
     for row, way in enumerate(corners):
         for corner in way:
@@ -76,7 +76,7 @@ class Mechanism:
 
     Attributes
     ----------
-    mechanism : its name; what it may rightly be called stands elsewhere
+    mechanism : its name; the accepted names are listed elsewhere
     joints : where it acts, from 1
     size : of the quantity that was scaled
     on_joint : (rows, transmitted torque (n, 6)) -> torque exerted on the joints (n, 6) [Nm], positive in +q

@@ -1,8 +1,8 @@
-"""What gears lose: presliding, bias by direction, losses that grow with load, efficiency by direction, warm-up.
+"""Gear losses: presliding, bias by direction, losses that grow with load, efficiency by direction, warm-up.
 
-After a slow approach a joint stands on the kinetic level of its friction. While the controller settles, the joint
-creeps back by a small way, and within the presliding range friction falls exponentially with that way (Dahl 1968): from
-the kinetic level `F` to `F (2 exp(-s / s0) - 1)`. What is left is scattered further from stop to stop.
+After a slow approach the friction of a joint is at its kinetic level. While the controller settles, the joint creeps
+back by a small distance, and within the presliding range friction decreases exponentially with that distance (Dahl
+1968): from the kinetic level `F` to `F (2 exp(-s / s0) - 1)`. What is left is scattered further from stop to stop.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from sim.nature.levels import Harshness
 
 Array = NDArray[np.float64]
 
-#: Shape of the gamma distribution of the way that a joint creeps back.
+#: Shape of the gamma distribution of the creep distance.
 CREEP_SHAPE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class Friction:
-    """What the gears of one arm lose; arrays (N,) unless something else is said.
+    """Losses of the gears of one arm; arrays (N,) unless stated otherwise.
 
     Attributes
     ----------
@@ -31,11 +31,11 @@ class Friction:
     load_loss, load_power, rated_nm : `load_loss * rated * (|tau| / rated) ** load_power` is added to the band
     driving, driven : residual efficiency where the motor drives, where it is driven back
     efficiency_std, split_std : standard deviations over arms of their mean, and of half their difference
-    declared_efficiency : what the owner states; the true one is that times the residual
+    declared_efficiency : stated by the owner; the true one is that times the residual
     warm_share, warm_s : (2, N) and (2,) excess of the cold band, and time constants
-    creep : mean way back over the presliding length
+    creep : mean creep distance over the presliding length
     tail_freedom, tail_share, side_correlation : scatter of the band from stop to stop, Student's
-    gross_share : share of the visits that go wrong on one axis
+    outlier_share : share of the visits with an outlier on one axis
     """
 
     coulomb_nm: Array
@@ -55,11 +55,11 @@ class Friction:
     tail_freedom: float
     tail_share: Array
     side_correlation: float
-    gross_share: float
+    outlier_share: float
 
     @property
     def left_std(self) -> Array:
-        """Standard deviation (N,) of the share of the kinetic level that a joint stands on."""
+        """Return the standard deviation (N,) of the share of the kinetic level at rest."""
         # of 2 exp(-s) - 1 for a gamma-distributed s of shape k and mean c
         first = (1.0 + self.creep / CREEP_SHAPE) ** -CREEP_SHAPE
         second = (1.0 + 2.0 * self.creep / CREEP_SHAPE) ** -CREEP_SHAPE
@@ -72,7 +72,7 @@ class Friction:
 
     @property
     def mean_left(self) -> Array:
-        """Mean share (N,) of the kinetic level that a joint stands on."""
+        """Return the mean share (N,) of the kinetic level at rest."""
         return 2.0 * (1.0 + self.creep / CREEP_SHAPE) ** -CREEP_SHAPE - 1.0
 
     def band_nm(self, tau_nm: Array, time_s: Array) -> Array:
@@ -92,7 +92,9 @@ class Friction:
         return np.where(drives, behind_nm / forth, behind_nm * back)
 
     def stops(self, count: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Where joints stand after `count` visits: share left of the kinetic level and scatter, (count, 2, N) each."""
+        """Draw the friction at rest of `count` visits: share left of the kinetic level and scatter, (count, 2, N)
+        each.
+        """
         axes = len(self.coulomb_nm)
         way = rng.gamma(CREEP_SHAPE, self.creep / CREEP_SHAPE, (count, 2, axes))
         rho = self.side_correlation
@@ -133,5 +135,5 @@ def draw_friction(rated_nm: Array, levels: Harshness, rng: np.random.Generator) 
         tail_freedom=float(rng.uniform(*levels.tail_freedom)),
         tail_share=rng.uniform(*levels.tail_share, axes),
         side_correlation=float(rng.uniform(*levels.side_correlation) * rng.choice([-1.0, 1.0])),
-        gross_share=float(rng.uniform(*levels.gross_share)),
+        outlier_share=float(rng.uniform(*levels.outlier_share)),
     )

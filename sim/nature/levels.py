@@ -1,4 +1,4 @@
-"""How strong everything ordinary is: mild in every arm, and harsh where a condition raises it."""
+"""Strength of the nuisance effects: mild in every arm, strong where a condition raises it."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ Span = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Harshness:
-    """Ranges that the ordinary is drawn from; a span is (least, most), uniform unless something else is said.
+    """Ranges of the nuisance effects; a span is (least, most), uniform unless stated otherwise.
 
     Attributes
     ----------
     gain_std : standard deviation of the relative error of the torque constants; one draw a cell
     bias_share : size of the bias by direction over the band, its sign by chance
     load_loss : friction torque per transmitted torque, at rated torque
-    efficiency : residual efficiency of the gear that nobody declared
+    efficiency : undeclared residual efficiency of the gear
     efficiency_split : standard deviation of half the difference between driving and driven back
     warm_share : how much wider the band is when cold, both time constants together
     tail_freedom : degrees of freedom of the scatter of friction; the lower, the heavier its tails
     tail_share : standard deviation of that scatter over the band
     side_correlation : size of the correlation of that scatter between the sides, its sign by chance
-    gross_share : share of the visits with a gross error on one axis
+    outlier_share : share of the visits with an outlier on one axis
     repeat_rad : standard deviation of the link angle from visit to visit at the same encoder angle
     backlash_rad : width of the play behind the encoder
-    cogging_floors : RMS of the cogging over the floor of the axis
+    cogging_ratio : RMS of the cogging over the noise floor of the axis
     cad_std : standard deviation of the CAD's inertials
     cad_outliers : share of the links whose error is drawn 2.5 times as wide as that of the others
     """
@@ -39,10 +39,10 @@ class Harshness:
     tail_freedom: Span = (9.0, 15.0)
     tail_share: Span = (0.01, 0.04)
     side_correlation: Span = (0.0, 0.2)
-    gross_share: Span = (0.0, 0.004)
+    outlier_share: Span = (0.0, 0.004)
     repeat_rad: Span = (0.00005, 0.0003)
     backlash_rad: Span = (0.00005, 0.0005)
-    cogging_floors: Span = (0.05, 0.2)
+    cogging_ratio: Span = (0.05, 0.2)
     cad_std: Span = (0.02, 0.04)
     cad_outliers: Span = (0.0, 0.0)
 
@@ -57,16 +57,16 @@ RAISED = {
     "efficiency": {"efficiency": (0.85, 0.95), "efficiency_split": (0.005, 0.015)},
     "warm_up": {"warm_share": (0.3, 0.7)},
     "tails": {"tail_freedom": (3.0, 4.0), "tail_share": (0.08, 0.16), "side_correlation": (0.4, 0.8)},
-    "gross": {"gross_share": (0.02, 0.05)},
+    "gross": {"outlier_share": (0.02, 0.05)},
     "backlash": {"repeat_rad": (0.0005, 0.0015), "backlash_rad": (0.001, 0.003)},
-    "cogging": {"cogging_floors": (0.4, 1.1)},
+    "cogging": {"cogging_ratio": (0.4, 1.1)},
     "cad": {"cad_std": (0.05, 0.20), "cad_outliers": (0.2, 0.2)},
 }
 CONDITIONS = (*RAISED, "all")
 
 
 def levels_of(condition: str) -> Harshness:
-    """Levels of a condition; ``all`` has everything half way between mild and harsh.
+    """Levels of a condition; ``all`` has everything at the mean of mild and strong.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Rows of a measured table of an arm: equilibrium, friction, what the drives report, and what goes wrong in a visit."""
+"""Rows of a measured table of an arm: equilibrium, friction, reported values, and outliers."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from sim.offline import PlannedVisit, gravity_columns
 
 Array = NDArray[np.float64]
 
-#: Steps until angle and torque agree; a gear that gives way by 0.02 rad is settled to 1e-8 of its torque.
+#: Iterations until angle and torque agree; a gear deflection of 0.02 rad converges to 1e-8 of its torque.
 STEPS = 6
 #: A gross error, in bands of its axis.
-GROSS_BANDS = (4.0, 15.0)
-#: How a gross visit goes wrong: from below alone, from above alone, both alike, both apart.
-GROSS_WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+OUTLIER_BANDS = (4.0, 15.0)
+#: Patterns of an outlier: from below only, from above only, both equal, both opposite.
+OUTLIER_PATTERNS = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
 
 
 @dataclass(frozen=True, slots=True)
-class GrossVisit:
-    """A visit that went wrong on one axis: its place among the visits, axis from 1, size in bands of that axis."""
+class OutlierVisit:
+    """An outlier on one axis: its place among the visits, axis from 1, size in bands of that axis."""
 
     visit: int
     pose: int
@@ -36,7 +36,7 @@ class GrossVisit:
 
 @dataclass(frozen=True, slots=True)
 class Stops:
-    """What chance does to the rows (n, 6): share of the kinetic level left, scatter in bands, angle, noise."""
+    """Random contributions to the rows (n, 6): share of the kinetic level left, scatter in bands, angle, noise."""
 
     left: Array
     scatter: Array
@@ -45,7 +45,7 @@ class Stops:
 
 
 def quiet(arm: NatureArm, rows: TableRows) -> Stops:
-    """Every stop alike and no noise."""
+    """Return equal stops without noise."""
     nothing = np.zeros_like(rows.q_rad)
     return Stops(nothing + arm.friction.mean_left, nothing, nothing, nothing)
 
@@ -70,7 +70,7 @@ def equilibrium(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], a
     tau = np.zeros_like(rows.q_rad)
     q = rows.q_rad + angle_rad
     for _ in range(STEPS if any(e.on_angle is not None for e in effects) else 2):
-        # the load keeps the teeth on one flank; a joint that carries nothing floats in the play
+        # the load keeps the teeth on one flank; an unloaded joint floats in the play
         flank = np.tanh(tau / np.maximum(0.3 * arm.friction.coulomb_nm, 1e-9))
         q = rows.q_rad + angle_rad - 0.5 * arm.backlash_rad * flank
         for effect in effects:
@@ -110,29 +110,29 @@ def cogging_nm(arm: NatureArm, q_rad: Array) -> Array:
     return np.einsum("nac,ac->na", waves, arm.cogging_nm)
 
 
-def draw_gross(
+def draw_outliers(
     arm: NatureArm, visits: Sequence[PlannedVisit], rng: np.random.Generator
-) -> tuple[tuple[GrossVisit, ...], Array]:
+) -> tuple[tuple[OutlierVisit, ...], Array]:
     """Visits that go wrong, and what that adds to the rows (2 visits, 6) [Nm]: a cable caught, a brake, a touch."""
     added, found = np.zeros((len(visits), 2, 6)), []
-    for number, wrong in enumerate(rng.random(len(visits)) < arm.friction.gross_share):
+    for number, wrong in enumerate(rng.random(len(visits)) < arm.friction.outlier_share):
         if not wrong:
             continue
         axis = int(rng.integers(6))
-        bands = float(rng.uniform(*GROSS_BANDS))
-        way = GROSS_WAYS[rng.integers(len(GROSS_WAYS))] * rng.choice([-1.0, 1.0])
+        bands = float(rng.uniform(*OUTLIER_BANDS))
+        way = OUTLIER_PATTERNS[rng.integers(len(OUTLIER_PATTERNS))] * rng.choice([-1.0, 1.0])
         band = float(arm.friction.band_nm(np.zeros((1, 6)), np.array([visits[number].time_s]))[0, axis])
         added[number, :, axis] = bands * band * way
-        found.append(GrossVisit(number, visits[number].pose, visits[number].load, axis + 1, bands))
+        found.append(OutlierVisit(number, visits[number].pose, visits[number].load, axis + 1, bands))
     return tuple(found), added.reshape(-1, 6)
 
 
 def measure(
     arm: NatureArm, visits: Sequence[PlannedVisit], effects: Sequence[Mechanism], rng: np.random.Generator
-) -> tuple[dict[str, NDArray[Any]], tuple[GrossVisit, ...]]:
+) -> tuple[dict[str, NDArray[Any]], tuple[OutlierVisit, ...]]:
     """Columns of a measured table as `sim.offline.measure` gives them, and which visits went wrong."""
     rows = rows_of(visits)
-    gross, added = draw_gross(arm, visits, rng)
+    outliers, added = draw_outliers(arm, visits, rng)
     seen, _ = reported_nm(arm, rows, effects, chance(arm, rows, rng))
     step = arm.resolution_nm
     # noise above half a step dithers the rounding of the readings away; below it the mean is rounded
@@ -155,4 +155,4 @@ def measure(
     for effect in effects:
         if effect.wired is not None:
             columns = effect.wired(columns)
-    return columns, gross
+    return columns, outliers

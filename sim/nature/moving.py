@@ -1,7 +1,7 @@
 """Moving runs of an arm without bus, drives or time steps: a motion that is repeated, and what the drives report.
 
-The links' torque is PyBullet's, once a period; friction, gear, filter and noise are laid over it on a grid that is
-finer than the samples. Speeds and accelerations are told from the reported position, as a recording tells them.
+The links' torque is PyBullet's, once a period; friction, gear, filter and noise are added on a grid that is finer than
+the samples. Speeds and accelerations are computed from the reported position, as in a recording.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ States = Callable[[Array], Sequence[Array]]
 
 #: Steps from one sample to the next.
 FINE = 8
-#: Samples a second at which the links' torque is worked out, at least; it has no faster parts.
+#: Minimum samples per second of the links' torque; it has no faster components.
 RIGID_HZ = 50.0
 
 
@@ -66,7 +66,7 @@ def measure_moving(
     count = motion.samples
     shown, drive = reported_nm(arm, motion, load, start_s, rng)
     seen = shown[::FINE] + electrical_noise(arm, len(drive), motion.rate_hz, rng)
-    q, qd, qdd = told_motion(arm, motion, rng)
+    q, qd, qdd = reported_motion(arm, motion, rng)
     phase = np.tile(np.arange(count) / motion.rate_hz, motion.periods)
     period = np.repeat(np.arange(1, motion.periods + 1), count)
     return {
@@ -103,7 +103,7 @@ def reported_nm(
 
 
 def rigid_nm(arm: MovingArm, motion: PeriodicMotion, load: str) -> Array:
-    """Torque of the links and what hangs on them over one period on the fine grid."""
+    """Return the torque of links and load over one period on the fine grid."""
     coarse = max(int(np.ceil(RIGID_HZ * motion.period_s)), 8 * motion.harmonics)
     times = np.arange(coarse) * motion.period_s / coarse
     q, qd, qdd = (np.asarray(part) for part in motion.states(times)[:3])
@@ -144,11 +144,11 @@ def _student(arm: MovingArm, count: int, rng: np.random.Generator) -> Array:
 
 
 def _filtered(arm: MovingArm, motor_nm: Array, step_s: float) -> Array:
-    """What the drive shows: a first-order filter, then a pure delay."""
+    """Return the reported signal: a first-order filter, then a pure delay."""
     out = np.empty_like(motor_nm)
     times = np.arange(len(motor_nm)) * step_s
     for axis, (lag_s, dead_s) in enumerate(zip(arm.filter_s, arm.dead_s, strict=True)):
-        # exact for what goes in straight lines from step to step
+        # exact for piecewise linear signals
         keep, steps = np.exp(-step_s / lag_s), lag_s / step_s
         now = 1.0 - steps * (1.0 - keep)
         forward, back = [now, 1.0 - now - keep], [1.0, -keep]
@@ -158,7 +158,7 @@ def _filtered(arm: MovingArm, motor_nm: Array, step_s: float) -> Array:
 
 
 def electrical_noise(arm: MovingArm, count: int, rate_hz: float, rng: np.random.Generator) -> Array:
-    """Noise (count, N) of the torque reading: a part that hangs together in time, and a white one."""
+    """Noise (count, N) of the torque reading: an autocorrelated part, and a white one."""
     keep = np.exp(-1.0 / (rate_hz * arm.noise_s))
     out = np.sqrt(arm.white_share) * rng.standard_normal((count, len(keep)))
     for axis, factor in enumerate(keep):
@@ -168,16 +168,16 @@ def electrical_noise(arm: MovingArm, count: int, rate_hz: float, rng: np.random.
     return arm.noise_nm * out
 
 
-def told_motion(arm: MovingArm, motion: PeriodicMotion, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def reported_motion(arm: MovingArm, motion: PeriodicMotion, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Positions, speeds and accelerations (n, N) of all periods, from the harmonics of the counts of each period."""
     count = motion.samples
     q = np.asarray(motion.states(np.arange(count) / motion.rate_hz)[0])
     rate = 2j * np.pi * np.arange(motion.harmonics + 1)[:, None] / motion.period_s
-    told: list[Sequence[Array]] = []
+    reported: list[Sequence[Array]] = []
     for _ in range(motion.periods):
         jitter = 0.3 * arm.count_rad * rng.standard_normal(q.shape)
         counts = np.round((q + jitter) / arm.count_rad) * arm.count_rad
         part = np.fft.rfft(counts, axis=0)[: motion.harmonics + 1]
-        told.append([np.fft.irfft(rate**order * part, count, axis=0) for order in range(3)])
-    position, speed, acceleration = (np.concatenate(parts) for parts in zip(*told, strict=True))
+        reported.append([np.fft.irfft(rate**order * part, count, axis=0) for order in range(3)])
+    position, speed, acceleration = (np.concatenate(parts) for parts in zip(*reported, strict=True))
     return position, speed, acceleration

@@ -1,4 +1,4 @@
-"""An arm that moves: what only motion shows of it, with a load that is a body and not a point."""
+"""A moving arm: parameters identifiable in motion only, with a load that has inertia."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHORTEST_LINK_M = 0.1
 MOST_SIGMAS = 2.5
 #: Torque for a moment, over the rated one.
 PEAK = 2.0
-#: Fastest turning of the axes of an arm of 165 kg [rad/s]; the last of them stands for further ones.
+#: Speed limits of the axes of an arm of 165 kg [rad/s]; the last applies to further axes.
 SPEEDS_RAD_S = (2.0, 1.9, 2.0, 3.2, 3.2, 4.5)
 #: Share of the axes whose friction falls when they start to move.
 STRIBECK_SHARE = 0.6
@@ -27,17 +27,17 @@ STRIBECK_SHARE = 0.6
 
 @dataclass(frozen=True, slots=True)
 class MovingArm:
-    """One arm as it stands; arrays (N,) unless something else is said, all at the gear output.
+    """One real arm; arrays (N,) unless stated otherwise, all at the gear output.
 
     Attributes
     ----------
     chain : geometry, limits and true inertials
-    tool : what hangs on the last link in the loaded runs
+    tool : load on the last link in the loaded runs
     rated_nm : rated torque
     gain, gain_std : relative error of the torque constants, and what it was drawn with
     friction : Coulomb friction, losses with load, bias by direction, warm-up, scatter from stroke to stroke
     viscous_nm_s_rad : warm
-    breakaway_share, stribeck_rad_s, stribeck_power : standing friction over Coulomb, less 1; it fades with
+    breakaway_share, stribeck_rad_s, stribeck_power : breakaway friction over Coulomb, less 1; it fades with
         `exp(-(|qd| / stribeck) ** power)`
     rotor_inertia_kg_m2 : reflected
     cogging_nm : (N, 4) sine and cosine of once and twice the motor's turn
@@ -78,7 +78,7 @@ class MovingArm:
         return self.filter_s + self.dead_s
 
     def carrying(self, loaded: str) -> SimChain:
-        """The chain with what hangs on it: the tool, or nothing under the label `none`."""
+        """Return the chain with its load: the tool, or nothing under the label `none`."""
         if loaded == "none":
             return self.chain
         tool = SimBody(self.tool.mass_kg, self.tool.com_m, self.tool.inertia_kg_m2)
@@ -89,7 +89,7 @@ class MovingArm:
 
 @dataclass(frozen=True, slots=True)
 class StatedMoving:
-    """What the owner hands over.
+    """Statements of the owner.
 
     CAD's URDF with its trust, standard deviations (N,) of the torque constants, efficiencies (N,) of the gears.
     """
@@ -124,7 +124,7 @@ def moving_arm(
     size = np.array([SPEEDS_RAD_S[min(axis, 5)] for axis in range(axes)])
     speed = size * (payload_kg / 165.0) ** -0.2 * rng.uniform(0.8, 1.2, axes)
     noise = rated * rng.uniform(0.002, 0.012, axes)
-    cogging_std = rng.uniform(*levels.cogging_floors, axes) * 0.1 * friction.coulomb_nm
+    cogging_std = rng.uniform(*levels.cogging_ratio, axes) * 0.1 * friction.coulomb_nm
     gear_ratio = np.round(rng.uniform(50.0, 200.0, axes))
     limits = {"velocity_rad_s": speed, "effort_nm": PEAK * rated}
     arm = MovingArm(

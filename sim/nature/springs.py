@@ -1,4 +1,4 @@
-"""Mechanisms that pull on the joints: gas and coil balancers, cables between two clamps, gears that stiffen."""
+"""Mechanisms that pull on the joints: gas and coil balancers, cables between two clamps, stiffening gears."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def gas_balancer(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> t
 
 
 def coil_balancer(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A coil that is stretched; its leaves and its eyes rub, so that its force lags behind its length by a few mm."""
+    """A stretched coil with friction in its leaves and eyes: its force lags its length by a few mm."""
     strut = draw_linkage(arm, rng)
     short, long = strut.span_m(np.linspace(-2.0, 2.0, 81))
     free = short * rng.uniform(0.75, 0.98)
@@ -104,16 +104,16 @@ def coil_balancer(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> 
 
 
 def clamped_cable(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """Hoses of the tool between two clamps: they twist, bend beyond some angle, stiffen, and rub against each other."""
+    """Hoses of the tool between two clamps: they twist, bend beyond some angle, stiffen, and have mutual friction."""
     axis = int(rng.integers(3, 6))
-    middle, half_way = rng.uniform(-0.5, 0.5), rng.uniform(1.5, 3.0)
+    middle, stiffening_turn = rng.uniform(-0.5, 0.5), rng.uniform(1.5, 3.0)
     stiffens, bends = rng.uniform(0.1, 0.5), rng.uniform(0.1, 0.6)
     phase, lag_rad = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(0.02, 0.10)
 
     def build(stiffness_nm_rad: float) -> Mechanism:
         def pull(rows: TableRows, tau_nm: Array) -> Array:
             angle = play(rows.path(lambda q: q[:, axis]), lag_rad) - middle
-            twist = angle + stiffens * angle**3 / half_way**2
+            twist = angle + stiffens * angle**3 / stiffening_turn**2
             bend = bends * (np.sin(angle + phase) - np.sin(phase))
             return on_axis(axis, -stiffness_nm_rad * (twist + bend))
 

@@ -1,4 +1,4 @@
-"""How much of a mechanism the half-sums and half-differences of an arm can show at all.
+"""Strength of a mechanism in the half-sums and half-differences of an arm.
 
 The torque that it adds to the half-sums is weighted by the floor of each axis and projected on everything that can take
 it over: links with the prior they were drawn with, the load, gains, bias by direction and efficiency with theirs. The
@@ -39,7 +39,7 @@ def halves(tau_nm: Array, declared_efficiency: Array) -> Halves:
 
 
 def added(arm: NatureArm, rows: TableRows, effect: Mechanism) -> Halves:
-    """What an effect adds to the halves, by every stop alike and without noise."""
+    """Return the contribution of an effect to the halves, with equal stops and without noise."""
     stops, eta = quiet(arm, rows), arm.friction.declared_efficiency
     with_ = halves(reported_nm(arm, rows, (effect,), stops)[0], eta)
     without = halves(reported_nm(arm, rows, (), stops)[0], eta)

@@ -1,4 +1,4 @@
-"""What no library of smooth curves has: knees, stops, steps, gusts, tethers, liquids, moods of a gear."""
+"""Mechanisms outside a library of smooth curves: knees, stops, steps, gusts, tethers, liquids, friction jumps."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def gusts(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Bu
 
 
 def moody_gear(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A gear whose grease drains and comes back: its friction jumps between two levels at times of its own."""
+    """A gear whose grease drains and returns: its friction jumps between two levels at random times."""
     axis = int(rng.integers(6))
     jumps = np.sort(rng.uniform(float(rows.time_s.min()), float(rows.time_s.max()), 7))
 
@@ -115,18 +115,20 @@ def tether(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[B
 
 
 def half_full_tank(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """A liquid in the tool that runs to the lowest side of its flat tank; its size is the way of its centre."""
+    """A liquid in the tool that runs to the lowest side of its flat tank; its size is the displacement of its
+    centre.
+    """
     flat = rng.uniform(0.1, 1.0, 3)
 
-    def build(way_m: float) -> Mechanism:
+    def build(path_m: float) -> Mechanism:
         def moved(rows: TableRows) -> Array:
             down = -link_frames(arm.chain, rows.q_rad)[:, 5, 2, :3]
             out = np.zeros((len(down), 4))
-            # a flat tank is full on one side as soon as it leans: the way saturates
-            out[:, 1:] = arm.tool.mass_kg * way_m * flat * np.tanh(4.0 * down)
+            # a flat tank is full on one side as soon as it leans: the displacement saturates
+            out[:, 1:] = arm.tool.mass_kg * path_m * flat * np.tanh(4.0 * down)
             return out
 
-        return Mechanism("half_full_tank", (), way_m, on_load=moved)
+        return Mechanism("half_full_tank", (), path_m, on_load=moved)
 
     return build, (0.0, 0.3)
 

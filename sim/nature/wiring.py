@@ -15,7 +15,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 def turned_sign(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """The torque of one axis comes with the wrong sign."""
+    """The torque of one axis has the wrong sign."""
     axis = int(rng.integers(1, 6))
 
     def wired(columns: Columns) -> Columns:
@@ -27,7 +27,7 @@ def turned_sign(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tu
 
 
 def exchanged_cables(arm: NatureArm, rows: TableRows, rng: np.random.Generator) -> tuple[Build, tuple[float, float]]:
-    """Two drives are bolted to each other's joints: positions and torques stand in each other's columns."""
+    """Two drives are bolted to each other's joints: positions and torques are in each other's columns."""
     first, second = sorted(int(axis) for axis in rng.choice(np.arange(1, 6), 2, replace=False))
 
     def wired(columns: Columns) -> Columns:

@@ -1,4 +1,4 @@
-"""The pair of a cell file with what the gateway is not told, drawn from a seed."""
+"""Build the pair of a cell file with undeclared errors drawn from a seed."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ GEARS = (
     np.concatenate([[0.0], np.sort(RATED_TORQUE_NM), [10.0 * RATED_TORQUE_NM.max()]]),
     np.concatenate([[0.0], np.sort(GEAR_STIFFNESS_NM_RAD), [10.0 * GEAR_STIFFNESS_NM_RAD.max()]]),
 )
-#: What may stand for the arms: PyBullet in small steps, or a balance of forces that keeps up with the clock.
+#: Plant models: PyBullet in small steps, or a static force balance that is fast enough for real time.
 PLANTS: Mapping[str, type[TwoArms]] = {"bullet": PairWorld, "light": LightWorld}
 
 
@@ -57,7 +57,7 @@ class PairOptions:
     seed : of the undeclared errors; None = the arms of the data sheet
     errors : drawn errors in place of the seed's
     settings : fields of `WorldSettings` to change
-    plant : "bullet", or "light" for the clock; None = as the buses' pacing asks
+    plant : "bullet", or "light" for real time; None = by the pacing of the buses
     """
 
     seed: int | None = None

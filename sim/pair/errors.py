@@ -15,8 +15,6 @@ Array = NDArray[np.float64]
 GEAR_STIFFNESS_NM_RAD = np.array([4e5, 4e5, 2.5e5, 6e4, 4e4, 2.5e4])
 RATED_TORQUE_NM = np.array([600.0, 900.0, 500.0, 120.0, 100.0, 60.0])
 GEAR_RATIO = np.array([120.0, 120.0, 100.0, 80.0, 80.0, 50.0])
-#: Joint speed that the viscous friction figure (2 % of rated torque) refers to, assumed [rad/s].
-VISCOUS_AT_RAD_S = 1.0
 SERVO_LAG_S = (0.015, 0.017)
 LENGTH_M, TWIST_RAD, ZERO_RAD = 0.4e-3, 0.3e-3, 0.5e-3
 BASE_M, BASE_RAD = 1.0e-3, 1.0e-3

@@ -1,4 +1,4 @@
-"""Distance sensors between two hands that do not touch: where the cell file says they sit, what they truly see."""
+"""Distance sensors between two hands that do not touch: at the positions of the cell file, with true readings."""
 
 from __future__ import annotations
 

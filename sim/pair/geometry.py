@@ -1,7 +1,7 @@
 """Two arms over one bar: forward kinematics, and two equal arms of six axes with the reference path.
 
-Standard (distal) Denavit-Hartenberg rows `T = Rz(theta) Tz(d) Tx(a) Rx(alpha)`, written here anew, so that no formula
-is shared with the gateway. All functions take stacks: leading dimensions are kept.
+Standard (distal) Denavit-Hartenberg rows `T = Rz(theta) Tz(d) Tx(a) Rx(alpha)`, implemented separately, so that no
+formula is shared with the gateway. All functions take stacks: leading dimensions are kept.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ DH_ALPHA_RAD = np.deg2rad([90.0, 0.0, -90.0, 90.0, -90.0, 0.0])
 TOOL_M = 0.15
 BASE_DISTANCE_M = 1.9
 GRIP_M = 0.20
-PART_MASS_KG = 5.0
 GRAVITY_M_S2 = 9.80665
 DURATION_S = 6.0
 #: Joint positions of master and slave near the start of the path, elbow up, tool down.

@@ -1,9 +1,10 @@
-"""Two arms and one workpiece for the clock: what two arms in PyBullet cost more time for than the clock gives.
+"""Two arms and one workpiece in real time, for which two arms in PyBullet are too slow.
 
-Each motor follows its reference as a lag of first order, the links stand still on their gears: in every stretch of time
-the force inside the part, the wind-up of the gears and the torque of each motor are in balance, `T + J^T W = tau`, with
-what the arms need for gravity and motion taken from PyBullet's inverse dynamics. There are no vibrations, so a stretch
-may be as long as it comes. An axis without torque, or one that asks for more than it has, falls freely.
+Each motor follows its reference as a lag of first order, the links are in static equilibrium on their gears: in every
+stretch of time the force inside the part, the wind-up of the gears and the torque of each motor are in balance, `T +
+J^T W = tau`, with what the arms need for gravity and motion taken from PyBullet's inverse dynamics. There are no
+vibrations, so a time step may have any length. An axis without torque, or one that exceeds its torque limit, falls
+freely.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from sim.servo import TICK_S
 
 Array = NDArray[np.float64]
 
-#: Way by which a rotor turns, at its joint, until dry friction has its full size [rad]; it keeps it while it stands.
+#: Movement of a rotor, at its joint, until dry friction has its full size [rad]; it keeps it at rest.
 BREAKAWAY_RAD = 1e-4
-#: In which a speed loop brings a rotor to the speed asked for: a step takes its torque over this time, however short
-#: the stretch in which it is seen [s].
+#: Time in which a speed loop brings a rotor to the commanded speed: a step takes its torque over this time, however
+#: short the stretch in which it is seen [s].
 SPEED_LOOP_S = 0.001
 
 
@@ -68,11 +69,11 @@ class LightWorld(TwoArms):
     # -- motors ------------------------------------------------------------------------------------------------------
 
     def _turn(self, ticks: float) -> None:
-        """Rotors follow their references, fall, or stand in their brakes."""
+        """Rotors follow their references, fall, or are held by their brakes."""
         motors, seconds = self.motors, ticks * TICK_S
         decay = [math.exp(-seconds / lag_s) for lag_s in self._lag_s]
         jitter = self.settings.skew_jitter_s
-        late_s = self.settings.skew_s + (self._random.uniform(0.0, jitter) if jitter else 0.0)
+        delay_s = self.settings.skew_s + (self._random.uniform(0.0, jitter) if jitter else 0.0)
         slave = self.of_arm[1].start
         theta, omega = motors.theta.tolist(), motors.omega.tolist()
         asked = np.zeros(self.joints)
@@ -81,7 +82,7 @@ class LightWorld(TwoArms):
             before = omega[i]
             if axis.fed:
                 most_nm = axis.servo.max_nm
-                at = self._follow(axis, theta[i], ticks, (decay[i], late_s if i >= slave else 0.0))
+                at = self._follow(axis, theta[i], ticks, (decay[i], delay_s if i >= slave else 0.0))
                 if axis.servo.limited:
                     at = self._fall(i, theta[i], before, math.copysign(most_nm, need[i]), seconds)
                 theta[i], omega[i] = at
@@ -104,10 +105,10 @@ class LightWorld(TwoArms):
 
     def _follow(self, axis: PairAxis, theta: float, ticks: float, how: tuple[float, float]) -> tuple[float, float]:
         """Angle and speed of a rotor behind a reference that moves evenly; the exact solution of its lag."""
-        servo, lag_s, (decay, late_s) = axis.servo, self._lag_s[axis.index], how
+        servo, lag_s, (decay, delay_s) = axis.servo, self._lag_s[axis.index], how
         seconds, speed = ticks * TICK_S, axis.servo.reference_step_rad / TICK_S
         servo.reference_rad += servo.reference_step_rad * ticks
-        goal = servo.reference_rad + axis.shift_rad - speed * late_s
+        goal = servo.reference_rad + axis.shift_rad - speed * delay_s
         behind, steady = goal - speed * seconds - theta, lag_s * (speed - servo.offset_rad_s)
         behind = steady + (behind - steady) * decay
         most = servo.max_rad_s * seconds

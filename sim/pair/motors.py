@@ -1,7 +1,7 @@
 """Two-mass joints as arrays: rotor and encoder on one side, gear spring, link on the other.
 
-All quantities stand on the gear output. The gear's backlash is a play between rotor and spring, its cyclic error an
-angle added to what the spring sees; the encoder sees neither, nor the wind-up.
+All quantities are at the gear output. The gear's backlash is a play between rotor and spring, its cyclic error an angle
+added to the spring deflection; the encoder measures neither, nor the wind-up.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ WINDOW_RAD = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveTrain:
-    """What stands between drive and link, for n joints; arrays of shape (n,).
+    """Drive train between motor and link, for n joints; arrays of shape (n,).
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ def joined(trains: tuple[DriveTrain, DriveTrain]) -> DriveTrain:
 
 
 class PairAxis:
-    """What a simulated drive sees of its motor: the same surface as a motor of a single arm.
+    """Interface of a simulated drive to its motor, the same as for a single arm.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ class PairAxis:
         self.motors.fastest[self.index] = value
 
     def release(self) -> None:
-        """Feed the motor and open the brake; the reference is where the axis stands, the gear's load is taken over."""
+        """Power the motor and open the brake; the reference is the present position, the gear's load is taken over."""
         if not self.fed:
             self.servo.reset(self.position_rad)
             self.free = self.fed = True
@@ -122,7 +122,7 @@ class PairAxis:
             self.motors.fall[self.index] = self.motors.fallen[self.index] = 0.0
 
     def coast(self) -> None:
-        """Cut the motor and leave the brake open."""
+        """Cut the motor power and leave the brake open."""
         if self.fed:
             self.fed = False
             self.servo.reset(self.position_rad)
@@ -175,7 +175,9 @@ class Motors:
         self.axes = [PairAxis(self, i, _servo(train, i, float(max_rad_s[i])), float(shift_rad[i])) for i in range(n)]
 
     def place(self, q_rad: Array, load_nm: Array) -> None:
-        """Stand still with gears wound up so that they carry `load_nm` (n,) at the link angles `q_rad` (n,)."""
+        """Place the joints at rest with gears wound up so that they carry `load_nm` (n,) at the link angles `q_rad`
+        (n,).
+        """
         self.play = q_rad + load_nm / self._stiffness - self.cyclic(q_rad)
         self.theta, self.omega = self.play.copy(), np.zeros_like(q_rad)
         self.gear_nm = load_nm.copy()
@@ -193,12 +195,12 @@ class Motors:
         train = self.train
         return train.cyclic_rad * np.sin(train.cyclic_per_rad * q_rad + train.cyclic_phase_rad)
 
-    def control(self, late_s: Array, filter_share: float, tick_s: float) -> None:
+    def control(self, delay_s: Array, filter_share: float, tick_s: float) -> None:
         """Loops of all drives, one tick: motor torques from encoders.
 
         Parameters
         ----------
-        late_s : (n,) how much later than its clock says each drive's reference runs [s]
+        delay_s : (n,) delay of each drive's reference [s]
         filter_share : of the new value in the drives' torque filter
         tick_s : control tick
         """
@@ -207,8 +209,8 @@ class Motors:
         for i, axis in enumerate(self.axes):
             if axis.fed:
                 servo = axis.servo
-                late = late_s[i] * servo.reference_step_rad / tick_s
-                torque[i] = servo.torque(positions[i] - axis.shift_rad + late, speeds[i])
+                delay = delay_s[i] * servo.reference_step_rad / tick_s
+                torque[i] = servo.torque(positions[i] - axis.shift_rad + delay, speeds[i])
             else:
                 torque[i] = 0.0
                 self.fallen[i] = self.fallen[i] + self.fall[i] * tick_s if axis.falls else 0.0

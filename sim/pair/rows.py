@@ -1,7 +1,7 @@
 """Denavit-Hartenberg rows of an arm whose joints a robot file describes: by the common normals of its axes.
 
-Rows are what the errors of a seed are drawn about, so they are those of a data sheet: lengths and angles are rounded to
-what a robot file states of them.
+The errors of a seed are drawn about these rows, so they are those of a data sheet: lengths and angles are rounded as in
+a robot file.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def _links(arm: ArmSpec) -> list[Array]:
 def _row(before: Array, point_m: Array, axis: Array) -> tuple[float, float, float, float]:
     """Angle [rad], length [m], height [m] and twist [rad] from a frame (4, 4) to the axis of the next joint.
 
-    The frame stands on its own joint's axis; the next axis goes through a point (3,) [m] in a direction (3,).
+    The frame is on its own joint's axis; the next axis goes through a point (3,) [m] in a direction (3,).
     """
     own, x_before, origin = before[:3, 2], before[:3, 0], before[:3, 3]
     across = np.cross(own, axis)

@@ -1,6 +1,6 @@
-"""What every plant of a pair has: two arms, a part between them, drives, and one time that two buses share.
+"""Base of the plants of a pair: two arms, a part between them, drives, and one time shared by two buses.
 
-A plant knows no clock. It moves on when both arms have asked for it.
+A plant has no clock. It advances when both arms have requested it.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ Array = NDArray[np.float64]
 
 STEP_S = 0.00025
 #: How long the physics waits for the SYNC of the other bus, wall clock [s]: in many short pieces, so that a process
-#: that was put aside for long does not take its own sleep for a silent bus.
+#: that was suspended for long does not take its own pause for a stopped bus.
 WAIT_S, WAITS = 0.01, 25
-#: A SYNC that comes later than this begins afresh; an earlier one finds the time it stands for gone already [s].
-SILENT_S = 0.1
-#: By the clock, how far the plant may be ahead of what a bus has seen of the time, and how long that is waited for [s].
+#: A SYNC later than this starts a new phase; the time of an earlier one has already passed [s].
+BUS_GAP_S = 0.1
+#: In real time, how far the plant may be ahead of the time of a bus, and the longest wait for it [s].
 TOGETHER_S, PATIENCE_S = 0.0005, 0.0015
 #: Between two SYNCs that count as one instant of the plant [s].
 SAME_S = 0.0003
@@ -84,9 +84,9 @@ class TwoArms(ABC):
     before, after : called around every stretch of time with its milliseconds, and with the time [s]
     """
 
-    #: By the clock, milliseconds that are waited for before the plant goes on between two SYNCs.
+    #: In real time, milliseconds of waiting before the plant advances between two SYNCs.
     usual_ticks = 1.0
-    #: The plant goes on by whole milliseconds only.
+    #: The plant advances by whole milliseconds only.
     whole_ticks = True
 
     def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
@@ -114,7 +114,7 @@ class TwoArms(ABC):
         self._stand(np.concatenate(settings.start_rad))
 
     def _stand(self, theta_rad: Array) -> None:
-        """Hang still, gears wound up by gravity, the part gripped free of force."""
+        """Place the arms at rest, gears wound up by gravity, the part gripped free of force."""
         q, gravity = theta_rad.copy(), np.zeros_like(theta_rad)
         stiffness = self.motors.train.stiffness_nm_rad
         for _ in range(20):
@@ -140,7 +140,7 @@ class TwoArms(ABC):
     # -- time --------------------------------------------------------------------------------------------------------
 
     def catch_up(self, arm: int) -> None:
-        """Wait until the physics has done what this arm has asked for; not for an arm whose bus is silent."""
+        """Wait until the physics has advanced as requested by this arm; not for an arm whose bus stopped."""
         with self._lock:
             if self._asked[arm] <= self.time_s + HAIR_S:
                 return
@@ -157,44 +157,44 @@ class TwoArms(ABC):
         """An arm's SYNC came: go on once the other's has come too."""
         with self._lock:
             self._live[arm] = True
-            owed = self._owed[arm] if self._owed[arm] < SILENT_S else 0.0
+            owed = self._owed[arm] if self._owed[arm] < BUS_GAP_S else 0.0
             late = min(owed, seconds)
             self._owed[arm] = owed - late
             self._asked[arm] = round(max(self._asked[arm], self.time_s) + seconds - late, 9)
             self._run()
 
     def arrive(self, arm: int) -> None:
-        """A SYNC of an arm came, nothing has been answered yet.
+        """Handle a SYNC of an arm before anything is answered.
 
-        The slave's SYNC follows the master's and stands for the same instant. One that was there before the master's is
-        of an instant that the master's bus has skipped: it passes now, and both are in step from here on.
+        The slave's SYNC follows the master's and is for the same instant. One that arrived before the master's belongs
+        to an instant that the master's bus has skipped: time advances, and both are in step afterwards.
         """
         with self._lock:
             if arm == 0 and self._asked[0] <= self.time_s + HAIR_S < self._asked[1]:
                 self._pass(self._asked[1])
 
     def _run(self) -> None:
-        """Go on to what has been asked for by all arms that are powered and whose SYNC has not stayed away."""
+        """Advance to the time requested by all powered arms whose SYNC is not missing."""
         powered = [bool(self.motors.live[own].any()) for own in self.of_arm]
         waited = [live and power for live, power in zip(self._live, powered, strict=True)]
         goal = min(self._asked[arm] for arm in (0, 1) if waited[arm]) if any(waited) else max(self._asked)
         self._pass(goal)
 
     def follow_the_clock(self, arm: int, seconds: float) -> None:
-        """An arm's bus has seen so much time pass by the clock; the plant goes on to what both have seen."""
+        """Report the real time of an arm's bus; the plant advances to the time of both buses."""
         with self._lock:
             self._asked[arm] += seconds
-            if self._asked[arm] < self._asked[1 - arm] - SILENT_S:  # it was held up for longer than is caught up with
+            if self._asked[arm] < self._asked[1 - arm] - BUS_GAP_S:  # it stalled for longer than is caught up with
                 self._asked[arm] = self._asked[1 - arm]
             self._lock.notify_all()
             self._pass(min(self._asked), self.usual_ticks)
 
     @contextmanager
     def settled(self, arm: int) -> Generator[None]:
-        """By the clock: the instant of an arm's SYNC, at which its encoders are latched; time stands still meanwhile.
+        """In real time: the instant of an arm's SYNC, at which its encoders are latched; time is stopped meanwhile.
 
-        What the other bus still looks at is waited for, unless that bus is held up. A plant that the other arm's SYNC
-        has just brought here need not move on: rotors go on evenly for so short a time.
+        The other bus is waited for, unless it is stalled. A plant that the other arm's SYNC has just advanced to this
+        time need not advance: rotors move evenly for so short a time.
         """
         with self._lock:
             together = self._lock.wait_for(lambda: self._asked[1 - arm] >= self._asked[arm] - TOGETHER_S, PATIENCE_S)
@@ -235,7 +235,7 @@ class TwoArms(ABC):
         hand = closure.tips[0][:3, 3]
         self.record.append((self.time_s, *force.tolist(), *moment.tolist(), *centre.tolist(), *hand.tolist()))
 
-    # -- what is seen ------------------------------------------------------------------------------------------------
+    # -- observations ------------------------------------------------------------------------------------------------
 
     def reading_nm(self, arm: int) -> list[float]:
         """What the drives of an arm report as motor torque, gear output side [Nm]."""
@@ -250,7 +250,7 @@ class TwoArms(ABC):
         return self.motors.fastest.copy()
 
     def forget_fastest(self) -> None:
-        """Begin anew to look for the largest speed."""
+        """Reset the largest speed."""
         self.motors.fastest[:] = 0.0
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""One arm of a pair as its bus sees it: drives whose motors stand in the common world."""
+"""One arm of a pair on its bus: drives whose motors are in the common world."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class PairUnit:
     arm : cell's description
     world : common physics
     index : 0 master, 1 slave
-    bus : its SYNC period and pacing; by the clock nobody waits for the other bus
+    bus : its SYNC period and pacing; in real time there is no wait for the other bus
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class PairUnit:
     instruments : measuring devices on the same bus
     """
 
-    #: Short: each bus waits at its SYNC until the other one has seen the time pass.
+    #: Short: each bus waits at its SYNC until the other one has reached the same time.
     real_step_s = 0.001
 
     def __init__(self, arm: ArmSpec, world: TwoArms, index: int, bus: CellBus) -> None:
@@ -84,14 +84,14 @@ class PairUnit:
         else:
             self.world.follow_the_clock(self._index, seconds)
 
-    def hang(self, payload: Payload) -> None:
+    def mount(self, payload: Payload) -> None:
         """A pair holds its workpiece and nothing else.
 
         Raises
         ------
         ValueError : always
         """
-        raise ValueError(f"arm {self.name} holds the workpiece; load {payload.label} cannot be hung on it")
+        raise ValueError(f"arm {self.name} holds the workpiece; load {payload.label} cannot be mounted on it")
 
     def _plan(self, ticks: float) -> None:
         for drive in self.drives:

@@ -1,7 +1,7 @@
 """The workpiece as a six-dimensional spring and damper between two grippers, handed to the joints as `J^T W`.
 
-Where gripper 2 belongs is gripper 1 times the grasp; how far it is away from there, straight and turned, is what the
-part resists. Between two exact evaluations the deviation follows the joints linearly.
+The nominal pose of gripper 2 is gripper 1 times the grasp; the part resists the deviation from it in position and
+rotation. Between two exact evaluations the deviation follows the joints linearly.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ class Workpiece:
         return Closure(deviation, rate.reshape(6, -1).take(self._slots, axis=1), (first, second), q_rad)
 
     def _each(self, q_rad: Array) -> Array:
-        """Joint angles (2, N) of each arm, those that a shorter one has not at nothing."""
+        """Return joint angles (2, N) of each arm, padded with 0 for the shorter one."""
         each = np.zeros(2 * self._axes)
         each[self._slots] = q_rad
         return each.reshape(2, self._axes)
@@ -130,7 +130,7 @@ class Workpiece:
 
 
 def _lengthened(arm: ArmGeometry, axes: int) -> ArmGeometry:
-    """The same arm, its table ended by rows that change nothing."""
+    """Return the same arm, its table padded with identity rows."""
     none = np.zeros(axes - len(arm.d_m))
     return ArmGeometry(
         *(np.append(row, none) for row in (arm.d_m, arm.a_m, arm.alpha_rad, arm.zero_rad)),

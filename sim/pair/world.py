@@ -34,7 +34,7 @@ class PairWorld(TwoArms):
 
     def __init__(self, arms: tuple[ArmTruth, ArmTruth], settings: WorldSettings) -> None:
         super().__init__(arms, settings)
-        self._late_s = np.zeros(self.joints)
+        self._delay_s = np.zeros(self.joints)
         self._substeps = round(TICK_S / settings.step_s)
         self._share = TICK_S / (TICK_S + settings.filter_s)
         self.radius = self._largest_mode()
@@ -83,7 +83,7 @@ class PairWorld(TwoArms):
         for act in self.before:
             act(ticks)
         jitter = self.settings.skew_jitter_s
-        self._late_s[self.of_arm[1]] = self.settings.skew_s + (self._random.uniform(0.0, jitter) if jitter else 0.0)
+        self._delay_s[self.of_arm[1]] = self.settings.skew_s + (self._random.uniform(0.0, jitter) if jitter else 0.0)
         for _ in range(round(ticks)):
             self._tick()
         self.motors.show()
@@ -94,7 +94,7 @@ class PairWorld(TwoArms):
         """One millisecond."""
         motors, part, body, client = self.motors, self.part, self._body, self._client
         joints = range(self.joints)
-        motors.control(self._late_s, self._share, TICK_S)
+        motors.control(self._delay_s, self._share, TICK_S)
         q, qd = self.q, self.qd
         closure = part.at(q)
         rate, stiffness, damping = closure.jacobian, part.stiffness, part.damping

@@ -75,7 +75,7 @@ def moves_on(bench: Bench) -> bool:
 
 Effect = Callable[[Bench], bool]
 EFFECTS: dict[str, Effect] = {
-    "node_killed": lambda bench: bench.drive.node.silent and at_rest_in_its_brake(bench),
+    "node_killed": lambda bench: bench.drive.node.unpowered and at_rest_in_its_brake(bench),
     "power_cycle": lambda bench: bench.drive.node.state == PRE_OPERATIONAL and at_rest_in_its_brake(bench),
     "reboot_keeps_all": lambda bench: bench.drive.mode == 8 and at_rest_in_its_brake(bench),
     "reboot_keeps_communication": lambda bench: bench.drive.mode == 0 and at_rest_in_its_brake(bench),
@@ -174,7 +174,7 @@ def test_in_lockstep_drives_stop_by_themselves_once_the_master_is_gone(monkeypat
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
     for drive in server.drives:
         drive.store.write(0x1016, 1, (127 << 16 | 500).to_bytes(4, "little"))
-        drive.node.heard(127, bench.unit.world.time_s)
+        drive.node.note_heartbeat(127, bench.unit.world.time_s)
     server.serve(can.Message(arbitration_id=0x77F, data=b"\x05", is_extended_id=False))
 
     def wait(seconds: float) -> None:

@@ -72,7 +72,7 @@ def test_holding_torque_is_that_of_inverse_dynamics_bare_and_loaded(name, world_
     drive_to(world, POSE - shift, 3.0)
     world.advance(4000)
     for payload in (Payload(), LOADS[name]):
-        world.hang(payload)
+        world.mount(payload)
         world.advance(4000)
         assert np.abs(world.qd_rad_s).max() < 1e-5
         expected = needed(oracle(world), world.q_rad)
@@ -95,7 +95,7 @@ def test_an_arm_in_its_brakes_stands_still_and_shows_no_torque(world_of):
     world = world_of("large")
     before = world.q_rad
     world.advance(500)
-    world.hang(LOADS["large"])
+    world.mount(LOADS["large"])
     world.advance(500)
     np.testing.assert_allclose(world.q_rad, before, atol=1e-9)
     np.testing.assert_allclose(world.reading_nm(), 0.0)
@@ -154,7 +154,7 @@ def test_a_coupled_wrist_carries_the_torque_of_its_transpose(arm_of, world_of):
 
 def test_a_payload_that_moves_is_followed(world_of):
     world = world_of("small", payload_shift=lambda time_s: np.array([0.0, 0.0, 0.1 if time_s > 1.0 else 0.0]))
-    world.hang(LOADS["small"])
+    world.mount(LOADS["small"])
     release(world)
     world.advance(6000)
     moved = replace(LOADS["small"], com_m=LOADS["small"].com_m + [0.0, 0.0, 0.1])
@@ -214,7 +214,7 @@ def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of
     nominal = plant_of(arm_of(name))
     lossy = ("coulomb_nm", "stiction_nm", "viscous_nm_s_rad", "gear_efficiency", "rotor_inertia_kg_m2")
     world = world_of(name, load_friction=np.full(6, 0.05), **{field: getattr(nominal, field) for field in lossy})
-    world.hang(LOADS[name])
+    world.mount(LOADS[name])
     plant, period_s = world.plant, 3.0
     speed = np.array([axis.servo.max_rad_s for axis in world.axes]) / 3.0
     start = np.array([axis.position_rad for axis in world.axes])

@@ -66,10 +66,10 @@ def test_a_process_of_its_own_answers_hangs_loads_and_writes_the_truth(tmp_path)
             assert bytes(answer.data[:4]) == bytes([0x43, 0x00, 0x10, 0x00])
         finally:
             master.shutdown()
-        simulation.hang("load")
-        simulation.hang("none")
+        simulation.mount("load")
+        simulation.mount("none")
         with pytest.raises(KeyError, match="known are none, gripper"):
-            simulation.hang("anvil")
+            simulation.mount("anvil")
 
 
 @pytest.mark.parametrize(

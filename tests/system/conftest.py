@@ -90,7 +90,7 @@ class Drives:
         return self.handle.bus
 
     @property
-    def hang(self) -> Callable[[str], None]:
+    def mount(self) -> Callable[[str], None]:
         return self.handle.hang
 
     def stand_still(self) -> bool:
@@ -174,7 +174,7 @@ class Hands:
         assert self.drives.stand_still()
         self.asked.append(label)
         if not self.forgets:
-            self.drives.hang(label)
+            self.drives.mount(label)
         return "\n"
 
     def isatty(self):

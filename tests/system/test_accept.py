@@ -15,7 +15,7 @@ def identified(place, gateway, drives):
     """Record the unloaded arm and the load, and estimate."""
     out = place.folder / "result.json"
     for label in ("none", "load"):
-        drives.hang(label)
+        drives.mount(label)
         done = gateway("record", place.cell, "--load", label, "-o", place.run, "--yes", "--bus", drives.bus, "--resume")
         assert done.exit_code == 0, done.output
     done = gateway("estimate", place.run, "--cell", place.cell, "--json", out)
@@ -43,7 +43,7 @@ def test_a_right_load_passes_and_a_wrong_one_fails(place, serve, gateway, fast_a
     seen = {pose.q_rad for pose in place.recording().arms[0].poses}
     assert not seen & {pose.q_rad for pose in read(out / "accept.h5").arms[0].poses}
 
-    drives.hang("none")
+    drives.mount("none")
     done = gateway(*words, "--yes", "--json", place.folder / "b.json")
     assert done.exit_code == 7, done.output
     answer = json.loads((place.folder / "b.json").read_text())

@@ -54,7 +54,7 @@ def test_from_the_cell_to_the_report(place, serve, gateway, arm):
     ran("plan", place.cell, "--json", plan)
     assert {len(pose["q_rad"]) for pose in json.loads(plan.read_text())["poses"]} == {arm.axes}
     ran("record", place.cell, *bus, "--yes", "--load", "none", "-o", bare)
-    drives.hang("load")
+    drives.mount("load")
     ran("record", place.cell, *bus, "--yes", "--load", "load", "-o", loaded)
 
     mass, com = load_of(place)

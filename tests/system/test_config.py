@@ -278,7 +278,7 @@ def test_what_the_drive_lacks_is_named_and_stops_a_write_before_it_begins(config
 
 
 def test_a_silent_node_is_named_and_no_file_is_written(config, drives, place):
-    drives.handle.simulation.arms[0].drives[2].node.silent = True
+    drives.handle.simulation.arms[0].drives[2].node.unpowered = True
     done = config("dump")
     assert done.exit_code == 4, done.output
     assert "node 3" in done.stderr

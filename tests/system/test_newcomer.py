@@ -78,7 +78,7 @@ class Newcomer:
         """From the check to the load: bare, then loaded."""
         bare, loaded, result = (self.folder / name for name in ("bare.h5", "loaded.h5", "result.json"))
         self.types("record", self.cell, *LOCKSTEP, "--yes", "--load", "none", "-o", bare)
-        self.drives.hang("load")
+        self.drives.mount("load")
         self.types("record", self.cell, *LOCKSTEP, "--yes", "--load", "load", "-o", loaded)
         self.types("estimate", bare, loaded, "--cell", self.cell, "--json", result)
         (load,) = json.loads(result.read_text(encoding="utf-8"))["loads"]

@@ -91,11 +91,11 @@ def test_what_motion_tells_is_what_is_there(untyped, plan, serve, gateway):
 
     bare = drive("none", "--plan", plan["series"])
     assert bare.exit_code == 0, bare.output
-    drives.hang("load")
+    drives.mount("load")
     loaded = drive("load", "--resume", "--json", untyped.folder / "summary.json")
     assert loaded.exit_code == 0, loaded.output
     assert drives.stand_still()
-    drives.hang("none")
+    drives.mount("none")
     swept = drive("none", "--resume", "--plan", plan["whole"])
     assert "4 periods under load none, 2 already recorded" in swept.output
     _check_recording(untyped.recording())
@@ -106,7 +106,7 @@ def test_what_motion_tells_is_what_is_there(untyped, plan, serve, gateway):
     _check_axes(read_result(result).motion, drives.handle.simulation.arms[0].world.plant)
     _check_diagnosis(untyped, gateway)
     _check_page(untyped, gateway, result)
-    drives.hang("load")
+    drives.mount("load")
     _check_use(untyped, gateway, drives, result)
 
 

@@ -31,7 +31,7 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
     for name in ("cell.toml", "robot.urdf"):
         shutil.copy(place.folder / name, elsewhere)
     simulated = drives.handle.simulation.arms[0].drives
-    simulated[2].node.silent = True
+    simulated[2].node.unpowered = True
     simulated[3].store.values[0x1018, 4] = 0x777777
     simulated[3].store.constant((0x1018, 4), "u32", 0x777777)
     out = tmp_path / "restored.json"
@@ -44,7 +44,7 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
     (arm,) = json.loads(out.read_text())["arms"]
     assert {text.split(":")[0] for text in arm["left"]} == {"node 3", "node 4"}
     assert [torque(drives, node) for node in (1, 2, 5, 6)] == [before[node - 1] for node in (1, 2, 5, 6)]
-    simulated[2].node.silent = False
+    simulated[2].node.unpowered = False
     done = gateway(*arguments, "--force")
     assert done.exit_code == 4, done.output
     assert torque(drives, 3) == before[2]

@@ -19,7 +19,7 @@ def test_a_load_is_measured_until_it_is_known(place, gateway, serve, fast_arm):
     drives = fast_arm(serve())
     bare = record(gateway, place, drives.bus, "none")
     assert bare.exit_code == 0, bare.output
-    drives.hang("load")
+    drives.mount("load")
     summary = place.folder / "until.json"
     done = record(gateway, place, drives.bus, "load", "--resume", "--until", "mass=20%,com=15mm", "--json", summary)
     assert done.exit_code == 0, done.output

@@ -10,7 +10,7 @@ import pytest
 from sim.nature.cell import draw_cell
 from sim.nature.effect import rows_of
 from sim.nature.levels import levels_of
-from sim.nature.measuring import GrossVisit, quiet, reported_nm
+from sim.nature.measuring import OutlierVisit, quiet, reported_nm
 from sim.nature.strength import halves
 from tests.support.blind import oracle
 
@@ -54,7 +54,7 @@ def test_what_is_wrong_or_not_known_makes_the_load_less_known():
     sharp = oracle.load_std(cell, cell.visits, ())
     unsure = replace(cell, arm=replace(cell.arm, gain_std=5.0 * cell.arm.gain_std))
     assert (oracle.load_std(unsure, cell.visits, ()) > sharp).all()
-    lost = [GrossVisit(k, 0, "tool", joint, 5.0) for k in range(len(cell.visits)) for joint in (2, 3)]
+    lost = [OutlierVisit(k, 0, "tool", joint, 5.0) for k in range(len(cell.visits)) for joint in (2, 3)]
     assert oracle.load_std(cell, cell.visits, lost)[0] > 1.5 * sharp[0]
 
 

@@ -41,7 +41,7 @@ def place(tmp_path_factory):
 def drives(place, tmp_path_factory):
     with rig.drives(place, BUILD_ERRORS) as handle:
         keep_proof_of_stop(place.cell, handle.bus, tmp_path_factory)
-        handle.hang("load")
+        handle.mount("load")
         yield handle
 
 
@@ -119,7 +119,7 @@ def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place, t
     fault.write_text('[[fault]]\nkind = "drive_fault"\nnode = 3\nat_sync = 2400\n')
     with rig.drives(place, BUILD_ERRORS, fault=fault) as handle:
         keep_proof_of_stop(place.cell, handle.bus, tmp_path_factory)
-        handle.hang("load")
+        handle.mount("load")
         told = rig.follow_command(place, handle, place.result, place.folder / "fault.html")
         assert told.exit_code == 4, told.output
         assert "brought to zero" in told.output

@@ -92,7 +92,7 @@ def test_a_missing_frame_is_no_value_and_never_the_old_one() -> None:
 
 
 def falls_silent(rig: GapRig) -> None:
-    rig.device.node.silent = True
+    rig.device.node.unpowered = True
 
 
 def sees_nothing(rig: GapRig) -> None:

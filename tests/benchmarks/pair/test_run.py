@@ -86,7 +86,7 @@ def test_a_pair_without_errors_feels_next_to_nothing() -> None:
 
 
 def falls_silent(drive: FakeDrive) -> None:
-    drive.node.silent = True
+    drive.node.unpowered = True
 
 
 def has_a_fault(drive: FakeDrive) -> None:
@@ -119,7 +119,7 @@ def test_one_arm_fails_and_both_stop(arm: int, harm: Callable[[FakeDrive], None]
         assert rig.link.together.stopped_by == arm
         assert run.controller.state().second is None
         assert all(
-            drive.automaton.state is not PdsState.OPERATION_ENABLED for drive in drives(rig) if not drive.node.silent
+            drive.automaton.state is not PdsState.OPERATION_ENABLED for drive in drives(rig) if not drive.node.unpowered
         )
         ends = [
             next(time_s for time_s, *left, _ in seen if left[index] < 6 and time_s > began_s + 1.3) for index in (0, 1)
@@ -129,7 +129,7 @@ def test_one_arm_fails_and_both_stop(arm: int, harm: Callable[[FakeDrive], None]
         latest_s = ends[arm] + 3 * period if harm is has_a_fault else began_s + 1.3 + 9 * period
         assert ends[1 - arm] < latest_s
         assert max(force for *_, force in seen) < 1500.0
-        drives(rig)[6 * arm + 2].node.silent = False
+        drives(rig)[6 * arm + 2].node.unpowered = False
 
 
 @pytest.mark.slow

@@ -208,12 +208,12 @@ def test_a_gap_without_a_value_stops_along_the_path_one_outside_its_range_at_onc
         run = rig.run("E5", 3.0)
         kinds = heard(run.motion.stream.station.options.desk)
         if distances_m is None:
-            rig.device.node.silent = True
+            rig.device.node.unpowered = True
         else:
             rig.device.measure = lambda: distances_m
         with pytest.raises(PairStopped):
             rig.power.attempt(run.cycle)
-        rig.device.node.silent = False
+        rig.device.node.unpowered = False
     assert kinds[0] is kind
 
 

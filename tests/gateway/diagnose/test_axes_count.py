@@ -176,7 +176,7 @@ def test_recordings_are_diagnosed(arm, tmp_path, tmp_path_factory):
         at = ("--bus", handle.bus, "--yes")
         said = command("record", cell, *at, "--load", "none", "-o", bare)
         assert said.exit_code == 0, said.output
-        handle.hang("load")
+        handle.mount("load")
         said = command("record", cell, *at, "--load", "load", "-o", loaded)
         assert said.exit_code == 0, said.output
     said = command("diagnose", bare, loaded, "--cell", cell, "--json", out)

@@ -128,7 +128,7 @@ def test_gross_visits_lie_off_by_bands_and_are_told():
     for seed in range(60):
         cell = draw_cell(seed, "gross")
         columns, gross = cell.measure(cell.visits)
-        calm = replace(cell, arm=replace(cell.arm, friction=replace(cell.arm.friction, gross_share=0.0)))
+        calm = replace(cell, arm=replace(cell.arm, friction=replace(cell.arm.friction, outlier_share=0.0)))
         assert calm.measure(calm.visits)[1] == ()
         share.append(len(gross) / len(cell.visits))
         for wrong in gross:

@@ -18,7 +18,7 @@ from gateway.model.robot import robot_from_urdf
 from gateway.result.result import LoadResult, Result
 from sim.nature.cell import VISIT_S, NatureCell, draw_cell, draw_effect_cell
 from sim.nature.effect import rows_of
-from sim.nature.measuring import GrossVisit
+from sim.nature.measuring import OutlierVisit
 from sim.nature.strength import strengths_beside
 from sim.offline import PlannedVisit
 from tests.support.blind.oracle import load_std
@@ -143,7 +143,7 @@ class Robotside:
     def __init__(self, cell: NatureCell) -> None:
         self.cell = cell
         self.visits: list[PlannedVisit] = []
-        self.gross: list[GrossVisit] = []
+        self.gross: list[OutlierVisit] = []
         self.calls = 0
         self.next_pose = max(visit.pose for visit in cell.visits) + 1
         self.time_s = max(visit.time_s for visit in cell.visits) + 3 * VISIT_S
@@ -164,7 +164,7 @@ class Robotside:
     def _measured(self, visits: Sequence[PlannedVisit]) -> Table:
         columns, gross = self.cell.measure(visits, self.calls)
         before = len(self.visits)
-        self.gross += [GrossVisit(g.visit + before, g.pose, g.load, g.joint, g.bands) for g in gross]
+        self.gross += [OutlierVisit(g.visit + before, g.pose, g.load, g.joint, g.bands) for g in gross]
         self.visits += visits
         self.calls += 1
         return simulated_table(columns, f"nature{self.calls}")
@@ -202,7 +202,7 @@ def _intervals(cell: NatureCell, load: LoadEstimate | LoadResult | None, oracle:
 def _score(
     cell: NatureCell,
     visits: Sequence[PlannedVisit],
-    gross: Sequence[GrossVisit],
+    gross: Sequence[OutlierVisit],
     parts: dict,
     refused: list,
     total_s: float,

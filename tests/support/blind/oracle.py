@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sim.nature.arm import NatureArm
 from sim.nature.cell import NatureCell
 from sim.nature.effect import Mechanism, TableRows, rows_of
-from sim.nature.measuring import GrossVisit, equilibrium
+from sim.nature.measuring import OutlierVisit, equilibrium
 from sim.nature.strength import added, efficiency_slopes
 from sim.offline import PlannedVisit, gravity_columns
 
@@ -27,7 +27,7 @@ STEP_RAD = 1e-5
 NO_CURVE = 1e-6
 
 
-def load_std(cell: NatureCell, visits: Sequence[PlannedVisit], gross: Sequence[GrossVisit]) -> Floats:
+def load_std(cell: NatureCell, visits: Sequence[PlannedVisit], gross: Sequence[OutlierVisit]) -> Floats:
     """Standard deviation of mass [kg] and centre x, y, z [m] (4,) that these visits of a cell allow."""
     arm, rows = cell.arm, rows_of(visits)
     still = np.zeros_like(rows.q_rad)

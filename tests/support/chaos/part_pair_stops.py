@@ -70,7 +70,7 @@ def _fault(_desk: StopDesk, drive: FakeDrive) -> None:
 
 
 def _silence(_desk: StopDesk, drive: FakeDrive) -> None:
-    drive.node.silent = True
+    drive.node.unpowered = True
 
 
 STOPS: dict[str, Callable[[StopDesk, FakeDrive], None]] = {
@@ -104,7 +104,7 @@ def stopped(kind: str, seed: int, at_s: float, row: str = ROW) -> PairStop:
         _run_until_stopped(rig, run)
         record = np.array(world.record)
         (time_s, bound), time = asked[0], record[:, 0]
-        drives[FAILING].node.silent = False
+        drives[FAILING].node.unpowered = False
     force = record[:, 1:4]
     size, off = np.linalg.norm(force, axis=1), np.linalg.norm(force, axis=1) / world.part.stiffness[0]
     before, after = (time > time_s - BEFORE_S) & (time <= time_s), time > time_s

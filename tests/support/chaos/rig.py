@@ -181,7 +181,7 @@ class Rig:
         return Watched(
             Seen(list(self.seen.states), dict(self.seen.answers), list(self.seen.came_s), self.seen.slowest_s),
             tuple(drive.automaton.state for drive in drives),
-            tuple(drive.node.silent for drive in drives),
+            tuple(drive.node.unpowered for drive in drives),
             dict(self.wire.touched),
             sum(not drive.tpdos[TPDO3].cob_id & OFF for drive in drives),
             tuple(drive.store.number((0x6072, 0)) for drive in drives),

@@ -82,7 +82,7 @@ def nothing_typed(place: Place, handle: RunningSimulation, seed: int) -> tuple[P
     plan, run, result = (place.folder / f"moving.{suffix}" for suffix in ("plan.json", "h5", "json"))
     plan.write_text(json.dumps(plan_as_plain(make_moving_plan(load_cell(cell), None, request))))
     for label in ("none", LABEL):
-        handle.hang(label)
+        handle.mount(label)
         words = ["--moving", "--plan", plan, "--load", label, "-o", run, "--resume", "--bus", handle.bus, "--yes", "-q"]
         told = command("record", cell, *words)
         assert told.exit_code == 0, told.output
@@ -124,7 +124,7 @@ def command(*arguments: object) -> Result:
 def identify(place: Place, handle: RunningSimulation) -> None:
     """Record bare and loaded, estimate; the load stays on the flange."""
     for label in ("none", LABEL):
-        handle.hang(label)
+        handle.mount(label)
         run = place.folder / f"{label}.h5"
         told = command("record", place.cell, "--load", label, "-o", run, "--bus", handle.bus, "--yes", "-q")
         assert told.exit_code == 0, told.output
