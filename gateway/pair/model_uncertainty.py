@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gateway.identify.solve import solve_normal
 from gateway.pair.pair_cell import PairArm
 from gateway.pair.transform import Floats
 
@@ -163,5 +162,5 @@ class ModelUncertainty:
         total = np.tensordot(columns, torque_nm, ((0, 1), (0, 1))) - np.tensordot(seen, left, ((0, 1), (0, 1)))
         self._information = KEPT * self._information + information / CORRELATED_SYNCS
         self._sum = KEPT * self._sum + total / CORRELATED_SYNCS
-        count = len(self.value)
-        self.covariance, self.value = solve_normal(self._information, self._sum, np.zeros(count), np.ones(count))
+        self.covariance = np.linalg.inv(np.eye(len(self.value)) + self._information)
+        self.value = self.covariance @ self._sum
