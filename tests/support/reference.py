@@ -169,10 +169,10 @@ def effects_page() -> str:
     lines = [
         "# Effects",
         "",
-        "One file each in `gateway/model/effects/`. A parameter carries its unit; its standard deviation stands",
+        "One file each in `gateway/model/effects/`. The key of a parameter ends with its unit; the",
     ]
     lines += [
-        "beside it in the result. What they mean together: [how effects are found](../explanation/effects.md).",
+        "result also has its standard deviation. See [how a cause is found](../explanation/how-a-cause-is-found.md).",
         "",
     ]
     lines += ["| effect | what it is | found | parameters, by shape |", "|---|---|---|---|"]

@@ -130,7 +130,7 @@ def test_what_is_missing_or_does_not_fit_is_said():
     remarks = "\n".join(entry.why for entry in left_over(draft))
     assert "node 16: no answer" in remarks
     assert "node 40: on the bus, but not an axis of this arm" in remarks
-    assert "x.eds is of another device: vendor id 0x999, node 11 has 0x123" in remarks
+    assert "x.eds belongs to another device: vendor id 0x999, node 11 has 0x123" in remarks
     assert "node 11: 0x6091 is 50:1; set it to 1:1" in remarks
     assert draft.nodes[5] is not None
     assert draft.nodes[5].name == "x.eds"
