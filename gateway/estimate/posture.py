@@ -67,7 +67,7 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
         own = visits.take(visits.load == label)
         told = replace(alone.of_loads(own.load), bare=bare)
         part = _described(own, robot, told)
-        parts.append(replace(part, findings=(*part.findings, *_check(own, robot, alone, bare, base, label))))
+        parts.append(replace(part, findings=(*part.findings, *_check(own, robot, alone, bare, label))))
     first = parts[0]
     return replace(
         first,
@@ -139,8 +139,7 @@ def refuse_other_bare(bare: Bare, robot: Robot, gravity_m_s2: Sequence[float]) -
         )
     base = rest_base(robot, tuple(gravity_m_s2))
     combination = np.asarray(bare.combination, dtype=float)
-    same = combination.shape == base.combination.shape and np.allclose(combination, base.combination, atol=1e-4)
-    if not same or not np.allclose(bare.gravity_m_s2, gravity_m_s2, atol=1e-3):
+    if not _same_span(combination, base.combination) or not np.allclose(bare.gravity_m_s2, gravity_m_s2, atol=1e-3):
         raise InputError(
             f"--bare: it identified robot '{bare.robot}' with gravity {list(bare.gravity_m_s2)}, and its base"
             f" parameters are not those of '{robot.name}' with {list(gravity_m_s2)}; use the bare run of the"
@@ -148,27 +147,35 @@ def refuse_other_bare(bare: Bare, robot: Robot, gravity_m_s2: Sequence[float]) -
         )
 
 
-def _check(
-    own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, base: BaseSet, label: str
-) -> tuple[Finding, ...]:
+def _same_span(first: Floats, second: Floats) -> bool:
+    """Whether two sets of base parameters (r, 4 N) determine the same, whichever columns either of them keeps."""
+    if first.shape != second.shape:
+        return False
+    rows = second / np.linalg.norm(second, axis=1, keepdims=True)
+    basis = np.linalg.svd(first, full_matrices=False)[2]
+    return np.allclose(rows, rows @ basis.T @ basis, atol=1e-4)
+
+
+def _check(own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, label: str) -> tuple[Finding, ...]:
     """Whether what changed against the bare arm is a body on the flange and nothing else."""
     loaded = build_problem(robot, replace(own, load=np.full(len(own), BARE_LABEL)), replace(alone, known={}, masses={}))
     fit = fit_without_effects(loaded)
-    directions = np.zeros((base.rank, len(fit.scale)))
-    directions[:, loaded.link_part] = base.combination
+    combination = np.asarray(bare.combination)
+    directions = np.zeros((len(combination), len(fit.scale)))
+    directions[:, loaded.link_part] = combination
     if not sure(loaded, fit, directions).all():
         return ()
     change = directions @ fit.common - np.asarray(bare.value)
     covariance = directions @ fit.covariance @ directions.T + np.asarray(bare.covariance)
-    span = base.combination[:, LOAD_COLUMNS]
+    span = combination[:, LOAD_COLUMNS]
     size, vectors = np.linalg.eigh(covariance)
     spread = np.sqrt(np.maximum(np.diag(covariance), 1e-12 * size[-1]))
     whiten = (vectors / np.sqrt(np.maximum(size, 1e-12 * size[-1]))).T
     body = solve(whiten @ span, whiten @ change, np.ones(len(change)))
-    freedom = base.rank - len(LOAD_NAMES)
+    freedom = len(combination) - len(LOAD_NAMES)
     if freedom < 1 or chdtrc(freedom, body.misfit) > _SUSPICIOUS:
         return ()
-    worst = base.names[int(np.argmax(np.abs(change - span @ body.value) / spread))]
+    worst = bare.names[int(np.argmax(np.abs(change - span @ body.value) / spread))]
     return (
         Finding(
             "warn", f"load {label}",

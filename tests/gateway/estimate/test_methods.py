@@ -231,6 +231,29 @@ def test_posture_notices_a_dress_pack_that_came_with_the_load(arm, poses, measur
     assert not any("more than a load" in finding.what for finding in clean.findings)
 
 
+def test_a_stored_bare_arm_by_other_base_parameters_gives_the_same_load(arm, poses, measured):
+    """Which columns stand for a dependent set differs from computer to computer; what they determine does not."""
+    rng = np.random.default_rng(4)
+    bare = run(measured(arm, poses, {"none": None}, rng, left=0.05), arm.robot, EstimateOptions()).bare
+    rank, count = len(bare.value), len(bare.gain_covariance)
+    mixed = np.eye(count)
+    mixed[:rank, :rank] += 0.3 * np.random.default_rng(1).standard_normal((rank, rank))
+    turn = mixed[:rank, :rank]
+    other = replace(
+        bare,
+        value=tuple(turn @ bare.value),
+        covariance=tuple(map(tuple, turn @ np.array(bare.covariance) @ turn.T)),
+        combination=tuple(map(tuple, turn @ np.array(bare.combination))),
+        gain_covariance=tuple(map(tuple, mixed @ np.array(bare.gain_covariance) @ mixed.T)),
+    )
+    table = measured(arm, np.random.default_rng(5).uniform(-1.5, 1.5, (10, 6)), {"tool": TOOL}, rng, left=0.05)
+    found = [estimate(table, arm.robot, EstimateOptions(bare=each), "posture") for each in (bare, other)]
+    first, second = (each.loads[0] for each in found)
+    np.testing.assert_allclose(second.mass_kg, first.mass_kg, rtol=1e-6)
+    np.testing.assert_allclose(second.com_m, first.com_m, rtol=1e-5)
+    assert [each.what for each in found[0].findings] == [each.what for each in found[1].findings]
+
+
 def test_a_bare_identification_of_another_mounting_is_refused(arm, poses, measured):
     stored = run(measured(arm, poses, {"none": None}), arm.robot, EstimateOptions())
     table = measured(arm, poses, {"tool": TOOL})
