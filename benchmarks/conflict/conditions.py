@@ -135,9 +135,13 @@ def amperes(cell: ConflictCell) -> object:
 
 
 def quarter_turns(cell: ConflictCell) -> None:
-    """The zero of one of axes 2 to 6 is 90, 180 or 270 degrees from that of the URDF."""
-    column = f"q{int(cell.change.integers(2, AXES + 1))}_rad"
-    cell.columns[column] = cell.columns[column] + np.pi / 2 * cell.change.integers(1, 4)
+    """The zero of one of axes 2 to 5 is 90, 180 or 270 degrees from that of the URDF.
+
+    Axis 6 would turn the load alone, and half a turn of axis 2 is the same as gravity that is upside down.
+    """
+    axis = int(cell.change.integers(2, AXES))
+    quarters = cell.change.choice([1, 3] if axis == 2 else [1, 2, 3])
+    cell.columns[f"q{axis}_rad"] = cell.columns[f"q{axis}_rad"] + np.pi / 2 * quarters
 
 
 def set_to(**values: object) -> WrongStatement:

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from gateway.identify.load_estimate import negative_mass
+from gateway.identify.mass_change import MISFIT, misfit
 from gateway.identify.rest.fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, certain_bands
 from gateway.identify.rest.problem import Knowledge, build_problem
@@ -29,7 +30,8 @@ def reversed_gravity(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Kn
         return ()
     x, y, z = knowledge.gravity_m_s2
     other = build_problem(robot, problem.rows, replace(knowledge, gravity_m_s2=(-x, -y, -z)))
-    if fit_without_effects(other).evidence - fit.evidence < _LOG_ODDS:
+    opposite = fit_without_effects(other)
+    if opposite.evidence - fit.evidence < _LOG_ODDS or misfit(other, opposite) > MISFIT:
         return ()
     return (
         Finding(
@@ -37,8 +39,8 @@ def reversed_gravity(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Kn
             "gravity",
             f"gravity is reversed: the opposite of ({x:.3g}, {y:.3g}, {z:.3g}) m/s2 explains the torque, and friction"
             " has the right sign",
-            "check `gravity_m_s2` and how the base is mounted (ceiling or floor), or torque signs and directions of all"
-            " axes together",
+            "check `gravity_m_s2` and how the base is mounted (ceiling or floor), torque signs and directions of all"
+            " axes together, and whether the zero of the first horizontal joint is off by 180 degrees",
             "gravity_reversed",
         ),
     )

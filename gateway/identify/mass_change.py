@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
 #: Residual over the noise that the sides of the visits show, from which a change is looked for.
-_MISFIT: Final = 3.0
+MISFIT: Final = 3.0
 #: Share of the misfit that a change of mass may leave: an effect of the arm leaves more, or nothing to explain.
 _LEFT: Final = 0.15
 #: Visits on each side of a division.
@@ -39,14 +39,14 @@ def mass_changes(problem: RestProblem, fit: Fit) -> dict[str, str]:
     fit : Fit
         The fit without effects.
     """
-    before = _misfit(problem, fit)
-    if before < _MISFIT:
+    before = misfit(problem, fit)
+    if before < MISFIT:
         return {}
     reasons = {str(label): _change(problem, fit, str(label), before) for label in np.unique(problem.rows.load)}
     return {label: reason for label, reason in reasons.items() if reason is not None}
 
 
-def _misfit(problem: RestProblem, fit: Fit) -> float:
+def misfit(problem: RestProblem, fit: Fit) -> float:
     """Residual of the half-sums over the noise that their sides show, on the axis where that is most."""
     sums = np.unique(problem.group[problem.group < problem.axes])
     return float((fit.noise.std[sums] / fit.noise.start[sums]).max(initial=0.0))
@@ -73,7 +73,7 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
     if label in problem.labels:
         own_kg += float(second.loads[problem.labels.index(label), 0])
     parts = [(own_kg, order[cut - 1]), (own_kg + change_kg, order[cut])]
-    explained = _misfit(divided, second) < _LEFT * before
+    explained = misfit(divided, second) < _LEFT * before
     possible = min(kg for kg, _ in parts) > -_CERTAIN_STD * std_kg
     if not (explained and possible) or abs(change_kg) < max(
         _CERTAIN_STD * std_kg, _LEAST_SHARE * max(abs(kg) for kg, _ in parts)

@@ -91,7 +91,7 @@ def test_a_load_beyond_the_arm_is_refused_and_not_exported(table, tmp_path):
     assert load["mass_kg"] is None
     assert "torque in mNm?" in load["refused"]
     assert json.loads(out.read_text())["after"]["loads"] == [load]
-    complains(run("export", out, "--format", "kuka"), 6, "grams?")
+    complains(run("export", out, "--format", "kuka"), 6, "torque in mNm?")
 
 
 def test_the_frame_of_a_known_load_is_named_or_reported(table):
