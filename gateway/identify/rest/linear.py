@@ -255,10 +255,12 @@ class _Recent:
     def of(self, fit: Fit, columns: Callable[[], ByGroup]) -> ByGroup:
         """The columns of a fit, computed where they are not known."""
         found = self._known.pop(fit, None)
-        self._known[fit] = found if found is not None else columns()
-        while len(self._known) > 1 and sum(each.bytes for each in self._known.values()) > _RECENT_BYTES:
-            del self._known[next(iter(self._known))]
-        return self._known[fit]
+        if found is None:
+            found = columns()
+            while len(self._known) > _RECENT_BYTES // max(found.bytes, 1):
+                del self._known[next(iter(self._known))]
+        self._known[fit] = found
+        return found
 
 
 def visit_loads(problem: RestProblem, loads: Floats) -> Floats:

@@ -24,6 +24,10 @@ _HELD_ELSEWHERE: Final = 10.0
 _NO_BIAS_NM: Final = 1e-9
 
 
+#: The next value of a field of the setting, from the present one, the parameter of every axis (N,), and the visits.
+Change = Callable[[Floats, Floats, Visits], Floats]
+
+
 @dataclass(frozen=True, slots=True)
 class OrdinaryKind:
     """One kind of ordinary parameters, one of each an axis.
@@ -31,42 +35,46 @@ class OrdinaryKind:
     Attributes
     ----------
     name : str
+    field : what of an `AlteredModel` it changes
     prior : mean and standard deviation of an axis, from what the constants and the sides of visits say of all axes
-    raised : the setting of visits in which this parameter of every axis is larger by a step (N,)
+    change : value of that field where this parameter of every axis is larger by a step
     """
 
     name: str
+    field: str
     prior: Callable[[NuisancePrior], tuple[Floats | float, Floats | float]]
-    raised: Callable[[AlteredModel, Floats, Visits], AlteredModel]
+    change: Change
+
+    def raised(self, setting: AlteredModel, step: Floats, rows: Visits) -> AlteredModel:
+        """Return the setting of visits in which this parameter of every axis is larger by a step (N,)."""
+        return replace(setting, **{self.field: self.change(getattr(setting, self.field), step, rows)})
 
 
-def _colder(time_s: float) -> Callable[[AlteredModel, Floats, Visits], AlteredModel]:
+def _added(now: Floats, step: Floats, _: Visits) -> Floats:
+    return now + step
+
+
+def _colder(time_s: float) -> Change:
     """Friction that is larger cold, and fades with this time constant."""
-    return lambda now, step, rows: replace(now, band_gain=now.band_gain + left_of_cold(rows, time_s)[:, None] * step)
+    return lambda now, step, rows: now + left_of_cold(rows, time_s)[:, None] * step
+
+
+def _cold(_: NuisancePrior) -> tuple[float, float]:
+    return 0.0, REST_MODEL.cold
 
 
 #: Ordinary parameters in their order: gain error of the reading, bias by direction [Nm], friction over torque, how far
 #: losses are those of one efficiency (0 to 1), and by how much friction is larger cold, as it fades fast and slowly.
 #: To add one: an entry at the end.
 ORDINARY: Final = (
+    OrdinaryKind("gain", "gain", lambda prior: (0.0, prior.gain_std), lambda now, step, _: now * (1.0 + step)),
+    OrdinaryKind("bias", "bias_nm", lambda prior: (0.0, prior.bias_std_nm), _added),
     OrdinaryKind(
-        "gain", lambda prior: (0.0, prior.gain_std), lambda now, step, _: replace(now, gain=now.gain * (1.0 + step))
+        "load_friction", "load_friction", lambda prior: (prior.load_friction, prior.load_friction_std), _added
     ),
-    OrdinaryKind(
-        "bias", lambda prior: (0.0, prior.bias_std_nm), lambda now, step, _: replace(now, bias_nm=now.bias_nm + step)
-    ),
-    OrdinaryKind(
-        "load_friction",
-        lambda prior: (prior.load_friction, prior.load_friction_std),
-        lambda now, step, _: replace(now, load_friction=now.load_friction + step),
-    ),
-    OrdinaryKind(
-        "one_efficiency",
-        lambda _: (0.5, 0.5),
-        lambda now, step, _: replace(now, one_efficiency=now.one_efficiency + step),
-    ),
-    OrdinaryKind("cold_fast", lambda _: (0.0, REST_MODEL.cold), _colder(REST_MODEL.warm_fast_s)),
-    OrdinaryKind("cold_slow", lambda _: (0.0, REST_MODEL.cold), _colder(REST_MODEL.warm_slow_s)),
+    OrdinaryKind("one_efficiency", "one_efficiency", lambda _: (0.5, 0.5), _added),
+    OrdinaryKind("cold_fast", "band_gain", _cold, _colder(REST_MODEL.warm_fast_s)),
+    OrdinaryKind("cold_slow", "band_gain", _cold, _colder(REST_MODEL.warm_slow_s)),
 )
 KINDS: Final = tuple(kind.name for kind in ORDINARY)
 COLD: Final = ("cold_fast", "cold_slow")
@@ -172,10 +180,11 @@ class Ordinary:
 def ordinary_setting(rows: Visits, value: Floats, patterns: Floats) -> AlteredModel:
     """The setting in which nothing but the ordinary parameters (K N + E,) is changed; `patterns` of `GainChanges`."""
     by_axis, shared = np.split(value, [len(KINDS) * rows.axes])
-    setting = neutral(len(rows), rows.axes)
+    setting, changed = neutral(len(rows), rows.axes), {}
     for kind, values in zip(ORDINARY, by_axis.reshape(len(KINDS), rows.axes), strict=True):
-        setting = kind.raised(setting, values, rows)
-    return replace(setting, gain=setting.gain + patterns @ shared)
+        now: Floats = changed.get(kind.field, getattr(setting, kind.field))
+        changed[kind.field] = kind.change(now, values, rows)
+    return replace(setting, **changed | {"gain": changed["gain"] + patterns @ shared})
 
 
 def left_of_cold(rows: Visits, time_s: float) -> Floats:

@@ -13,11 +13,7 @@ from tests.resting_arm import Bench
 
 #: Zero of the torque sensor of axis 2 [Nm].
 ZERO_NM = 40.0
-MADE_UP = """    OrdinaryKind(
-        "sensor_zero",
-        lambda prior: (0.0, 50.0),
-        lambda now, step, _: replace(now, offset_nm=now.offset_nm + step),
-    ),
+MADE_UP = """    OrdinaryKind("sensor_zero", "offset_nm", lambda _: (0.0, 50.0), _added),
 )
 KINDS: Final ="""
 
