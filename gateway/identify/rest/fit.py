@@ -102,15 +102,13 @@ def _begin(
 
 def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[Floats]) -> Fit:
     """One Gauss-Newton step, with noise and evidence at the new point."""
+    residual = about.residual if isinstance(about, Fit) else _left(problem, about)
     about = Place(about.terms, about.links, about.loads, about.band, about.nuisance, about.theta)  # of a fit no more
     design = design_at(problem, about, noise)
-    setting = with_terms(problem, about.terms, about.theta, about.nuisance)
-    residual = problem.target - modelled(problem, setting, about.links, about.loads, about.band)
     prior = _prior(problem, about, spreads)
     solution = solve(design, residual, 1.0 / noise.std[problem.group], prior, TOLERANCE)
     place = _moved(problem, about, solution.value)
-    setting = with_terms(problem, place.terms, place.theta, place.nuisance)
-    left = problem.target - modelled(problem, setting, place.links, place.loads, place.band)
+    left = _left(problem, place)
     count, taken, squares = problem.by_group(), problem.by_group(solution.leverage), problem.by_group(left**2)
     std = np.where(count > 0, noise_std(count, taken, squares, noise.start, noise.least), noise.start)
     used = np.flatnonzero(count)
@@ -142,6 +140,12 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     )
     problem.recent.of(found, lambda: design)
     return found
+
+
+def _left(problem: RestProblem, at: Place) -> Floats:
+    """Measured rows (rows,) less the modelled ones."""
+    setting = with_terms(problem, at.terms, at.theta, at.nuisance)
+    return problem.target - modelled(problem, setting, at.links, at.loads, at.band)
 
 
 def _prior(problem: RestProblem, at: Place, spreads: list[Floats]) -> Prior:
