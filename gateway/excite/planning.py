@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
-from gateway.excite.choosing import SeriesTask, best_random, optimised
-from gateway.excite.design import start_postures
 from gateway.excite.excitation import Excitation, MovingPlan
 from gateway.excite.expected import (
     CORRELATION_S,
@@ -26,7 +24,9 @@ from gateway.excite.expected import (
 from gateway.excite.limits import PLANNED, MovingLimits, States, moving_limits, states_of
 from gateway.excite.plan_file import read_moving_plan
 from gateway.excite.plan_summary import plan_summary
-from gateway.excite.sweeping import chosen_sweeps
+from gateway.excite.random_series import start_postures
+from gateway.excite.series_choice import SeriesTask, best_random, optimised
+from gateway.excite.sweep_choice import chosen_sweeps
 from gateway.feedforward.identified import AxisConstants, axis_constants, read_identified
 from gateway.feedforward.load import FeedLoad, assumed_load
 from gateway.identify.links import parse_inertials

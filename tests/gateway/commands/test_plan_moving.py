@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from gateway.cli import main
-from gateway.excite import choosing, design
+from gateway.excite import random_series, series_choice
 from gateway.excite.planning import read_moving_plan
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
@@ -18,9 +18,9 @@ EXAMPLE = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few random motions and steps: enough for what is printed."""
-    monkeypatch.setattr(design, "RANDOM", 8)
+    monkeypatch.setattr(random_series, "RANDOM", 8)
     for name in ("TRIES", "FIRST_STEPS", "MORE_STEPS"):
-        monkeypatch.setattr(choosing, name, 1)
+        monkeypatch.setattr(series_choice, name, 1)
 
 
 def told(*words: str) -> Result:

@@ -16,7 +16,7 @@ from gateway.excite.expected import (
     expected_stds,
     stds_of_all,
 )
-from gateway.excite.family import Family
+from gateway.excite.fourier_family import Family
 from gateway.excite.limits import States, point_acceleration_m_s2
 from gateway.feedforward.load import assumed_load
 from gateway.identify.links import body_parameters

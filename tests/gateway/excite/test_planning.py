@@ -12,7 +12,7 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
 from gateway.errors import InputError, PlanRefused
-from gateway.excite import choosing, design
+from gateway.excite import random_series, series_choice
 from gateway.excite.excitation import MovingPlan, Series
 from gateway.excite.plan_file import excitation_of, plan_as_plain
 from gateway.excite.planning import MovingRequest, check_moving_plan, make_moving_plan, read_moving_plan
@@ -29,7 +29,7 @@ REQUEST = MovingRequest(choice="random")
 def few():
     """Few random motions to choose from: enough for what is asked here, and fast."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "RANDOM", 16)
+        patch.setattr(random_series, "RANDOM", 16)
         yield
 
 
@@ -124,7 +124,7 @@ def test_a_motion_that_meets_a_box_is_refused(small_cell, plan: MovingPlan, conf
 @pytest.mark.slow
 def test_improving_makes_the_promise_better_and_keeps_the_limits(small_cell, config, monkeypatch) -> None:
     for steps, few in (("TRIES", 1), ("FIRST_STEPS", 8), ("MORE_STEPS", 8)):
-        monkeypatch.setattr(choosing, steps, few)
+        monkeypatch.setattr(series_choice, steps, few)
     plan = make_moving_plan(small_cell, None, MovingRequest())
     best = make_moving_plan(small_cell, None, REQUEST)
     assert plan.expected["over_random"] < 0.95

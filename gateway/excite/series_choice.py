@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import PlanRefused
-from gateway.excite.design import Members, fitted, random_members, rows_of
 from gateway.excite.expected import AskedNumbers, mean_log_std
-from gateway.excite.family import Family
+from gateway.excite.fourier_family import Family
 from gateway.excite.limits import MovingLimits
-from gateway.excite.optimise import Aim, improved
+from gateway.excite.random_series import Members, fitted, random_members, rows_of
+from gateway.excite.series_optimiser import Aim, improved
 from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]

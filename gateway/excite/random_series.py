@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import PlanRefused
 from gateway.excite.expected import arm_rows
-from gateway.excite.family import Family
+from gateway.excite.fourier_family import Family
 from gateway.excite.limits import MovingLimits, States
 from gateway.motion.workspace import Workspace
 

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from gateway.excite.design import Members, rows_of
 from gateway.excite.expected import AskedNumbers, mean_log_std
-from gateway.excite.family import Family
+from gateway.excite.fourier_family import Family
 from gateway.excite.limits import MovingLimits
+from gateway.excite.random_series import Members, rows_of
 from gateway.motion.clearance import CLOSE_M, PLANNING_CLEARANCE_M
 
 Floats = NDArray[np.float64]
