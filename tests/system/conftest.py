@@ -91,7 +91,7 @@ class Drives:
 
     @property
     def mount(self) -> Callable[[str], None]:
-        return self.handle.hang
+        return self.handle.mount
 
     def stand_still(self) -> bool:
         """No drive is energised: every joint is in its brake."""
