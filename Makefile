@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
 
 venv: $(STAMP)
 
@@ -133,6 +133,10 @@ pages: venv
 package sbom: venv
 	$(INSTALL) -e ".[package]"
 	$(BIN)/python -m benchmarks.package --out out/package
+
+# The tests without the simulator on CPython 3.12 and 3.13, where they are found: a quarter of an hour.
+interpreters: venv
+	$(BIN)/python -m benchmarks.interpreters --out out/interpreters
 
 # Pinned packages with their hashes, for `pip install --require-hashes -r requirements.txt`: after a change of a pin.
 requirements.txt: pyproject.toml constraints.txt

@@ -16,8 +16,11 @@ def said(program: str) -> str:
     return done.stdout.strip()
 
 
+WITH_ENGINE = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet is not installed")
+
+
 @pytest.mark.skipif(find_spec("asammdf") is None, reason="asammdf is not installed")
-@pytest.mark.parametrize("room", ["drives.bus", "drives.profile_check", "sim.server"])
+@pytest.mark.parametrize("room", ["drives.bus", "drives.profile_check", pytest.param("sim.server", marks=WITH_ENGINE)])
 def test_python_can_is_loaded_without_the_library_of_mf4_files_which_stays_to_be_had(room):
     found = said(
         f"import {room}, sys\n"
