@@ -18,7 +18,7 @@ from scipy.special import chdtrc
 
 from gateway.data.labels import BARE_LABEL
 from gateway.identify.alternatives import LINK_SCALE, LINK_SPREADS, spread_of_loads, wider_statements, wider_std
-from gateway.identify.known_load import load_contradicted, most_doubtful
+from gateway.identify.known_load import least_supported, load_contradicted
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.fit import fit_without_effects
@@ -102,7 +102,7 @@ def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Kn
         if odds > best:
             best, found = odds, alternative
     link_odds = line.evidence(problem.common_std, LINK_SCALE) - stated
-    freed, odds = most_doubtful(robot, problem, fit, knowledge)
+    freed, odds = least_supported(robot, problem, fit, knowledge)
     if freed is not None and odds > max(best, link_odds):
         return freed
     if link_odds > best:

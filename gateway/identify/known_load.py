@@ -30,7 +30,9 @@ _WRONG_CENTRE: Final = 0.1
 _HALF_WIDTH: Final = 1.96
 
 
-def most_doubtful(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> tuple[Knowledge | None, float]:
+def least_supported(
+    robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge
+) -> tuple[Knowledge | None, float]:
     """Return the knowledge without the known load that the visits support least, and the log odds for that.
 
     None where no load is known.
