@@ -9,8 +9,8 @@ Nuisance per axis: offset, Coulomb and viscous friction, a part in proportion to
 gear losses), and a part in proportion to the axis' own acceleration. Friction changes sign with the direction of
 motion; the load does not. A drive that interpolates linearly between targets changes its speed at each SYNC, and its
 torque, sampled there, misses part of what accelerates the axis. So the load is identified by gravity.
-Only rows in which an axis moves are used. Errors of neighbouring rows are correlated: the covariance is that of blocks
-of time (`identify.spread`).
+Only rows in which an axis moves are used. Errors of neighbouring rows are correlated: the covariance is a
+jackknife over blocks of time.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gateway.follow.settings import FeedModel
 from gateway.follow.track import Track
 from gateway.identify.motion.friction import FRICTION, friction_columns
 from gateway.identify.solve import ByGroup, Solution, determined, solve
-from gateway.identify.spread import by_blocks
+from gateway.identify.spread import jackknife
 from gateway.model.motion import SMOOTH_RAD_S
 from gateway.model.regressor import regressor
 from gateway.result.follow import FedTrend
@@ -35,7 +35,7 @@ Floats = NDArray[np.float64]
 
 #: Speed below which friction has no clear sense [rad/s].
 SLOW_RAD_S = 0.02
-#: Blocks of time whose errors count as independent.
+#: Blocks of time that are left out one by one.
 BLOCKS = 24
 LEAST_ROWS = 200
 #: Relative size of a singular value below which the rows do not determine its direction.
@@ -153,12 +153,17 @@ class _Problem:
         count, rows = columns.shape[2], len(columns)
         both = np.concatenate([columns, self._nuisance], axis=2) * self._used[:, :, None]
         found = self._solved(both, self._weight)
-        pull = _flat(both) * (found.residual * self._weight.ravel() ** 2)[:, None]
-        instant = np.repeat(np.arange(rows), columns.shape[1])
-        spread = by_blocks(pull, instant, np.zeros(rows, dtype=str), rows / BLOCKS)
-        std = np.sqrt(np.diag(found.covariance @ spread @ found.covariance))[:count]
+        std = np.sqrt(np.diag(jackknife(self._left_out(found, rows)))[:count])
         known = np.where(determined(found, np.eye(count, both.shape[2]), OPEN_SHARE), 1.0, np.nan)
         return known * found.value[:count], known * std, found.residual.reshape(self._used.shape)
+
+    def _left_out(self, found: Solution, rows: int) -> Floats:
+        """Return by how much the solution with all rows differs from that without one block of time (BLOCKS, p)."""
+        block = np.repeat(np.arange(rows) * BLOCKS // rows, self._used.shape[1])
+        basis, left = found.orthogonal, found.residual * self._weight.ravel()
+        parts = [(basis[block == number], left[block == number]) for number in range(BLOCKS)]
+        changes = [np.linalg.lstsq(np.eye(found.rank) - own.T @ own, own.T @ rest)[0] for own, rest in parts]
+        return np.array(changes) @ found.basis.inverse.T
 
 
 def _flat(columns: Floats) -> Floats:
