@@ -151,15 +151,18 @@ def changed_torque(change: Floats, modelled: Modelled) -> Floats:
 
 
 def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
-    """Sign of a velocity, rounded off below `SLOW` of the top speed (same shape as `speed_rad_s`).
-
-    A large arm that turns slowly needs less rounding than `SMOOTH_RAD_S`.
-    """
+    """Sign of a velocity, rounded off by the top speed (same shape as `speed_rad_s`)."""
     return np.tanh(speed_rad_s / rounding_rad_s(top_rad_s))
 
 
 def rounding_rad_s(top_rad_s: float | Floats) -> Floats:
-    """Speed below which the sign of a velocity is rounded off (same shape as `top_rad_s`)."""
+    """Speed below which the sign of a velocity is rounded off (same shape as `top_rad_s`).
+
+    A search of effects rounds by the top speed, because a large arm turns slowly: on a KR300 (0.5 rad/s) `SMOOTH_RAD_S`
+    leaves 238 instead of 178 Nm of J2 in blocks of time held out, and 174 instead of 135 Nm of J4. An estimate uses
+    `SMOOTH_RAD_S`, and the speed limit for slow rows, as plans and predictions with its friction do. Loads of 37
+    simulated arms that turn at 1 to 4 rad/s barely differ: 0.80 % rms of the mass, by the top speed 0.78 %.
+    """
     return SLOW * np.maximum(top_rad_s, LEAST_TOP_RAD_S)
 
 
