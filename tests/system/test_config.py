@@ -252,7 +252,9 @@ def test_a_file_that_was_cut_short_is_refused_wherever_it_ends(config, place):
     path.unlink()
     done = config("diff")
     assert done.exit_code == 3
-    assert "2.dcf: file missing; create it from the drives with: servo-gateway config dump" in " ".join(done.stderr.split())
+    assert "2.dcf: file missing; create it from the drives with: servo-gateway config dump" in " ".join(
+        done.stderr.split()
+    )
 
 
 def test_another_drive_of_the_same_product_is_said_and_compared(config, place):
