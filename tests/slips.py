@@ -163,7 +163,7 @@ CELLS = [
     ),
     ("a speed below zero", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = -0.8"), AXIS, "must be more than 0"),
     ("an offset that is none", ("zero_offset_rad = 0.0", "zero_offset_rad = nan"), AXIS, "is not a finite number"),
-    ("a rotor below zero", ("value = 10.3", "value = -10.3"), AXIS, "must not be negative; leave it out"),
+    ("a rotor below zero", ("value = 10.3", "value = -10.3"), AXIS, "must not be negative; omit it"),
     (
         "a constant known to -5 %",
         (CONSTANT, CONSTANT + ", std_percent = -5"),
@@ -182,7 +182,7 @@ CELLS = [
         "a home of five joints",
         ("0.4, 0.0, 0.3, 0.0]       #", "0.4, 0.0, 0.3]       #"),
         LINE,
-        "has 5 numbers and the arm 6",
+        "has 5 numbers but the arm has 6",
     ),
     (
         "a last link that is none",
@@ -258,7 +258,7 @@ ANSWERS = [
     ),
     ("a rated load in grams", "max_load_kg = 4", "rated_load_kg = 4000", "rated_load_kg: .*grams\\? that is 4 kg"),
     ("a torque in mNm", "max_load_kg = 4", "torque_limit_nm = 500000", "mNm\\? write torque_limit_nm = 500"),
-    ("ratios upside down", "[101, 101, 80, 60, 60, 50]", "0.0099", "line 4: .*upside down\\? write value = 101"),
+    ("ratios upside down", "[101, 101, 80, 60, 60, 50]", "0.0099", "line 4: .*inverted\\? write value = 101"),
     ("five ratios", "[101, 101, 80, 60, 60, 50]", "[101, 101, 80, 60, 60]", "has 5 values but the arm has 6 axes"),
     ("constants in mNm/A", "[0.12, 0.12, 0.11, 0.06, 0.06, 0.05]", "120", "in mNm/A\\? write value = 0.12"),
     ("an efficiency in parts of 1000", "value = 0.82", "value = 820", "line 5: gear_efficiency holds 820, .*85 %"),

@@ -1,9 +1,9 @@
-"""How many axes an arm may have."""
+"""Allowed number of axes of an arm."""
 
 from __future__ import annotations
 
 from typing import Final
 
-#: Fewer cannot tell a mass from its place; more is more than the numerics are tried with.
+#: Fewer cannot separate mass and centre of gravity; more is not tested.
 FEWEST_AXES: Final = 2
 MOST_AXES: Final = 8

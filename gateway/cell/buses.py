@@ -1,4 +1,4 @@
-"""Which bus each arm is on: the cell's own, or another that the command line names."""
+"""Bus of each arm: from the cell, or from the command line."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from gateway.errors import ConfigError
 
 
 def bus_specs(cell: Cell, given: str | None) -> dict[str, BusSpec]:
-    """Bus of every name in the cell, as the command line has it.
+    """Return the bus of every name in the cell, with the overrides of the command line.
 
     Parameters
     ----------
     cell : Cell
     given : str or None
-        A SPEC where the cell has one bus; NAME=SPEC;NAME=SPEC for any number, the rest stays the cell's.
+        A SPEC if the cell has one bus; NAME=SPEC;NAME=SPEC for several; the others are those of the cell.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def _given(given: str, names: tuple[str, ...]) -> dict[str, BusSpec]:
         # an option of a SPEC has its equals sign after INTERFACE:CHANNEL, a bus has a name without colon
         if not equals or ":" in name:
             if len(names) != 1 or ";" in given:
-                raise ConfigError(f"--bus '{part}': the cell has {len(names)} buses and this names none; {form}")
+                raise ConfigError(f"--bus '{part}': the cell has {len(names)} buses, and no bus is named; {form}")
             return {names[0]: BusSpec.parse(given)}
         if name.strip() not in names:
             raise ConfigError(f"--bus '{part}': the cell has no bus '{name.strip()}'; {form}")

@@ -1,7 +1,6 @@
 """The calibration file: torque constants that were measured with a weighed load, beside the cell file.
 
-`cell.toml` has `cell.calibration.toml`. The cell file stays as its author wrote it; without the calibration file its
-own constants hold again.
+`cell.toml` has `cell.calibration.toml`. The cell file is not changed; without the calibration file its constants apply.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ class ArmCalibration(Strict):
 
     @property
     def source(self) -> str:
-        """Where the constants come from, as the provenance of a result has it."""
+        """Return the source of the constants for the provenance of a result."""
         return f"measured {self.measured:%Y-%m-%d} with load {self.load} of {self.mass_kg:.6g} kg"
 
 

@@ -1,7 +1,7 @@
-"""The cell file: buses, arms of two to eight axes, and how the rest poses are measured.
+"""Cell file: buses, arms of two to eight axes, and settings of the rest poses.
 
-pydantic stands at this edge only; what is read here is frozen and complete. A key that is not known is refused, a
-constant without its source too: nothing is ever filled in with 1.0.
+Values are validated with pydantic and frozen. Unknown keys and constants without a source are refused; there is no
+default of 1.0.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from gateway.errors import ConfigError
 
 
 class SourcedNumber(Strict):
-    """A number and where it comes from."""
+    """A number with its source."""
 
     value: Finite = Field(description="in the unit of the key")
     source: Annotated[str, Field(min_length=1)] = Field(
@@ -38,12 +38,12 @@ class SourcedNumber(Strict):
 STD_PERCENT_OF_SOURCE: Final = {"measured": 1.0, "read": 3.0, "datasheet": 5.0, "assumed": 10.0}
 #: The same of a torque that the drive itself reports: its own constant was tuned by its maker.
 REPORTED_STD_PERCENT: Final = 3.0
-#: What no torque constant is worse than [%].
+#: Largest accepted standard deviation of a torque constant [%].
 _LEAST_KNOWN_PERCENT: Final = 30.0
 
 
 class TorqueConstant(SourcedNumber):
-    """A torque constant: number, source, and how far it is trusted."""
+    """A torque constant: number, source and standard deviation."""
 
     std_percent: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = Field(
         default=None,
@@ -64,7 +64,8 @@ class TorqueConstant(SourcedNumber):
             raise Refused(
                 (
                     ("std_percent",),
-                    f"a torque constant known to {self.std_percent:g} % says nothing of a mass: state less than"
+                    f"a torque constant with a standard deviation of {self.std_percent:g} % does not determine a "
+                    f"mass: state less than"
                     f" {_LEAST_KNOWN_PERCENT:g} %, or weigh a load and give it as --known",
                 )
             )
@@ -76,29 +77,28 @@ _NOT_OF_THE_WIRE: Final = frozenset({"receive_own_messages", "hop_limit", "fd", 
 
 
 class BusConfig(Strict):
-    """One CAN bus; `options` go to the python-can interface as they stand."""
+    """One CAN bus; `options` are passed to the python-can interface unchanged."""
 
     interface: str = Field(description="python-can interface: socketcan, pcan, kvaser, udp_multicast ...")
     channel: str = Field(description="its channel: can0, PCAN_USBBUS1, a multicast address ...")
-    bitrate_bit_s: int = Field(
-        default=1_000_000, ge=10_000, description="of the bus; the load of a cycle is reckoned with it"
-    )
-    sync_period_s: Positive = Field(default=0.01, le=1.0, description="time from SYNC to SYNC, one set point each")
+    bitrate_bit_s: int = Field(default=1_000_000, ge=10_000, description="bit rate of the bus, used for the bus load")
+    sync_period_s: Positive = Field(default=0.01, le=1.0, description="SYNC period; one setpoint per SYNC")
     pacing: Literal["lockstep", "real"] = Field(
-        default="real", description="by the clock, or (simulator alone) as fast as everybody has answered"
+        default="real",
+        description="`real`: in real time; `lockstep` (simulator only): next SYNC when all nodes have answered",
     )
     allow_real_drive: bool = Field(
         default=False,
-        description="real drives on an interface over the network: anybody on such a network can write frames, a "
-        "controlword too; never allows lockstep",
+        description="allows real drives on a network interface; every host there can send frames, also controlwords; "
+        "never allows lockstep",
     )
     options: dict[str, str | int | float | bool] = Field(
-        default_factory=dict, description="further options of the interface, as they stand"
+        default_factory=dict, description="further options of the interface, passed unchanged"
     )
 
     @property
     def wire(self) -> tuple[object, ...]:
-        """By which two tables are seen to be one bus: interface, channel, and options that choose between adapters."""
+        """Return the identity of the bus: interface, channel, and options that select the adapter."""
         options = sorted((key, value) for key, value in self.options.items() if key not in _NOT_OF_THE_WIRE)
         return (self.interface, self.channel, *options)
 
@@ -112,7 +112,7 @@ class KeepOut(Strict):
     @model_validator(mode="after")
     def _ordered(self) -> KeepOut:
         if not all(low < high for low, high in zip(self.min_m, self.max_m, strict=True)):
-            what = f"keep_out: every component of min_m {self.min_m} must lie below max_m {self.max_m}"
+            what = f"keep_out: every component of min_m {self.min_m} must be below max_m {self.max_m}"
             raise Refused((("min_m",), what))
         return self
 
@@ -121,7 +121,7 @@ PerAxis = Annotated[tuple[Finite, ...], Field(min_length=FEWEST_AXES, max_length
 
 
 class DhTable(Strict):
-    """Denavit-Hartenberg rows, one an axis; theta = q + theta_offset."""
+    """Denavit-Hartenberg parameters, one row per axis; theta = q + theta_offset."""
 
     convention: Literal["modified", "standard"] = Field(description="modified = Craig's")
     alpha_rad: PerAxis = Field(description="twists of the links")
@@ -136,27 +136,29 @@ ONSET_S = 0.2
 
 
 class AxisConfig(Strict):
-    """One servo axis: the drive, and what stands between motor and joint.
+    """One servo axis: drive, gear and limits.
 
     A drive that reports the motor angle p and the motor torque t belongs to a joint at
     `position_sign p / gear_ratio + zero_offset_rad` with `torque_sign gear_ratio t` (before any coupling).
     """
 
     node_id: int = Field(ge=1, le=127, description="CANopen node id of the drive")
-    profile: str = Field(description="a profile of the package, or the name of a TOML file beside the cell")
+    profile: str = Field(description="a built-in profile, or the name of a TOML file beside the cell")
     torque_constant_nm_per_a: TorqueConstant = Field(
         description="of the motor, per ampere of the kind that the profile states (rms or peak)"
     )
-    gear_ratio: SourcedNumber = Field(description="motor turns per joint turn; negative where the gear turns the sense")
+    gear_ratio: SourcedNumber = Field(
+        description="motor turns per joint turn; negative if the gear reverses the direction"
+    )
     gear_efficiency: SourcedNumber = Field(description="share of the motor's work that reaches the joint, in (0, 1]")
-    position_sign: Literal[1, -1] = Field(default=1, description="-1 where the drive counts against the joint")
-    torque_sign: Literal[1, -1] = Field(default=1, description="-1 where the drive's torque counts against the joint")
+    position_sign: Literal[1, -1] = Field(default=1, description="-1 if the drive counts opposite to the joint")
+    torque_sign: Literal[1, -1] = Field(default=1, description="-1 if the torque of the drive is opposite to the joint")
     zero_offset_rad: Finite = Field(default=0.0, description="joint angle at which the drive's position is zero")
     position_limit_rad: tuple[Finite, Finite] = Field(description="lowest and highest joint angle")
-    speed_limit_rad_s: Positive = Field(description="of the joint; nothing moves faster")
-    torque_limit_nm: Positive = Field(description="of the joint; the contact watch stops beyond")
+    speed_limit_rad_s: Positive = Field(description="speed limit of the joint")
+    torque_limit_nm: Positive = Field(description="torque limit of the joint; contact monitoring stops above it")
     torque_limit_source: str | None = Field(
-        default=None, description="where it comes from; motion is refused while this begins with `assumed`"
+        default=None, description="source of the limit; motion is refused if it begins with `assumed`"
     )
     acceleration_limit_rad_s2: Positive | None = Field(
         default=None, description=f"of the joint; absent: full speed in {RAMP_S:g} s"
@@ -164,16 +166,14 @@ class AxisConfig(Strict):
     jerk_limit_rad_s3: Positive | None = Field(
         default=None, description=f"of the joint; absent: full acceleration in {ONSET_S:g} s"
     )
-    following_error_limit_rad: Positive = Field(
-        default=0.1, description="a joint further behind its set point stops all"
-    )
+    following_error_limit_rad: Positive = Field(default=0.1, description="a larger following error stops all axes")
     rotor_inertia_kg_m2: SourcedNumber | None = Field(default=None, description="of motor and gear, at the joint")
     coulomb_nm: SourcedNumber | None = Field(default=None, description="dry friction of motor and gear, at the joint")
     viscous_nm_s_rad: SourcedNumber | None = Field(default=None, description="friction that grows with the joint speed")
 
     @property
     def torque_limit_is_assumed(self) -> bool:
-        """Whether the torque limit is a placeholder that nobody has confirmed."""
+        """Return whether the torque limit is an unconfirmed placeholder."""
         return self.torque_limit_source is not None and is_assumed(self.torque_limit_source)
 
     @property
@@ -210,7 +210,7 @@ class AxisConfig(Strict):
         for name in ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad"):
             constant = getattr(self, name)
             if constant is not None and constant.value < 0:
-                yield (name,), f"{name} must not be negative; leave it out if it is not known"
+                yield (name,), f"{name} must not be negative; omit it if it is unknown"
 
 
 class ObjectKey(Strict):
@@ -223,7 +223,7 @@ class ObjectKey(Strict):
 class HoldToRun(Strict):
     """A digital input that has to be held while anything moves: motion is allowed while `value & mask == good`.
 
-    No enabling device in the sense of a safety standard: it is read over the bus, by software.
+    Not an enabling device in the sense of a safety standard: it is read over the bus, by software.
     """
 
     node_id: int = Field(ge=1, le=127, description="node on the arm's bus that has the input")
@@ -237,54 +237,57 @@ class HoldToRun(Strict):
             what = f"hold_to_run: good {self.good:#x} has bits outside mask {self.mask:#x}: it is never met"
             raise Refused((("good",), what))
         if self.good == 0:
-            what = "hold_to_run: good is 0, which a broken wire looks like too; wire the input to be 1 held"
+            what = "hold_to_run: good is 0, the same as a broken wire; wire the input to be 1 while held"
             raise Refused((("good",), what))
         return self
 
 
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-#: `false` where a thing is not there; 0 stays the number.
+#: `false` if the object does not exist; 0 is a number.
 No = Annotated[bool, Field(strict=True)]
 
 
 class ArmConfig(Strict):
     """One arm on one bus, of two to eight axes; six is the usual case: `link_6` stands for the last link."""
 
-    name: PlainName = Field(description="of the arm, in every file; `--arm` asks for it where there are several")
+    name: PlainName = Field(description="name of the arm in all files, and for `--arm`")
     bus: str = Field(description="name of its [bus.NAME]")
     robot: str | None = Field(default=None, description="URDF beside the cell; either this or [arm.dh]")
     tip: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,
-        description="last link of the arm in the URDF; what moves elsewhere is taken as fixed at zero; absent: the"
-        " last link of the one chain of driven joints",
+        description="last link of the arm in the URDF; other joints are fixed at zero; absent: the last link of the "
+        "only chain of driven joints",
     )
-    dh: DhTable | None = Field(default=None, description="Denavit-Hartenberg rows instead of a URDF")
+    dh: DhTable | None = Field(default=None, description="Denavit-Hartenberg parameters instead of a URDF")
     inertials: Annotated[str, Field(pattern=r"^(exact|ignore|prior:\d*\.?\d+)$")] = Field(
-        default="ignore", description="trust of the URDF's inertials: exact, ignore, prior:S, S the relative deviation"
+        default="ignore",
+        description="uncertainty of the URDF inertials: exact, ignore, prior:S, S the relative standard deviation",
     )
     gravity_m_s2: Vector3 = Field(
-        default=(0.0, 0.0, -9.80665), description="in the base frame: a wall mount is said here"
+        default=(0.0, 0.0, -9.80665), description="gravity in the base frame; states a wall or ceiling mount"
     )
-    flange_xyz_m: Vector3 | None = Field(default=None, description="flange in link_6; absent: results in link_6 alone")
+    flange_xyz_m: Vector3 | None = Field(
+        default=None, description="position of the flange in link_6; absent: results only in link_6"
+    )
     flange_rpy_rad: Vector3 = Field(
-        default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw; absent: assumed not turned"
+        default=(0.0, 0.0, 0.0), description="its orientation, roll, pitch, yaw; absent: assumed not rotated"
     )
     flange_source: Annotated[str, Field(min_length=1)] | None = Field(
         default=None,
-        description="where the flange comes from; exports name it, and warn of one that is `assumed`",
+        description="source of the flange; exports state it and warn if it is `assumed`",
     )
     keep_out: tuple[KeepOut, ...] = Field(
-        default=(), description="boxes that the arm stays out of, beside floor, wall and column"
+        default=(), description="boxes that the arm must not enter, in addition to floor, wall and column"
     )
     floor_m: Finite | No | None = Field(
         default=None,
-        description="height of the floor over the base's origin, against gravity; false: there is none; absent: 0 is "
-        "assumed, or what the shoulder leaves room for",
+        description="height of the floor above the base origin; false: no floor; absent: 0 is assumed, or the "
+        "clearance below the shoulder",
     )
     wall: No | None = Field(
         default=None,
-        description="the surface across axis 1 that the base is bolted to; absent: assumed where the base leans by "
-        "more than 45 degrees, as on a wall or a ceiling",
+        description="mounting surface perpendicular to axis 1; absent: assumed if the base is tilted by more than "
+        "45 degrees, as on a wall or ceiling",
     )
     column_radius_m: Positive | No | None = Field(
         default=None,
@@ -293,20 +296,20 @@ class ArmConfig(Strict):
     )
     max_load_kg: Positive | None = Field(
         default=None,
-        description="heaviest load that will hang on the flange; absent: half of each torque limit is kept",
+        description="heaviest load to be mounted; absent: half of each torque limit is reserved",
     )
     max_load_com_m: Vector3 | None = Field(
         default=None, description="its centre of gravity in link_6; the flange if absent"
     )
     rated_load_kg: SourcedNumber | None = Field(
         default=None,
-        description="load the arm is rated for: a heavier one fails, feedforward assumes it as long as none is entered",
+        description="rated load of the arm: a heavier one fails; feedforward assumes it if no load is entered",
     )
     rated_load_com_m: Vector3 | None = Field(
         default=None, description="its centre of gravity in link_6; the flange if absent"
     )
     rated_reach_m: SourcedNumber | None = Field(
-        default=None, description="furthest from the flange that a load's centre of gravity may lie"
+        default=None, description="largest distance of a load's centre of gravity from the flange"
     )
     rated_moment_nm: SourcedNumber | None = Field(
         default=None, description="largest weight moment about the flange, mass x 9.80665 x that distance"
@@ -316,7 +319,7 @@ class ArmConfig(Strict):
     )
     load_size_m: tuple[Positive, Positive, Positive] | None = Field(
         default=None,
-        description="box that the load fits in, standing on the middle of the flange: along x, y and z of the flange; "
+        description="box around the load, centred on the flange face, along x, y and z of the flange; "
         "absent: a ball as thick as the last link is assumed",
     )
     link_radius_m: Positive | tuple[Positive, ...] | None = Field(
@@ -336,23 +339,24 @@ class ArmConfig(Strict):
     )
     load_acceleration_m_s2: Positive | None = Field(
         default=None,
-        description="largest acceleration of the load's centre of gravity, without gravity, that its gripper holds it "
-        "at; absent: the arm's own limits alone",
+        description="largest acceleration of the load's centre of gravity, without gravity, that the gripper can "
+        "hold; absent: only the limits of the arm",
     )
     hold_to_run: HoldToRun | None = Field(
-        default=None, description="digital input that has to be held for motion; no enabling device of a standard"
+        default=None,
+        description="digital input that must be held for motion; not an enabling device of a safety standard",
     )
     coupling: tuple[tuple[float, ...], ...] | None = Field(
         default=None, description="N x N matrix A of q_motor_side = A q_joint, ratios not included; identity if absent"
     )
     base_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="base of the arm in the world")
-    base_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
+    base_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its orientation, roll, pitch, yaw")
     tool_xyz_m: Vector3 = Field(default=(0.0, 0.0, 0.0), description="fingertip of the gripper in the flange")
-    tool_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its turn, roll, pitch, yaw")
+    tool_rpy_rad: Vector3 = Field(default=(0.0, 0.0, 0.0), description="its orientation, roll, pitch, yaw")
     start_rad: tuple[Finite, ...] | None = Field(
         default=None,
-        description="joint angles at which an arm of a pair grips the part: start of the path; an arm of"
-        " more than six axes stays near them",
+        description="joint angles at which an arm of a pair grips the part: start of the path; an arm with more "
+        "than six axes stays near them",
     )
     home_rad: tuple[Finite, ...] | None = Field(
         default=None,
@@ -360,18 +364,21 @@ class ArmConfig(Strict):
     )
     loading_rad: tuple[Finite, ...] | None = Field(
         default=None,
-        description="joint angles at which a person hangs a load: `move --to loading`, and `commission` goes there",
+        description="joint angles for mounting a load: `move --to loading`, also used by `commission`",
     )
     axis: tuple[AxisConfig, ...] = Field(description="two to eight of them, usually six, from the base on")
 
     @property
     def flange_origin(self) -> str | None:
-        """Where the flange comes from, in words; begins with `assumed` where its turn is; None without a flange."""
+        """Return the source of the flange; begins with `assumed` if its orientation is assumed.
+
+        None without a flange.
+        """
         if self.flange_xyz_m is None:
             return None
         if self.flange_source is not None:
             return self.flange_source
-        return "cell file" if "flange_rpy_rad" in self.model_fields_set else "assumed: not turned in the last link"
+        return "cell file" if "flange_rpy_rad" in self.model_fields_set else "assumed: not rotated in the last link"
 
     @model_validator(mode="after")
     def _consistent(self) -> ArmConfig:
@@ -388,13 +395,13 @@ class ArmConfig(Strict):
             if length != axes:
                 yield (
                     (name,) if name in ArmConfig.model_fields else ("dh", name),
-                    f"arm '{self.name}': {name} has {length} numbers and the arm {axes} [[arm.axis]] tables; one per"
-                    " axis is needed",
+                    f"arm '{self.name}': {name} has {length} numbers but the arm has {axes} [[arm.axis]] tables; "
+                    f"give one per axis",
                 )
         ids = [axis.node_id for axis in self.axis]
         for number, node in enumerate(ids):
             if node in ids[:number]:
-                what = f"arm '{self.name}': node id {node} is given to more than one axis: write the one of its drive"
+                what = f"arm '{self.name}': node id {node} is used for more than one axis: write that of its drive"
                 yield ("axis", number, "node_id"), what
         yield from self._ratings()
         if (self.robot is None) == (self.dh is None):
@@ -407,7 +414,7 @@ class ArmConfig(Strict):
                 yield ("coupling",), f"arm '{self.name}': coupling must be an invertible {axes} x {axes} matrix"
 
     def _ratings(self) -> plausible.Found:
-        """What the arm is rated for."""
+        """Check the rating of the arm."""
         for key in ("rated_load_kg", "rated_reach_m", "rated_moment_nm"):
             rated: SourcedNumber | None = getattr(self, key)
             if rated is not None and rated.value <= 0:
@@ -420,17 +427,17 @@ class ArmConfig(Strict):
             yield from plausible.mass("max_load_kg", self.max_load_kg)
 
     def _space(self) -> plausible.Found:
-        """Postures and things that stand around the arm."""
+        """Check postures and surroundings."""
         for name in ("home_rad", "loading_rad"):
             yield from self._outside(name, getattr(self, name) or ())
         for name in ("floor_m", "column_radius_m"):
             if getattr(self, name) is True:
-                yield (name,), f"arm '{self.name}': {name} is a number in m, or false where there is none"
+                yield (name,), f"arm '{self.name}': {name} is a number in m, or false if it does not exist"
         if self.load_size_m is not None and self.load_points_m:
             yield ("load_points_m",), f"arm '{self.name}': give load_size_m or load_points_m, not both"
 
     def _units(self) -> plausible.Found:
-        """Numbers that can only be in another unit."""
+        """Check for numbers in a wrong unit."""
         yield from plausible.gravity(self.gravity_m_s2)
         for name in ("flange_rpy_rad", "base_rpy_rad", "tool_rpy_rad"):
             yield from plausible.angles(name, getattr(self, name), plausible.LARGEST_TURN_RAD)
@@ -450,7 +457,7 @@ class ArmConfig(Strict):
                     yield ("dh", *key), what
 
     def _outside(self, name: str, q_rad: tuple[float, ...]) -> plausible.Found:
-        """Joints of a posture that lie outside their ranges."""
+        """Check that the joints of a posture are within their ranges."""
         for joint, (value, axis) in enumerate(zip(q_rad, self.axis, strict=False), start=1):
             low, high = axis.position_limit_rad
             if not low <= value <= high:
@@ -469,13 +476,15 @@ class ArmConfig(Strict):
 
 
 class PosesConfig(Strict):
-    """How many rest poses, and how each is approached, settled and sampled."""
+    """Number of rest poses, and settings of approach, settling and sampling."""
 
-    count: int = Field(default=10, ge=2, description="poses to fit from")
-    approach_offset_rad: Positive = Field(default=0.03, description="each pose is come to from so far, from both sides")
-    approach_speed_rad_s: Positive = Field(default=0.05, description="of that last part of the way")
-    samples: int = Field(default=100, ge=10, description="SYNCs that are averaged on each side")
-    validation: int = Field(default=4, ge=0, description="further poses to judge on, that no fit sees")
+    count: int = Field(default=10, ge=2, description="number of poses for the fit")
+    approach_offset_rad: Positive = Field(
+        default=0.03, description="distance of the approach to each pose, from both directions"
+    )
+    approach_speed_rad_s: Positive = Field(default=0.05, description="speed of the approach")
+    samples: int = Field(default=100, ge=10, description="SYNCs averaged per approach direction")
+    validation: int = Field(default=4, ge=0, description="validation poses, not used in the fit")
     settle_timeout_s: Positive = Field(default=10.0, description="longest wait for rest")
     seed: int = Field(default=1, ge=0, description="of the choice of poses")
     file: str | None = Field(default=None, description="CSV with pose, q1_rad .. qN_rad instead of chosen poses")
@@ -519,7 +528,7 @@ class Cell(Strict):
                     yield ("arm", number, "axis", joint, "node_id"), what
 
 
-#: A hand that is led in all its directions needs as many axes as there are.
+#: A hand that is controlled in all six directions needs six axes.
 FEWEST_PAIR_AXES = 6
 
 
@@ -528,7 +537,7 @@ def _check_pair(pair: PairConfig, cell: Cell) -> None:
     for role in ("master", "slave"):
         name = getattr(pair, role)
         if name not in arms:
-            raise ValueError(f"pair: {role} = '{name}' is no arm of this cell; it has {', '.join(arms)}")
+            raise ValueError(f"pair: {role} = '{name}' is not an arm of this cell; it has {', '.join(arms)}")
         if arms[name].start_rad is None:
             raise ValueError(f"arm '{name}' is the {role} of a pair and needs start_rad")
         if len(arms[name].axis) < FEWEST_PAIR_AXES:
@@ -561,7 +570,7 @@ class LoadedCell(Strict):
     calibration: str = ""
 
     def path(self, name: str) -> Path:
-        """Path of a file that the cell names."""
+        """Return the path of a file named in the cell."""
         return (self.folder / name).resolve()
 
 
@@ -605,7 +614,7 @@ def load_cell(path: Path) -> LoadedCell:
 
 
 def with_sync_period(loaded: LoadedCell, bus: str, sync_period_s: float) -> LoadedCell:
-    """The same cell with another time from SYNC to SYNC on one bus."""
+    """Return the same cell with another SYNC period on one bus."""
     cell = loaded.cell
     buses = dict(cell.bus)
     buses[bus] = buses[bus].model_copy(update={"sync_period_s": sync_period_s})
@@ -613,7 +622,7 @@ def with_sync_period(loaded: LoadedCell, bus: str, sync_period_s: float) -> Load
 
 
 def with_pacing(loaded: LoadedCell, pacing: str | None) -> LoadedCell:
-    """The same cell with another pacing on every bus; None = as it is."""
+    """Return the same cell with another pacing on every bus; None = unchanged."""
     if pacing is None:
         return loaded
     cell = loaded.cell

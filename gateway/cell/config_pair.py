@@ -1,4 +1,7 @@
-"""The [pair] of a cell file: two arms that carry one part and feel it, or that keep a gap between their hands."""
+"""Table [pair] of a cell file.
+
+Two arms that carry one part with force control, or keep a gap between their grippers.
+"""
 
 from __future__ import annotations
 
@@ -26,18 +29,18 @@ class SixFold(Strict):
 
 
 class ChannelConfig(Strict):
-    """One distance sensor: it sits on one gripper, and looks at a plane of what the other one carries."""
+    """One distance sensor: mounted on one gripper, measures to a plane on the part of the other one."""
 
     subindex: int = Field(ge=1, le=254, description="channel of the measuring device")
     on: Literal["master", "slave"] = Field(default="slave", description="gripper that carries the sensor")
-    at_m: Vector3 = Field(description="where the distance counts from, in that gripper's fingertip frame")
-    beam: Vector3 = Field(description="direction it looks in, same frame; at the demanded gap the plane faces it")
+    at_m: Vector3 = Field(description="origin of the distance, in the fingertip frame of that gripper")
+    beam: Vector3 = Field(description="measuring direction, same frame; perpendicular to the plane at the required gap")
     gap_m: Positive = Field(description="demanded distance")
 
     @model_validator(mode="after")
     def _looks_somewhere(self) -> ChannelConfig:
         if not np.linalg.norm(self.beam) > 0.0:
-            raise ValueError(f"channel {self.subindex}: beam = (0, 0, 0) is no direction")
+            raise ValueError(f"channel {self.subindex}: beam = (0, 0, 0) is not a direction")
         return self
 
 
@@ -65,7 +68,7 @@ class DistanceConfig(Strict):
             raise ValueError(f"range_m {self.range_m} must rise from 0 on")
         for channel in self.channel:
             if not low < channel.gap_m < high:
-                raise ValueError(f"gap_m of channel {channel.subindex} lies outside range_m {self.range_m}")
+                raise ValueError(f"gap_m of channel {channel.subindex} is outside range_m {self.range_m}")
         for name, values in (("subindex", [one.subindex for one in self.channel]), ("components", self.components)):
             if len(set(values)) != len(values):
                 raise ValueError(f"{name} has the same entry twice")
@@ -74,7 +77,7 @@ class DistanceConfig(Strict):
 
 @dataclass(frozen=True, slots=True)
 class ForceSettings:
-    """How a common part is felt: limit [N], stiffness of part and gears, impedance of a yielding hand."""
+    """Force control of a common part: limit [N], stiffness of part and gears, impedance."""
 
     limit_n: float
     stiffness: SixFold
@@ -83,7 +86,7 @@ class ForceSettings:
 
 
 class PairConfig(Strict):
-    """Two arms that carry one workpiece; the part's frame lies in its centre.
+    """Two arms that carry one workpiece; the frame of the part is at its centre.
 
     With `distance` the master carries the part alone and the slave keeps a gap to it, without touching.
     """
@@ -91,24 +94,24 @@ class PairConfig(Strict):
     master: str = Field(description="arm that leads")
     slave: str = Field(description="arm that follows")
     path: str = Field(description="CSV: time_s and the part's pose in the world x_m .. yaw_rad")
-    speed: Positive = Field(default=1.0, description="speed setting; 1 = as the path says")
+    speed: Positive = Field(default=1.0, description="speed setting; 1 = speed of the path")
     part_mass_kg: Positive = Field(description="of the workpiece")
     master_grasp_xyz_m: Vector3 = Field(description="fingertip of the master in the part's frame")
-    master_grasp_rpy_rad: Vector3 = Field(description="its turn, roll, pitch, yaw")
+    master_grasp_rpy_rad: Vector3 = Field(description="its orientation, roll, pitch, yaw")
     slave_grasp_xyz_m: Vector3 = Field(description="fingertip of the slave in the part's frame")
-    slave_grasp_rpy_rad: Vector3 = Field(description="its turn, roll, pitch, yaw")
+    slave_grasp_rpy_rad: Vector3 = Field(description="its orientation, roll, pitch, yaw")
     force_limit_n: Positive | None = Field(
-        default=None, description="largest force inside the part; twice of it for 20 ms stops both arms"
+        default=None, description="largest internal force of the part; twice this value for 20 ms stops both arms"
     )
     contact_stiffness: SixFold | None = Field(
         default=None, description="of part and gears together, what the correction works against"
     )
-    impedance_damping: SixFold | None = Field(default=None, description="of a hand that yields")
+    impedance_damping: SixFold | None = Field(default=None, description="impedance of the compliant arm")
     impedance_stiffness: SixFold | None = Field(default=None, description="absent: corrects until no force is left")
-    knots: int = Field(default=9, ge=2, description="points that are taught, evenly spread over the way")
-    servo_lag_s: Positive = Field(default=0.016, description="by which the axes follow their set points")
+    knots: int = Field(default=9, ge=2, description="number of taught points, evenly distributed over the path")
+    servo_lag_s: Positive = Field(default=0.016, description="delay of the axes behind their setpoints")
     loop_delay_s: Positive = Field(default=0.035, description="from a force or gap to the correction that answers it")
-    force_filter_hz: Positive = Field(default=15.0, description="low-pass of the force that is felt")
+    force_filter_hz: Positive = Field(default=15.0, description="low-pass of the estimated force")
     distance: DistanceConfig | None = Field(default=None, description="a gap instead of a common part")
 
     @model_validator(mode="after")
@@ -116,23 +119,23 @@ class PairConfig(Strict):
         for name in (*_OF_FORCE, "impedance_stiffness"):
             given = getattr(self, name) is not None
             if given and self.distance is not None:
-                raise ValueError(f"{name} is of a common part; with [pair.distance] there is none, leave it out")
+                raise ValueError(f"{name} is for a common part; with [pair.distance] there is none: omit it")
             if not given and self.distance is None and name in _OF_FORCE:
-                raise ValueError(f"{name} is missing; nothing is assumed in its place")
+                raise ValueError(f"{name} is missing and has no default")
         return self
 
     @property
     def force(self) -> ForceSettings:
-        """What is needed to feel the part.
+        """Return the settings of force control.
 
         Raises
         ------
         ConfigError
-            The hands keep a gap, there is no part between them.
+            The arms keep a gap; there is no common part.
         """
         limit_n, stiffness, damping = self.force_limit_n, self.contact_stiffness, self.impedance_damping
         if limit_n is None or stiffness is None or damping is None:
             raise ConfigError(
-                "the cell keeps a gap by distance sensors ([pair.distance]): there is no common part to be felt"
+                "the cell keeps a gap by distance sensors ([pair.distance]): there is no common part for force control"
             )
         return ForceSettings(limit_n, stiffness, damping, self.impedance_stiffness)

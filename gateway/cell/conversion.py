@@ -22,7 +22,7 @@ from gateway.cell.config import ArmConfig
 
 @dataclass(frozen=True, slots=True)
 class AxisConversion:
-    """What stands between the motors and the joints of an arm of N axes.
+    """Gears and couplings between the motors and the joints of an arm with N axes.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class AxisConversion:
     def joint_bound(self, motor: np.ndarray) -> np.ndarray:
         """Most (..., N) that each joint moves where each motor moves by so much (..., N), to either side.
 
-        Ways, speeds or accelerations: rad, rad/s, rad/s2.
+        Displacements, speeds or accelerations: rad, rad/s, rad/s2.
         """
         return (np.abs(motor) / np.abs(self.ratio)) @ np.abs(np.linalg.inv(self.coupling)).T
 

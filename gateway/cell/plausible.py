@@ -1,6 +1,6 @@
-"""Numbers that can only be slips: degrees, millimetres, percent, a ratio upside down. Each names the range that holds.
+"""Detection of unit errors: degrees, millimetres, percent, an inverted ratio. Each message states the valid range.
 
-The ranges are wide: they hold every arm, motor and gear that is sold, and refuse what another unit makes of them.
+The ranges include every commercial arm, motor and gear, and exclude values in a wrong unit.
 """
 
 from __future__ import annotations
@@ -80,10 +80,10 @@ def ratio(value: float) -> Found:
     """A gear ratio that no gear has."""
     low, high = RATIOS
     if not low <= abs(value) <= high:
-        turned = f"; upside down? write value = {1 / value:.4g}" if 0 < abs(value) < low else ""
+        turned = f"; inverted? write value = {1 / value:.4g}" if 0 < abs(value) < low else ""
         yield (
             ("gear_ratio",),
-            f"gear_ratio must not be {value:g}: motor turns per joint turn lie between {low:g} and {high:g}{turned}",
+            f"gear_ratio must not be {value:g}: motor turns per joint turn are between {low:g} and {high:g}{turned}",
         )
 
 
@@ -102,10 +102,10 @@ def torque_constant(value_nm_per_a: float, gear_ratio: float) -> Found:
 
 
 def efficiency(value: float) -> Found:
-    """An efficiency that is none."""
+    """Refuse an invalid efficiency."""
     if not 0 < value <= 1:
         percent = f"; in percent? write value = {value / 100:g}" if 1 < value <= 100 else ""
-        yield ("gear_efficiency",), f"gear_efficiency must lie in (0, 1], got {value:g}{percent}"
+        yield ("gear_efficiency",), f"gear_efficiency must be in (0, 1], got {value:g}{percent}"
 
 
 def mass(key: str, value_kg: float) -> Found:
@@ -135,6 +135,6 @@ def gravity(values_m_s2: Sequence[float]) -> Found:
     if not low <= size <= high:
         yield (
             ("gravity_m_s2",),
-            f"gravity_m_s2: its length is {size:g}, on earth {low:g} to {high:g} m/s2: write [0, 0, -9.80665] for an"
-            " arm that stands",
+            f"gravity_m_s2: its length is {size:g}, on earth {low:g} to {high:g} m/s2: write [0, 0, -9.80665] for a "
+            f"floor-mounted arm",
         )

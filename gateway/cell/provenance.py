@@ -1,4 +1,4 @@
-"""Where every constant that turns raw words into joint torque comes from, as plain values for result and report."""
+"""Source of every constant between raw values and joint torque, for result and report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers as the cell file may hold them."""
+"""Number types of the cell file."""
 
 from __future__ import annotations
 

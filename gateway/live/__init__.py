@@ -1,1 +1,1 @@
-"""The live page: what happens under power, seen in a browser on the same computer."""
+"""Live page: state of the arms, shown in a browser on the same computer."""

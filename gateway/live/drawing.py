@@ -1,4 +1,4 @@
-"""The arm as the page draws it: the convex bodies that the arm is kept clear of things with, with few corners."""
+"""Bodies of the arm for display: the convex bodies of the clearance check, with few corners."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
 
-#: Directions in which a body's outermost point is kept: so many corners are drawn at most.
+#: Number of directions with an extreme point of a body; upper bound of drawn corners.
 DIRECTIONS = 96
 #: Corners around a ball at each end of a capsule, as rows from its pole to its rim, and around.
 RINGS, SIDES = 3, 14
@@ -22,7 +22,7 @@ FLAT = 1e-4
 
 
 def stage_of(scene: Scene) -> ShownCell:
-    """What the page is told before arms are powered."""
+    """Return the first message to the page, before arms are enabled."""
     pairs = zip(scene.arms.members, scene.workspaces, strict=True)
     return ShownCell(tuple(shown_arm(arm.name, workspace) for arm, workspace in pairs), scene.period_s)
 
@@ -58,7 +58,7 @@ def shown_body(link: int, solid: Solid) -> ShownBody:
 
 
 def _outermost(points_m: Floats) -> Floats:
-    """Those of points (v, 3) that lie outermost in some direction, at most `DIRECTIONS` of them."""
+    """Return the extreme points of (v, 3) in fixed directions, at most `DIRECTIONS` of them."""
     if len(points_m) <= DIRECTIONS:
         return points_m
     # directions spread evenly over the sphere: Saff and Kuijlaars, Distributing many points on a sphere, 1997

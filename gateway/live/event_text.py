@@ -1,4 +1,4 @@
-"""Events of a run as lines of the page: how grave, and what."""
+"""Events of a run as lines of the page: severity and text."""
 
 from __future__ import annotations
 
@@ -13,22 +13,30 @@ from gateway.acquire.events import (
 from gateway.live.wire import Heard
 from gateway.report import notation
 
-#: A line that is told in passing, one that calls for a look, and one that says why the arms stand.
+#: Severity of a line: information, warning, reason of a stop.
 PLAIN, WARN, FAIL = "plain", "warn", "fail"
 
 
 def saying(event: object) -> tuple[str, str] | None:
-    """How grave an event is, and its words; None for what the page shows otherwise: why arms were stopped is one."""
+    """Return severity and text of an event.
+
+    None for events that the page shows elsewhere, such as the reason of a stop.
+    """
     if isinstance(event, Started):
-        return PLAIN, f"{notation.load(event.load)}: {event.visits} to be measured" if event.visits else "on its way"
+        return (
+            PLAIN,
+            f"{notation.load(event.load)}: {event.visits} to be measured"
+            if event.visits
+            else "during the transfer motion",
+        )
     if isinstance(event, SampleRepeated):
         axes = ", ".join(notation.axis(axis) for axis in event.axes)
-        return WARN, f"SYNC {event.sync_index} was not answered by {axes}; sampled again"
+        return WARN, f"SYNC {event.sync_index} not answered by {axes}; sample repeated"
     if isinstance(event, VisitDone):
         side = "from below" if event.direction > 0 else "from above"
         return PLAIN, f"pose {event.pose} measured {side}"
     if isinstance(event, PoseDone):
-        return PLAIN, f"pose {event.pose} measured from both sides"
+        return PLAIN, f"pose {event.pose} measured from both directions"
     return _of_motion(event)
 
 
@@ -36,7 +44,7 @@ def _of_motion(event: object) -> tuple[str, str] | None:
     if isinstance(event, PeriodDone):
         lost = event.incomplete_epochs
         what = f"'{event.name}', period {event.period}"
-        return (WARN, f"{what}: {lost} SYNCs were not answered") if lost else (PLAIN, f"{what}: done")
+        return (WARN, f"{what}: {lost} SYNCs not answered") if lost else (PLAIN, f"{what}: done")
     if isinstance(event, Narrowed):
         return PLAIN, f"{notation.load(event.load)}, {event.text}"
     if isinstance(event, Heard):

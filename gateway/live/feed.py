@@ -1,4 +1,4 @@
-"""From the motion loop to the process of the page: what is measured out, a wish to stop back; nothing here waits."""
+"""Link between motion loop and page process: samples out, stop requests back. No call blocks."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from gateway.motion.observer import MotionProgress, Observed, Scene
 from gateway.motion.state import Phase, StateTracker
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
 
-#: Shortest time between two rows [s]: no screen shows more, and a loop of 1 kHz need not be asked so often.
+#: Least time between two samples [s], enough for a screen.
 ROW_S: Final = 0.0075
-#: Shortest time between two words about how far a motion is [s].
+#: Least time between two progress messages [s].
 WORD_S: Final = 0.1
-#: Messages that wait for room; further ones are left out.
+#: Number of queued messages; further ones are dropped.
 WAITING: Final = 64
-#: How long the last word may take to reach the page once nothing moves any more [s].
+#: Time limit for the final message after the motion [s].
 FAREWELL_S: Final = 0.5
 PHASES: Final = tuple(Phase)
 DEAD_BUTTON: Final = (
@@ -37,7 +37,7 @@ _NUMBER_OF: Final = {phase: float(number) for number, phase in enumerate(PHASES)
 
 
 class Feed:
-    """An observer that hands on what it sees, and a source of wishes to stop.
+    """Observer that forwards samples and events to the page, and a source of stop requests.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ class Feed:
     Attributes
     ----------
     dropped : int
-        Rows and messages that the page had no room for.
+        Samples and messages dropped because the queue was full.
     gone : bool
         The process of the page has ended.
     """
@@ -67,21 +67,22 @@ class Feed:
         self._sent_s = self._told_s = self._progress_s = -math.inf
         self._presses = 0
 
-    # -- what the motion loop tells ------------------------------------------------------------------------------------
+    # -- calls of the motion loop
+    # ---------------------------------------------------------------------------------------
 
     def began(self, scene: Scene) -> None:
-        """Arms are about to be powered."""
+        """Report that arms are about to be enabled."""
         self.show(stage_of(scene), scene.state)
 
     def show(self, stage: ShownCell, state: StateTracker) -> None:
-        """What is seen from now on, and who knows what it does."""
+        """Register the observed arms."""
         self._state = state
         self._row = np.zeros(HEAD + PER_AXIS * sum(arm.axes for arm in stage.arms))
         self._followed = ()
         self._say(stage)
 
     def sampled(self, observed: Observed) -> None:
-        """One SYNC: its row goes out unless one went out just before, or there is no room."""
+        """Send the sample of one SYNC, unless one was just sent or the queue is full."""
         if self.gone:
             return
         samples = observed.samples
@@ -104,7 +105,7 @@ class Feed:
         self._send(ROW + row.tobytes())
 
     def reported(self, event: object) -> None:
-        """Something was told; what only says how far it is, not more often than can be read."""
+        """Forward an event; progress events at a limited rate."""
         now_s = self._clock()
         if isinstance(event, MotionProgress):
             if now_s - self._told_s < WORD_S:
@@ -120,15 +121,15 @@ class Feed:
         self._say(Happened(event))
 
     def ended(self, failure: BaseException | None) -> None:
-        """The arms are no longer under power."""
+        """Report that the arms are disabled."""
         self._say(Ended("" if failure is None else str(failure) or type(failure).__name__))
 
     # -- who asks ------------------------------------------------------------------------------------------------------
 
     def pressed(self) -> StopRequest | None:
-        """A wish to stop once the button was pressed; the second time by quick stop, as of a signal.
+        """Return a stop request after the button was pressed; the second time a quick stop, as for a signal.
 
-        A page whose process has ended has a dead button: that is a wish to stop along the path.
+        If the page process has ended, its button does not work: this also requests a stop along the path.
         """
         heard = b""
         if not self.gone:
@@ -146,7 +147,7 @@ class Feed:
         return StopRequest(kind, StoppedByPerson("stopped by the button of the live page"))
 
     def close(self, reason: str) -> None:
-        """Say that the command is ending, and why; not in the motion loop."""
+        """Send the final message with the reason; not to be called in the motion loop."""
         self._say(CommandOver(reason))
         until_s = time.monotonic() + FAREWELL_S
         while self._waiting and not self.gone and time.monotonic() < until_s:
@@ -180,7 +181,7 @@ class Feed:
             self.dropped += 1
 
     def _sent(self, datagram: bytes) -> bool:
-        """Whether it went out; where it did not there is no room, or nobody."""
+        """Return whether the datagram was sent; otherwise the queue is full or the page is closed."""
         try:
             self._channel.send(datagram)
         except BlockingIOError:

@@ -1,8 +1,7 @@
-"""Who may ask for the page: a browser on this computer that was given the address, and no page of anybody else.
+"""Access control of the page: only a browser on this computer with the printed address, and no other page.
 
-A foreign page can have its name resolve to 127.0.0.1 and then speak to what listens there (DNS rebinding): the Host
-that it asks for, and the Origin that a browser says of it, give it away. The word in the address keeps out other users
-of the computer.
+A foreign page can resolve its name to 127.0.0.1 and access local servers (DNS rebinding). The Host and Origin headers
+reveal this. The token in the address excludes other users of the computer.
 """
 
 from __future__ import annotations
@@ -16,23 +15,23 @@ from starlette.requests import HTTPConnection
 HOST: Final = "127.0.0.1"
 NAMES: Final = (HOST, "localhost")
 WRONG_HOST: Final = "This page is for a browser on the computer that runs the command: open the address it has printed."
-WRONG_TOKEN: Final = "The word at the end of the address is missing or of another run: open the address as printed."
+WRONG_TOKEN: Final = "The token at the end of the address is missing or of another run: open the address as printed."
 
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """Where the page is, and the word that its address ends with."""
+    """Port of the page and the token of its address."""
 
     port: int
     token: str
 
     @property
     def address(self) -> str:
-        """What a person opens."""
+        """Return the address for the browser."""
         return f"http://{HOST}:{self.port}/?token={self.token}"
 
     def refused(self, asked: HTTPConnection) -> str:
-        """Why a request is not answered; empty = it is.
+        """Return why a request is refused; empty if it is accepted.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Connections of the page: who opens one and asks for nothing is let go, so that the page opens for everybody else."""
+"""Limit of idle connections: connections without a request are closed, so that the page stays available."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _OTHERS: Final = 64
 
 
 def most_connections(wanted: int) -> int:
-    """Connections that may be open at once: those that are wanted, and fewer than there are descriptors for."""
+    """Return the number of connections that may be open at once, limited by file descriptors."""
     limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return max(8, wanted if limit == resource.RLIM_INFINITY else min(wanted, limit - _OTHERS - 2 * MOST_WAITING))
 
@@ -26,7 +26,7 @@ def most_connections(wanted: int) -> int:
 class PunctualProtocol(H11Protocol):
     """HTTP of uvicorn, with a time limit for the first request, and for each further one by `timeout_keep_alive`."""
 
-    #: Connections of this process that have not asked yet, the oldest first.
+    #: Connections without a request so far, oldest first.
     waiting: Final[dict[PunctualProtocol, asyncio.TimerHandle]] = {}
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]

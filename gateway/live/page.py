@@ -1,4 +1,4 @@
-"""The live page as a command sees it: a port, a process of its own, and the feed that an arm's motion is handed to."""
+"""Live page of a command: port, separate process, and feed for the motion loop."""
 
 from __future__ import annotations
 
@@ -18,31 +18,31 @@ from gateway.live.feed import Feed
 from gateway.live.guard import HOST, Door
 from gateway.live.wire import Hello, pair_of_sockets, pieces
 
-#: Where the page is unless that is taken, and how many further ports are tried.
+#: Default port of the page, and number of further ports tried.
 PORT: Final = 8460
 FURTHER: Final = 20
 PROGRAM: Final = "gateway.live.page_process"
-#: How long the process may take to end after the last word, before it is ended [s].
+#: Time limit for the process to end after the final message [s].
 PATIENCE_S: Final = 3.0
 
 
 class LivePage:
-    """The page while it is served.
+    """A served page.
 
     Parameters
     ----------
     title : str
-        What is being done.
+        Title of the page.
     port : int or None
-        Where; None = `PORT`, or the next one that is free.
+        Port; None = `PORT`, or the next free one.
     stops : bool
-        The button of the page is heard by somebody.
+        Whether the stop button of the page is connected.
 
     Attributes
     ----------
     feed : Feed
     address : str
-        What a person opens in a browser.
+        Address for the browser.
 
     Raises
     ------
@@ -89,15 +89,15 @@ def _listener(port: int | None) -> socket.socket:
             listener.close()
             if port is not None:
                 what = error.strerror or str(error)
-                raise ConfigError(f"--port {port}: {what}; name another one, or leave --port out") from error
+                raise ConfigError(f"--port {port}: {what}; choose another one, or omit --port") from error
             continue
         listener.setblocking(False)
         return listener
-    raise ConfigError(f"no port from {PORT} to {PORT + FURTHER - 1} is free for the live page; name one with --port")
+    raise ConfigError(f"no port from {PORT} to {PORT + FURTHER - 1} is free for the live page; choose one with --port")
 
 
 def _started(channel: int, listener: int) -> subprocess.Popen[bytes]:
-    """The process, in a session of its own: Ctrl-C in a terminal does not reach it."""
+    """Start the process in a separate session, so that Ctrl-C does not reach it."""
     # the same modules are found there as here, wherever this process was started
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
     # a terminal or a service manager sends these to all processes; the page ends when the command does
@@ -118,7 +118,7 @@ def _started(channel: int, listener: int) -> subprocess.Popen[bytes]:
 
 @contextmanager
 def live_page(title: str, port: int | None = None, *, stops: bool = True) -> Generator[LivePage]:
-    """The page while something is done; it is told how that ended."""
+    """Serve the page during a command; report its end to the page."""
     page = LivePage(title, port, stops=stops)
     reason = "The command has ended."
     try:

@@ -1,4 +1,4 @@
-"""What the page is told: rows and events of the motion loop, as text that a browser draws."""
+"""Content of the page: samples and events of the motion loop as JSON for the browser."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ from gateway.report import notation
 Floats = NDArray[np.float64]
 Json = dict[str, Any]
 
-#: How much of the past a browser that comes later is shown [s], and rows and events of it that are kept at most.
+#: History for browsers opened later [s], and maximum of stored samples and events.
 PAST_S: Final = 30.0
 PAST_ROWS, PAST_EVENTS, PAST_POSES = 3000, 40, 200
 #: Span over which speed is measured [s].
 SPEED_SPAN_S: Final = 0.02
 #: Digits behind the point: 10 urad, 10 urad/s, 0.1 mm, 0.01 mNm.
 DIGITS: Final = 5
-#: Drives in these states have failed, or are about to be without power because of it.
+#: Drive states that indicate a fault.
 FAILED: Final = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE})
 
 
 @dataclass(slots=True)
 class _ArmPast:
-    """Rows of one arm: those that were shown, and those that are new."""
+    """Samples of one arm: shown and new ones."""
 
     arm: ShownArm
     told: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=PAST_ROWS))
@@ -70,13 +70,13 @@ class _ArmPast:
         return np.full_like(q_rad, np.nan) if first is None else (q_rad - first[1]) / (time_s - first[0])
 
     def frame(self) -> Json:
-        """What is new, and how the arm stands."""
+        """Return new samples and the posture of the arm."""
         rows, self.fresh = self.fresh, []
         self.told += rows
         return {"rows": rows, **self.stands()}
 
     def stands(self) -> Json:
-        """Frames of the links and states of the drives; nothing of what is not known."""
+        """Return link frames and drive states, as far as known."""
         stands: Json = {}
         if self.q_rad is not None:
             frames = link_frames(self.arm.robot, self.q_rad[None])[0, :, :3, :]
@@ -86,12 +86,12 @@ class _ArmPast:
         return stands
 
     def past(self) -> Json:
-        """All that is kept."""
+        """Return the stored history."""
         return {"rows": list(self.told), **self.stands()}
 
 
 def _drive(word: float) -> list[Any]:
-    """State of a drive in words, and how grave it is."""
+    """Return the text of a drive state, and its severity."""
     if word != word:
         return ["no answer", "warn"]
     state = decode_state(int(word))
@@ -106,7 +106,7 @@ def _plain(values: Floats) -> list[float | None]:
 
 
 class Show:
-    """Everything a page shows, kept so that one that is opened later sees the same.
+    """Complete content of the page, stored for browsers opened later.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ class Show:
         self.over = ""
 
     def take(self, message: Floats | object) -> None:
-        """A row or a message of the motion loop."""
+        """Process a sample or a message of the motion loop."""
         if isinstance(message, np.ndarray):
             self._row(message)
         elif isinstance(message, ShownCell):
@@ -145,12 +145,12 @@ class Show:
             self.end(message.reason)
 
     def end(self, reason: str) -> None:
-        """The command has ended, or is gone."""
+        """Record the end of the command."""
         self.over = reason
         self._new.append({"over": reason})
 
     def news(self) -> list[str]:
-        """What pages are to be told since this was asked last, as JSON."""
+        """Return the changes since the last call as JSON."""
         news, self._new = self._new, []
         if self._changed and self._scene is not None:
             self._changed = False
@@ -158,7 +158,7 @@ class Show:
         return [json.dumps(each, allow_nan=False, separators=(",", ":")) for each in news]
 
     def past(self) -> list[str]:
-        """What a page is told that has just been opened, as JSON."""
+        """Return the content for a page that was just opened, as JSON."""
         told: list[Json] = [{"hello": {"title": self._hello.title, "stops": self._hello.stops}}]
         if self._scene is not None:
             told.append({"scene": self._scene})
@@ -223,7 +223,7 @@ class Show:
 
 
 def _arm(arm: ShownArm) -> Json:
-    """What the page is told of an arm once."""
+    """Constant data of an arm for the page."""
     return {
         "name": arm.name,
         "axes": arm.axes,

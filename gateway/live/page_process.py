@@ -1,7 +1,7 @@
 """The process of the page: `python -m gateway.live.page_process CHANNEL LISTENER`, started by `LivePage` alone.
 
-It looks at the channel at the pace of a screen, not with every SYNC, and at a lower priority than what moves. When the
-other end is gone, in whatever way, it says so to every open page and ends.
+It reads the channel at the rate of a screen, not at every SYNC, with lower priority than the motion loop. When the
+other end is closed, it reports this to every open page and ends.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ from gateway.live.wire import MOST_BYTES, STOP, Hello, Unpacker
 
 #: Between two frames of the page [s].
 FRAME_S: Final = 1.0 / 30.0
-#: How long pages may take to be told that this is the end [s].
+#: Time limit for sending the final message to pages [s].
 FAREWELL_S: Final = 1.0
 #: Below the programs that a person works with, far below what moves.
 NICE: Final = 5
 #: Pages that may be open; further ones are refused by the server.
 MOST_PAGES: Final = 200
-GONE: Final = "The command was ended without a word: the drives stop by themselves once its heartbeat is missing."
+GONE: Final = "The command ended without a final message; the drives stop when its heartbeat is missing."
 
 
 class Channel:
@@ -59,13 +59,13 @@ class Channel:
                 show.take(message)
 
     def stop(self) -> None:
-        """The button was pressed."""
+        """Forward a press of the stop button."""
         with contextlib.suppress(OSError):
             self._end.send(STOP)
 
 
 async def first_word(end: socket.socket) -> Hello | None:
-    """What the page is told at first; None = nobody is there."""
+    """Return the first message; None if the other end is closed."""
     unpacker = Unpacker()
     loop = asyncio.get_running_loop()
     while datagram := await loop.sock_recv(end, MOST_BYTES):
@@ -94,7 +94,7 @@ def config_of(app: ASGIApp) -> uvicorn.Config:
 
 
 async def run(end: socket.socket, listener: socket.socket) -> None:
-    """Serve until the other end is gone or says that it is over."""
+    """Serve until the other end is closed or sends the final message."""
     hello = await first_word(end)
     if hello is None:
         return

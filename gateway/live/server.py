@@ -1,4 +1,4 @@
-"""The page and its socket, served to browsers on this computer; nothing of it can be reached from another one."""
+"""Server of the page and its socket, reachable only from this computer."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from gateway.live.guard import Door
 from gateway.live.page_content import Show
 from gateway.report.page import Head, page
 
-#: What a browser that does not read is behind before words are left out for it, in frames.
+#: Backlog of a slow browser before messages are dropped [frames].
 BEHIND: Final = 4
-#: Words (events, poses) that are kept for a browser that does not read.
+#: Events and poses stored for a slow browser.
 WORDS: Final = 400
 STOP: Final = "stop"
-#: Nothing is fetched from elsewhere, the page is shown in no frame of another, and its address is told to nobody.
+#: No external content, no embedding in other pages, no referrer.
 HEADERS: Final = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data:; connect-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
@@ -43,7 +43,7 @@ REFUSED, GONE = 1008, 1001
 
 
 class Viewer:
-    """One open page: what it has not been sent yet; frames that it did not take in time are left out."""
+    """One open page with its unsent content; frames that it does not receive in time are dropped."""
 
     def __init__(self, past: Iterable[str]) -> None:
         self._words: deque[str] = deque(past, maxlen=WORDS)
@@ -52,13 +52,13 @@ class Viewer:
         self._wake.set()
 
     def put(self, texts: Iterable[str]) -> None:
-        """Something to send; never waits."""
+        """Queue content; does not block."""
         for text in texts:
             (self._frames if text.startswith('{"frame"') else self._words).append(text)
         self._wake.set()
 
     async def next(self) -> str:
-        """What is to be sent next: words before frames."""
+        """Return the next content to send: messages before frames."""
         while not self._words and not self._frames:
             self._wake.clear()
             await self._wake.wait()
@@ -122,7 +122,7 @@ async def _send(socket: WebSocket, viewer: Viewer) -> None:
 
 
 class _Guarded:
-    """Answers nobody whom the door refuses, and puts the headers on what is answered."""
+    """Middleware that refuses requests without access and adds headers to answers."""
 
     def __init__(self, app: ASGIApp, door: Door) -> None:
         self._app, self._door = app, door
@@ -141,7 +141,7 @@ class _Guarded:
 
 
 def live_app(pages: Pages, door: Door) -> ASGIApp:
-    """The application: `/` the page, `/static/..` what it is made of, `/feed` what happens."""
+    """Return the application: `/` the page, `/static/..` its files, `/feed` the data."""
 
     async def shown(_request: Request) -> Response:
         return Response(page_text(door.token), headers=HEADERS, media_type="text/html")
@@ -162,5 +162,5 @@ def live_app(pages: Pages, door: Door) -> ASGIApp:
 
 
 def page_text(token: str) -> str:
-    """HTML text of the page; everything that it fetches is asked for with the word of its address."""
+    """HTML text of the page; all its requests carry the token of its address."""
     return page("live.html.j2", Head("Live", "Live", ()), token=token)

@@ -1,4 +1,4 @@
-"""Watching arms that somebody else moves: frames of their buses become what the page is fed; nothing is sent."""
+"""Observe arms that another program moves: convert frames of their buses for the page. Nothing is sent."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ from gateway.motion.workspace import Workspace, workspace_of
 
 Floats = NDArray[np.float64]
 
-#: A bus is listened to for so long at a time [s]: no longer than the shortest time between two rows of the page.
+#: Reading time per bus [s], at most the least time between two samples of the page.
 TURN_S: Final = 0.005
-#: Without a SYNC for so long nobody is the master [s].
+#: Time without SYNC after which no master is assumed [s].
 SILENT_S: Final = 2.0
-#: Set points that change by less from SYNC to SYNC stand still [rad].
+#: Setpoint change per SYNC below which the arm is at rest [rad].
 STILL_RAD: Final = 1e-7
 UNKNOWN: Final = (
-    "were not heard: their positions and torques cannot be read; start this page before the command that moves, or "
+    "are unknown: positions and torques cannot be read; start this page before the command that moves, or "
     "give a recording of them with --constants"
 )
 
@@ -58,11 +58,11 @@ class WatchedArm:
     Attributes
     ----------
     sample : ArmSample or None
-        Of the last SYNC that was heard.
+        Sample of the last received SYNC.
     target_rad : array of shape (N,)
-        Joint set points that went out last; NaN where none was heard.
+        Last joint setpoints; NaN if none was received.
     phase : Phase
-        What the arm does, by what its drives say and are told.
+        Phase of the arm, derived from drive states and commands.
     """
 
     def __init__(self, config: ArmConfig, workspace: Workspace, overheard: ListenOnlyBus) -> None:
@@ -74,7 +74,7 @@ class WatchedArm:
         self.phase = Phase.IN_BRAKES
 
     def listen(self) -> bool:
-        """Take in what comes; whether a SYNC is over."""
+        """Process received frames; return whether a SYNC is complete."""
         self.overheard.bus.listen(TURN_S)
         epochs = self.overheard.epochs()
         if not epochs:
@@ -87,7 +87,7 @@ class WatchedArm:
         return True
 
     def modelled_nm(self) -> Floats:
-        """Torque (N,) that the model of the arm without load asks for where it stands; NaN where that is not known."""
+        """Return the modelled torque (N,) of the unloaded arm at the current posture; NaN if unknown."""
         links = self.workspace.links
         if links is None or self.sample is None or np.isnan(self.sample.q_rad).any():
             return np.full(self.workspace.robot.axes, np.nan)
@@ -105,7 +105,7 @@ def _phase(epoch: Epoch, moves: bool) -> Phase:
 
 
 class Watching:
-    """Feeds the page with what is heard.
+    """Feed of the page from received frames.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class Watching:
         feed.show(ShownCell(tuple(shown_arm(arm.name, arm.workspace) for arm in arms), period_s), self._state)
 
     def turn(self) -> None:
-        """Listen to every bus for a moment, and hand on what was heard."""
+        """Read every bus briefly and forward the received frames."""
         heard = [arm.listen() for arm in self._arms]
         for arm in self._arms:
             self._tell_emergencies(arm)
@@ -137,7 +137,7 @@ class Watching:
             self._hand_on()
         elif not self._silent and self._clock() - self._heard_s > SILENT_S:
             self._silent = True
-            self._feed.reported(Heard("warn", "no SYNC is heard: nobody moves these drives at the moment"))
+            self._feed.reported(Heard("warn", "no SYNC received: no master is controlling these drives"))
             self._state.enter(Phase.IN_BRAKES)
 
     def _hand_on(self) -> None:
@@ -173,12 +173,14 @@ def stored_constants(path: Path, arm: ArmConfig) -> tuple[Constants, ...]:
     """
     stored = read(path).arm(arm.name)
     if stored is None or len(stored.constants) != len(arm.axis):
-        raise InputError(f"{path}: holds no constants of the drives of arm '{arm.name}'; give a recording of this cell")
+        raise InputError(
+            f"{path}: contains no constants of the drives of arm '{arm.name}'; give a recording of this cell"
+        )
     return stored.constants
 
 
 def watch(loaded: LoadedCell, specs: Mapping[str, BusSpec], feed: Feed, recording: Path | None = None) -> None:
-    """Listen to the buses of a cell and feed the page, until the page is gone or a person ends it.
+    """Read the buses of a cell and feed the page, until the page or the command is ended.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""What the motion loop and the process of the page say to each other over a socket that never makes the loop wait.
+"""Messages between motion loop and page process over a non-blocking socket.
 
-A datagram is a row (`b"r"` and numbers) or a piece of a message (`b"p"`, the last one `b"P"`). The socket keeps them
-apart and bounds what waits: what it has no room for is left out, of messages until the next SYNC, of rows for good.
-Back comes one byte for each time that the stop button was pressed.
+A datagram is a row (`b"r"` and numbers) or a piece of a message (`b"p"`, the last one `b"P"`). The socket separates
+datagrams and bounds the queue. If it is full, messages wait for the next SYNC and samples are dropped. Each press of
+the stop button returns one byte.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PIECE_BYTES: Final = 32768
 #: Largest datagram.
 MOST_BYTES: Final = 65536
 #: Numbers of a row before those of the arms: when it was sent (monotonic) [s], SYNC, time of the run [s], phase, and
-#: SYNCs of this command that some drive left unanswered.
+#: SYNCs of this command not answered by some drive.
 HEAD: Final = 5
 #: Numbers per axis, as named by `gateway.motion.observed_fields`; the position follows `target_rad`.
 SHOWN: Final = ("q_rad", "target_rad", "joint_torque_nm", "modelled_torque_nm", "statusword")
@@ -52,7 +52,7 @@ class ShownBody:
     Attributes
     ----------
     link : int
-        Link, from 0, that it moves with; -1 = it stands still.
+        Link, from 0, that it moves with; -1 = fixed.
     points_m : array of shape (v, 3)
         Its corners, in the frame of that link.
     faces : tuple of tuples of int
@@ -66,7 +66,7 @@ class ShownBody:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownArm:
-    """What the page is told of an arm once.
+    """Constant data of an arm for the page.
 
     Attributes
     ----------
@@ -109,14 +109,14 @@ class ShownCell:
 
 @dataclass(frozen=True, slots=True)
 class Happened:
-    """An event of the run, as it was told."""
+    """An event of the run."""
 
     event: object
 
 
 @dataclass(frozen=True, slots=True)
 class Heard:
-    """Something that was heard on a bus that is only watched: how grave (`sayings`), and what."""
+    """An event on an observed bus: severity (`event_text`) and text."""
 
     grave: str
     text: str
@@ -124,7 +124,7 @@ class Heard:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseSeen:
-    """Both sides of a pose are measured; `modelled_nm` (N,) is what the arm's model without load asks for there."""
+    """Both approach directions of a pose are measured; `modelled_nm` (N,) is the torque of the unloaded arm there."""
 
     done: PoseDone
     modelled_nm: Floats
@@ -132,7 +132,7 @@ class PoseSeen:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The arms are in their brakes; why, empty = all went well."""
+    """The brakes are engaged; the reason is empty after normal completion."""
 
     reason: str
 
@@ -145,7 +145,7 @@ class CommandOver:
 
 
 def pair_of_sockets() -> tuple[socket.socket, socket.socket]:
-    """Two ends that keep datagrams apart and say when the other one is gone; neither waits."""
+    """Return two non-blocking ends that separate datagrams and detect when the other one is closed."""
     ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     for end in ends:
         end.setblocking(False)

@@ -199,7 +199,7 @@ function arm_button() {
   button.disabled = live.over || !live.stops || !open;
   button.textContent = live.stops ? (live.presses ? "STOP AT ONCE" : "STOP") : "ONLY WATCHES";
   button.title = live.stops
-    ? "Stops the arm along its way; pressed again, at once by the drives' quick stop"
+    ? "Stops the arm on its path; pressed again, at once by the drives' quick stop"
     : "This page only listens to the bus: stop the arm where it is moved from";
   byId("link").textContent = live.over ? "ended" : open ? "connected" : "not connected";
 }

@@ -45,12 +45,12 @@ def test_every_bus_by_its_name():
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("socketcan:can0", "the cell has 2 buses and this names none"),
+        ("socketcan:can0", "the cell has 2 buses, and no bus is named"),
         ("udp_multicast:239.74.163.2,port=43113", "give NAME=SPEC;NAME=SPEC with left, right"),
-        ("left=virtual:a;virtual:b", "this names none"),
+        ("left=virtual:a;virtual:b", "no bus is named"),
         ("middle=virtual:a", "no bus 'middle'"),
         ("left=virtual:a;left=virtual:b", "given twice"),
-        ("left=virtual:a;", "this names none"),
+        ("left=virtual:a;", "no bus is named"),
     ],
 )
 def test_what_does_not_say_which_bus_is_refused_in_words(text, says):

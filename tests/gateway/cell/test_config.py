@@ -69,31 +69,31 @@ AXIS = ("arm", 0, "axis", 2)
         (AXIS, "gear_ratio", None, 'write gear_ratio = { value = NUMBER, source = "..." }'),
         (AXIS, "torque_constant_nm_per_a", None, "torque_constant_nm_per_a is missing"),
         (AXIS, "position_limit_rad", None, "position_limit_rad is missing"),
-        (AXIS, "speed_limit_rad_s", None, "speed_limit_rad_s is missing (of the joint; nothing moves faster): write"),
+        (AXIS, "speed_limit_rad_s", None, "speed_limit_rad_s is missing (speed limit of the joint): write"),
         (AXIS, "torque_limit_nm", None, "torque_limit_nm is missing"),
         (AXIS, "gear_ratio", {"value": 100}, 'source is missing: write gear_ratio = { value = 100, source = "..." }'),
         (AXIS, "gear_ratio", {"value": 100, "source": ""}, 'J3: gear_ratio: source = "" is too short'),
         (AXIS, "gear_ratio", {"value": 0, "source": "x"}, "gear_ratio must not be 0"),
-        (AXIS, "gear_efficiency", {"value": 1.2, "source": "x"}, "gear_efficiency must lie in"),
+        (AXIS, "gear_efficiency", {"value": 1.2, "source": "x"}, "gear_efficiency must be in"),
         (AXIS, "position_limit_rad", [1.0, -1.0], "lower limit 1.0 is not below"),
         (AXIS, "position_limit_rad", [float("-inf"), 1.0], "position_limit_rad"),
         (AXIS, "speed_limit_rad_s", 0.0, "speed_limit_rad_s"),
         (AXIS, "torque_limit_nm", "many", "torque_limit_nm"),
         (AXIS, "position_sign", 2, "position_sign"),
-        (AXIS, "node_id", 1, "node id 1 is given to more than one axis"),
+        (AXIS, "node_id", 1, "node id 1 is used for more than one axis"),
         (AXIS, "node_id", 200, "node_id"),
         (("arm", 0), "axis", [], "has 0 [[arm.axis]] tables"),
-        (("arm", 0), "start_rad", [0.0] * 4, "start_rad has 4 numbers and the arm 6 [[arm.axis]] tables"),
+        (("arm", 0), "start_rad", [0.0] * 4, "start_rad has 4 numbers but the arm has 6 [[arm.axis]] tables"),
         (("arm", 0), "bus", "b", "there is no [bus.b]"),
         (("arm", 0), "robot", None, "needs either robot"),
         (("arm", 0), "inertials", "prior", "inertials"),
         (("arm", 0), "coupling", [[1.0, 0.0]], "coupling must be an invertible"),
-        (("arm", 0), "keep_out", [{"min_m": [0, 0, 1], "max_m": [1, 1, 0]}], "must lie below max_m"),
+        (("arm", 0), "keep_out", [{"min_m": [0, 0, 1], "max_m": [1, 1, 0]}], "must be below max_m"),
         (("arm", 0), "link_radius_m", 0.0, "link_radius_m"),
-        (("arm", 0), "link_radius_m", [0.1, 0.1], "link_radius_m has 2 numbers and the arm 6"),
+        (("arm", 0), "link_radius_m", [0.1, 0.1], "link_radius_m has 2 numbers but the arm has 6"),
         (("arm", 0), "load_radius_m", -0.1, "load_radius_m"),
         (("arm", 0), "hold_to_run", HOLD | {"good": 5}, "bits outside mask 0x4"),
-        (("arm", 0), "hold_to_run", HOLD | {"good": 0}, "a broken wire looks like"),
+        (("arm", 0), "hold_to_run", HOLD | {"good": 0}, "the same as a broken wire"),
         (("arm", 0), "hold_to_run", HOLD | {"node_id": 0}, "node_id = 0 must be at least 1: write node_id = INTEGER"),
         (("arm", 0), "hold_to_run", HOLD | {"object": {"index": 0xFD}}, "object: index = 253 must be at least 4096"),
         (("arm", 0), "hold_to_run", HOLD | {"key": "space"}, "key: unknown key"),
@@ -128,7 +128,7 @@ def test_every_mistake_is_named_at_once(cell):
     assert {text.split(": write")[0] for text in told} == {
         "channel is missing",
         "gear_ratio is missing",
-        "arm 'main': node id 1 is given to more than one axis",
+        "arm 'main': node id 1 is used for more than one axis",
         "torque_limit_nm is missing",
     }
 
@@ -262,5 +262,7 @@ def test_a_torque_constant_known_to_half_is_refused(cell, tmp_path):
     cell["arm"][0]["axis"][1]["torque_constant_nm_per_a"]["std_percent"] = 50.0
     path = tmp_path / "cell.toml"
     path.write_text(as_toml(cell))
-    with pytest.raises(ConfigError, match="a torque constant known to 50 % says nothing of a mass"):
+    with pytest.raises(
+        ConfigError, match="a torque constant with a standard deviation of 50 % does not determine a mass"
+    ):
         load_cell(path)

@@ -74,7 +74,7 @@ def test_a_port_that_is_taken_is_one_sentence():
         taken.bind((HOST, 0))
         taken.listen()
         port = taken.getsockname()[1]
-        with pytest.raises(ConfigError, match=rf"--port {port}: Address already in use; name another one"):
+        with pytest.raises(ConfigError, match=rf"--port {port}: Address already in use; choose another one"):
             LivePage("a test", port)
 
 

@@ -85,7 +85,7 @@ def test_events_progress_and_poses(show, workspace):
     show.take(PoseSeen(PoseDone(2, "none", (5.0,) * 6, (0.5,) * 6), np.full(6, 4.0)))
     told = [json.loads(text) for text in show.news()]
     events = [each["event"]["text"] for each in told if "event" in each]
-    assert events[0] == "SYNC 17 was not answered by J2, J3; sampled again"
+    assert events[0] == "SYNC 17 not answered by J2, J3; sample repeated"
     (pose,) = [each["pose"] for each in told if "pose" in each]
     assert pose == {"pose": 2, "load": "unloaded arm", "band_nm": [0.5] * 6, "residual_nm": [1.0] * 6}
     frame = next(each["frame"] for each in told if "frame" in each)

@@ -134,7 +134,7 @@ def test_nothing_is_told_while_nothing_is_heard_until_that_is_news(watching, rig
     rig.later(0.2 * SILENT_S)
     watching.turn()
     watching.turn()
-    assert [word.text for word in words(rig)] == ["no SYNC is heard: nobody moves these drives at the moment"]
+    assert [word.text for word in words(rig)] == ["no SYNC received: no master is controlling these drives"]
     heard.sync(2)
     watching.turn()
     assert len(rows(rig)) == 1
@@ -148,7 +148,7 @@ def test_constants_that_were_not_heard_are_named_once(watching, watched, rig, he
         again.turn()
     (word,) = words(rig)
     assert word.grave == "warn"
-    assert "the constants of nodes 1, 3 were not heard" in word.text
+    assert "the constants of nodes 1, 3 are unknown" in word.text
     assert "--constants" in word.text
 
 
