@@ -1,4 +1,4 @@
-"""What was read from another program's log: columns by name, and where each row stands."""
+"""Columns of a log of another program, with the line of each row."""
 
 from __future__ import annotations
 

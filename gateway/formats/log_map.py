@@ -1,4 +1,4 @@
-"""The map of a log: which of its columns is which of the measured table, in which unit, with which sign."""
+"""Map of a log: assigns its columns to the measured table, with unit and sign."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _RATES: Final = ("qd{}_rad_s", "qdd{}_rad_s2")
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """Text of a measured table, its number of rows, and what was noticed."""
+    """Text of a measured table, its number of rows, and remarks."""
 
     text: str
     rows: int
@@ -227,7 +227,7 @@ def _joined(values: dict[str, Floats], axes: int, pattern: str = "q{}_rad") -> F
 
 
 def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats]) -> SmoothedMotion | None:
-    """Speeds and accelerations by [motion], on the log's clock; None where the log holds them all."""
+    """Return speeds and accelerations by [motion], on the clock of the log; None if the log contains them."""
     wanted = [kind.format(axis + 1) for kind in _RATES for axis in range(given.axes)]
     if given.motion is None or all(name in values for name in wanted):
         return None
@@ -256,7 +256,7 @@ def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats])
 
 
 def _clock_remark(motion: SmoothedMotion) -> str:
-    """What the time stamps are like, for the person who imports."""
+    """Return a summary of the time stamps for the user."""
     clock = motion.clock
     jitter_ms = 1e3 * clock.jitter_s
     text = f"time: steps of {1e3 * clock.step_s:.6g} ms, stamps off by {jitter_ms.std():.2g} ms (standard deviation)"

@@ -1,4 +1,4 @@
-"""What a log holds by a map, before a table is written: first values, ranges, and what looks wrong."""
+"""Preview of a log with a map: first values, ranges and problems."""
 
 from __future__ import annotations
 

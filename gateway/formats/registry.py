@@ -1,4 +1,4 @@
-"""The open formats by their names."""
+"""Open formats by name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a logged arm stands: stretches, poses, and from which side each joint came."""
+"""Detect rest intervals in a log: poses and approach direction of each joint."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""Every sample of a recording, as its file holds it: what each open format writes in its own way.
+"""All samples of a recording, as stored: the source of every open format.
 
-The datasets are taken by their names, with their units, and nothing is worked out anew: what a recording holds beyond
-what this program knows leaves it too.
+Datasets are copied by name with their units and not recomputed; unknown datasets are exported too.
 """
 
 from __future__ import annotations

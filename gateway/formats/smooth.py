@@ -1,10 +1,10 @@
 """Clock of a log, and speeds and accelerations of its positions.
 
-A logger samples at even steps and stamps late by what the computer was busy with; some samples are lost. Differences of
-positions over such stamps are wrong by stamp over step, and a digital filter assumes even steps anyway. So a straight
-clock t = start + step * k is fitted to the stamps, the positions are filtered and differentiated on its grid, and the
-scatter of the stamps around it is returned. Where the data are smoother over the stamps than over the clock, the arm
-was sampled at the stamped times, and the positions are interpolated from these.
+A logger samples at a constant rate, but time stamps are delayed by computer load, and some samples are lost.
+Differences of positions over such stamps are wrong by stamp over step, and a digital filter assumes even steps anyway.
+So a straight clock t = start + step * k is fitted to the stamps, the positions are filtered and differentiated on its
+grid, and the scatter of the stamps around it is returned. Where the data are smoother over the stamps than over the
+clock, the arm was sampled at the stamped times, and the positions are interpolated from these.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _roughness(values: Floats) -> float:
 def rates(time_s: Floats, q_rad: Floats, cutoff_hz: float) -> tuple[Floats, Floats]:
     """Speeds and accelerations (n, N) of positions (n, N) at even steps.
 
-    A low pass of second order, run forwards and backwards so that nothing is late; half the power at the cutoff.
+    A second-order low pass, run forwards and backwards for zero phase; half the power at the cutoff.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Units of logs, by what is measured, in terms of the measured table's."""
+"""Units of logs by quantity, relative to the units of the measured table."""
 
 from __future__ import annotations
 

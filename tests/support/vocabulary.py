@@ -73,7 +73,9 @@ EXCEPTIONS: Final[Mapping[tuple[str, str], str]] = {
     ("CONTRIBUTING.md", "*"): "shows the words and their replacements",
 }
 #: Words that codespell takes for slips: names, identifiers and terms of the field, other languages.
-SPELLED: Final = ("cantact", "fro", "informations", "ist", "nd", "notin", "ot", "ser", "sie", "som", "statics", "te")
+SPELLED: Final = (
+    "cantact", "fro", "informations", "ist", "nd", "notin", "ot", "ser", "sie", "som", "statics", "te", "tothe"
+)  # fmt: skip
 #: Slips that tests type on purpose.
 SPELLED_WRONG: Final = ("exprot", "fo", "nwe", "wieght")
 #: Files that are not read for spelling: data and pictures.
