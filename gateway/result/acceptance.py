@@ -1,7 +1,7 @@
-"""Whether a load is what it was said to be: pass, fail, or "cannot tell with this data".
+"""Compare a load with its expected mass and with the rating of the arm: pass, fail, or "cannot tell with this data".
 
-With U the half width of the 95 % interval: pass where the interval lies within what is allowed, fail where it lies
-wholly beyond, else the data cannot tell: a load of 6.05 kg that is known to 0.2 kg is neither within nor beyond 6 kg
+With U the half width of the 95 % interval: pass where the whole interval is within the allowed range, fail where it is
+wholly outside, else the data cannot decide: a load of 6.05 kg that is known to 0.2 kg is neither within nor beyond 6 kg
 with a tolerance of 0.1 kg.
 """
 
@@ -34,7 +34,7 @@ QUANTITIES: Final = {"mass": "kg", "reach": "m", "moment": "Nm"}
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What a load was said to weigh [kg], and how far it may be off [kg]."""
+    """Expected mass [kg] of a load, and its tolerance [kg]."""
 
     label: str
     mass_kg: float
@@ -43,7 +43,7 @@ class Expected:
 
 @dataclass(frozen=True, slots=True)
 class Rating:
-    """The most that an arm is rated for: `what` of `QUANTITIES`, the number in its unit, where it comes from."""
+    """A rating of the arm: `what` is a key of `QUANTITIES`, `most` the number in its unit, `source` its origin."""
 
     what: str
     most: float
@@ -71,7 +71,7 @@ def parse_expected(text: str) -> Expected:
 
 
 def check_expected(expected: Sequence[Expected], labels: Iterable[str]) -> None:
-    """Make sure that every expectation is of one of the loads that are estimated, and of each only one.
+    """Check that every expectation names an estimated load, and each load at most once.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def check_expected(expected: Sequence[Expected], labels: Iterable[str]) -> None:
 
 
 def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rating]) -> Result:
-    """The result with its loads held against what was expected and against the rating, and what is to be said of it.
+    """Add to a result the comparison of its loads with the expected masses and the ratings, with its findings.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rat
         Completed: the frame of the flange is in `data`.
     expected : sequence of Expected
     ratings : sequence of Rating
-        A load without a mass is held against none.
+        A load without a mass is compared with none.
     """
     loads = {load.label: load for load in result.loads}
     rows = [_as_expected(loads.get(each.label, LoadResult(each.label)), each) for each in expected]
@@ -108,7 +108,7 @@ def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rat
 
 
 def outcome_of(off: float, half: float, allowed: float) -> Outcome:
-    """Pass, fail or cannot tell: of a quantity that is `off` by so much, known to `half`, where `allowed` is."""
+    """Outcome for a deviation `off` with half interval `half`, where `allowed` is the tolerance."""
     if off + half <= allowed:
         return PASS
     return FAIL if off - half > allowed else CANNOT_TELL
@@ -138,7 +138,7 @@ def _as_rated(load: LoadResult, rated: Rating, value: float, std: float) -> Acce
 
 
 def _quantity(result: Result, load: LoadResult, what: str) -> tuple[float, float]:
-    """Value and standard deviation of a rated quantity; NaN where the load's place is not known in the flange."""
+    """Value and standard deviation of a rated quantity; NaN where the centre is not known in the flange frame."""
     if what == "mass":
         return load.mass_kg, load.mass_std_kg
     spread = None if result.data is None else result.data.flange.get(load.label)
@@ -157,19 +157,19 @@ def _quantity(result: Result, load: LoadResult, what: str) -> tuple[float, float
 
 
 def _std(slope: Floats, covariance: Floats) -> float:
-    """Standard deviation of what grows by `slope` (4,) with the parts of covariance (4, 4)."""
+    """Standard deviation of a quantity with gradient `slope` (4,) and covariance (4, 4)."""
     return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
 
 
 def asked_for(row: Acceptance) -> str:
-    """What is allowed, in words."""
+    """Text of the allowed value."""
     if math.isfinite(row.most):
         return f"at most {significant(row.most, 6)} {row.unit} ({row.source})"
     return f"{significant(row.expected, 6)} {row.unit}, tolerance {significant(row.tolerance, 6)} {row.unit}"
 
 
 def measured(row: Acceptance) -> str:
-    """What was found, in words."""
+    """Text of the measured value with its interval."""
     if not math.isfinite(row.value):
         return "unknown"
     return f"{interval_text(row.value, row.half_width)} {row.unit}"
@@ -192,7 +192,7 @@ def _finding(row: Acceptance) -> Finding:
 
 
 def no_body(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
-    """A failing finding for every load that comes out lighter than nothing, its whole interval below 0."""
+    """A failing finding for every load with a negative mass whose whole interval is below 0."""
     return tuple(
         Finding(
             "fail",
@@ -206,7 +206,7 @@ def no_body(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
 
 
 def not_hung(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
-    """A failing finding for every load whose mass cannot be told from nothing: it was announced, is it mounted?"""
+    """A failing finding for every load whose mass interval holds 0: it was announced, is it mounted?"""
     return tuple(
         Finding(
             "fail",
@@ -220,6 +220,6 @@ def not_hung(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
 
 
 def open_findings(result: Result) -> frozenset[Finding]:
-    """Failing findings that say that nobody knows, not that something is wrong: amber, not red."""
+    """Failing findings that report missing information, not an error: shown in amber, not in red."""
     doubts = (row for row in result.acceptance if row.outcome == CANNOT_TELL)
     return frozenset((*not_hung(result.loads), *acceptance_findings(doubts)))

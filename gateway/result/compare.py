@@ -1,4 +1,4 @@
-"""Two results of one robot, before and after service: what changed, what did not, and what the data cannot decide.
+"""Compare two results of one robot, before and after service: changed, unchanged, or undecided.
 
 Every quantity that both results hold is compared with the uncertainty of both. With d the difference, s its standard
 deviation and h = z s, where z keeps the chance of one false alarm among all quantities at 5 % (Bonferroni):
@@ -35,7 +35,7 @@ CANNOT_TELL: Final = "cannot tell"
 FALSE_ALARM: Final = 0.05
 #: Standard deviation of a median of n over that of one value, times sqrt(n).
 _OF_A_MEDIAN: Final = 1.2533
-#: What service has to see: half widths beyond these leave "unchanged" undecided. Shares, except `com` in m.
+#: Resolution that service needs: a larger half width leaves "unchanged" undecided. Shares, except `com` in m.
 RESOLUTION: Final = {"mass": 0.1, "com": 0.02, "constant": 0.1, "friction": 0.3}
 #: Key of a tolerance -> unit -> factor; a share where the factor is that of %.
 UNITS: Final[Mapping[str, Mapping[str, float]]] = {
@@ -49,7 +49,7 @@ EXAMPLE: Final = "such as mass=2%,com=5mm,constant=3%,friction=20%"
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """By how much a quantity may change: a number in its unit, or a share of the value before."""
+    """Allowed change of a quantity: a number in its unit, or a share of the value before."""
 
     value: float
     is_share: bool
@@ -72,7 +72,7 @@ class ComparedQuantity:
     half_width : float
         Of the interval of the difference, at the level of all quantities together.
     tolerance : float
-        That was held against, in the unit; 0 where none was stated.
+        Allowed change, in the unit; 0 where none was stated.
     outcome : "changed", "unchanged" or "cannot tell"
     """
 
@@ -95,7 +95,7 @@ class ComparedQuantity:
 
 @dataclass(frozen=True, slots=True)
 class ResultComparison:
-    """All of them, the verdict over them, and what only one of the results holds."""
+    """All compared quantities, the verdict, and remarks on what only one of the results holds."""
 
     robot: str
     before: str
@@ -203,7 +203,7 @@ def _held(quantities: Mapping[tuple[str, str], _Quantity]) -> str:
 
 
 def _quantities(result: Result) -> dict[tuple[str, str], _Quantity]:
-    """Everything of a result that can be compared and has a value."""
+    """Quantities of a result that can be compared and have a value, by place and name."""
     found = dict(_loads(result.loads)) | dict(_constants(result)) | dict(_friction(result))
     return {key: each for key, each in found.items() if math.isfinite(each.value)}
 
@@ -240,7 +240,7 @@ def _constants(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
 
 
 def _scale(effects: Sequence[EffectResult], joint: int) -> tuple[float, float] | None:
-    """The scale of a torque constant that was found, its own before the common one, and its standard deviation."""
+    """Identified scale of a torque constant and its standard deviation: of the joint first, else the common one."""
     for joints in ((joint,), ()):
         for effect in effects:
             scale = effect.parameters.get("scale")

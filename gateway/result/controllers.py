@@ -1,4 +1,4 @@
-"""The identified load in the words of robot controllers: pure functions from loads (SI, flange frame) to text.
+"""Identified loads in the syntax of robot controllers: pure functions from loads (SI, flange frame) to text.
 
 Units, frames and sources: docs/reference/controller-formats.md.
 """
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 #: 1 kg m2 in FANUC's kgf cm s2.
 KGF_CM_S2_PER_KG_M2 = 100.0 / 9.80665
-#: Products of inertia below this share of the largest moment are none.
+#: Products of inertia below this share of the largest moment count as zero.
 NO_PRODUCT = 1e-3
 
 

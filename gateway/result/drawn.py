@@ -1,4 +1,4 @@
-"""What the report draws and names beside the numbers of a result: the object `data` of the file.
+"""Data of the report's figures and headings: the object `data` of the result file.
 
 Every key may be absent; what is absent is left out of the page.
 """
@@ -30,9 +30,9 @@ class DrawnSource:
 
 @dataclass(frozen=True, slots=True)
 class DrawnPose:
-    """The arm as it stood: `points_m` from base to flange (k, 3) and the load's `com_m`, base frame [m].
+    """The arm in one pose: `points_m` from base to flange (k, 3) and the load's `com_m`, base frame [m].
 
-    `pose` is negative for an instant of a moving run; `role` is one of the words of `Drawn.role`.
+    `pose` is negative for an instant of a moving run; `role` is a value of `Drawn.role`.
     """
 
     pose: int
@@ -61,7 +61,7 @@ class Curve:
     points_y: Numbers = ()
 
     def __post_init__(self) -> None:
-        """Refuse a curve whose lists do not belong together."""
+        """Refuse a curve whose lists differ in length."""
         check_lengths(x=self.x, y=self.y, low=self.low, high=self.high)
         check_lengths(points_x=self.points_x, points_y=self.points_y)
 

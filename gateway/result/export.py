@@ -1,8 +1,8 @@
-"""The identified load in the words of URDF, JSON and robot controllers.
+"""Export of identified loads as URDF, JSON and in the syntax of robot controllers.
 
-Each format is a pure function from one load (SI, flange frame) to text. The inertia tensor, which motion alone tells,
-is written as each controller takes it; where it was not measured it is written as the controller's own "point mass" or
-"zero" and the text says so. What the data could not identify is refused, never filled in.
+Each format is a pure function from loads (SI, flange frame) to text. The inertia tensor, which only motion determines,
+is written as each controller takes it. Where it was not measured, the controller's own "point mass" or "zero" is written
+and the text says so. A quantity that the data could not identify is refused, never filled in.
 """
 
 from __future__ import annotations

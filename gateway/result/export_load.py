@@ -1,4 +1,4 @@
-"""One load of a result as it is handed over: complete, plausible, in one frame; what is not is refused."""
+"""A load of a result for export: complete, plausible and in one frame, else refused."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ INERTIA_NOTE = "inertia not measured (no motion reveals it at rest)"
 
 @dataclass(frozen=True, slots=True)
 class ExportLoad:
-    """One load that is complete enough to be handed over.
+    """One load that is complete enough for export.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def _checked(load: LoadResult, com: Vector, std: Vector | None, frame: str) -> E
 
 
 def _inertia(load: LoadResult, in_frame: Numbers | None) -> tuple[Numbers | None, str]:
-    """Inertia in the frame that is handed over, and what is said of it."""
+    """Inertia in the exported frame, and a note on its accuracy."""
     if load.inertia_kg_m2 is None:
         return None, INERTIA_NOTE
     if not all(map(math.isfinite, load.inertia_kg_m2)):
@@ -196,7 +196,7 @@ def unique_names(labels: Sequence[str], width: int = NAME_WIDTH) -> dict[str, st
 
 
 def accuracy(load: ExportLoad) -> str:
-    """Mass and centre of gravity with their intervals, in words."""
+    """Text of mass and centre of gravity with their intervals."""
     mass = f"{load.mass_kg:.3f} kg"
     if math.isfinite(load.mass_std_kg):
         mass += f" +- {half_width(load.mass_std_kg):.3f} kg"

@@ -1,4 +1,4 @@
-"""What an analysis of many robots leaves on disk: a line per robot, and per robot its trends, its loads and its curves.
+"""Files of a fleet analysis: a line per robot, and per robot its trends, loads and curves.
 
 NaN, null in the file, is unknown. Times are UTC. Joints count from 1; joint 0 is the load.
 """
@@ -26,15 +26,15 @@ AGAIN: Final = "with servo-gateway fleet analyse STORE"
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """Something that a check tells of every axis.
+    """A quantity that a check determines for every axis.
 
     Attributes
     ----------
     stem, suffix : the key is `stem + suffix`, its standard deviation `stem_std + suffix`
-    words : as a page names it
+    words : name on a page
     unit : "" = a ratio
-    relative : whether a drift is told as a share of the level
-    tolerance : drift a year, as it is told, from which on somebody should come; NaN = nobody comes for it
+    relative : whether a drift is stated as a share of the level
+    tolerance : yearly drift above which a service visit is recommended; NaN = never for this quantity
     """
 
     stem: str
@@ -88,7 +88,7 @@ def quantity(key: str) -> Tracked:
 
 @dataclass(frozen=True, slots=True)
 class FleetTrend:
-    """How one quantity of one axis, or the mass of one load, goes over the months.
+    """Change of one quantity of one axis, or of the mass of one load, over the months.
 
     Attributes
     ----------
@@ -98,10 +98,10 @@ class FleetTrend:
     checks : that the trend was read from
     level : at the mean temperature and load, when the first check was made
     drift_per_year, drift_std_per_year : in the quantity's unit
-    sigmas : how sure the drift is, signed: the root of twice the logarithm of how much likelier the checks are with it
-    needed_sigmas : from which on a drift is told
-    found_on : day on which it was told first
-    detectable_per_year : drift that would be told today with 95 %
+    sigmas : significance of the drift, signed: square root of twice the log-likelihood ratio with and without drift
+    needed_sigmas : detection threshold of `sigmas`
+    found_on : day on which the drift was first detected
+    detectable_per_year : drift that would be detected today with a probability of 95 %
     per_k, per_kg : by temperature and by load, NaN where neither changed
     """
 
@@ -132,7 +132,7 @@ class FleetTrend:
 
     @property
     def detectable_share(self) -> float:
-        """Share a year that would be told today."""
+        """Yearly share that would be detected today."""
         return self.detectable_per_year / self._scale
 
     @property
@@ -157,7 +157,7 @@ class ProgramLoad:
 
 @dataclass(frozen=True, slots=True)
 class TrendCurve:
-    """What is drawn of a trend: days since the first check, values, and the line with its 95 % band."""
+    """Data of a trend figure: days since the first check, values, and the line with its 95 % band."""
 
     quantity: str
     joint: int
@@ -170,7 +170,7 @@ class TrendCurve:
     high: Numbers
 
     def __post_init__(self) -> None:
-        """Refuse lists that do not belong together."""
+        """Refuse lists of different length."""
         check_lengths(day=self.day, value=self.value)
         check_lengths(line_day=self.line_day, line=self.line, low=self.low, high=self.high)
 
@@ -199,7 +199,7 @@ class RobotLine:
 
 @dataclass(frozen=True, slots=True)
 class RobotHealth:
-    """All that the analysis says of one robot."""
+    """The analysis of one robot."""
 
     line: RobotLine
     as_of: str
@@ -216,7 +216,7 @@ class RobotHealth:
 
 @dataclass(frozen=True, slots=True)
 class FleetHealth:
-    """All robots, who needs a visit first."""
+    """All robots, the most urgent service visit first."""
 
     as_of: str
     software: str

@@ -1,4 +1,4 @@
-"""What `follow` hands over: how well the arm followed a path under each setting, and what the pictures are drawn of.
+"""Result of `follow`: following error of a path under each setting, and the data of its figures.
 
 Lists per axis have one number per axis; NaN, null in the file, is unknown. Settings are named `OFF`, `MAXIMUM` and
 `IDENTIFIED`.
@@ -42,7 +42,7 @@ class FollowedPath:
 
 @dataclass(frozen=True, slots=True)
 class FedLoad:
-    """The load that the offsets were worked out for: in `frame`, inertia (3, 3) about the centre of gravity."""
+    """The load that the offsets were computed for: in `frame`, inertia (3, 3) about the centre of gravity."""
 
     label: str
     mass_kg: Number
@@ -58,8 +58,8 @@ class FedLoad:
 class FollowedSetting:
     """One pass: `load` is None without feedforward.
 
-    Per axis: peak and RMS following error, the time by which the axis is late (NaN where it was not moved), and how far
-    it went beyond a resting place.
+    Per axis: peak and RMS following error, the delay of the axis (NaN where it was not moved), and its overshoot at
+    rest points.
     """
 
     name: str
@@ -80,7 +80,7 @@ class PeakRatio:
 
 @dataclass(frozen=True, slots=True)
 class FedTrend:
-    """What the torque says of the load that was fed: it is (1 + `scale`) times as heavy as entered.
+    """Load from the torque beside the load that was fed forward: its mass is (1 + `scale`) times the entered one.
 
     `mass_kg`, `com_m` in link_6: what the torque asks for with the first moment left free. `rms_nm`: what is left.
     """
@@ -164,7 +164,7 @@ class TrendCloud:
     residual_nm: Numbers
 
     def __post_init__(self) -> None:
-        """Refuse points without a partner."""
+        """Refuse lists of different length."""
         check_lengths(load_nm=self.load_nm, residual_nm=self.residual_nm)
 
 

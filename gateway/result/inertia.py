@@ -1,4 +1,4 @@
-"""The inertia of a load as a result has it, six moments about the centre of gravity, and as controllers want it."""
+"""Inertia of a load: six moments about the centre of gravity, principal axes, and the angles that controllers take."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-#: Where each moment of a result, [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], stands in a (3, 3) tensor.
+#: Row and column of each moment of a result, [Ixx, Iyy, Izz, Ixy, Ixz, Iyz], in a (3, 3) tensor.
 ROW, COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
 #: What rounding in a file may take from the triangle inequality of principal moments.
 ROUNDED = 1e-6

@@ -1,7 +1,7 @@
-"""The interval that stands behind every plus-minus of the house: 95 %.
+"""The 95 % interval: every plus-minus in outputs is its half width.
 
-Files hold standard deviations. Where the noise itself was estimated from few readings they are widened already, by
-Student's quantile over the normal one, so that `TWO_SIDED_95` of them hold the truth in 95 %.
+Files hold standard deviations. Where the noise was estimated from few readings they are already widened by the ratio of
+Student's quantile to the normal one, so that `TWO_SIDED_95` standard deviations cover the true value in 95 %.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 
 #: Two-sided 95 % quantile of the normal distribution.
 TWO_SIDED_95: Final = 1.96
-#: What is said beside a number with a plus-minus.
+#: Text beside a number with a plus-minus.
 SAID: Final = "95 %"
 PLUS_MINUS: Final = "\N{PLUS-MINUS SIGN}"
 

@@ -19,7 +19,7 @@ from gateway.result.numerals import with_interval
 from gateway.result.result import Finding, Result
 
 NAME: Final = "servo-gateway"
-#: Checks take no time that would be worth telling.
+#: Duration of every test case: not measured.
 _NO_TIME: Final = "0.000"
 
 

@@ -45,7 +45,7 @@ def _beside(found: re.Match[str]) -> str:
 
 
 def known(value: float | None) -> bool:
-    """Whether there is a number."""
+    """Whether the value is a finite number."""
     return value is not None and math.isfinite(value)
 
 
@@ -57,7 +57,7 @@ def decimals(uncertainty: float) -> int:
 
 
 def plain(value: float | None, digits: int = 2) -> str:
-    """A number with fixed decimals, a real minus sign, or a dash where there is none."""
+    """Text with fixed decimals and a typographic minus sign; a dash where the value is unknown."""
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
     text = f"{value:.{digits}f}"

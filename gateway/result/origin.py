@@ -1,4 +1,4 @@
-"""Where a result comes from: by which program, when, on which drives, of which files."""
+"""Origin of a result: program, time, drives and files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PROGRAM = "servo-gateway"
 
 @dataclass(frozen=True, slots=True)
 class DriveOrigin:
-    """A drive that answered: what it says of itself, None where it does not."""
+    """Identity that a drive reported; None where it lacks the object."""
 
     joint: int
     node_id: int
@@ -41,7 +41,7 @@ class FileOrigin:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """When and by which program, on which drives, of which files; who measured, where it was said."""
+    """Time, program, drives and files of a result; the operator where one was named."""
 
     created: str
     software: str
@@ -56,7 +56,7 @@ def software() -> str:
 
 
 def in_words(moment: datetime) -> str:
-    """A moment (UTC) as the pages show it."""
+    """Text of a time (UTC), as the pages show it."""
     return moment.strftime("%Y-%m-%d %H:%M UTC")
 
 
@@ -87,7 +87,7 @@ def files_of(paths: Iterable[Path]) -> tuple[FileOrigin, ...]:
 
 
 def drives_of(identities: Sequence[Mapping[str, Any]]) -> tuple[DriveOrigin, ...]:
-    """Drives as a recording holds them, one per axis; what is of another kind than a drive tells is left out."""
+    """Drives of a recording, one per axis; a value of an unexpected type is left out."""
     found: list[DriveOrigin] = []
     for joint, said in enumerate(identities, start=1):
         found.append(

@@ -1,7 +1,7 @@
-"""The checksum of a result file: an edited number is not handed to a controller.
+"""Checksum of a result file, so that an edited number is not exported to a controller.
 
 `sha256` is that of the sorted compact JSON (keys in order, no blanks, ASCII) of everything else in the file. `truth` is
-left out of it, since a simulator adds it afterwards. It guards against a slip of the hand, not against forgery.
+left out, since a simulator adds it afterwards. It protects against accidental edits, not against forgery.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Final
 from gateway.errors import InputError
 
 KEY: Final = "sha256"
-#: Keys that the checksum does not see.
+#: Keys that the checksum leaves out.
 UNSEALED: Final = (KEY, "truth")
 
 
@@ -41,9 +41,9 @@ FROM_DATA: Final = "from the data (servo-gateway estimate DATA --json OUT.json)"
 
 
 def refuse_edited(plain: Mapping[str, Any], where: str, again: str = FROM_DATA) -> None:
-    """Refuse what was changed since it was written; a file of before there were checksums carries none and is taken.
+    """Refuse a file that was edited since it was written; one without a checksum, of an older version, is accepted.
 
-    `again` says from what, or with which command, the file is written again.
+    `again` is the source, or the command, that writes the file again.
 
     Raises
     ------

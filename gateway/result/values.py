@@ -1,4 +1,4 @@
-"""What every JSON file that leaves has in common: unknown numbers, plain values, refusals that name the key.
+"""JSON files of the program: unknown numbers, plain values, and refusals that name the key.
 
 NaN stands for "unknown" inside and is null in the file. A field that is marked `SILENT` is left out of the file where
 it says nothing, rather than written as null, as an empty text or as an empty list.
@@ -47,7 +47,7 @@ Matrix = tuple[Numbers, ...]
 
 
 def three(values: Numbers) -> Numbers:
-    """Refuse what has not three numbers (ValueError)."""
+    """Return the values, which must be three numbers (else ValueError)."""
     if len(values) != 3:
         raise ValueError(f"three numbers are needed, got {len(values)}")
     return values
@@ -58,7 +58,7 @@ Vector = Annotated[Numbers, AfterValidator(three)]
 
 
 def check_lengths(**lists: Sequence[object]) -> None:
-    """Make sure that lists which belong together have one length; an empty one was left out.
+    """Check that lists of one table have equal lengths; an empty list counts as absent.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def matrix(values: ArrayLike) -> Matrix:
 
 
 def plain_values(value: Any) -> Any:
-    """The same in what JSON can hold: dataclasses as dictionaries, arrays as lists, NaN and infinity as None."""
+    """Plain values that JSON can hold: dataclasses as dictionaries, arrays as lists, NaN and infinity as None."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         items = ((item, plain_values(getattr(value, item.name))) for item in dataclasses.fields(value))
         return {
