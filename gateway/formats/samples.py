@@ -12,7 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from gateway.data.recording.hdf5_text import Place, open_recording
+from gateway.data.recording.hdf5_text import Hdf5Group, open_recording
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import Recording
 from gateway.errors import InputError
@@ -136,7 +136,7 @@ def _config_axes(recording: Recording, name: str) -> tuple[Any, ...]:
     return tuple(axis for arm in recording.cell.arm if arm.name == name for axis in arm.axis)
 
 
-def _arm(place: Place, name: str, axes: int, label: str | None) -> ArmSamples:
+def _arm(place: Hdf5Group, name: str, axes: int, label: str | None) -> ArmSamples:
     groups = [
         _group(kind, int(number), place.inside(where).inside(number), axes)
         for where, kind in GROUPS.items()
@@ -151,7 +151,7 @@ def _arm(place: Place, name: str, axes: int, label: str | None) -> ArmSamples:
     return ArmSamples(name, axes, _joined(groups), about)
 
 
-def _group(kind: str, number: int, place: Place, axes: int) -> dict[str, Measurand]:
+def _group(kind: str, number: int, place: Hdf5Group, axes: int) -> dict[str, Measurand]:
     """Quantities of one visit or period: its datasets, and its attributes once a sample."""
     found: dict[str, Measurand] = {}
     for name in place.names():

@@ -1,7 +1,7 @@
 """Export of identified loads as URDF, JSON and in the syntax of robot controllers.
 
-Each format is a pure function from loads (SI, flange frame) to text. The inertia tensor, which only motion determines,
-is written as each controller takes it. Where it was not measured, the controller's own "point mass" or "zero" is written
+Each format is a pure function from loads (SI, flange frame) to text. The inertia tensor, determined by motion alone, is
+written as each controller takes it. Where it was not measured, the controller's own "point mass" or "zero" is written
 and the text says so. A quantity that the data could not identify is refused, never filled in.
 """
 

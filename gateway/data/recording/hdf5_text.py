@@ -37,7 +37,7 @@ _objects: Any = importlib.import_module("h5py.h5o")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Hdf5Group:
     """A group of an open file, with words for messages."""
 
     file: str
@@ -60,12 +60,12 @@ class Place:
         """Whether the group holds an object of that name."""
         return name in self.group
 
-    def inside(self, name: str) -> Place:
+    def inside(self, name: str) -> Hdf5Group:
         """A group below this one."""
         found = self._object(name)
         if not isinstance(found, h5py.Group):
             raise self.refuse(name, "is no group")
-        return Place(self.file, self.limit_bytes, found)
+        return Hdf5Group(self.file, self.limit_bytes, found)
 
     def array(self, name: str, columns: int | None, kinds: str) -> np.ndarray:
         """A dataset of shape (n,) or (n, columns) and of number kinds `kinds` ("iu", "f").
@@ -172,7 +172,7 @@ class Place:
 
 
 @contextmanager
-def open_recording(path: Path) -> Generator[Place]:
+def open_recording(path: Path) -> Generator[Hdf5Group]:
     """Open an HDF5 file for reading; whatever is wrong with it becomes `InputError`.
 
     Raises
@@ -183,7 +183,7 @@ def open_recording(path: Path) -> Generator[Place]:
     try:
         size = regular_size(path)
         with h5py.File(path, "r", locking=False) as file:
-            yield Place(str(path), size, file)
+            yield Hdf5Group(str(path), size, file)
     except InputError:
         raise
     except DAMAGE as error:

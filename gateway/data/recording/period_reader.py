@@ -7,14 +7,14 @@ from typing import Any, Final
 import numpy as np
 
 from gateway.data.period import KINDS, Period, harmonics_of, why_aliased
-from gateway.data.recording.hdf5_text import Place
+from gateway.data.recording.hdf5_text import Hdf5Group
 from gateway.data.recording.samples import finite, read_samples, require_length
 
 #: A period is a whole number of SYNCs to within this share of one SYNC.
 WHOLE: Final = 0.25
 
 
-def read_excitations(place: Place) -> dict[int, dict[str, Any]]:
+def read_excitations(place: Hdf5Group) -> dict[int, dict[str, Any]]:
     """By fingerprint, as plain values; empty where the arm was never moved to learn it.
 
     Raises
@@ -34,7 +34,7 @@ def read_excitations(place: Place) -> dict[int, dict[str, Any]]:
 
 
 def read_periods(
-    place: Place, axes: int, torque_unit_nm: np.ndarray | None, excitations: dict[int, dict[str, Any]]
+    place: Hdf5Group, axes: int, torque_unit_nm: np.ndarray | None, excitations: dict[int, dict[str, Any]]
 ) -> tuple[Period, ...]:
     """Periods of an arm in the order of measuring.
 
@@ -55,7 +55,7 @@ def read_periods(
 
 
 def _period(
-    place: Place, number: int, units: tuple[int, np.ndarray | None], excitations: dict[int, dict[str, Any]]
+    place: Hdf5Group, number: int, units: tuple[int, np.ndarray | None], excitations: dict[int, dict[str, Any]]
 ) -> Period:
     axes, torque_unit_nm = units
     arrays = read_samples(place, axes, torque_unit_nm)
@@ -83,14 +83,14 @@ def _period(
     return period
 
 
-def _require_labels(place: Place, period: Period, axes: int) -> None:
+def _require_labels(place: Hdf5Group, period: Period, axes: int) -> None:
     if period.kind not in KINDS or not 0 <= period.joint <= axes or period.period < 1:
         raise place.refuse("", "load, kind, joint or period is not what a period has")
     if not (0 < period.speed <= 1 and period.period_s > 0):
         raise place.refuse("@speed", "speed must be above 0 and at most 1, period_s above 0")
 
 
-def _require_whole(place: Place, period: Period, harmonics: int) -> None:
+def _require_whole(place: Hdf5Group, period: Period, harmonics: int) -> None:
     """A complete period holds each of its SYNCs, a whole number of them, enough for what was driven."""
     steps = np.diff(period.sync_index)
     if (steps != 1).any():

@@ -15,7 +15,7 @@ import numpy as np
 from drives.scaling import Constants
 from gateway.cell.config import ArmConfig, parse_cell
 from gateway.data.recording.binding import torque_units
-from gateway.data.recording.hdf5_text import Place, open_recording
+from gateway.data.recording.hdf5_text import Hdf5Group, open_recording
 from gateway.data.recording.period_reader import read_excitations, read_periods
 from gateway.data.recording.recorded import SIDES, ArmRecording, Recording, arm_config
 from gateway.data.recording.samples import read_samples
@@ -80,7 +80,7 @@ def read_unsealed(path: Path) -> Recording:
         )
 
 
-def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecording:
+def _arm(place: Hdf5Group, config: ArmConfig, profiles: dict[str, str]) -> ArmRecording:
     constants = tuple(_constants(place, item) for item in place.document("constants", list, []))
     axes = len(config.axis)
     if constants and len(constants) != axes:
@@ -103,7 +103,7 @@ def _arm(place: Place, config: ArmConfig, profiles: dict[str, str]) -> ArmRecord
     )
 
 
-def _constants(place: Place, item: Any) -> Constants:
+def _constants(place: Hdf5Group, item: Any) -> Constants:
     try:
         values = {name: None if value is None else float(value) for name, value in item.items()}
         return Constants(**values)  # type: ignore[arg-type]
@@ -111,7 +111,7 @@ def _constants(place: Place, item: Any) -> Constants:
         raise place.refuse("@constants", f"is damaged: {error}") from error
 
 
-def _poses(place: Place, axes: int) -> tuple[RestPose, ...]:
+def _poses(place: Hdf5Group, axes: int) -> tuple[RestPose, ...]:
     if not place.has("pose_q_rad"):
         return ()
     q_rad = place.array("pose_q_rad", axes, "f")
@@ -133,13 +133,13 @@ def _with_measured(asked: Sequence[RestPose], visits: Sequence[Visit]) -> tuple[
     return tuple(poses.values())
 
 
-def _number(visits: Place, name: str) -> int:
+def _number(visits: Hdf5Group, name: str) -> int:
     if not (name.isascii() and name.isdigit() and len(name) < 10):
         raise visits.refuse(name, "is no number of a visit")
     return int(name)
 
 
-def _visit(place: Place, number: int, axes: int, torque_unit_nm: np.ndarray | None) -> Visit:
+def _visit(place: Hdf5Group, number: int, axes: int, torque_unit_nm: np.ndarray | None) -> Visit:
     visit = Visit(
         number=number,
         load=place.label("load"),

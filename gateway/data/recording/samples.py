@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.data.recording.hdf5_text import Place
+from gateway.data.recording.hdf5_text import Hdf5Group
 from gateway.data.visit import NO_WORD
 
 #: Relative difference between a stored torque and the one that follows from its raw word.
 SAME_TORQUE = 1e-6
 
 
-def read_samples(place: Place, axes: int, torque_unit_nm: np.ndarray | None) -> dict[str, np.ndarray]:
+def read_samples(place: Hdf5Group, axes: int, torque_unit_nm: np.ndarray | None) -> dict[str, np.ndarray]:
     """Arrays by the names of the fields of `Visit` and `Period`.
 
     Parameters
     ----------
-    place : Place
+    place : Hdf5Group
         Group of the visit or period.
     axes : int
     torque_unit_nm : array of shape (N,) or None
@@ -60,7 +60,7 @@ def read_samples(place: Place, axes: int, torque_unit_nm: np.ndarray | None) -> 
     return arrays
 
 
-def finite(place: Place, name: str, columns: int | None) -> np.ndarray:
+def finite(place: Hdf5Group, name: str, columns: int | None) -> np.ndarray:
     """A dataset of finite floats; raises `InputError` where it is not."""
     values = place.array(name, columns, "f").astype(float)
     if not np.isfinite(values).all():
@@ -68,7 +68,7 @@ def finite(place: Place, name: str, columns: int | None) -> np.ndarray:
     return values
 
 
-def require_length(place: Place, arrays: dict[str, np.ndarray], n_samples: int) -> None:
+def require_length(place: Hdf5Group, arrays: dict[str, np.ndarray], n_samples: int) -> None:
     """Refuse arrays that are not one row per sample."""
     for name, values in arrays.items():
         if len(values) != n_samples:
