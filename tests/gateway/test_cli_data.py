@@ -310,7 +310,9 @@ def test_a_joint_beyond_the_data_is_refused_with_the_tip_to_type_and_fixed_with_
     seven, path = tmp_path / "seven.urdf", table()
     seven.write_text(text.replace("</robot>", more), encoding="utf-8")
     for command in ("estimate", "diagnose"):
-        complains(run(command, path, "--robot", seven), 3, "data are of 6 axes", "where j7 is no axis", "--tip link_6")
+        complains(
+            run(command, path, "--robot", seven), 3, "data are of 6 axes", "where j7 is not an axis", "--tip link_6"
+        )
     done = run("estimate", path, "--robot", seven, "--tip", "link_6", "--json", "-")
     assert done.exit_code == 0, done.output
     assert "seven.urdf: joints taken as fixed at zero: 'j7' (revolute)" in done.stderr
