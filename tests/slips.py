@@ -82,7 +82,7 @@ def at(row_number: int, column: str, value: str) -> Callable[[int, Row], Row]:
 CONTRADICT = r"load tool: refused: its rows contradict each other: "
 BEYOND = r"refused: \S+ kg is beyond 33\.75 kg"
 NEGATIVE = r"refused: the data ask for a mass of -"
-SMALL = r"t\.csv: the torques are [\d.]+ % of what the weight of the links needs: are they in kNm, or of the motors\?"
+SMALL = r"t\.csv: the torques are [\d.]+ % of what the weight of the links needs: are they in kNm, of the motors"
 REVERSED = "torque sign is reversed"
 #: Name, commands, exit code, what is said, table.
 TABLES: list[tuple[str, Sequence[str], int, str, Make]] = [
