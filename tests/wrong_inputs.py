@@ -477,7 +477,7 @@ KINDS: list[Kind] = [
         "motion: a plan of one's own",
         (*MOVING, "--plan", "p.json"),
         3,
-        (r"p\.json: has no sha256: .*write it with servo-gateway plan",),
+        (r"p\.json: has no sha256, .*write it with servo-gateway plan",),
         together(cell(), text('{"schema": 1, "kind": "moving_plan"}', "p.json")),
     ),
     Kind(
