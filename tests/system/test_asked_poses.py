@@ -77,7 +77,7 @@ def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway
         (("--pose", "0.1,0.2"), 2, "has 6 axes"),
         (("--pose", "0,30,0,0,30,0"), 2, "add --unit deg"),
         (("--pose", "a,b", "--unit", "deg"), 2, "joint angles in deg"),
-        (("--pose", "7"), 3, "--pose 7: there is no"),
+        (("--pose", "7"), 3, "does not exist yet, so it has no pose with this number"),
         (("--pose", "7", "--pose", POSE), 2, "give one of them"),
         (("--pose", POSE, "--next", asking(place)), 2, "give one of them"),
         (("--next", asking(place, cell="other")), 3, "was made on cell 'other', not on 'small'"),

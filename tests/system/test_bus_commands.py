@@ -41,7 +41,7 @@ def test_scan_and_check_of_a_healthy_cell(place, gateway, serve):
     [
         ("node_missing", "does not answer"),
         ("duplicate_node", "2 devices answer"),
-        ("rated_zero", "every torque"),
+        ("rated_zero", "all torques"),
         ("wrong_rated", "Nm at the joint"),
     ],
 )
@@ -71,7 +71,7 @@ def test_scan_names_a_node_whose_identity_cannot_be_read(gateway, monkeypatch):
     monkeypatch.setattr("drives.probe.scan", lambda bus, listen_s: found)
     done = gateway("scan", "--bus", "virtual:silent", "--json", "-")
     assert done.exit_code == 4
-    assert "identity of node 3 could not be read although it answered: node 3: no SDO answer" in done.stderr
+    assert "node 3 answers, but its identity cannot be read: node 3: no SDO answer" in done.stderr
     (node,) = json.loads(done.stdout)["nodes"]
     assert (node["node_id"], node["vendor_id"], node["unread"]) == (3, None, "node 3: no SDO answer within 300 ms")
 
@@ -126,7 +126,7 @@ def test_scan_and_check_beside_a_running_master_send_nothing(place, gateway, ser
             for words in (("scan", "--listen", 0.1), ("check", place.cell)):
                 done = gateway(*words, "--bus", drives.bus)
                 assert done.exit_code == 4, done.output
-                assert "another master is at work" in done.stderr
+                assert "another master is active" in done.stderr
                 assert "nothing was sent" in done.stderr
             beating.stop()
             heard = set()

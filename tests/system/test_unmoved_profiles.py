@@ -47,5 +47,5 @@ def test_scan_and_check_read_such_a_drive(name, place, serve, gateway):
     assert all(each["advice"] for each in refused)
     # the drive itself says so as well, where it is that it lacks something
     said = " ".join(each["what"] for each in findings if each["severity"] == "fail" and each not in refused)
-    lacking = ("no cyclic synchronous position mode", "the drive would not notice that the master is gone")
+    lacking = ("no cyclic synchronous position mode", "the drive does not detect loss of the master")
     assert [words in said for words in lacking] == [name == "pilz-prbt"] * 2

@@ -49,8 +49,8 @@ def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway
         ("load", ("--until", "mass=1"), 3, "lacks its unit"),
         ("load", ("--until", "mass=1%"), 3, "holds no visit of the bare arm"),
         ("none", ("--until", "mass=1%"), 3, "is the bare arm"),
-        ("load", ("--until", "mass=1%", "--pose", "0,0,0,0,0,0"), 2, "leave out --pose and --next"),
-        ("load", ("--bare", "r.json"), 2, "they need --until"),
+        ("load", ("--until", "mass=1%", "--pose", "0,0,0,0,0,0"), 2, "omit --pose and --next"),
+        ("load", ("--bare", "r.json"), 2, "give --until as well"),
         ("load", ("--until", "mass=1%", "--bare", place.folder / "none.json"), 3, "none.json"),
     ):
         done = record(gateway, place, "virtual:nobody", load, *more)

@@ -208,7 +208,7 @@ def test_the_cell_names_the_last_link_of_its_arm(cell, tmp_path):
     (tmp_path / "robot.urdf").write_text(text, encoding="utf-8")
     (tmp_path / "cell.toml").write_text(as_toml(cell))
     loaded = load_cell(tmp_path / "cell.toml")
-    with pytest.raises(ConfigError, match=r'has 7 axes.*where j7 is no axis.*tip = "link_6"'):
+    with pytest.raises(ConfigError, match=r'has 7 axes.*where j7 is not an axis.*tip = "link_6"'):
         arm_robot(loaded, loaded.cell.arm[0])
     cell["arm"][0]["tip"] = "link_6"
     (tmp_path / "cell.toml").write_text(as_toml(cell))

@@ -133,7 +133,7 @@ def test_rates_without_a_limit_follow_from_the_speed_limit():
 
 
 def test_box_corners_must_be_in_order():
-    with pytest.raises(ValueError, match="must lie below"):
+    with pytest.raises(ValueError, match="must be below"):
         KeepOut(min_m=(0, 0, 0), max_m=(1, 0, 1))
 
 
