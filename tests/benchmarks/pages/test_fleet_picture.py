@@ -55,7 +55,7 @@ def test_the_page_of_a_fleet_is_whole_and_its_picture_is_taken(
 ) -> None:
     drawn = drawn_on(window, pages["fleet"], tmp_path / "fleet.html")
     assert "drift of the gain [% a year]" in drawn
-    assert "robot, by its place in the list" in drawn
+    assert "robot, by position in the list" in drawn
     assert set(window.run(STATES)) == {"visit", "not seen", "cannot tell", "healthy"}
     window.picture(pictures / "fleet.png")
     taken, shown = size_px(pictures / "fleet.png"), size_px(PICTURES / "fleet.png")

@@ -37,7 +37,7 @@ def test_scan_and_check(place, drives, failed):
     report = place.result("check", place.cell)
     assert failed(report) == []
     said = {line["where"]: line["what"] for line in report["findings"]}
-    assert said["J2 node 2:6064:00 (position)"].startswith("stands at -0.200 rad")
+    assert said["J2 node 2:6064:00 (position)"].startswith("is at -0.200 rad")
     assert said["J6 node 6:6076:00 (rated_torque)"] == "0.25 Nm is 1000 per mille"
 
 
