@@ -93,7 +93,13 @@ def spread_of_loads(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Kno
             ]
         ).reshape(-1, 4, 4)
         out[source] = out.get(source, 0.0) + share * more
-    return out
+    return {source: _widening(more) for source, more in out.items()}
+
+
+def _widening(covariance: Floats) -> Floats:
+    """The part of a difference of covariances (k, 4, 4) that widens: an alternative never narrows the answer."""
+    size, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.maximum(size, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
 def _zero_columns(problem: RestProblem, fit: Fit) -> Floats:

@@ -16,6 +16,8 @@ Floats = NDArray[np.float64]
 
 #: Relative size of a direction that neither rows nor priors determine: it counts the same in every alternative.
 _SINGULAR: Final = 1e-14
+#: Relative size up to which a direction counts as one of these: it has no part in the step and the covariance.
+_OPEN: Final = 1e-12
 #: Steps in which the noise of an alternative settles.
 _NOISE_STEPS: Final = 3
 
@@ -99,8 +101,9 @@ class LinearisedFit:
             scale = np.sqrt(np.diag(matrix))
             scale[scale <= NOTHING * scale.max()] = 1.0
             size, vectors = np.linalg.eigh(matrix / np.outer(scale, scale))
+            determined = vectors[:, size > _OPEN] / np.sqrt(size[size > _OPEN])
+            inverse = determined @ determined.T / np.outer(scale, scale)
             size = np.maximum(size, _SINGULAR)
-            inverse = (vectors / size) @ vectors.T / np.outer(scale, scale)
             step = inverse @ (weight @ right + precision @ np.where(held, pull, 0.0) + rows.T @ known)
             left = self.square - 2.0 * right @ step + np.einsum("i,gij,j->g", step, gram, step)
             taken = np.einsum("gij,ij->g", gram, inverse) * weight

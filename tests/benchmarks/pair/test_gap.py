@@ -87,7 +87,7 @@ def test_a_missing_frame_is_no_value_and_never_the_old_one() -> None:
     assert 1 <= without.sum() <= 2
     assert not np.isnan(done.gaps_m[~without]).any()
     assert not done.summary.learned
-    assert "no gap could be told" in done.summary.reason
+    assert "no gap could be determined" in done.summary.reason
     assert statistics.incomplete == (0, 0)
 
 

@@ -161,7 +161,7 @@ def test_an_arm_that_stands_elsewhere_is_refused() -> None:
 
 @pytest.mark.slow
 def test_teaching_goes_on_where_it_ended() -> None:
-    rule = TeachRule(force_n=40.0, moment_nm=10.0, sweep_s=0.2, way_m_s=0.6)
+    rule = TeachRule(force_n=40.0, moment_nm=10.0, sweep_s=0.2, path_speed_m_s=0.6)
     with pair_rig(0) as rig:
         indices = rig.cell.path(1.0).uniform(2)
         lesson, saved = TaughtPath("path", "cell"), []
