@@ -63,7 +63,7 @@ def estimate_moving(
         loads=loads,
         rows=estimate.rows if rest is None else rest_rows(rest.problem, rest.fit),
         set_aside=periods.set_aside,
-        findings=(*periods.findings, *estimate.findings),
+        findings=(*found.findings, *periods.findings, *estimate.findings),
     )
 
 

@@ -119,7 +119,7 @@ def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Kn
         # constants and links contradict each other, and the rows do not tell which are wrong: the arm is measured, so
         # the links are the statement that is not needed
         return replace(knowledge, inertials="ignore")
-    return _dropped(knowledge, found)
+    return dropped(knowledge, found)
 
 
 def _unloaded(problem: RestProblem, knowledge: Knowledge) -> bool:
@@ -140,7 +140,7 @@ def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, 
     return knowledge, (Finding("info", weightless, what, advice, "link_mass_missing"),) if weightless else ()
 
 
-def _dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
+def dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
     """The wider knowledge, without links that need more than three times their stated spread."""
     trust, needed = parse_inertials(stated.inertials), parse_inertials(wider.inertials)
     if needed > CONFLICT.dropped * max(trust, LINK_SPREADS[0]):
@@ -179,14 +179,23 @@ def _links_contradicted(
     measured, std = at @ fit.links, np.sqrt(np.maximum(np.einsum("ai,ij,aj->a", at, covariance, at), 1e-12))
     away = np.where(problem.use_sum.any(axis=0), np.abs(measured - at @ mean) / std, 0.0)
     axis = int(np.argmax(away))
-    trust = parse_inertials(settled.inertials)
+    where = f"at pose {int(problem.rows.pose[visit[axis]])}"
+    return float(away[axis]), links_finding(
+        axis, (float(at[axis] @ mean), float(measured[axis]), float(std[axis])), where, settled.inertials
+    )
+
+
+def links_finding(axis: int, torque_nm: tuple[float, float, float], where: str, inertials: str) -> Finding:
+    """Report link masses that are contradicted, by the torque of an axis: expected, measured, standard deviation."""
+    expected, measured, std = torque_nm
+    trust = parse_inertials(inertials)
     use = "they are not used" if np.isinf(trust) else f"they are trusted to {100 * trust:.0f} %"
-    return float(away[axis]), Finding(
+    return Finding(
         "warn",
         f"J{axis + 1}",
         f"the link masses of the robot model are contradicted by the measurement: the unloaded arm would need"
-        f" {at[axis] @ mean:.4g} Nm at pose {int(problem.rows.pose[visit[axis]])}, and the measurement gives"
-        f" {measured[axis]:.4g} \N{PLUS-MINUS SIGN} {1.96 * std[axis]:.2g} Nm (95 %); {use}",
+        f" {expected:.4g} Nm {where}, and the measurement gives"
+        f" {measured:.4g} \N{PLUS-MINUS SIGN} {1.96 * std:.2g} Nm (95 %); {use}",
         "check the masses of the robot model against the data sheet, or state --inertials ignore; if they are right, an"
         " effect is missing: run `servo-gateway diagnose`",
         "link_masses",

@@ -21,7 +21,7 @@ from gateway.identify.motion.loads import loads_of, nuisances
 from gateway.identify.rest.problem import Knowledge
 from gateway.model.robot import Robot
 from gateway.model.term import Term
-from gateway.result.result import LoadResult, NuisanceResult
+from gateway.result.result import Finding, LoadResult, NuisanceResult
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +32,7 @@ class MovingAnswer:
 
     loads: tuple[LoadResult, ...]
     nuisance: Mapping[str, NuisanceResult]
+    findings: tuple[Finding, ...] = ()
 
 
 def answer_of(table: Table, robot: Robot, knowledge: Knowledge, terms: Sequence[Term], delay_s: Floats) -> MovingAnswer:
@@ -53,4 +54,4 @@ def answer_of(table: Table, robot: Robot, knowledge: Knowledge, terms: Sequence[
         labels = unknown_labels(moving.load, knowledge.known)
         return MovingAnswer(tuple(load_result(refused_load(label, str(error)), robot) for label in labels), {})
     usual = {} if found.fit is None else nuisances(found.fit)
-    return MovingAnswer(tuple(load_result(load, robot) for load in loads_of(found, robot)), usual)
+    return MovingAnswer(tuple(load_result(load, robot) for load in loads_of(found, robot)), usual, found.findings)

@@ -82,6 +82,7 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
         rejected=_rejected(outcome),
         next=(*(tell_apart(item) for item in doubtful), *richer(outcome, bool(effects))),
         findings=(
+            *answer.findings,
             *faults(() if undecided else effects),
             *remarks(outcome),
             *edge_findings(effects),
@@ -111,7 +112,10 @@ def too_little(problem: MovingProblem, state: MovingState, answer: MovingAnswer)
         friction_band_nm=unknown,
         holdout_kind="blocks",
         next=(step,),
-        findings=(Finding("warn", "data", f"{what} are too few to hold any out", "record a longer run"),),
+        findings=(
+            *answer.findings,
+            Finding("warn", "data", f"{what} are too few to hold any out", "record a longer run"),
+        ),
     )
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
+from gateway.identify.conflict import without_placeholder
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.loads import BARE_LABEL
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
@@ -25,12 +26,14 @@ from gateway.identify.motion.periods import Periods, averaged
 from gateway.identify.motion.prior import alike, gains_prior, held_to_friction, losses_seen
 from gateway.identify.motion.problem import MotionProblem, Still, about, solved
 from gateway.identify.motion.rest_rows import FittedRest, columns_beside
+from gateway.identify.motion.statements import NEARLY_EXACT, contradicted_links, contradiction
 from gateway.identify.motion.stretches import Stretches
 from gateway.identify.nuisance import BIAS_SHARE, gain_stds
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Solution, determined
 from gateway.model.motion import at_links, turns
 from gateway.model.robot import Robot
+from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -75,11 +78,15 @@ class MotionFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedMotion:
-    """The rows that were fitted, their fit, and the loads that were refused; no fit where all were."""
+    """The rows that were fitted, their fit, and the loads that were refused; no fit where all were.
+
+    `findings`: statements that the rows contradict.
+    """
 
     periods: Periods
     fit: MotionFit | None
     refused: tuple[LoadEstimate, ...]
+    findings: tuple[Finding, ...] = ()
 
 
 def fit_motion(
@@ -121,7 +128,38 @@ def fit_motion(
         return FittedMotion(sound, None, refused)
     if refused:
         knowledge = knowledge.of_loads(sound.mean.load)
-    return FittedMotion(sound, _fit(sound, robot, knowledge, setup, (rest, effects)), refused)
+    trusted, placeholder = without_placeholder(robot, knowledge)
+    fit, conflicts = _tested(sound, robot, trusted, setup, (rest, effects))
+    return FittedMotion(sound, fit, refused, (*placeholder, *conflicts))
+
+
+def _tested(
+    periods: Periods,
+    robot: Robot,
+    knowledge: Knowledge,
+    setup: MovingSetup,
+    beside: tuple[FittedRest | None, Effects | None],
+) -> tuple[MotionFit, tuple[Finding, ...]]:
+    """Fit, and fit again with the link masses trusted less where the rows contradict them.
+
+    Beside rest visits they are those that the visits left. Without what every arm has the rows contradict any robot
+    model: such a fit reproduces that of another program, and is not tested.
+    """
+    stated = fit = _fit(periods, robot, knowledge, setup, beside)
+    if beside[0] is not None or not setup.ordinary:
+        return fit, ()
+    if knowledge.inertials == "exact":
+        knowledge = replace(knowledge, inertials=NEARLY_EXACT)
+        stated = _fit(periods, robot, knowledge, setup, beside)
+    bare = np.asarray(periods.mean.load) == BARE_LABEL
+    wider = contradicted_links(stated.columns, stated.settled.solution, knowledge, bool(bare.any()))
+    if wider is None:
+        return fit, ()
+    other = _fit(periods, robot, wider, setup, beside)
+    rows = (bare | ~bare.any())[:, None] & other.problem.used
+    found = (other.columns, other.value, other.spread.covariance)
+    conflict = contradiction(stated.columns, found, rows, wider.inertials)
+    return (fit, ()) if conflict is None else (other, (conflict,))
 
 
 def _fit(

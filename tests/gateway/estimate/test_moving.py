@@ -207,3 +207,16 @@ def test_all_ten_parameters_of_a_load_come_back_without_noise(arm, table_of):
     np.testing.assert_allclose(load.inertia_kg_m2, INERTIA, atol=2e-3)
     assert load.unidentifiable == ()
     assert all(std < 0.01 for std in load.inertia_std_kg_m2)
+
+
+@pytest.mark.parametrize("inertials", ["prior:0.05", "exact"])
+@pytest.mark.parametrize(("factor", "warned"), [(1.0, False), (0.8, True), (3.0, True)])
+def test_link_masses_that_a_motion_contradicts_are_named_and_not_used(arm, table_of, inertials, factor, warned):
+    table = concatenate(
+        [moving_table(arm, table_of, noise=3.0), moving_table(arm, table_of, "tool", TOOL, seed=1, noise=3.0)]
+    )
+    robot = replace(arm.robot, mass_kg=factor * arm.robot.mass_kg, inertia_kg_m2=factor * arm.robot.inertia_kg_m2)
+    found = estimate(table, robot, EstimateOptions(inertials=inertials))
+    conflicts = [finding for finding in found.findings if finding.check == "link_masses"]
+    assert [finding.severity for finding in conflicts] == ["warn"] * warned
+    assert abs(found.loads[0].mass_kg - TOOL[0]) < 3 * found.loads[0].mass_std_kg
