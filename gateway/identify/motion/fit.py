@@ -53,7 +53,7 @@ _FINEST = 1e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionFit:
-    """A settled problem and how sure it is."""
+    """A settled problem and its uncertainty."""
 
     problem: MotionProblem
     settled: Settled
@@ -142,8 +142,8 @@ def _tested(
 ) -> tuple[MotionFit, tuple[Finding, ...]]:
     """Fit, and fit again with the link masses trusted less where the rows contradict them.
 
-    Beside rest visits they are those that the visits left. Without what every arm has the rows contradict any robot
-    model: such a fit reproduces that of another program, and is not tested.
+    Beside rest visits the masses are those that the visits support. A fit without nuisance parameters reproduces that
+    of another program; any robot model contradicts its rows, and none is tested.
     """
     stated = fit = _fit(periods, robot, knowledge, setup, beside)
     if beside[0] is not None or not setup.ordinary:

@@ -29,8 +29,8 @@ def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledg
 
     They are dropped only where the arm was measured `unloaded`: else load and last link could not be separated.
 
-    The marginal likelihood of another prior over that of the stated one is the mean of the ratio of both densities over
-    the posterior of the fit: Gaussian, and so in closed form.
+    Another prior has a marginal likelihood over that of the stated one. It is the mean of the ratio of both densities
+    over the posterior of the fit, Gaussian and so in closed form.
     """
     links = columns.links
     rows = columns.prior.rows[:, links]
