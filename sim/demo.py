@@ -25,7 +25,7 @@ from sim.serve import command, free_bus, wait_until_ready
 from sim.simulation import ServeOptions
 
 EXAMPLE = Path(__file__).parent / "example"
-LOAD_PROMPT = re.compile(r"LOAD_PROMPT LOAD (\S+)")
+LOAD_PROMPT = re.compile(r"HANG LOAD (\S+)")
 FAILED_FINDING = 7
 #: Both programs wait for each other instead of the clock: the whole job in a fraction of its time.
 PACING = "lockstep"
