@@ -70,6 +70,8 @@ EXCEPTIONS: Final[Mapping[tuple[str, str], str]] = {
     ("tests/support/vocabulary.py", "*"): "the list of words itself",
     ("tests/benchmarks/test_language.py", "*"): "examples of the words",
     ("gateway/commands/guided.py", "hang"): "line on standard output that scripts wait for",
+    ("sim/demo.py", "hang"): "the same line, waited for",
+    ("tests/sim/test_demo.py", "hang"): "the same line, waited for",
     ("CONTRIBUTING.md", "*"): "shows the words and their replacements",
 }
 #: Words that codespell takes for slips: names, identifiers and terms of the field, other languages.
