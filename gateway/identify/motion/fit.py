@@ -142,11 +142,11 @@ def _tested(
 ) -> tuple[MotionFit, tuple[Finding, ...]]:
     """Fit, and fit again with the link masses trusted less where the rows contradict them.
 
-    Beside rest visits the masses are those that the visits support. A fit without nuisance parameters reproduces that
-    of another program; any robot model contradicts its rows, and none is tested.
+    A fit without nuisance parameters reproduces that of another program; any robot model contradicts its rows, and none
+    is tested.
     """
     stated = fit = _fit(periods, robot, knowledge, setup, beside)
-    if beside[0] is not None or not setup.ordinary:
+    if not setup.ordinary:
         return fit, ()
     if knowledge.inertials == "exact":
         knowledge = replace(knowledge, inertials=NEARLY_EXACT)

@@ -209,12 +209,21 @@ def test_all_ten_parameters_of_a_load_come_back_without_noise(arm, table_of):
     assert all(std < 0.01 for std in load.inertia_std_kg_m2)
 
 
+@pytest.fixture(scope="module", params=["alone", "beside rest visits"])
+def run_and_loaded_run(request, arm, poses, measured, table_of):
+    """A moving run of the unloaded arm and one with a load, alone or with rest visits of both."""
+    table = [moving_table(arm, table_of, noise=3.0), moving_table(arm, table_of, "tool", TOOL, seed=1, noise=3.0)]
+    if request.param == "beside rest visits":
+        table.append(measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(2), left=0.05))
+    return concatenate(table)
+
+
 @pytest.mark.parametrize("inertials", ["prior:0.05", "exact"])
 @pytest.mark.parametrize(("factor", "warned"), [(1.0, False), (0.8, True), (3.0, True)])
-def test_link_masses_that_a_motion_contradicts_are_named_and_not_used(arm, table_of, inertials, factor, warned):
-    table = concatenate(
-        [moving_table(arm, table_of, noise=3.0), moving_table(arm, table_of, "tool", TOOL, seed=1, noise=3.0)]
-    )
+def test_link_masses_that_a_motion_contradicts_are_named_and_not_used(
+    arm, run_and_loaded_run, inertials, factor, warned
+):
+    table = run_and_loaded_run
     robot = replace(arm.robot, mass_kg=factor * arm.robot.mass_kg, inertia_kg_m2=factor * arm.robot.inertia_kg_m2)
     found = estimate(table, robot, EstimateOptions(inertials=inertials))
     conflicts = [finding for finding in found.findings if finding.check == "link_masses"]
