@@ -16,7 +16,7 @@ from gateway.cell.provenance import provenance
 from gateway.data.reading import is_recording
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
-from gateway.identify.load_estimate import load_result, refused_load
+from gateway.identify.load_estimate import load_result, refused_findings, refused_load
 from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result.acceptance import not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
@@ -102,8 +102,7 @@ def _without_incredible(result: Result, about: Given) -> Result:
     if not refused:
         return result
     advice = "check the units of data and --known (kg, m, Nm, rad), and rated_load_kg of the cell file"
-    findings = [Finding("fail", f"load {load.label}", f"refused: {load.refused}", advice) for load in refused]
-    findings = (*result.findings, *findings)
+    findings = (*result.findings, *refused_findings(refused, advice))
     return replace(result, loads=loads, after=replace(result.after, loads=loads), findings=findings)
 
 

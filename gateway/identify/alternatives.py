@@ -39,12 +39,15 @@ _CABLES: Final = (0.01, 0.04)
 _PRIOR_ODDS: Final = 0.1
 
 
+def wider_links(inertials: str) -> list[float]:
+    """Relative standard deviations of link masses that are tried beside the stated one."""
+    return [wider for wider in LINK_SPREADS if wider > 1.5 * parse_inertials(inertials)]
+
+
 def wider_statements(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
     """The knowledge with one group of statements trusted less."""
-    trust = parse_inertials(knowledge.inertials)
-    for wider in LINK_SPREADS:
-        if 1.5 * trust < wider < np.inf:
-            yield replace(knowledge, inertials=f"prior:{wider:g}")
+    for wider in wider_links(knowledge.inertials):
+        yield replace(knowledge, inertials=f"prior:{wider:g}")
     std = gain_stds(knowledge.gain_std, robot.axes)
     for wider in _GAINS:
         if wider > 1.5 * float(np.median(std)):

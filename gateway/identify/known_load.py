@@ -20,14 +20,13 @@ from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import EXACT, Knowledge, build_problem
 from gateway.model.robot import Robot, reach_m
 from gateway.result.finding import Finding
+from gateway.result.interval import PLUS_MINUS, TWO_SIDED_95
 
 Floats = NDArray[np.float64]
 
 #: Standard deviation of a mass that was stated wrongly, over the stated mass, and of its centre over the arm's reach.
 _WRONG_MASS: Final = 0.5
 _WRONG_CENTRE: Final = 0.1
-#: Half width of a 95 % interval in standard deviations.
-_HALF_WIDTH: Final = 1.96
 
 
 def least_supported(
@@ -79,17 +78,16 @@ def load_contradicted(
     away = np.abs(found - np.array([mass_kg, *centre, *found[1 + len(centre) :]])) / std
     longest_m = reach_m(robot)
     by_mass = bool(away[0] >= away[1:].max()) or not (std[1:] < longest_m).all()
-    plus_minus = "\N{PLUS-MINUS SIGN}"
     if by_mass:
-        half = _HALF_WIDTH * std[0]
+        half = TWO_SIDED_95 * std[0]
         what = f"mass of {mass_kg:.4g} kg is contradicted by the measurement, which gives {found[0]:.4g}"
-        what += f" {plus_minus} {half:.2g} kg (95 %) by the torque constants as stated"
+        what += f" {PLUS_MINUS} {half:.2g} kg (95 %) by the torque constants as stated"
         advice = "weigh the load, check its unit (kg) and which load was mounted; if the mass is right, the torque"
         advice += f" constants of all axes are wrong by a factor of {mass_kg / found[0]:.3g} (rms or peak value)"
     else:
-        each = [", ".join(f"{1e3 * x:.0f}" for x in values) for values in (centre, found[1:], _HALF_WIDTH * std[1:])]
+        each = [", ".join(f"{1e3 * x:.0f}" for x in values) for values in (centre, found[1:], TWO_SIDED_95 * std[1:])]
         what = f"centre of gravity ({each[0]}) mm is contradicted by the measurement, which gives ({each[1]})"
-        what += f" {plus_minus} ({each[2]}) mm (95 %)"
+        what += f" {PLUS_MINUS} ({each[2]}) mm (95 %)"
         advice = "check the frame of the centre (last link or flange), its unit, and which load was mounted"
     what = f"the stated {what}; the statement is not used"
     return float(away.max()), Finding("warn", f"load {label}", what, advice, "known_load")

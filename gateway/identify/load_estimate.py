@@ -74,9 +74,10 @@ def refused_load(label: str, reason: str, per_pose_mass_kg: Mapping[str, float] 
     return replace(unknown_load(label), per_pose_mass_kg=dict(per_pose_mass_kg or {}), refused=reason)
 
 
-def refused_findings(loads: Iterable[LoadEstimate | LoadResult]) -> list[Finding]:
+def refused_findings(
+    loads: Iterable[LoadEstimate | LoadResult], advice: str = "check units, signs and labels of its rows"
+) -> list[Finding]:
     """Return a failing finding for each load that was refused."""
-    advice = "check units, signs and labels of its rows"
     return [
         Finding("fail", f"load {load.label}", f"refused: {load.refused}", advice, REFUSED)
         for load in loads

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.alternatives import LINK_SCALE, LINK_SPREADS
+from gateway.identify.alternatives import LINK_SCALE, wider_links
 from gateway.identify.conflict import dropped, links_finding
 from gateway.identify.links import parse_inertials
 from gateway.identify.motion.columns import Columns
@@ -49,12 +49,11 @@ def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledg
         return log_density - 0.5 * (float(np.linalg.slogdet(mixed)[1]) + pull)
 
     trust, best, found = parse_inertials(knowledge.inertials), CONFLICT.log_odds, None
-    for wider in LINK_SPREADS:
-        if wider > 1.5 * trust:
-            ratio = trust / wider
-            value = odds((ratio**2 - 1.0) * precision, len(step) * float(np.log(ratio)))
-            if value > best:
-                best, found = value, replace(knowledge, inertials=f"prior:{wider:g}")
+    for wider in wider_links(knowledge.inertials):
+        ratio = trust / wider
+        value = odds((ratio**2 - 1.0) * precision, len(step) * float(np.log(ratio)))
+        if value > best:
+            best, found = value, replace(knowledge, inertials=f"prior:{wider:g}")
     tied = precision @ mean
     size = LINK_SCALE**2 * float(mean @ tied)
     if odds(-np.outer(tied, tied) * LINK_SCALE**2 / (1.0 + size), -0.5 * float(np.log1p(size))) > best:
