@@ -239,16 +239,42 @@ def spelling() -> int:
     return subprocess.run([*command, *options], cwd=ROOT, check=False).returncode
 
 
+def _joined(node: ast.AST) -> str | None:
+    """Return the text of a string expression, with each value in braces as it is written; None for other nodes."""
+    match node:
+        case ast.Constant(value=str(text)):
+            return text
+        case ast.JoinedStr(values=values):
+            return "".join(_joined(each) or ast.unparse(each) for each in values)
+        case ast.BinOp(left=left, op=ast.Add(), right=right):
+            texts = [_joined(left), _joined(right)]
+            return None if texts == [None, None] else "".join(text or "{...}" for text in texts)
+        case _:
+            return None
+
+
+def _messages(node: ast.AST) -> Iterator[tuple[str, int]]:
+    """Yield each message (more than four words) whole, with its line: the parts of an f-string or of a sum are one."""
+    if _is_docstring(node):
+        return
+    text = _joined(node)
+    if text is None:
+        for child in ast.iter_child_nodes(node):
+            yield from _messages(child)
+    elif len(_KEY.findall(text)) > 4:
+        yield text, getattr(node, "lineno", 0)
+
+
 def sample(seed: int) -> tuple[list[str], list[str]]:
-    """Draw docstrings and messages (strings with a space of `gateway`, `drives`, `sim`) at random."""
+    """Draw docstrings and whole messages of `gateway`, `drives` and `sim` at random."""
     docstrings: list[str] = []
     messages: list[str] = []
     for path in files():
         if not path.endswith(".py") or path.split("/")[0] not in CODE[:3]:
             continue
-        texts = read_python((ROOT / path).read_text(encoding="utf-8"))
-        docstrings += [f"{path}:{line}: {text}" for text, line in texts.docstrings]
-        messages += [f"{path}:{line}: {text}" for text, line in texts.strings if len(_KEY.findall(text)) > 4]
+        source = (ROOT / path).read_text(encoding="utf-8")
+        docstrings += [f"{path}:{line}: {text}" for text, line in read_python(source).docstrings]
+        messages += [f"{path}:{line}: {text}" for text, line in _messages(ast.parse(source))]
     draw = random.Random(seed)
     return draw.sample(docstrings, SAMPLES), draw.sample(messages, SAMPLES)
 
