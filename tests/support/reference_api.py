@@ -17,22 +17,23 @@ EXPLAINED_ELSEWHERE = {
 STABILITY = """\
 ## What is stable
 
-Public are the names on this page with their arguments, the commands and their exit codes, and the keys of the files
-([result](result.md), [recording](recording.md), [measured table](measured-table.md), [cell](cell-file.md)). Everything
-else may change in any version, also where its name does not begin with an underscore.
+The public interface consists of the names on this page with their arguments, the commands and their exit codes.
+The keys of the files are public too ([result](result.md), [recording](recording.md),
+[measured table](measured-table.md), [cell](cell-file.md)). Everything else may change in any version, also names
+without a leading underscore.
 
-- Versions are MAJOR.MINOR.PATCH. Before 1.0 a minor version may remove what is public, after a deprecation.
-- What goes is deprecated for one minor version first: it works, warns (`DeprecationWarning` in Python, a line on stderr
-  from a command) and names its successor; the change log says so.
-- Names, arguments with a default, keys and columns may be added at any time: a program that reads JSON has to ignore
-  keys that it does not know.
-- Numbers are not frozen: a better estimator changes them, and [measured](../measured.md) says by how much.
+- Versions are MAJOR.MINOR.PATCH. Before 1.0 a minor version may remove public names, after a deprecation.
+- A name is deprecated for one minor version before it is removed. It works, warns (`DeprecationWarning` in Python, a
+  line on stderr from a command) and names its successor. The change log lists it.
+- Names, arguments with a default, keys and columns may be added at any time: a program that reads JSON must ignore
+  unknown keys.
+- Numbers are not frozen: a better estimator changes them, and [measured](../measured.md) states by how much.
 - Files of an older version are read; the schema number of a file rises when a key changes its meaning.
 """
 
 
 def api_page() -> str:
-    """Every public name with its signature and docstring."""
+    """Return the page: every public name with its signature and docstring."""
     lines = ["# Python interface", "", *_paragraphs(inspect.getdoc(api) or "")]
     lines += ["`examples/python/load_and_effect.py` is a whole program: a table in, load, effect and page out.", ""]
     for name in api.__all__:

@@ -41,23 +41,23 @@ ARITHMETIC: Final = {
 
 
 def drives_page() -> str:
-    """Every packaged profile: what it is for, how its torque is worked out, what that rests upon, and what is moved."""
+    """Return the page of packaged profiles: drive, conversion of the torque word, source, and whether it is moved."""
     profiles = [load_profile(name) for name in list_profiles()]
     lines = [
         "# Drives of the package",
         "",
-        "What each profile makes of the drive's torque word, and what that rests upon: the `standard`, the maker's",
-        "`manual`, a trial on the drive (`measured`), public `code` that runs it, or nothing (`assumed`). No profile",
-        "was tried on a real drive yet; what is verified and what is not stands in its comments",
+        "The conversion of the torque word in each profile, and its source. Sources are the `standard`, the",
+        "manufacturer's `manual`, a trial on the drive (`measured`), public `code` for it, or none (`assumed`). No",
+        "profile was tried on a real drive yet; its comments list the verified facts",
         "(`servo-gateway profiles show NAME`). Another drive: [drive models](../how-to/drive-profiles.md).",
         "",
-        "| profile | drive | torque | rests upon | moved |",
+        "| profile | drive | torque | source | moved |",
         "|---|---|---|---|---|",
         *(_drive_row(profile) for profile in profiles),
         "",
         "## Read and not moved",
         "",
-        "`scan` and `check` read these; whatever moves an arm refuses them with the reason (exit 3).",
+        "`scan` and `check` read these; every command that moves refuses them with the reason (exit 3).",
         "",
     ]
     for profile in profiles:

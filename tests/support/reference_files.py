@@ -1,4 +1,4 @@
-"""Pages of the reference about what the program reads, leaves and answers: table, recording, exit codes."""
+"""Reference pages generated from the code: measured table, recording, exit codes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _paragraph(text: str) -> str:
 
 
 def table_page() -> str:
-    """Columns of the measured table."""
+    """Return the page on the columns of the measured table."""
     lines = [
         "# Measured table (CSV)",
         "",
@@ -40,15 +40,15 @@ def table_page() -> str:
         "| `x_...` | | no | no | anything else, such as the lever column of `--method coefficient` |",
         "",
         _paragraph(
-            f"N is the number of axes, {FEWEST_AXES} to {MOST_AXES}: the highest number that a column names is how many"
-            " the table is of, and a table of another number than the robot's is refused, with both. A cell of two arms"
-            " needs `--arm`: motor torques and currents are converted with the constants of that arm."
+            f"N is the number of axes, {FEWEST_AXES} to {MOST_AXES}: the highest number in a column name. A table"
+            " with another number of axes than the robot is refused. A cell of two arms needs `--arm`: motor torques"
+            " and currents are converted with the constants of that arm."
         ),
         "",
         _paragraph(
-            "Axes without a column of torque or current were not measured. Any other column is refused by name. A cell"
-            " that is empty where a value is needed or is not a finite number, an angle that can only be degrees, and a"
-            " row that stands twice with different values are refused with file and line. Nothing is ever filled in."
+            "Axes without a column of torque or current were not measured. Any other column is refused by name."
+            " Refused with file and line: a required cell that is empty or not a finite number, an angle that can"
+            " only be degrees, and a repeated row with different values. Nothing is ever filled in."
         ),
     ]
     return "\n".join(lines) + "\n"
@@ -68,7 +68,7 @@ def _blank(column: Column) -> str:
 
 
 def exit_codes_page() -> str:
-    """What each exit code means, and which errors end with it."""
+    """Return the page of exit codes: the meaning of each, and the errors that end with it."""
     lines = ["# Exit codes", "", "| exit code | when | errors |", "|---|---|---|"]
     errors = {code: [] for code in EXIT_CODES} | _errors()
     lines += [
@@ -79,8 +79,8 @@ def exit_codes_page() -> str:
         "",
         _paragraph(
             "Errors are one paragraph on stderr: what, where (file and line, or node and object), what to do. A file"
-            " with several problems gets a line for each, ten at most. Results that `--json -` writes go to stdout and"
-            " are not mixed with messages."
+            " with several problems gets a line for each, ten at most. Results that `--json -` writes go to stdout"
+            " and are not mixed with messages."
         ),
     ]
     return "\n".join(lines) + "\n"
@@ -99,68 +99,69 @@ def _errors() -> dict[int, list[str]]:
 
 
 def _periods() -> list[str]:
-    """Lines of what `record --moving` adds to a recording."""
+    """Return the lines on the periods that `record --moving` adds to a recording."""
     return [
         "## Periods",
         "",
         _paragraph(
-            "`record --moving` adds one group a period, `/arms/NAME/periods/0003`; numbers go on over visits and"
-            " periods. The datasets are those of a visit, of every SYNC of the period, and `target_rad` (samples,"
-            " axes): what was sent with that SYNC and is due at the next."
+            "`record --moving` adds one group a period, `/arms/NAME/periods/0003`; visits and periods are numbered"
+            " together. The datasets are those of a visit, for every SYNC of the period, and `target_rad` (samples,"
+            " axes): the setpoint sent with that SYNC and due at the next."
         ),
         "",
         "| attribute | what it is |",
         "|---|---|",
-        "| `load` | label of what hung on the flange |",
-        f"| `excitation`, `name`, `kind` | fingerprint and word of what was driven; {', '.join(KINDS)} |",
-        "| `joint` | that a sweep turns; 0: all |",
-        "| `period` | which of its periods, from 1 |",
-        "| `period_s` | time of the period as it was driven: a whole number of SYNCs |",
+        "| `load` | label of the mounted load |",
+        f"| `excitation`, `name`, `kind` | fingerprint and name of the excitation; {', '.join(KINDS)} |",
+        "| `joint` | joint that a sweep turns; 0: all |",
+        "| `period` | number of the period, from 1 |",
+        "| `period_s` | duration of the period: a whole number of SYNCs |",
         "| `speed` | share of the planned speed |",
-        "| `complete`, `incomplete_epochs` | every SYNC is here; how many were not answered |",
+        "| `complete`, `incomplete_epochs` | all SYNCs are present; number of those without all answers |",
         "",
         _paragraph(
-            "The attributes of `/arms/NAME/excitations` are the excitations themselves (JSON, by fingerprint). A period"
-            " that is said to be complete and lacks a SYNC, that is no whole number of SYNCs, or that has fewer than"
-            f" {LEAST_PER_HARMONIC} SYNCs for each of its harmonics, is refused."
+            "The attributes of `/arms/NAME/excitations` are the excitations themselves (JSON, by fingerprint)."
+            " Refused: a period that is marked complete and lacks a SYNC, whose duration is not a whole number of"
+            f" SYNCs, or with fewer than {LEAST_PER_HARMONIC} SYNCs for each of its harmonics."
         ),
         "",
         _paragraph(
-            "As rows: one per SYNC of every complete period. The torque is as measured. Position, speed and"
-            " acceleration come from the measured positions: a series by least squares of its harmonics over the"
-            f" period, up to {CUTOFF_HZ:g} Hz and at least those that were sent; a sweep by a low pass without phase,"
-            f" half the power at {CUTOFF_HZ:g} Hz. They are those of as much earlier as the profiles say the torque's"
-            " filter takes (`filter_s`, mean of all axes). `run` is the file's name and the period's number;"
-            " `x_excitation` tells which rows repeat one another (motion and speed), `x_period` and `x_phase_s` the"
-            " period and the time in it; rows at rest leave them empty."
+            "The conversion to a table gives one row per SYNC of every complete period. The torque is as measured."
+            " Position, speed and acceleration are computed from the measured positions. For a series they follow"
+            f" from a least squares fit of its harmonics over the period, up to {CUTOFF_HZ:g} Hz and at least those"
+            f" of the setpoints. For a sweep they follow from a zero-phase low pass (half the power at {CUTOFF_HZ:g}"
+            " Hz). They are shifted back by the delay of the torque filter (`filter_s` of the profiles, mean of all"
+            " axes). `run` is the name of the file and the number of the period. `x_excitation` identifies rows that"
+            " repeat (motion and speed), `x_period` and `x_phase_s` the period and the time in it; rows at rest"
+            " leave them empty."
         ),
     ]
 
 
 def _black_box() -> list[str]:
-    """What a stop leaves beside a recording."""
+    """Return the lines on the black box files of a stop."""
     fields = ", ".join(f"`{name}`" for name, _ in FIELDS)
     return [
         "## The black box",
         "",
         _paragraph(
-            f"While a command moves an arm, the last {KEPT_S:g} s of all samples and frames are kept by a"
-            " process of its own, handed on twice a second; the motion loop never waits for it. What ends well"
-            " leaves none. A recording that is stopped leaves `run.blackbox.h5` and `run.blackbox.blf` beside"
-            " `run.h5`, and the message names it; the next stop of the same recording replaces them. What"
-            " records nothing (`move`, `check`, `follow`, `teach`, `run-pair`, the proof of the stop before a"
-            " recording) leaves `CELL-ARM.TIME.blackbox.h5`, one per arm, in the folder of the write ledgers"
-            f" (`~/.local/state/servo-gateway`), where the newest {MOST_BOXES} of an arm stay. Where the program"
-            " itself is killed, the process writes them, of what it was given up to a second before; where that"
-            " process is killed too, the next run of the recording or `report` writes them. `servo-gateway"
-            " report run.h5 -o stop.html` draws the last seconds of every axis, with the stop at t = 0: torque,"
-            " following error, speed, state of the drive. Below stands what the bus said: emergency messages,"
-            " SDO, NMT, controlwords. It takes a black box itself as well."
+            f"While a command moves an arm, a separate process stores the last {KEPT_S:g} s of all samples and"
+            " frames. It receives them twice a second; the motion loop never waits for it. A run without a stop"
+            " leaves no black box. A recording that is stopped leaves `run.blackbox.h5` and `run.blackbox.blf`"
+            " beside `run.h5`, and the message names them; the next stop of the same recording replaces them."
+            " Commands without a recording (`move`, `check`, `follow`, `teach`, `run-pair`, the proof of the stop)"
+            " leave `CELL-ARM.TIME.blackbox.h5`, one per arm. It is in the folder of the write ledgers"
+            f" (`~/.local/state/servo-gateway`), which keeps the newest {MOST_BOXES} of an arm. If the program is"
+            " killed, the process writes the files from the data up to a second before. If that process is killed"
+            " too, the next run of the recording or `report` writes them. `servo-gateway report run.h5 -o stop.html`"
+            " draws the last seconds of every axis, with the stop at t = 0: torque, following error, speed, state of"
+            " the drive. Below are the messages of the bus: emergency messages, SDO, NMT, controlwords. `report`"
+            " also takes a black box file."
         ),
         "",
         "| in `run.blackbox.h5` | what it is |",
         "|---|---|",
-        "| attributes `recording`, `reason`, `created`, `software`, `cell` | whose it is, and why the run stopped |",
+        "| attributes `recording`, `reason`, `created`, `software`, `cell` | origin, and the reason of the stop |",
         "| `wall_s`, `time_s`, `sync_index` (n,) | wall clock, time of the run and number of each SYNC |",
         f"| `/arms/NAME/..` (n, axes) | {fields}; NaN: not answered |",
         "| `/frames/..` (m,) | `time_s` (wall clock), `can_id`, `flags`, `length`, `data`: every frame of the bus,"
@@ -171,15 +172,15 @@ def _black_box() -> list[str]:
 
 
 def recording_page() -> str:
-    """What a recording holds."""
+    """Return the page on the content of a recording."""
     lines = [
         "# Recording (HDF5)",
         "",
         _paragraph(
-            f"`run.h5`, schema {SCHEMA}. Written whole after each visit and period, under another name, synced, then"
-            " renamed: what is on disk is the last whole file, with a checksum at its end. It carries its cell, so that"
-            " data of another cell, arm, robot or set of drives are refused; a constant that was corrected since is"
-            " used and named."
+            f"`run.h5`, schema {SCHEMA}. The whole file is written after each visit and period under a temporary"
+            " name, synced, then renamed. The file on disk is complete, with a checksum at its end. It contains its"
+            " cell, so data of another cell, arm, robot or set of drives are refused. A constant that was corrected"
+            " since is used and named."
         ),
         "",
         "| attribute of the file | what it is |",
@@ -190,9 +191,9 @@ def recording_page() -> str:
         "",
         "| attribute of `/arms/NAME` | what it is (JSON) |",
         "|---|---|",
-        "| `constants`, `identities` | what was read from each drive; vendor, product, revision, serial number |",
-        "| `ledger` | every object that was written, with what it held before |",
-        "| `bus_statistics` | SYNCs, late and incomplete ones |",
+        "| `constants`, `identities` | values read from each drive; vendor, product, revision, serial number |",
+        "| `ledger` | every object that was written, with its previous value |",
+        "| `bus_statistics` | SYNCs, delayed and incomplete ones |",
         "",
         _paragraph(
             "One group a visit, `/arms/NAME/visits/0007`, with the attributes `load`, `pose`, `purpose`, `approach`"
@@ -206,9 +207,9 @@ def recording_page() -> str:
         "| `sync_index`, `time_s` (samples,) | count, s |",
         "",
         _paragraph(
-            "A word that the drives do not send is left out. `servo-gateway export RUN.h5 --format csv` gives the means"
-            " as [measured table](measured-table.md); in [other formats](../how-to/open-formats.md) every sample leaves"
-            " it."
+            "A word that the drives do not send is omitted. `servo-gateway export RUN.h5 --format csv` gives the"
+            " means as [measured table](measured-table.md); [other formats](../how-to/open-formats.md) hold every"
+            " sample."
         ),
         "",
         *_periods(),

@@ -1,4 +1,4 @@
-"""Page of the reference about a new cell: its questions."""
+"""Reference page on the questions of `cell new`."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from gateway.newcell.questions import ALL
 
 
 def cell_answers_page() -> str:
-    """What `cell new` asks, and how to find out."""
+    """Return the page: key, question and source of each answer."""
     lines = [
         "# Questions of a new cell",
         "",
-        "What neither URDF nor drives say, as `servo-gateway cell new` asks it at a terminal, takes it with",
-        "`--answer KEY=VALUE`, or reads it from a file with `--answers FILE` (TOML, one key each; names of files start",
-        "beside it). What is read is not asked, and an answer goes before it. Where a constant comes from is said by",
-        '`{ value = 101, source = "data sheet p. 4" }`, at the terminal by `101; data sheet p. 4`.',
+        "`servo-gateway cell new` asks for values that neither the URDF nor the drives contain. It asks at a terminal,",
+        "or takes `--answer KEY=VALUE` or a file with `--answers FILE` (TOML, one key each; file names",
+        "are relative to it). A value that was read is not asked; an answer replaces it. The source of a constant is",
+        'given as `{ value = 101, source = "data sheet p. 4" }`, at the terminal as `101; data sheet p. 4`.',
         "",
         "| key | answer | how to find out |",
         "|---|---|---|",
