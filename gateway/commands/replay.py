@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, cast
 
 import click
 
@@ -246,12 +246,11 @@ def _command(archive: Archive, file: Path) -> tuple[click.Command, list[tuple[st
     ------
     InputError
     """
-    from gateway.commands import identification
-
     name, options = archive.stated.get("command"), archive.stated.get("options")
-    if name not in _COMMANDS or not isinstance(options, dict):
+    root = click.get_current_context().find_root()
+    command = cast("click.Group", root.command).get_command(root, name) if name in _COMMANDS else None
+    if command is None or not isinstance(options, dict):
         raise InputError(f"{file}: command {name!r} is none that is computed again ({', '.join(_COMMANDS)})")
-    command: click.Command = getattr(identification, name)
     known = {param.name: param for param in command.params}
     words, arguments = list[tuple[str, bool]](), list[tuple[str, bool]]()
     for key, value in options.items():

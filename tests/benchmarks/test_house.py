@@ -22,6 +22,7 @@ def found() -> dict[str, dict]:
     [
         "files at the root of gateway",
         "circles of imports between rooms",
+        "circles of imports between files",
         "imports from a lower room to a higher one",
         "rooms that have no floor",
         "public class names used twice",
