@@ -35,7 +35,7 @@ MISTAKES = (
     NamedMistake("torque sign, all", "estimate", ("sign_reversed",)),
     NamedMistake("gravity upside down", "estimate", ("gravity_reversed",)),
     NamedMistake("torque sign, one axis", "estimate", ("sign_reversed",)),
-    NamedMistake("joint counted the other way", "diagnose", ("joint_reversed",)),
+    NamedMistake("joint counted in reverse", "diagnose", ("joint_reversed",)),
     NamedMistake("zero convention", "diagnose", ("zero_convention",)),
     NamedMistake("q3 holds q3 + q2", "diagnose", ("angles_coupled",)),
     NamedMistake("current as torque", "estimate", words="currents in A"),

@@ -109,7 +109,7 @@ def test_noise_floor_comes_from_repeats_where_the_model_lacks_a_torque(tmp_path)
 
 
 def test_load_that_changes_between_poses_is_not_passed_on_silently(tmp_path):
-    _, _, result = typed(quiet_cell("load changes half-way"), tmp_path)
+    _, _, result = typed(quiet_cell("load changes halfway"), tmp_path)
     assert warnings(result)
 
 
@@ -198,7 +198,7 @@ def test_exact_is_tested_like_any_other_statement(option, tmp_path):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_joint_counted_the_other_way_is_named(command, tmp_path):
-    cell = quiet_cell("joint counted the other way")
+    cell = quiet_cell("joint counted in reverse")
     joint = changed_axis(cell, quiet_cell().columns)
     _, _, result = typed(cell, tmp_path, command)
     assert f"J{joint}" in {finding["where"] for finding in warnings(result)}

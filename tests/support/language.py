@@ -38,7 +38,7 @@ _PART: Final = frozenset(word for words in PARTS for word in words.split())
 _WHOLE: Final = frozenset(word for words in WHOLE for word in words.split())
 _FILE: Final = frozenset(word for words in FILES for word in words.split())
 _SPLIT: Final = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
-_CODE_OF_PAGE: Final = re.compile(r"```.*?```|`[^`]*`|\]\([^)]*\)|<[^>]+>|\$[^$]*\$", re.DOTALL)
+_CODE_OF_PAGE: Final = re.compile(r"```.*?```|`[^`]*`|\]\([^)]*\)|<[A-Za-z/!][^>\n]*>|\$[^$\n]*\$", re.DOTALL)
 _MARKUP: Final = re.compile(r"\{%.*?%\}|\{#.*?#\}|\{\{.*?\}\}|<(script|style)\b.*?</\1>|<[^>]+>", re.DOTALL)
 #: A blank line, a bullet, a heading, a rule, the head of a parameter: where a block of text ends.
 _BLOCK: Final = re.compile(r"\n\s*\n|\n(?=\s*(?:[-*|#>]|\d+\.)\s?)|\n-{3,}\n|\n(?=\s*[\w, *`]+ : )")

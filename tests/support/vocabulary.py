@@ -59,7 +59,7 @@ PHRASES: Final[Mapping[str, str]] = {
     r"foretold|foretells?|outlook|advice|advises?": "predicted, expected information, recommendation",
     r"sayings?": "event text",
     r"of one kind": "homogeneous",
-    r"house|(?<!in the )rooms?(?! temperature| for)|floors(?! and)": "package, layer",
+    r"house|(?<!in the )rooms?(?! temperature| for)|(?<!noise )floors(?! and)": "package, layer",
     r"aside|gross(?! error)": "rejected, outlier",
     r"(?<!extra)ordinary|what every arm has": "nuisance parameters",
     r"hears?|heard|believes?|believed|knows": "receive, detect, assume, store",
