@@ -50,7 +50,7 @@ def test_help_imports_nothing_heavy():
 def test_every_command_explains_itself_and_knows_v_and_q(name):
     done = run(name, "--help")
     assert done.exit_code == 0, done.output
-    if name not in ("profiles", "cell", "config", "fleet"):
+    if name not in ("profiles", "cell", "config", "drive", "fleet"):
         assert "--verbose" in done.output
         assert "--quiet" in done.output
 

@@ -34,7 +34,7 @@ FLOORS: Final = (
     ("excite",),
     ("acquire",),
     ("check",),
-    ("follow", "pair", "newcell", "live", "fleet"),
+    ("follow", "pair", "newcell", "live", "fleet", "drivetest"),
     ("api",),
     ("commands",),
     ("cli",),

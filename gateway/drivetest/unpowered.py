@@ -1,0 +1,236 @@
+"""Tests of the disabled drives: services, NMT, answers to SYNC at several periods, reaction to a controlword."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Sequence
+from typing import Final
+
+from drives import bringup
+from drives.busload import cycle_bits_worst, load_percent
+from drives.errors import DriveError, SdoTimeout
+from drives.heartbeat import NmtCommand, NmtState
+from drives.objects import OBJECTS
+from drives.sdo import ONCE
+from gateway.drivetest.bench import DELAYED_SHARE, SyncBench, SyncSeries
+from gateway.drivetest.estimates import bracketed_quantile, not_measured, share_figure
+from gateway.drivetest.frames import FrameRecord
+from gateway.drivetest.services import HEARTBEAT, NMT, PDO, SDO, SYNC, check_services
+from gateway.drivetest.sheet import DriveSheet, usable
+from gateway.motion.opening import OpenArm
+
+#: SYNC periods [s] and SYNCs of the series in which missed and delayed TPDOs are counted.
+PERIODS: Final = ((0.002, 500), (0.004, 500), (0.010, 300))
+#: SYNCs of the series at the period of the cell, controlwords, and SDO transfers of each drive.
+CELL_SYNCS: Final = 200
+CONTROLWORDS: Final = 20
+TRANSFERS: Final = 30
+#: Bus load up to which a series is run [%].
+LOAD_LIMIT_PERCENT: Final = 70.0
+#: How long a node may take for an NMT command [s], and more than its heartbeat period.
+NMT_S: Final = 0.3
+#: Deviation of the heartbeat period that is allowed: share, and least value [s].
+HEARTBEAT_SHARE: Final = 0.2
+HEARTBEAT_LEAST_S: Final = 0.01
+#: Quantiles of the time from SYNC to TPDO.
+QUANTILES: Final = (("sync_to_tpdo_p05_s", 0.05), ("sync_to_tpdo_s", 0.5), ("sync_to_tpdo_p95_s", 0.95))
+#: What is counted, as in the names of the figures.
+COUNTED: Final = ("missed_pdo", "late_pdo")
+NO_REAL_TIME: Final = "not measured in lockstep, where no real time passes"
+
+
+def run_unpowered(opened: OpenArm, sheets: Sequence[DriveSheet], record: FrameRecord) -> None:
+    """Run the tests that need no power; results and failures are added to the sheets."""
+    for sheet in sheets:
+        sheet.clauses += check_services(sheet.drive)
+    group = opened.group
+    bench = SyncBench(group.bus, [sheet.drive for sheet in sheets], record)
+    try:
+        _nmt(bench, sheets)
+        for sheet in usable(sheets):
+            _sdo_time(sheet)
+        if group.timing.pacing == "real":
+            _at_cell_period(bench, sheets, group.timing.period_s)
+            _reactions(bench, usable(sheets))
+            bench.command(NmtCommand.ENTER_PREOPERATIONAL, 0.02)
+            for period_s, count in PERIODS:
+                _at_period(opened, usable(sheets), record, period_s, count)
+    finally:
+        bench.command(NmtCommand.ENTER_PREOPERATIONAL, 0.02)
+        for sheet in usable(sheets):
+            _with_period(sheet, group.timing.period_s)
+    for sheet in sheets:
+        _heartbeat(sheet, record)
+
+
+def _nmt(bench: SyncBench, sheets: Sequence[DriveSheet]) -> None:
+    """NMT commands, shown by the heartbeat; TPDOs only in OPERATIONAL; no SDO in STOPPED."""
+    wait_s = NMT_S + max((sheet.drive.setup.profile.heartbeat.producer_ms or 0) / 1000.0 for sheet in sheets)
+    began_s = time.monotonic()
+    for _ in range(3):
+        bench.sync()
+        bench.command(NmtCommand.ENTER_PREOPERATIONAL, 0.01)
+    for sheet in sheets:
+        came = len(bench.record.of(sheet.drive.answers[0][0], began_s))
+        result = "fail" if came else "pass"
+        sheet.clause(PDO, "pdo_only_in_operational", result, f"{came} TPDOs to 3 SYNCs in PRE-OPERATIONAL")
+    for command, state in (
+        (NmtCommand.STOP, NmtState.STOPPED),
+        (NmtCommand.ENTER_PREOPERATIONAL, NmtState.PREOPERATIONAL),
+        (NmtCommand.START, NmtState.OPERATIONAL),
+    ):
+        at_s = bench.command(command, wait_s)
+        for sheet in sheets:
+            _state_shown(sheet, bench.record, command, state, at_s)
+            if command is NmtCommand.STOP:
+                _no_sdo(sheet)
+    at_s = time.monotonic()
+    bench.command(NmtCommand.START, 0.1)
+    for sheet in sheets:
+        came = len(bench.record.of(sheet.drive.answers[0][0], at_s))
+        sheet.clause(SYNC, "tpdo_only_on_sync", "fail" if came else "pass", f"{came} TPDOs in 0.1 s without SYNC")
+
+
+def _state_shown(sheet: DriveSheet, record: FrameRecord, command: NmtCommand, state: NmtState, at_s: float) -> None:
+    name = f"nmt_{command.name.lower()}"
+    beats = record.heartbeats(sheet.drive.node_id, at_s)
+    if not beats:
+        why = "the profile sets no heartbeat" if sheet.drive.setup.profile.heartbeat.producer_ms is None else ""
+        sheet.clause(NMT, name, "not tested" if why else "fail", why or "no heartbeat after the command")
+        return
+    shown = beats[-1].data[0] & 0x7F
+    result = "pass" if shown == state else "fail"
+    sheet.clause(NMT, name, result, f"the heartbeat shows 0x{shown:02X} after command 0x{command:02X}")
+
+
+def _no_sdo(sheet: DriveSheet) -> None:
+    try:
+        sheet.drive.access.read(OBJECTS["device_type"], ONCE)
+    except SdoTimeout:
+        sheet.clause(NMT, "no_sdo_in_stopped", "pass", "no SDO answer in STOPPED")
+    except DriveError as error:
+        sheet.clause(NMT, "no_sdo_in_stopped", "fail", f"answers SDO in STOPPED: {error}")
+    else:
+        sheet.clause(NMT, "no_sdo_in_stopped", "fail", "answers SDO in STOPPED")
+
+
+def _sdo_time(sheet: DriveSheet) -> None:
+    """Round trip of an expedited upload."""
+    brackets: list[tuple[float, float]] = []
+    method = f"{TRANSFERS} expedited uploads of 0x1000; request to answer, latency of this computer included"
+    try:
+        for _ in range(TRANSFERS):
+            began_s = time.monotonic()
+            sheet.drive.access.read(OBJECTS["device_type"], ONCE)
+            brackets.append((0.0, time.monotonic() - began_s))
+    except DriveError as error:
+        sheet.clause(SDO, "sdo_repeated", "fail", f"{len(brackets)} of {TRANSFERS} transfers were answered: {error}")
+    round_trips = [(upper, upper) for _, upper in brackets]
+    sheet.figures.append(bracketed_quantile("sdo_answer_s", round_trips, 0.5, 0.0, method))
+
+
+def _at_cell_period(bench: SyncBench, sheets: Sequence[DriveSheet], period_s: float) -> None:
+    """SYNC to TPDO at the period of the cell."""
+    for sheet, series in zip(sheets, bench.series(period_s, CELL_SYNCS), strict=True):
+        method = (
+            f"{CELL_SYNCS} SYNCs at {1000 * period_s:g} ms, axis disabled; time stamps of the frames "
+            f"± {1000 * bench.record.resolution_s:g} ms, and the time that this computer took to send each SYNC"
+        )
+        for name, share in QUANTILES:
+            sheet.figures.append(bracketed_quantile(name, series.delays_s, share, bench.record.resolution_s, method))
+        _one_each(sheet, series)
+
+
+def _one_each(sheet: DriveSheet, series: SyncSeries) -> None:
+    """One TPDO per SYNC (transmission type 1)."""
+    answered = f"{series.counted - series.missed} of {series.counted} SYNCs answered, {series.surplus} TPDOs too many"
+    good = series.missed <= 0.5 * series.counted and series.surplus <= 0.05 * series.counted
+    sheet.clause(SYNC, "tpdo_each_sync", "pass" if good else "fail", answered)
+
+
+def _reactions(bench: SyncBench, sheets: Sequence[DriveSheet]) -> None:
+    """Controlword to statusword, one drive after the other."""
+    method = (
+        f"{CONTROLWORDS} controlwords 0x06 and 0x00 by RPDO and SYNC, axis disabled; statusword polled by SDO, whose "
+        "round trip limits the interval"
+    )
+    for sheet in sheets:
+        try:
+            bounds = bench.reaction(sheet.drive, CONTROLWORDS)
+        except DriveError as error:
+            sheet.figures.append(not_measured("controlword_to_reaction_s", str(error)))
+            sheet.broke(error, "controlword to reaction")
+            continue
+        figure = bracketed_quantile("controlword_to_reaction_s", bounds, 0.5, bench.record.resolution_s, method)
+        sheet.figures.append(figure)
+
+
+def _at_period(opened: OpenArm, sheets: Sequence[DriveSheet], record: FrameRecord, period_s: float, count: int) -> None:
+    """Count missed and delayed TPDOs at one SYNC and interpolation period, for as many drives as the bus takes."""
+    name, bus = f"{1000 * period_s:.0f}ms", opened.group.bus
+    most = _drives_at_once(sheets, period_s, bus.spec.bitrate_bit_s)
+    if not most:
+        why = f"the answers of one drive would exceed {LOAD_LIMIT_PERCENT:.0f} % bus load"
+        _no_counts(sheets, name, why)
+        return
+    for first in range(0, len(sheets), most):
+        ready: list[DriveSheet] = []
+        for sheet in sheets[first : first + most]:
+            refused = _with_period(sheet, period_s)
+            if refused:
+                _no_counts([sheet], name, refused)
+            else:
+                ready.append(sheet)
+        bench = SyncBench(bus, [sheet.drive for sheet in ready], record)
+        bench.command(NmtCommand.START, 0.05)
+        for sheet, seen in zip(ready, bench.series(period_s, count), strict=True):
+            _counted(sheet, name, seen)
+        bench.command(NmtCommand.ENTER_PREOPERATIONAL, 0.02)
+
+
+def _drives_at_once(sheets: Sequence[DriveSheet], period_s: float, bitrate_bit_s: int) -> int:
+    """Return how many drives may answer each SYNC within the limit of the bus load."""
+    most = max((len(sheet.drive.answers) for sheet in sheets), default=1)
+    numbers = range(len(sheets), 0, -1)
+    loads = ((n, load_percent(cycle_bits_worst([0, *[8] * (most * n)]), period_s, bitrate_bit_s)) for n in numbers)
+    return next((number for number, load in loads if load <= LOAD_LIMIT_PERCENT), 0)
+
+
+def _no_counts(sheets: Sequence[DriveSheet], name: str, why: str) -> None:
+    for sheet in sheets:
+        sheet.figures += [not_measured(f"{kind}_{name}", why, "1") for kind in COUNTED]
+
+
+def _counted(sheet: DriveSheet, name: str, seen: SyncSeries) -> None:
+    method = f"SYNCs at {1000 * seen.period_s:g} ms that this computer sent on time, axis disabled"
+    delayed = f"{method}; later than {DELAYED_SHARE:g} of the period"
+    sheet.figures.append(share_figure(f"missed_pdo_{name}", seen.missed, seen.counted, method))
+    sheet.figures.append(share_figure(f"late_pdo_{name}", seen.delayed, seen.counted, delayed))
+
+
+def _with_period(sheet: DriveSheet, period_s: float) -> str:
+    """Set the interpolation period of a drive; return why that is not possible."""
+    try:
+        bringup.settle_sync_period(sheet.drive.access, period_s)
+        bringup.set_interpolation_period(sheet.drive.access, period_s)
+    except DriveError as error:
+        return str(error)
+    return ""
+
+
+def _heartbeat(sheet: DriveSheet, record: FrameRecord) -> None:
+    """Period of the heartbeat against 0x1017."""
+    producer_ms = sheet.drive.setup.profile.heartbeat.producer_ms
+    if producer_ms is None:
+        sheet.clause(HEARTBEAT, "heartbeat_period", "not tested", "the profile sets no heartbeat")
+        return
+    times = [frame.at_s for frame in record.heartbeats(sheet.drive.node_id)]
+    gaps = [after - before for before, after in zip(times, times[1:], strict=False)]
+    if len(gaps) < 3:
+        sheet.clause(HEARTBEAT, "heartbeat_period", "fail", f"{len(times)} heartbeats in the whole test")
+        return
+    median_s, allowed_s = statistics.median(gaps), max(HEARTBEAT_SHARE * producer_ms / 1000.0, HEARTBEAT_LEAST_S)
+    good = abs(median_s - producer_ms / 1000.0) <= allowed_s
+    detail = f"0x1017 is {producer_ms} ms, median of {len(gaps)} periods is {1000 * median_s:.1f} ms"
+    sheet.clause(HEARTBEAT, "heartbeat_period", "pass" if good else "fail", detail)

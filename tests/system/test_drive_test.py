@@ -1,0 +1,80 @@
+"""`drive test` against simulated drives: services, page and files; refused inputs."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.system
+
+
+@pytest.fixture
+def tested(gateway, place, serve):
+    """Run the test of some drives in lockstep; what the command says, and its reports."""
+
+    def run(*more, code=0, prepare=lambda drives: None, **options):
+        drives = serve(**options)
+        prepare(drives)
+        out = place.folder / "out"
+        done = gateway("drive", "test", place.cell, "--bus", drives.bus, "--yes", "-o", out, *more)
+        assert done.exit_code == code, done.output
+        return done, {path.stem: json.loads(path.read_text()) for path in sorted(out.glob("J*.json"))}, out, drives
+
+    return run
+
+
+def results(report):
+    return {each["check"]: each["result"] for each in report["clauses"]}
+
+
+def test_a_good_drive_has_no_finding_and_a_page(tested):
+    _, reports, out, drives = tested("--axis", "J2", "--axis", "J3")
+    assert list(reports) == ["J2", "J3"]
+    report = reports["J2"]
+    assert (report["format"], report["version"], report["node"]) == ("servo-gateway drive-test", 1, 2)
+    assert report["findings"] == []
+    assert report["identity"]["serial"] == 0x510002
+    assert {"pass", "not tested"} == set(results(report).values())
+    assert {"nmt_stop", "sdo_abort_unknown_object", "pdo_only_in_operational"} <= results(report).keys()
+    assert all(each["detail"] for each in report["clauses"])
+    page = (out / "drive-test.html").read_text()
+    assert "2 drives tested, nothing found" in page
+    assert drives.stand_still()
+
+
+def test_a_drive_that_answers_an_unknown_object_is_found_and_the_others_are_tested(tested):
+    def answers(drives):
+        drives.handle.simulation.arms[0].drives[2].store.constant((0x0FFF, 0), "u32", 0)
+
+    done, reports, _, _ = tested(code=7, prepare=answers)
+    assert results(reports["J3"])["sdo_abort_unknown_object"] == "fail"
+    assert [name for name, report in reports.items() if report["findings"]] == ["J3"]
+    assert "J3 node 3" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "text"),
+    [(("--axis", "J9"), 2, "'J9' is not an axis of this arm"), (("--arm", "other"), 3, "other")],
+)
+def test_wrong_names_are_refused_before_anything_is_sent(tested, more, code, text):
+    done, reports, _, drives = tested(*more, code=code)
+    assert text in done.stderr
+    assert not reports
+    assert drives.handle.simulation.servers[0].sync_count == 0
+
+
+def test_earlier_results_are_kept_without_force(tested, place):
+    (place.folder / "out").mkdir()
+    (place.folder / "out" / "J2.json").write_text("{}")
+    done, _, out, _ = tested("--axis", "J2", code=3)
+    assert "--force" in done.stderr
+    assert (out / "J2.json").read_text() == "{}"
+
+
+def test_nothing_is_tested_without_a_yes(gateway, place, serve):
+    drives = serve()
+    done = gateway("drive", "test", place.cell, "--bus", drives.bus, "-o", place.folder / "out", input="n\n")
+    assert done.exit_code == 130
+    assert not (place.folder / "out").exists()
+    assert drives.handle.simulation.servers[0].sync_count == 0
