@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import click
 
@@ -20,6 +20,7 @@ from gateway.commands.shared_options import (
     cell_argument,
     common,
     json_option,
+    measurement_options,
     note_remarks,
     output_option,
     session_of,
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
     from gateway.identify.workspace_error import EnteredLoad
     from gateway.motion.workspace import Workspace
     from gateway.result.result import Result
+
+#: Recording in the folder of --out.
+_RECORDING: Final = "accept.h5"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,16 +72,7 @@ class _Job:
     metavar="P%|NM,NM,..",
     help="Residual torque that the controller tolerates: P% of each torque limit, or one torque an axis [Nm].",
 )
-@click.option(
-    "--from",
-    "data",
-    multiple=True,
-    metavar="DATA",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Recordings or tables of unseen poses under the load; nothing moves. Repeatable.",
-)
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
-@click.option("--resume", is_flag=True, help="Go on with OUT/accept.h5 instead of starting a new one.")
+@measurement_options("of unseen poses under the load", _RECORDING)
 @output_option("--report", metavar="PAGE.html", help="Write a page with the map of the workspace.")
 @output_option("--junit", "junit_file", metavar="FILE", help="Write pass or fail as JUnit XML.")
 @arm_option
@@ -187,7 +182,7 @@ def _measured(job: _Job, how: MeasuringOptions) -> Path:
         f"Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Arm '{job.arm.name}' of cell "
         f"'{job.loaded.cell.name}' will move.{first} Is the load mounted, and is nobody near the arm?"
     )
-    recording = how.recording("accept.h5", context.loaded)
+    recording = how.recording(_RECORDING, context.loaded)
     opening = open_arm(context.loaded, context.override(job.arm, None), job.arm.name)
     with context.with_move_command(), stoppable(how.moving) as options, opening as opened:
         options = context.proven(opened, session.note, options)

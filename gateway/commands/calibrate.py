@@ -6,7 +6,7 @@ from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -24,6 +24,7 @@ from gateway.commands.shared_options import (
     cell_argument,
     common,
     json_option,
+    measurement_options,
     note_remarks,
     refuse_unwritable,
     session_of,
@@ -41,21 +42,15 @@ if TYPE_CHECKING:
     from gateway.cell.config import ArmConfig
     from gateway.commands.console import Session
 
+#: Recording in the folder of --out.
+_RECORDING: Final = "calibrate.h5"
+
 
 @click.command()
 @cell_argument
 @click.option("--known", required=True, metavar=KNOWN_FORM, help=f"The weighed load. {KNOWN_HELP}")
-@click.option(
-    "--from",
-    "data",
-    multiple=True,
-    metavar="DATA",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Recordings or tables with the unloaded arm and the load; nothing moves. Repeatable.",
-)
+@measurement_options("with the unloaded arm and the load", _RECORDING)
 @warm_option
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False), default=Path("out"), show_default=True)
-@click.option("--resume", is_flag=True, help="Continue OUT/calibrate.h5 instead of starting a new recording.")
 @arm_option
 @bus_option
 @json_option
@@ -116,7 +111,7 @@ def _measured(arm: ArmConfig, about: Given, weight: Weight, how: MeasuringOption
             f"--known {weight.label}: {weight.mass_kg:.4g} kg is beyond the rated load of {rated_kg:.4g} kg"
         )
     context = open_cell(how.cell, how.bus_spec, how.moving.pacing)
-    recording = how.recording("calibrate.h5", context.loaded)
+    recording = how.recording(_RECORDING, context.loaded)
     terminal = Terminal(session_of(), context.loaded.cell.name, how.moving, partial(_refuse_plan, arm, about, weight))
     try:
         with context.with_move_command(), stoppable(how.moving) as options:

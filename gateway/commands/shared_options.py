@@ -142,6 +142,26 @@ def output_option(*names: str, metavar: str, help: str, required: bool = False) 
     return writes(click.option(*names, type=kind, metavar=metavar, required=required, callback=new_file, help=help))
 
 
+def measurement_options(data: str, recording: str) -> Callable[[Function], Function]:
+    """Return --from DATA, --out and --resume of a command that moves through poses, or reads `data` instead."""
+
+    def decorate(command: Function) -> Function:
+        folder = click.Path(path_type=Path, file_okay=False)
+        resume = f"Continue OUT/{recording} instead of starting a new recording."
+        command = click.option("--resume", is_flag=True, help=resume)(command)
+        command = click.option("--out", type=folder, default=Path("out"), show_default=True)(command)
+        return click.option(
+            "--from",
+            "data",
+            multiple=True,
+            metavar="DATA",
+            type=click.Path(path_type=Path, dir_okay=False),
+            help=f"Recordings or tables {data}; nothing moves. Repeatable.",
+        )(command)
+
+    return decorate
+
+
 def _json_target(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
     if value == "-":
         session_of(ctx).data_on_stdout = True
