@@ -21,7 +21,12 @@ LEFT_OUT = "not included: not given"
 
 
 def axis_terms(
-    arm: ArmConfig, profiles: Sequence[DriveProfile], result: Result | None, identified: Identified | None = None
+    arm: ArmConfig,
+    profiles: Sequence[DriveProfile],
+    result: Result | None,
+    identified: Identified | None = None,
+    *,
+    fed: bool = True,
 ) -> tuple[tuple[AxisTerms, ...], tuple[AxisSources, ...]]:
     """Terms of every axis: what was identified in motion, else the cell's, else for friction the rest poses' band.
 
@@ -32,18 +37,20 @@ def axis_terms(
     result : Result or None
         Its friction band stands for Coulomb friction that was neither identified nor typed.
     identified : Identified, optional
+    fed : bool
+        The torque is sent to the drives, not only computed.
 
     Raises
     ------
     ConfigError
-        A profile without the objects; every such axis is named.
+        `fed`, and a profile without the objects; every such axis is named.
     InputError
         What was identified contradicts what was typed.
     """
     without = [
         f"axis {number} (node {axis.node_id}, {profile.name})"
         for number, (axis, profile) in enumerate(zip(arm.axis, profiles, strict=True), start=1)
-        if profile.feedforward is None
+        if fed and profile.feedforward is None
     ]
     if without:
         raise ConfigError(

@@ -72,6 +72,8 @@ class FollowPath:
         Rest after each motion.
     period_s : float
         SYNC period.
+    limits : MotionLimits or None
+        Of straight motions; None = the file gives the times.
     """
 
     name: str
@@ -79,6 +81,7 @@ class FollowPath:
     motions: tuple[Motion, ...]
     dwell_s: float
     period_s: float
+    limits: MotionLimits | None = None
 
     @property
     def duration_s(self) -> float:
@@ -166,7 +169,7 @@ def _waypoints(name: str, read: _Waypoints, workspace: Workspace, period_s: floa
         raise InputError(f"{where}: the path takes {rests_s + least_s:.3g} s at least, {LONGEST_S:g} s are the most")
     once, again = ([straight(start, end, limits, period_s) for start, end in each] for each in (pairs, back))
     motions = (*once, *(again + once) * (read.repeat - 1))
-    path = FollowPath(name, points[0], motions, read.dwell_s, period_s)
+    path = FollowPath(name, points[0], motions, read.dwell_s, period_s, limits)
     if path.duration_s > LONGEST_S:
         raise InputError(f"{where}: the path takes {path.duration_s:.0f} s, {LONGEST_S:g} s are the most")
     return path

@@ -71,8 +71,12 @@ def feed_model(
     profiles: Sequence[DriveProfile],
     result: Result,
     identified: Identified | None = None,
+    *,
+    fed: bool = True,
 ) -> FeedModel:
     """Model of an arm: the drawing's links, corrected by the bare identification of the result where there is one.
+
+    `fed` is false where the torque is only computed: the drives then need no objects for offsets.
 
     Raises
     ------
@@ -85,7 +89,7 @@ def feed_model(
     drawn = drawn_parameters(robot, arm)
     links = None if result.bare is None else corrected_parameters(robot, result.bare, gravity)
     source = "robot model" if links is None else "robot model, corrected to the torque that was identified bare"
-    axes, sources = axis_terms(arm, profiles, result, identified)
+    axes, sources = axis_terms(arm, profiles, result, identified, fed=fed)
     return FeedModel(
         robot=robot,
         gravity_m_s2=gravity,

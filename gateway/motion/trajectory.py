@@ -23,11 +23,15 @@ _LESS_JERK = 0.999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionLimits:
-    """Limits (N,) of a motion: speed [rad/s], acceleration [rad/s2], jerk [rad/s3]."""
+    """Limits (N,) of a motion: speed [rad/s], acceleration [rad/s2], jerk [rad/s3].
+
+    `deceleration_rad_s2` limits slowing down; None = as the acceleration.
+    """
 
     speed_rad_s: np.ndarray
     acceleration_rad_s2: np.ndarray
     jerk_rad_s3: np.ndarray
+    deceleration_rad_s2: np.ndarray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +106,8 @@ def _along(line: np.ndarray, limits: MotionLimits) -> Any:
             raise PlanRefused("no motion fits the limits: speed, acceleration and jerk must be positive and finite")
         rates.append([rate])
     request.max_velocity, request.max_acceleration, request.max_jerk = rates
+    if limits.deceleration_rad_s2 is not None:
+        request.min_acceleration = [-float((limits.deceleration_rad_s2[moving] / share[moving]).min())]
     return request
 
 

@@ -34,7 +34,7 @@ FLOORS: Final = (
     ("excite",),
     ("acquire",),
     ("check",),
-    ("follow", "pair", "newcell", "live", "fleet", "drivetest"),
+    ("follow", "pair", "newcell", "live", "fleet", "drivetest", "cost"),
     ("api",),
     ("commands",),
     ("cli",),

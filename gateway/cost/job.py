@@ -1,0 +1,259 @@
+"""The whole job of `servo-gateway cost`: cell, path and result in; cycle times and torque reserves out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gateway.acquire.goto import HOME, destination
+from gateway.cell.config import ArmConfig, LoadedCell
+from gateway.cost.moves import standard_moves
+from gateway.cost.timing import TimedSegment, fastest_line, line_path, stretched, timed_path
+from gateway.cost.torque import JointPath, PathTorque
+from gateway.errors import PlanRefused
+from gateway.feedforward.identified import checked, notes_of, read_identified
+from gateway.feedforward.load import FeedLoad, check_origin, identified_load, rated_load
+from gateway.follow.path import FollowPath, check_path, read_path
+from gateway.follow.settings import FeedModel, feed_model
+from gateway.model.arm_model import arm_robot
+from gateway.model.load_bounds import load_bounds
+from gateway.motion.opening import axis_setups
+from gateway.motion.workspace import Workspace, workspace_of
+from gateway.result.result import LoadResult, Result, read_result
+
+Floats = NDArray[np.float64]
+UNLOADED, RATED, ENTERED = "no load", "rated load", "entered load"
+
+
+@dataclass(frozen=True, slots=True)
+class SegmentCost:
+    """A motion from rest to rest: duration [s], and the limit that keeps it from being faster."""
+
+    duration_s: float
+    limited_by: str
+
+
+@dataclass(frozen=True, slots=True)
+class SettingCost:
+    """A path as planned with one statement of the load, driven with the identified load.
+
+    Attributes
+    ----------
+    name : str
+        "no load", "rated load", "entered load".
+    mass_kg : float
+        That the planner assumes.
+    cycle_time_s : float
+        Dwell times included.
+    segments : tuple of SegmentCost
+    torque_reserve : tuple of N floats
+        1 less the largest motor torque over its limit; negative = the axis is overloaded. NaN, as the cycle time,
+        where the torque limits do not suffice for the rated load.
+    torque_reserve_std : tuple of N floats
+        Standard deviation by the uncertainty of the load's mass and centre of gravity; NaN where unknown.
+    load_acceleration_reserve : float
+        The same for `load_acceleration_m_s2`; NaN where the cell states none.
+    """
+
+    name: str
+    mass_kg: float
+    cycle_time_s: float
+    segments: tuple[SegmentCost, ...]
+    torque_reserve: tuple[float, ...]
+    torque_reserve_std: tuple[float, ...]
+    load_acceleration_reserve: float
+
+
+@dataclass(frozen=True, slots=True)
+class MoveCost:
+    """A path or a standard move under every setting."""
+
+    name: str
+    settings: tuple[SettingCost, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadCost:
+    """What the entered load costs on one arm.
+
+    Attributes
+    ----------
+    cell, arm : str
+    load : str
+        Label.
+    mass_kg, mass_std_kg : float
+    moves : tuple of MoveCost
+    remarks : tuple of str
+        What is not in the figures.
+    """
+
+    cell: str
+    arm: str
+    load: str
+    mass_kg: float
+    mass_std_kg: float
+    moves: tuple[MoveCost, ...]
+    remarks: tuple[str, ...] = ()
+    schema: int = 1
+    kind: str = "cost"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Station:
+    """The arm, its model, the mounted load and its variants by one standard deviation of each parameter."""
+
+    arm: ArmConfig
+    model: FeedModel
+    load: FeedLoad
+    variants: tuple[FeedLoad, ...]
+    period_s: float
+
+    def torque(self, path: JointPath, load: FeedLoad | None) -> PathTorque:
+        return PathTorque(path, self.model, load, self.arm.load_acceleration_m_s2)
+
+
+def cost_of(
+    loaded: LoadedCell, arm: ArmConfig, load_file: Path, label: str | None = None, path_file: Path | None = None
+) -> LoadCost:
+    """Cycle time and torque reserve of a path, or of the standard moves, before and after the load is entered.
+
+    Raises
+    ------
+    ConfigError
+        Links that are not known, or a label that the result does not have.
+    InputError
+        A file that cannot be used, or a load of another robot, cell, arm or frame.
+    DataUnusable
+        No identified load.
+    PlanRefused
+        The path leaves the workspace, or the torque does not suffice to move the load along it.
+    """
+    robot = arm_robot(loaded, arm)
+    result, where = read_result(load_file), str(load_file)
+    check_origin(result, loaded, arm, robot, where)
+    load = identified_load(result, label, where, load_bounds(robot, arm))
+    identified = read_identified(loaded, arm, robot)
+    if identified is None and result.motion:
+        identified = checked(result, where, robot.axes)
+    profiles = [setup.profile for setup in axis_setups(loaded, arm)]
+    model = feed_model(arm, robot, profiles, result, identified, fed=False)
+    workspace, period_s = workspace_of(arm, robot), loaded.cell.bus[arm.bus].sync_period_s
+    paths, left_out = _paths(workspace, arm, path_file, period_s)
+    stated = next(each for each in result.loads if each.label == load.label)
+    station = _Station(arm, model, load, _variants(load, stated), period_s)
+    return LoadCost(
+        cell=loaded.cell.name,
+        arm=arm.name,
+        load=load.label,
+        mass_kg=load.mass_kg,
+        mass_std_kg=load.mass_std_kg,
+        moves=tuple(MoveCost(path.name, tuple(_settings(station, path))) for path in paths),
+        remarks=(*left_out, *_remarks(station, result)),
+    )
+
+
+def _paths(
+    workspace: Workspace, arm: ArmConfig, path_file: Path | None, period_s: float
+) -> tuple[list[FollowPath], list[str]]:
+    if path_file is not None:
+        path = read_path(path_file, workspace, period_s)
+        check_path(path, workspace)
+        return [path], []
+    home = destination(arm, workspace, HOME)
+    moves, refused = standard_moves(workspace, np.array(home.q_rad), period_s)
+    return moves, [f"standard move {name} is left out: the workspace has no room for it" for name in refused]
+
+
+def _variants(load: FeedLoad, stated: LoadResult) -> tuple[FeedLoad, ...]:
+    """The load, changed along each column of a square root of the covariance of mass and centre of gravity."""
+    std = np.array([stated.mass_std_kg, *(stated.com_std_m or (np.nan,) * 3)])
+    if not np.isfinite(std).all():
+        return ()
+    correlation = np.eye(4) if stated.correlation is None else np.array(stated.correlation, dtype=float)
+    size, direction = np.linalg.eigh(np.outer(std, std) * correlation)
+    columns = (direction * np.sqrt(np.maximum(size, 0.0))).T
+    return tuple(replace(load, mass_kg=load.mass_kg + by[0], com_m=load.com_m + by[1:]) for by in columns)
+
+
+def _settings(station: _Station, path: FollowPath) -> Iterator[SettingCost]:
+    """Costs of one path with no load, the rated load and the identified load entered."""
+    arm = station.arm
+    planned: list[tuple[str, FeedLoad | None]] = [(UNLOADED, None)]
+    if arm.rated_load_kg is not None or arm.max_load_kg is not None:
+        planned.append((RATED, rated_load(arm, station.model.robot)))
+    pieces = _pieces(path)
+    for name, load in [*planned, (ENTERED, station.load)]:
+        timed = [_timed(station, path, piece, load) for piece in pieces]
+        missing = [number for number, segment in enumerate(timed, start=1) if segment is None]
+        if missing and name != RATED:
+            kg = 0.0 if load is None else load.mass_kg
+            raise PlanRefused(
+                f"path '{path.name}', segment {missing[0]}: the torque limits do not suffice to move the arm with a "
+                f"load of {kg:.4g} kg along it at any speed; change the path, or correct load and torque_limit_nm"
+            )
+        yield _setting(station, path, (name, load), [] if missing else [each for each in timed if each is not None])
+
+
+def _pieces(path: FollowPath) -> list[JointPath]:
+    """Geometry of the motions of a path, one after the other."""
+    starts = [path.start_rad, *(motion.q_rad[-1] for motion in path.motions[:-1])]
+    if path.limits is None:
+        return [timed_path(start, motion) for start, motion in zip(starts, path.motions, strict=True)]
+    return [line_path(start, motion.q_rad[-1]) for start, motion in zip(starts, path.motions, strict=True)]
+
+
+def _timed(station: _Station, path: FollowPath, piece: JointPath, load: FeedLoad | None) -> TimedSegment | None:
+    assumed = station.torque(piece, load)
+    if path.limits is None:
+        return stretched(piece, assumed)
+    return fastest_line(piece.q_rad[0], piece.q_rad[-1], path.limits, path.period_s, assumed)
+
+
+def _setting(
+    station: _Station, path: FollowPath, assumed: tuple[str, FeedLoad | None], segments: list[TimedSegment]
+) -> SettingCost:
+    """Times as planned, and reserves with the load that is mounted; NaN where the path cannot be planned."""
+    axes = len(station.arm.axis)
+    largest, std = np.full((2, axes), 0.0 if segments else np.nan)
+    gripper = 0.0 if segments else np.nan
+    for piece, segment in zip(_pieces(path), segments, strict=bool(segments)):
+        torque = station.torque(piece, station.load)
+        share = torque.torque_shares(segment.law)
+        row = np.argmax(np.abs(share), axis=0), np.arange(axes)
+        changed = [station.torque(piece, variant).torque_shares(segment.law)[row] for variant in station.variants]
+        spread = np.sqrt(np.sum([(each - share[row]) ** 2 for each in changed], axis=0)) if changed else np.nan
+        peak = np.abs(share[row])
+        std, largest = np.where(peak > largest, spread, std), np.maximum(largest, peak)
+        gripper = max(gripper, float(torque.load_shares(segment.law).max()))
+    name, load = assumed
+    return SettingCost(
+        name=name,
+        mass_kg=0.0 if load is None else load.mass_kg,
+        cycle_time_s=sum(segment.duration_s + path.dwell_s for segment in segments) or np.nan,
+        segments=tuple(SegmentCost(segment.duration_s, segment.limited_by) for segment in segments),
+        torque_reserve=tuple((1.0 - largest).tolist()),
+        torque_reserve_std=tuple(std.tolist()),
+        load_acceleration_reserve=np.nan if station.arm.load_acceleration_m_s2 is None else 1.0 - gripper,
+    )
+
+
+def _remarks(station: _Station, result: Result) -> Iterator[str]:
+    """What the figures do not contain, and limits that are not confirmed."""
+    sources = station.model.sources
+    for joints, note in notes_of([axis.notes for axis in sources]):
+        yield f"{joints}: {note}"
+    for joints, name in notes_of([axis.missing for axis in sources]):
+        yield f"{joints}: {name} is not in the torque: it is neither identified nor given in the cell file"
+    assumed = [f"J{joint}" for joint, axis in enumerate(station.arm.axis, 1) if axis.torque_limit_is_assumed]
+    if assumed:
+        yield f"{', '.join(assumed)}: torque_limit_nm is assumed; confirm it before relying on the reserve"
+    if not station.variants:
+        yield f"load '{station.load.label}': its uncertainty is incomplete, so the reserve has no interval"
+    if result.effects:
+        names = ", ".join(dict.fromkeys(effect.name for effect in result.effects))
+        yield f"effects of the result are not in the torque: {names}"
+    yield f"inertia of the load: {station.load.inertia_source}"
