@@ -22,8 +22,8 @@ from tests.support.figure import figure, show
 
 VERSIONS: Final = ("3.12", "3.13")
 PACKAGES: Final = (
-    *("analyse", "cell", "commands", "data", "diagnose", "estimate", "excite", "feedforward", "fleet", "formats"),
-    *("identify", "model", "newcell", "report", "result"),
+    *("cell", "commands", "data", "diagnose", "estimate", "excite", "feedforward", "fleet", "formats"),
+    *("identify", "model", "newcell", "pipeline", "report", "result"),
 )
 #: Test modules that import the engine of the simulator.
 WITH_ENGINE: Final = (

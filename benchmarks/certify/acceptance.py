@@ -75,14 +75,14 @@ def chosen_poses(cell: Path, result: Path) -> tuple[Floats, float]:
     """Poses (n, 6) that the design of `accept` asks for, paths between them not planned, and the expected std."""
     from gateway.acquire.acceptance_plan import MOST_POSES, workspace_postures
     from gateway.acquire.poses import DISTANCE_RAD
-    from gateway.analyse.given import ModelRequest, given
-    from gateway.analyse.workspace_acceptance import entered_load, parse_tolerance, seen_postures
     from gateway.identify.workspace_error import error_families, fewest_poses
     from gateway.identify.workspace_error import resolution as expected
     from gateway.motion.workspace import workspace_of
+    from gateway.pipeline.inputs import ModelRequest, collect_inputs
+    from gateway.pipeline.workspace_acceptance import entered_load, parse_tolerance, seen_postures
     from gateway.result.result import read_result
 
-    about, stored = given(ModelRequest(cell=cell), ()), read_result(result)
+    about, stored = collect_inputs(ModelRequest(cell=cell), ()), read_result(result)
     assert about.arm is not None
     assert about.loaded is not None
     tolerance_nm = parse_tolerance(f"{TOLERANCE_PERCENT}%", about.arm)

@@ -11,10 +11,10 @@ import numpy as np
 
 from gateway.acquire.planning import make_plan
 from gateway.acquire.session import RecordRequest, record
-from gateway.analyse.given import ModelRequest, given, read_rows
 from gateway.estimate.joint import estimate_joint
 from gateway.estimate.options import EstimateOptions
 from gateway.model.visits import pair_visits
+from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
 from sim.faults import Fault
 from tests.support.chaos.rig import EXAMPLE, Rig
 from tests.support.figure import figure
@@ -67,7 +67,7 @@ def recorded(folder: Path, share: float) -> tuple[Path, int]:
 
 def estimated(path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Mass [kg] and centre of gravity [m] of the load with their standard deviations."""
-    about = given(ModelRequest(), [path])
+    about = collect_inputs(ModelRequest(), [path])
     efficiency = tuple(float(value) for value in about.efficiency)
     visits = pair_visits(read_rows([path], about), efficiency)
     gravity = tuple(float(value) for value in about.gravity_m_s2)

@@ -9,7 +9,6 @@ import numpy as np
 
 from gateway.acquire.plan import Approach, Expectation, MoveTo, Plan, VisitSettings, check_plan, plan_poses
 from gateway.acquire.poses import PoseRequest, RestPose, choose_poses, read_poses
-from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.identify.load_estimate import load_directions
@@ -20,6 +19,7 @@ from gateway.model.regressor import load_regressor
 from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_load
 from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace, workspace_of
+from gateway.pipeline.inputs import constants_std, profile_of
 from gateway.preflight.limits import refuse_beyond_counts
 
 #: Other choices that are tried if no path leads to some chosen pose.

@@ -12,7 +12,6 @@ import numpy as np
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import plan_of_any
 from gateway.acquire.poses import PoseRequest, can_be_measured
-from gateway.analyse.given import Given
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.recorded import Recording
 from gateway.data.rest_pose import RestPose
@@ -20,6 +19,7 @@ from gateway.errors import InputError
 from gateway.feedforward.load import other_origin
 from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
+from gateway.pipeline.inputs import AnalysisInputs
 from gateway.result.result import read_result
 
 #: Postures that a result may choose among, drawn so many at once and so often at most.
@@ -123,7 +123,7 @@ def _numbered(
     return tuple(poses.values())
 
 
-def postures_to_ask(about: Given) -> np.ndarray | None:
+def postures_to_ask(about: AnalysisInputs) -> np.ndarray | None:
     """Postures (k, N) [rad] that a result may request: inside the limits, free, approachable from both sides.
 
     None where no cell is known; none at all where a thousand draws find none.

@@ -9,13 +9,13 @@ Units are SI and part of every name (`_kg _m _rad _nm _s`), joints count from 1.
 
 from drives.errors import DriveError
 from drives.values import Identity
-from gateway.analyse.given import ModelRequest
-from gateway.analyse.known import KnownLoad
 from gateway.api.analysis import diagnose, estimate, read
 from gateway.api.drive import Drive
 from gateway.cell.config import Cell, load_cell
 from gateway.data.table import Table
 from gateway.errors import GatewayError
+from gateway.pipeline.inputs import ModelRequest
+from gateway.pipeline.known import KnownLoad
 from gateway.report.render import render
 from gateway.result.result import Result, read_result, to_json
 

@@ -11,23 +11,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.analyse.accept import accept
-from gateway.analyse.complete import complete
-from gateway.analyse.given import (
-    Given,
-    ModelRequest,
-    diagnose_arguments,
-    estimate_options,
-    given,
-    read_rows,
-    split_validation,
-)
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose import diagnose as _diagnosed
 from gateway.errors import InputError
 from gateway.estimate import run as _estimated
 from gateway.model.effects import LIBRARY
+from gateway.pipeline.accept import accept
+from gateway.pipeline.finalize import finalize
+from gateway.pipeline.inputs import (
+    AnalysisInputs,
+    ModelRequest,
+    collect_inputs,
+    diagnose_arguments,
+    estimate_options,
+    read_rows,
+    split_validation,
+)
 from gateway.result.result import Result
 
 #: One file, or several: recordings (`.h5`) and measured tables (`.csv`).
@@ -59,7 +59,7 @@ def read(data: Files, model: ModelRequest | None = None) -> Table:
         A file that cannot be used, with its line.
     """
     paths = _paths(data)
-    return read_rows(paths, given(model or ModelRequest(), paths))
+    return read_rows(paths, collect_inputs(model or ModelRequest(), paths))
 
 
 def estimate(data: Files, model: ModelRequest, *, method: str = "joint") -> Result:
@@ -87,10 +87,10 @@ def estimate(data: Files, model: ModelRequest, *, method: str = "joint") -> Resu
         The data do not determine a load: rank, too few poses.
     """
     paths = _paths(data)
-    about = given(model, paths)
+    about = collect_inputs(model, paths)
     table = read_rows(paths, about)
     options = replace(estimate_options(about), pose_choice=_postures(about))
-    return accept(complete(_estimated(table, about.robot, options, method), about, table, paths), (), about.arm)
+    return accept(finalize(_estimated(table, about.robot, options, method), about, table, paths), (), about.arm)
 
 
 def diagnose(
@@ -124,7 +124,7 @@ def diagnose(
     paths, unseen_paths, names = _paths(data), _paths(holdout), (frozenset(only), frozenset(without))
     for name in sorted(frozenset.union(*names) - set(LIBRARY)):
         raise InputError(f"'{name}' is not an effect; choose from {', '.join(sorted(LIBRARY))}")
-    about = given(model, [*paths, *unseen_paths])
+    about = collect_inputs(model, [*paths, *unseen_paths])
     table = read_rows(paths, about)
     seen, unseen = (table, read_rows(unseen_paths, about)) if unseen_paths else split_validation(table)
     options = DiagnoseOptions(
@@ -134,11 +134,11 @@ def diagnose(
         pose_choice=partial(_postures, about),
         **diagnose_arguments(about),
     )
-    found = complete(_diagnosed(seen, about.model, options), about, table, [*paths, *unseen_paths])
+    found = finalize(_diagnosed(seen, about.model, options), about, table, [*paths, *unseen_paths])
     return accept(found, (), about.arm)
 
 
-def _postures(about: Given) -> NDArray[np.float64] | None:
+def _postures(about: AnalysisInputs) -> NDArray[np.float64] | None:
     """Postures (k, N) [rad] that a result may ask for, within the limits of the cell; None without a cell."""
     if about.arm is None:
         return None

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
     import numpy as np
 
     from gateway.acquire.acceptance_plan import AcceptancePlan
-    from gateway.analyse.given import Given
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.identify.workspace_error import EnteredLoad
     from gateway.motion.workspace import Workspace
+    from gateway.pipeline.inputs import AnalysisInputs
     from gateway.result.result import Result
 
 #: Recording in the folder of --out.
@@ -101,16 +101,16 @@ def accept(
     exit 7 unless it passes.
     """
     from gateway.acquire.acceptance_plan import workspace_postures
-    from gateway.analyse.given import ModelRequest, given, read_rows
-    from gateway.analyse.workspace_acceptance import accepted_over
+    from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
+    from gateway.pipeline.workspace_acceptance import accepted_over
 
     request = ModelRequest(cell=cell, arm=arm_name)
-    about = given(request, data)
+    about = collect_inputs(request, data)
     note_remarks(about.robot)
     job = _job(about, load_file, label, tolerance)
     if not data:
         data = (_measured(job, MeasuringOptions(cell, out, resume, bus_spec, moving)),)
-        about = given(request, data)
+        about = collect_inputs(request, data)
     table = read_rows(data, about)
     with session_of().working("acceptance"):
         postures = workspace_postures(job.loaded, job.workspace)
@@ -119,15 +119,15 @@ def accept(
     _hand_over(answer, json_out, report, junit_file)
 
 
-def _job(about: Given, load_file: Path, label: str | None, tolerance: str) -> _Job:
+def _job(about: AnalysisInputs, load_file: Path, label: str | None, tolerance: str) -> _Job:
     """Everything that can be refused before an arm moves.
 
     Raises
     ------
     InputError, DataUnusable, PlanRefused
     """
-    from gateway.analyse.workspace_acceptance import entered_load, parse_tolerance
     from gateway.motion.workspace import workspace_of
+    from gateway.pipeline.workspace_acceptance import entered_load, parse_tolerance
     from gateway.result.result import read_result
 
     arm, loaded = about.arm, about.loaded
@@ -148,8 +148,8 @@ def _planned(job: _Job) -> AcceptancePlan:
     import numpy as np
 
     from gateway.acquire.acceptance_plan import plan_acceptance
-    from gateway.analyse.workspace_acceptance import seen_postures
     from gateway.identify.workspace_error import error_families
+    from gateway.pipeline.workspace_acceptance import seen_postures
     from gateway.preflight.limits import refuse_beyond_counts
 
     refuse_beyond_counts(job.loaded, job.arm)

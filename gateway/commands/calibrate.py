@@ -36,11 +36,11 @@ from gateway.errors import GatewayError, PlanRefused
 
 if TYPE_CHECKING:
     from gateway.acquire.plan import Plan
-    from gateway.analyse.calibrate import Calibration
-    from gateway.analyse.calibration_checks import Weight
-    from gateway.analyse.given import Given
     from gateway.cell.config import ArmConfig
     from gateway.commands.console import Session
+    from gateway.pipeline.calibrate import Calibration
+    from gateway.pipeline.calibration_checks import Weight
+    from gateway.pipeline.inputs import AnalysisInputs
 
 #: Recording in the folder of --out.
 _RECORDING: Final = "calibrate.h5"
@@ -72,34 +72,34 @@ def calibrate(
 
     The result is stored beside the cell file as CELL.calibration.toml; estimate, diagnose and commission use it.
     """
-    from gateway.analyse.calibrate import calibrate as run
-    from gateway.analyse.calibration_checks import Weight
-    from gateway.analyse.given import ModelRequest, given, read_rows
-    from gateway.analyse.known import parse_known
     from gateway.cell.calibration import calibration_path
     from gateway.cell.config import load_cell
     from gateway.model.arm_model import arm_named
+    from gateway.pipeline.calibrate import calibrate as run
+    from gateway.pipeline.calibration_checks import Weight
+    from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
+    from gateway.pipeline.known import parse_known
 
     label, stated = parse_known(known)
     wrong = label_refused(label)
     if wrong:
         raise click.UsageError(f"--known {label}: '{label}' {wrong}")
     request = ModelRequest(cell=cell, known={label: stated}, arm=arm_name, is_warm=is_warm, calibrated=False)
-    about = given(request, data)
+    about = collect_inputs(request, data)
     weight = Weight.of(label, about)
     arm = arm_named(load_cell(cell), arm_name)
     note_remarks(about.robot)
     refuse_unwritable(calibration_path(cell), "calibration file")
     if not data:
         data = (_measured(arm, about, weight, MeasuringOptions(cell, out, resume, bus_spec, moving)),)
-        about = given(request, data)
+        about = collect_inputs(request, data)
     table = read_rows(data, about)
     with session_of().working("calibration"):
         found = run(table, about, weight, [path.name for path in data], datetime.now(UTC), partial(postures, about))
     _hand_over(found, cell, json_out, session_of())
 
 
-def _measured(arm: ArmConfig, about: Given, weight: Weight, how: MeasuringOptions) -> Path:
+def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: MeasuringOptions) -> Path:
     """Measure the unloaded arm, the load, and the unloaded arm again; return the recording."""
     from drives.errors import DriveError
     from gateway.commands.cell_context import open_cell
@@ -123,14 +123,14 @@ def _measured(arm: ArmConfig, about: Given, weight: Weight, how: MeasuringOption
     return recording
 
 
-def _refuse_plan(arm: ArmConfig, about: Given, weight: Weight, plan: Plan) -> None:
+def _refuse_plan(arm: ArmConfig, about: AnalysisInputs, weight: Weight, plan: Plan) -> None:
     """Refuse to move if no axis can be calibrated."""
     import numpy as np
 
-    from gateway.analyse.calibration_checks import carried_by_none, load_torque, stated_std
     from gateway.identify.loads import load_vector
     from gateway.motion.assumed import assumed_noise_nm, reference_load
     from gateway.motion.workspace import workspace_of
+    from gateway.pipeline.calibration_checks import carried_by_none, load_torque, stated_std
 
     robot = about.model
     workspace = workspace_of(arm, robot)
@@ -147,7 +147,6 @@ def _hand_over(found: Calibration, cell: Path, json_out: str | None, session: Se
 
     A failing finding prevents that without --force.
     """
-    from gateway.analyse.calibration_checks import contradictions
     from gateway.cell.calibration import (
         CalibrationFile,
         calibration_path,
@@ -155,6 +154,7 @@ def _hand_over(found: Calibration, cell: Path, json_out: str | None, session: Se
         parse_calibration,
         read_calibration,
     )
+    from gateway.pipeline.calibration_checks import contradictions
     from gateway.result.values import plain_values
 
     path, new = calibration_path(cell), found.stored

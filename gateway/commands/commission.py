@@ -24,17 +24,6 @@ from gateway.acquire.until.messages import end_of
 from gateway.acquire.until.prepare import UntilRequest, search_of
 from gateway.acquire.until.run import UntilSummary
 from gateway.acquire.until.search import LoadSearch, decide
-from gateway.analyse.complete import complete
-from gateway.analyse.given import (
-    WARM_CHANGE,
-    Given,
-    ModelRequest,
-    diagnose_arguments,
-    estimate_options,
-    given,
-    read_rows,
-    split_validation,
-)
 from gateway.cell.config import ArmConfig
 from gateway.commands.cell_context import CellContext
 from gateway.commands.motion_options import SLOW_PERCENT
@@ -53,6 +42,17 @@ from gateway.model.visits import pair_visits
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
+from gateway.pipeline.finalize import finalize
+from gateway.pipeline.inputs import (
+    WARM_CHANGE,
+    AnalysisInputs,
+    ModelRequest,
+    collect_inputs,
+    diagnose_arguments,
+    estimate_options,
+    read_rows,
+    split_validation,
+)
 from gateway.preflight.drive_check import require_passed
 from gateway.result.result import Finding, Result
 
@@ -175,7 +175,7 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
         result = replace(result, method=plain.method, parameters=plain.parameters, bare=plain.bare)
     drifts = drift_of(pair_visits(table, about.efficiency, about.coupling)) if job.thermal is not None else ()
     result = replace(result, findings=(*result.findings, *robot.ends, *drift_findings(drifts)))
-    return complete(result, about, table, [job.recording], job.operator)
+    return finalize(result, about, table, [job.recording], job.operator)
 
 
 def measure(job: Job, dialogue: Dialogue) -> None:
@@ -307,11 +307,12 @@ class _Robot:
         chosen = np.isin(table.pose, [pose.number for pose in poses]) & (table.load == self._load)
         return table.take(chosen)
 
-    def data(self) -> tuple[Given, Table]:
+    def data(self) -> tuple[AnalysisInputs, Table]:
         """Return all data measured so far."""
         job = self._job
         about = replace(
-            given(ModelRequest(cell=job.context.path, arm=job.arm.name), [job.recording]), loaded=job.context.loaded
+            collect_inputs(ModelRequest(cell=job.context.path, arm=job.arm.name), [job.recording]),
+            loaded=job.context.loaded,
         )
         return about, read_rows([job.recording], about)
 

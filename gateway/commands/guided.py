@@ -80,13 +80,13 @@ def commission(
     """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves."""
     from drives.errors import DriveError
     from gateway.acquire.thermal import WARM_UP_FILE
-    from gateway.analyse.accept import accept
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job
     from gateway.commands.commission import commission as run
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import refuse_other_cell
     from gateway.model.arm_model import arm_named, arm_robot
+    from gateway.pipeline.accept import accept
     from gateway.report.render import render
     from gateway.result.acceptance import check_expected
     from gateway.result.result import to_dict

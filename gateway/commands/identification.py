@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
-    from gateway.analyse.given import Given, ModelRequest
     from gateway.estimate import Coefficient
+    from gateway.pipeline.inputs import AnalysisInputs, ModelRequest
     from gateway.result.acceptance import Expected
     from gateway.result.result import Result
 
@@ -47,9 +47,9 @@ def model_request(
     is_warm: bool,
 ) -> ModelRequest:
     """Return the options of MODEL as one value."""
-    from gateway.analyse.given import ModelRequest
-    from gateway.analyse.known import parse_known
     from gateway.identify.nuisance import parse_torque_gain
+    from gateway.pipeline.inputs import ModelRequest
+    from gateway.pipeline.known import parse_known
 
     gain_std = None if torque_gain is None else parse_torque_gain(torque_gain)
     loads = dict(parse_known(text) for text in known)
@@ -122,13 +122,13 @@ def estimate(
     """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
     from dataclasses import replace
 
-    from gateway.analyse.accept import accept, check_against_data
-    from gateway.analyse.complete import complete
-    from gateway.analyse.given import estimate_options, given, read_rows
     from gateway.estimate import run
+    from gateway.pipeline.accept import accept, check_against_data
+    from gateway.pipeline.finalize import finalize
+    from gateway.pipeline.inputs import collect_inputs, estimate_options, read_rows
 
     request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
-    about = given(request, data)
+    about = collect_inputs(request, data)
     note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
@@ -138,7 +138,7 @@ def estimate(
         options = replace(options, coefficient=wanted.of(about))
     with session_of().working("estimation"):
         result = run(table, about.robot, options, method)
-    result = accept(complete(result, about, table, data, operator), expected, about.arm)
+    result = accept(finalize(result, about, table, data, operator), expected, about.arm)
     _hand_over(result, json_out, junit_file, archive)
 
 
@@ -166,7 +166,7 @@ class _Coefficient:
     gear_efficiency: float | None
     rated_torque: float | None
 
-    def of(self, about: Given) -> Coefficient:
+    def of(self, about: AnalysisInputs) -> Coefficient:
         """Return the options of the method, completed from the cell."""
         from gateway.estimate import Coefficient
 
@@ -232,14 +232,14 @@ def diagnose(
 
     The verdict is one of: model complete, explained, improved, unexplained, undecided.
     """
-    from gateway.analyse.accept import accept, check_against_data
-    from gateway.analyse.complete import complete
-    from gateway.analyse.given import diagnose_arguments, given, read_rows, split_validation
     from gateway.diagnose import DiagnoseOptions
     from gateway.diagnose import diagnose as run
+    from gateway.pipeline.accept import accept, check_against_data
+    from gateway.pipeline.finalize import finalize
+    from gateway.pipeline.inputs import collect_inputs, diagnose_arguments, read_rows, split_validation
 
     request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
-    about = given(request, [*data, *holdout])
+    about = collect_inputs(request, [*data, *holdout])
     note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
@@ -249,11 +249,11 @@ def diagnose(
     options = DiagnoseOptions(holdout=unseen, only=only, without=without, pose_choice=choice, **arguments)
     with session_of().working("diagnosis"):
         result = run(seen, about.model, options)
-    result = accept(complete(result, about, table, [*data, *holdout], operator), expected, about.arm)
+    result = accept(finalize(result, about, table, [*data, *holdout], operator), expected, about.arm)
     _hand_over(result, json_out, junit_file, archive)
 
 
-def postures(about: Given) -> NDArray[np.float64] | None:
+def postures(about: AnalysisInputs) -> NDArray[np.float64] | None:
     """Return postures (k, N) that a result may propose; the planning code is imported only here."""
     from gateway.acquire.requested_poses import postures_to_ask
 

@@ -18,12 +18,12 @@ if TYPE_CHECKING:
     from gateway.acquire.until.prepare import UntilRequest
     from gateway.acquire.until.run import UntilSummary
     from gateway.acquire.until.search import LoadSearch
-    from gateway.analyse.known import KnownLoad
     from gateway.cell.config import ArmConfig, LoadedCell
     from gateway.commands.console import Session
     from gateway.data.recording.recorded import Recording
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
+    from gateway.pipeline.known import KnownLoad
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +64,7 @@ def _goal(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Go
 
 
 def _known(_ctx: click.Context, _param: click.Parameter, values: tuple[str, ...]) -> tuple[tuple[str, KnownLoad], ...]:
-    from gateway.analyse.known import parse_known
+    from gateway.pipeline.known import parse_known
 
     return tuple(parse_known(value) for value in values)
 

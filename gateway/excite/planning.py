@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.analyse.given import constants_std, profile_of
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import PlanRefused
 from gateway.excite.excitation import Excitation, MovingPlan
@@ -35,6 +34,7 @@ from gateway.motion.assumed import NOISE_SOURCE, assumed_noise_nm, reference_loa
 from gateway.motion.joint_path import angles
 from gateway.motion.torque_need import links_with_loads
 from gateway.motion.workspace import Workspace, workspace_of
+from gateway.pipeline.inputs import constants_std, profile_of
 from gateway.preflight.limits import refuse_beyond_counts
 
 __all__ = ["MovingRequest", "check_moving_plan", "make_moving_plan", "read_moving_plan"]

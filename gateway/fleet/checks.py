@@ -10,13 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from gateway.analyse.given import ModelRequest, estimate_options, given_with, read_rows
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import run
 from gateway.fleet.columns import ESTIMATE, RECORDING, RESULT, TEMPERATURE, axis_columns
 from gateway.fleet.identity import RobotName, moment, robot_name
+from gateway.pipeline.inputs import ModelRequest, estimate_options, inputs_from_recordings, read_rows
 from gateway.result.origin import drives_of, file_sha256, software
 from gateway.result.result import LoadResult, NuisanceResult, Outcome, Result, read_result
 from gateway.result.values import plain_values
@@ -121,7 +121,7 @@ def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
             duration_s=_duration_s(arm),
         )
         try:
-            about = given_with(ModelRequest(arm=arm.name), (recording,))
+            about = inputs_from_recordings(ModelRequest(arm=arm.name), (recording,))
             table = read_rows([path], about)
             told |= numbers_of(run(table, about.model, estimate_options(about)), about.gain_std)
             told[TEMPERATURE] = table.temperature_c.mean(axis=0).tolist()

@@ -28,7 +28,7 @@ FLOORS: Final = (
     ("diagnose",),
     ("feedforward",),
     ("report", "formats"),
-    ("analyse",),
+    ("pipeline",),
     ("preflight",),
     ("motion",),
     ("excite",),

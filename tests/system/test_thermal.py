@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.analyse.given import ModelRequest, estimate_options, given, read_rows, split_validation
 from gateway.estimate import run as estimate
 from gateway.identify.drift import AGAIN
+from gateway.pipeline.inputs import ModelRequest, collect_inputs, estimate_options, read_rows, split_validation
 from tests.system.conftest import with_few_poses
 
 pytestmark = pytest.mark.system
@@ -25,7 +25,7 @@ def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serv
     assert code in (0, 7), output.err
     assert hands.asked == ["load", "none", "load"]
     assert (place.folder / "out" / "warm-up.h5").exists()
-    about = given(ModelRequest(), [place.folder / "out" / "run.h5"])
+    about = collect_inputs(ModelRequest(), [place.folder / "out" / "run.h5"])
     table, _ = split_validation(read_rows([place.folder / "out" / "run.h5"], about))
 
     def off_kg(chosen) -> float:

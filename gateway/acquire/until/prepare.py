@@ -13,8 +13,6 @@ from gateway.acquire.planning import visit_settings
 from gateway.acquire.poses import PoseRequest
 from gateway.acquire.until.goal import OPTION, Goal
 from gateway.acquire.until.search import LoadSearch, guess_of, pool_of
-from gateway.analyse.given import ModelRequest, estimate_options, given, read_rows, split_validation
-from gateway.analyse.known import KnownLoad
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
@@ -23,6 +21,8 @@ from gateway.errors import InputError
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.loads import BARE_LABEL
 from gateway.motion.workspace import Workspace
+from gateway.pipeline.inputs import ModelRequest, collect_inputs, estimate_options, read_rows, split_validation
+from gateway.pipeline.known import KnownLoad
 
 Floats = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ def search_of(
     stored = None if earlier is None else earlier.arm(arm.name)
     measured = stored is not None and any(visit.complete for visit in stored.visits)
     paths = [request.path] if measured else []
-    about = given(ModelRequest(cell=request.cell, arm=arm.name, bare=request.bare, known=request.known), paths)
+    about = collect_inputs(ModelRequest(cell=request.cell, arm=arm.name, bare=request.bare, known=request.known), paths)
     table = read_rows(paths, about) if measured else None
     if table is not None and len(apart_rad):
         table = split_validation(table)[0]

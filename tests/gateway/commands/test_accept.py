@@ -13,12 +13,12 @@ import pinocchio
 import pytest
 from click.testing import CliRunner
 
-from gateway.analyse.workspace_acceptance import flange_equivalent
 from gateway.cli import main
 from gateway.data.rows import concatenate
 from gateway.data.table import write_csv
 from gateway.identify.workspace_error import EnteredLoad, ErrorFamily, fewest_poses, inferred_error, resolution
 from gateway.model.robot import robot_from_urdf
+from gateway.pipeline.workspace_acceptance import flange_equivalent
 from gateway.result.result import LoadResult, read_result, to_json
 from tests.arms import peer_of
 from tests.support.rigs.tables import make_table

@@ -10,7 +10,6 @@ import numpy as np
 from hypothesis import strategies as st
 
 from drives.profile import DriveProfile
-from gateway.analyse.given import read_bare
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell
 from gateway.errors import ConfigError, DataUnusable, InputError, PlanRefused
 from gateway.feedforward.load import check_origin, identified_load
@@ -20,6 +19,7 @@ from gateway.model.arm_model import arm_robot
 from gateway.model.robot import Robot
 from gateway.motion.opening import axis_setups
 from gateway.motion.workspace import Workspace, workspace_of
+from gateway.pipeline.inputs import read_bare
 from gateway.result.result import from_json
 from tests.support.fuzz.check_files import EXAMPLES, RESULT_SEED, in_file
 from tests.support.fuzz.guard import bounded

@@ -14,21 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drives.errors import ProfileError
-from gateway.analyse.calibrated import serial_numbers
-from gateway.analyse.calibration_checks import (
-    LARGEST_SHARE,
-    PRIOR_STD,
-    AxisCalibration,
-    Places,
-    Weight,
-    carried_by_none,
-    load_torque,
-    mass_finding,
-    stated_findings,
-    stated_std,
-    unknown_axes,
-)
-from gateway.analyse.given import WARM_CHANGE, Given, estimate_options, profile_of
 from gateway.cell.calibration import ArmCalibration, CalibratedAxis
 from gateway.cell.config import ArmConfig
 from gateway.data.labels import BARE_LABEL
@@ -43,6 +28,21 @@ from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import ordinary_of
 from gateway.identify.rest.problem import build_problem
 from gateway.model.visits import Visits, pair_visits
+from gateway.pipeline.calibrated import serial_numbers
+from gateway.pipeline.calibration_checks import (
+    LARGEST_SHARE,
+    PRIOR_STD,
+    AxisCalibration,
+    Places,
+    Weight,
+    carried_by_none,
+    load_torque,
+    mass_finding,
+    stated_findings,
+    stated_std,
+    unknown_axes,
+)
+from gateway.pipeline.inputs import WARM_CHANGE, AnalysisInputs, estimate_options, profile_of
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -59,7 +59,7 @@ class Calibration:
 
 def calibrate(
     table: Table,
-    about: Given,
+    about: AnalysisInputs,
     weight: Weight,
     data: Sequence[str],
     now: datetime,
@@ -71,7 +71,7 @@ def calibrate(
     ----------
     table : Table
         Rows by the constants of the cell file.
-    about : Given
+    about : AnalysisInputs
         Of a request with `calibrated` False.
     weight : Weight
     data : sequence of str
@@ -136,7 +136,9 @@ def _best(axes: Sequence[AxisCalibration]) -> str:
     return f"J{least.joint} is measured best, to {100 * least.std:.2g} %; use a heavier load or more poses"
 
 
-def _axes(arm: ArmConfig, about: Given, problem: RestProblem, fit: Fit, load_nm: Floats) -> Iterator[AxisCalibration]:
+def _axes(
+    arm: ArmConfig, about: AnalysisInputs, problem: RestProblem, fit: Fit, load_nm: Floats
+) -> Iterator[AxisCalibration]:
     found = ordinary_of(problem, fit)["gain"]
     gain, std = np.array(found.value), np.array(found.std)
     stated = stated_std(about, len(gain))
@@ -164,7 +166,7 @@ def _axes(arm: ArmConfig, about: Given, problem: RestProblem, fit: Fit, load_nm:
 
 
 def _stored(
-    arm: ArmConfig, about: Given, axes: Sequence[AxisCalibration], rms_nm: Floats, visits: Visits
+    arm: ArmConfig, about: AnalysisInputs, axes: Sequence[AxisCalibration], rms_nm: Floats, visits: Visits
 ) -> Iterator[CalibratedAxis]:
     serials = serial_numbers(about.recordings, arm.name)
     for axis in axes:

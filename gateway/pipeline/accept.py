@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from gateway.analyse.given import Given
 from gateway.cell.config import ArmConfig
 from gateway.data.table import Table
 from gateway.identify.loads import unknown_labels
+from gateway.pipeline.inputs import AnalysisInputs
 from gateway.result.acceptance import Expected, Rating, accepted, check_expected
 from gateway.result.result import Result
 
@@ -28,7 +28,7 @@ def ratings(arm: ArmConfig | None) -> tuple[Rating, ...]:
     )
 
 
-def check_against_data(expected: Sequence[Expected], tables: Iterable[Table], about: Given) -> None:
+def check_against_data(expected: Sequence[Expected], tables: Iterable[Table], about: AnalysisInputs) -> None:
     """Make sure that the data hold every load that something is expected of.
 
     Raises

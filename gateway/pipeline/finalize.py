@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from drives.errors import ProfileError
-from gateway.analyse.given import Given, profile_of
 from gateway.cell.provenance import provenance
 from gateway.data.reading import is_recording
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.identify.load_estimate import load_result, refused_findings, refused_load
+from gateway.pipeline.inputs import AnalysisInputs, profile_of
 from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result.acceptance import not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
@@ -25,14 +25,16 @@ from gateway.result.origin import DriveOrigin, drives_of, file_sha256, in_words,
 from gateway.result.result import Finding, LoadResult, Result
 
 
-def complete(result: Result, about: Given, table: Table, paths: Sequence[Path], operator: str | None = None) -> Result:
+def finalize(
+    result: Result, about: AnalysisInputs, table: Table, paths: Sequence[Path], operator: str | None = None
+) -> Result:
     """Add what a reader of the result file needs beside the numbers.
 
     Parameters
     ----------
     result : Result
         Of an estimation or a diagnosis.
-    about : Given
+    about : AnalysisInputs
         What it was told.
     table : Table
         All rows that were read.
@@ -85,7 +87,7 @@ def _temperatures(table: Table) -> tuple[tuple[float, float], ...]:
     return tuple(zip(np.where(known, low, np.nan).tolist(), np.where(known, high, np.nan).tolist(), strict=True))
 
 
-def _without_incredible(result: Result, about: Given) -> Result:
+def _without_incredible(result: Result, about: AnalysisInputs) -> Result:
     """The result with every load refused that lies significantly beyond what the arm can carry."""
 
     def held(load: LoadResult) -> LoadResult:
@@ -106,7 +108,7 @@ def _without_incredible(result: Result, about: Given) -> Result:
     return replace(result, loads=loads, after=replace(result.after, loads=loads), findings=findings)
 
 
-def _corrected(about: Given) -> list[Finding]:
+def _corrected(about: AnalysisInputs) -> list[Finding]:
     """Constants that were corrected since the recording."""
     return [
         Finding("info", f"J{each.joint}", f"{each.what}: worked out anew with the cell's", "")
@@ -114,7 +116,7 @@ def _corrected(about: Given) -> list[Finding]:
     ]
 
 
-def _poses(result: Result, about: Given, roles: Sequence[str]) -> tuple[DrawnPose, ...]:
+def _poses(result: Result, about: AnalysisInputs, roles: Sequence[str]) -> tuple[DrawnPose, ...]:
     if result.rows is None or about.robot is None:
         return ()
     return drawn_poses(about.robot, result.rows, result.loads, roles)
@@ -124,7 +126,7 @@ def _roles(result: Result) -> tuple[str, ...]:
     return () if result.rows is None else ("fit",) * len(result.rows.load)
 
 
-def _drives(about: Given) -> tuple[DriveOrigin, ...]:
+def _drives(about: AnalysisInputs) -> tuple[DriveOrigin, ...]:
     """Drives of the first recording: a later one of other drives has been refused."""
     recorded = _recorded_arm(about.recordings, None if about.arm is None else about.arm.name)
     return drives_of(recorded[0][1].identities) if recorded else ()
@@ -177,7 +179,7 @@ def _rounded(value: float | None, scale: float) -> float | None:
     return None if value is None else round(scale * value, 2)
 
 
-def _provenance(about: Given) -> dict[str, Any]:
+def _provenance(about: AnalysisInputs) -> dict[str, Any]:
     """Constants of the cell; of the recording where the drives were asked."""
     if about.arm is None:
         return {}

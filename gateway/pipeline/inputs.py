@@ -14,9 +14,6 @@ import numpy as np
 from drives.errors import ProfileError
 from drives.profile import DriveProfile
 from drives.profile_file import find_profile, parse_profile
-from gateway.analyse.calibrated import Calibrated, calibrated, serial_numbers
-from gateway.analyse.known import KnownLoad, Load, unnamed_frame, with_and_without_centre
-from gateway.analyse.torque_size import refuse_small_torques
 from gateway.cell.calibration import calibration_path
 from gateway.cell.config import REPORTED_STD_PERCENT, ArmConfig, AxisConfig, LoadedCell, load_cell
 from gateway.cell.conversion import AxisConversion
@@ -34,6 +31,9 @@ from gateway.model.kinematics import STANDARD_GRAVITY_M_S2, kinematic_difference
 from gateway.model.load_bounds import LoadBounds, load_bounds
 from gateway.model.robot import Robot, or_another_tip, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
+from gateway.pipeline.calibrated import Calibrated, calibrated, serial_numbers
+from gateway.pipeline.known import KnownLoad, Load, unnamed_frame, with_and_without_centre
+from gateway.pipeline.torque_size import refuse_small_torques
 from gateway.result.result import Bare, Finding, read_result
 
 VALIDATION = "x_validation"
@@ -75,7 +75,7 @@ class ModelRequest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Given:
+class AnalysisInputs:
     """Everything an analysis is told besides the rows.
 
     Attributes
@@ -155,7 +155,7 @@ class Given:
         return self.robot
 
 
-def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
+def collect_inputs(request: ModelRequest, paths: Sequence[Path]) -> AnalysisInputs:
     """Collect what the options and the recordings among the data say, and bind the recordings to their arm.
 
     Raises
@@ -165,11 +165,11 @@ def given(request: ModelRequest, paths: Sequence[Path]) -> Given:
     InputError
         A recording or a stored bare identification that cannot be used, or that was made with another arm.
     """
-    return given_with(request, tuple(read(path) for path in paths if is_recording(path)))
+    return inputs_from_recordings(request, tuple(read(path) for path in paths if is_recording(path)))
 
 
-def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
-    """As `given`, of recordings that are read already."""
+def inputs_from_recordings(request: ModelRequest, read_ones: Sequence[Recording]) -> AnalysisInputs:
+    """As `collect_inputs`, of recordings that are read already."""
     loaded = None if request.cell is None else load_cell(request.cell)
     arm, robot = _arm_and_robot(request, loaded, read_ones)
     bound = () if arm is None else _bound(read_ones, arm, robot, loaded)
@@ -185,7 +185,7 @@ def given_with(request: ModelRequest, read_ones: Sequence[Recording]) -> Given:
         _refuse_other_scale(request.bare, axes, measured)
     known, masses = with_and_without_centre(request.known, robot, bounds)
     assumed = (unnamed_frame(label, stated, robot) for label, stated in request.known.items())
-    return Given(
+    return AnalysisInputs(
         robot=robot,
         gravity_m_s2=gravity_m_s2,
         efficiency=np.ones(axes) if arm is None else np.array([axis.gear_efficiency.value for axis in arm.axis]),
@@ -363,8 +363,8 @@ def _refuse_other_scale(path: Path, axes: int, measured: Calibrated | None) -> N
             )
 
 
-def read_rows(paths: Sequence[Path], about: Given) -> Table:
-    """Rows of all data files, which `given` has been told of.
+def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:
+    """Rows of all data files, the files that `collect_inputs` was called with.
 
     Raises
     ------
@@ -385,7 +385,7 @@ def read_rows(paths: Sequence[Path], about: Given) -> Table:
     return table
 
 
-def estimate_options(about: Given) -> EstimateOptions:
+def estimate_options(about: AnalysisInputs) -> EstimateOptions:
     """Options of an estimation."""
     inertials = about.inertials or ("ignore" if about.robot is None else default_inertials(about.robot))
     return EstimateOptions(
@@ -402,7 +402,7 @@ def estimate_options(about: Given) -> EstimateOptions:
     )
 
 
-def diagnose_arguments(about: Given) -> dict[str, Any]:
+def diagnose_arguments(about: AnalysisInputs) -> dict[str, Any]:
     """What a diagnosis is told, from what is known beside the rows."""
     return {
         "inertials": about.inertials,

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gateway.analyse.known import KnownLoad, in_last_link, parse_known, unnamed_frame, with_and_without_centre
 from gateway.cell.config import load_cell
 from gateway.errors import ConfigError, InputError
 from gateway.model.arm_model import arm_robot
 from gateway.model.load_bounds import NO_ARM
 from gateway.model.robot import with_flange
+from gateway.pipeline.known import KnownLoad, in_last_link, parse_known, unnamed_frame, with_and_without_centre
 
 SMALL = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
 

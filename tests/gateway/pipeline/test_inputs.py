@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 from drives.profile_file import PROFILE_FOLDER, parse_profile
-from gateway.analyse.complete import complete
-from gateway.analyse.given import ModelRequest, diagnose_arguments, estimate_options, given, read_rows
 from gateway.cell.config import load_cell
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import ConfigError, InputError
 from gateway.estimate import EstimateOptions, run
+from gateway.pipeline.finalize import finalize
+from gateway.pipeline.inputs import ModelRequest, collect_inputs, diagnose_arguments, estimate_options, read_rows
 from gateway.result.result import Result
 from tests.cells import CELLS
 from tests.visits import ARM_HEADER, header_of, visit
@@ -63,7 +63,7 @@ def record(tmp_path: Path) -> Callable[..., Path]:
 def test_recording_under_its_own_cell(cell_at, record):
     cell = cell_at("own")
     path = record(cell)
-    alone, named = given(ModelRequest(), [path]), given(ModelRequest(cell=cell), [path])
+    alone, named = collect_inputs(ModelRequest(), [path]), collect_inputs(ModelRequest(cell=cell), [path])
     assert not named.corrections
     assert read_rows([path], named).tau_nm == pytest.approx(read_rows([path], alone).tau_nm)
 
@@ -71,9 +71,9 @@ def test_recording_under_its_own_cell(cell_at, record):
 def test_recording_of_another_robot_is_refused(cell_at, record):
     path, other = record(cell_at("own")), cell_at("other", robot="large")
     with pytest.raises(InputError, match=r"run.h5: was recorded with robot .*; in robot .*, axis \d is \d+ mm elsewh"):
-        given(ModelRequest(cell=other), [path])
+        collect_inputs(ModelRequest(cell=other), [path])
     with pytest.raises(InputError, match="is .* mm elsewhere"):
-        given(ModelRequest(robot=EXAMPLES / "large" / "robot.urdf"), [path])
+        collect_inputs(ModelRequest(robot=EXAMPLES / "large" / "robot.urdf"), [path])
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_drives_wired_otherwise_are_refused(cell_at, record, edit, says):
     other = cell_at("other", edit)
     assert other.read_text() != (EXAMPLES / "small" / "cell.toml").read_text()
     with pytest.raises(InputError, match=says):
-        given(ModelRequest(cell=other), [path])
+        collect_inputs(ModelRequest(cell=other), [path])
 
 
 def test_corrected_constants_are_used_and_named(cell_at, record):
@@ -110,8 +110,8 @@ def test_corrected_constants_are_used_and_named(cell_at, record):
             "zero_offset_rad = 0.0", "zero_offset_rad = 0.1", 1
         ),
     )
-    before = read_rows([path], given(ModelRequest(), [path]))
-    about = given(ModelRequest(cell=corrected), [path])
+    before = read_rows([path], collect_inputs(ModelRequest(), [path]))
+    about = collect_inputs(ModelRequest(cell=corrected), [path])
     after = read_rows([path], about)
     assert after.tau_nm[:, 0] == pytest.approx(before.tau_nm[:, 0] * 121 / 120)
     assert after.tau_nm[:, 1:] == pytest.approx(before.tau_nm[:, 1:])
@@ -120,7 +120,7 @@ def test_corrected_constants_are_used_and_named(cell_at, record):
         "J1 gear_ratio 121, recorded with 120",
         "J1 zero_offset_rad 0.1, recorded with 0",
     ]
-    said = [(finding.where, finding.what) for finding in complete(Result("small"), about, after, [path]).findings]
+    said = [(finding.where, finding.what) for finding in finalize(Result("small"), about, after, [path]).findings]
     assert said == [
         ("J1", "gear_ratio 121, recorded with 120: worked out anew with the cell's"),
         ("J1", "zero_offset_rad 0.1, recorded with 0: worked out anew with the cell's"),
@@ -130,9 +130,9 @@ def test_corrected_constants_are_used_and_named(cell_at, record):
 def test_corrected_torque_constant_scales_what_was_measured_as_current(cell_at, record, monkeypatch):
     path = record(cell_at("own"))
     corrected = cell_at("corrected", lambda text: text.replace("{ value = 0.31,", "{ value = 0.62,", 1))
-    as_torque = read_rows([path], given(ModelRequest(cell=corrected), [path])).tau_nm
+    as_torque = read_rows([path], collect_inputs(ModelRequest(cell=corrected), [path])).tau_nm
     text = (PROFILE_FOLDER / "generic-cia402.toml").read_text()
-    own = read_rows([path], given(ModelRequest(), [path])).tau_nm
+    own = read_rows([path], collect_inputs(ModelRequest(), [path])).tau_nm
     assert as_torque == pytest.approx(own)  # a drive that reports torque has its own torque constant
     profile = parse_profile(text, "generic")
     current = profile.model_copy(
@@ -144,8 +144,8 @@ def test_corrected_torque_constant_scales_what_was_measured_as_current(cell_at, 
     )
     monkeypatch.setattr("gateway.data.recording.binding.parse_profile", lambda *_: current)
     monkeypatch.setattr("gateway.data.recording.samples.SAME_TORQUE", 1e9)
-    recorded = read_rows([path], given(ModelRequest(), [path])).tau_nm
-    scaled = read_rows([path], given(ModelRequest(cell=corrected), [path])).tau_nm
+    recorded = read_rows([path], collect_inputs(ModelRequest(), [path])).tau_nm
+    scaled = read_rows([path], collect_inputs(ModelRequest(cell=corrected), [path])).tau_nm
     assert scaled[:, 0] == pytest.approx(2.0 * recorded[:, 0])
     assert scaled[:, 1:] == pytest.approx(recorded[:, 1:])
 
@@ -156,8 +156,8 @@ def test_two_recordings_with_other_constants_need_a_cell(cell_at, record):
         cell_at("other", lambda text: text.replace("value = 120", "value = 121", 1)), "second.h5", load="load"
     )
     with pytest.raises(InputError, match=r"second.h5: J1 gear_ratio 120, recorded with 121: first.h5 .* by --cell"):
-        given(ModelRequest(), [first, second])
-    about = given(ModelRequest(cell=cell_at("third")), [first, second])
+        collect_inputs(ModelRequest(), [first, second])
+    about = collect_inputs(ModelRequest(cell=cell_at("third")), [first, second])
     assert len(about.corrections) == 1
     assert len(read_rows([first, second], about)) == 8
 
@@ -167,9 +167,9 @@ def test_recordings_of_other_drives_are_refused(cell_at, record):
     first = record(cell, "first.h5", (11, 12, 13, 14, 15, 16))
     second = record(cell, "second.h5", (11, 12, 99, 14, 15, 16), load="load")
     silent = record(cell, "silent.h5", (None, 0, None, None, None, None), load="other")
-    given(ModelRequest(), [first, silent])
+    collect_inputs(ModelRequest(), [first, silent])
     with pytest.raises(InputError, match=r"second.h5: J3 .* serial number 99, in first.h5 it was 13"):
-        given(ModelRequest(), [first, second])
+        collect_inputs(ModelRequest(), [first, second])
 
 
 def test_table_of_a_cell_with_two_arms_needs_the_arm(tmp_path):
@@ -181,11 +181,11 @@ def test_table_of_a_cell_with_two_arms_needs_the_arm(tmp_path):
         pair.read_text().replace(second, second.replace("gear_ratio = { value = ", "gear_ratio = { value = 1"))
     )
     with pytest.raises(ConfigError, match="no arm was named; it has left, right: name one by --arm"):
-        given(ModelRequest(cell=pair), [tmp_path / "t.csv"])
+        collect_inputs(ModelRequest(cell=pair), [tmp_path / "t.csv"])
     arms = {arm.name: arm for arm in load_cell(pair).cell.arm}
     assert len({arm.axis[1].gear_ratio.value for arm in arms.values()}) == 2
     for name, arm in arms.items():
-        about = given(ModelRequest(cell=pair, arm=name), [tmp_path / "t.csv"])
+        about = collect_inputs(ModelRequest(cell=pair, arm=name), [tmp_path / "t.csv"])
         axis = arm.axis[1]
         expected = 2.0 * axis.torque_constant_nm_per_a.value * axis.gear_ratio.value * axis.torque_sign
         assert read_rows([tmp_path / "t.csv"], about).tau_nm[0, 1] == pytest.approx(expected)
@@ -204,10 +204,10 @@ def test_each_arm_of_a_recording_has_its_own_rows(tmp_path):
         writer.finish(arm.name, "success", "", {})
     writer.close()
     with pytest.raises(ConfigError, match="no arm was named"):
-        given(ModelRequest(), [tmp_path / "both.h5"])
+        collect_inputs(ModelRequest(), [tmp_path / "both.h5"])
     rows = {}
     for arm in loaded.cell.arm:
-        about = given(ModelRequest(arm=arm.name), [tmp_path / "both.h5"])
+        about = collect_inputs(ModelRequest(arm=arm.name), [tmp_path / "both.h5"])
         rows[arm.name] = read_rows([tmp_path / "both.h5"], about)
         assert len(rows[arm.name]) == 1
     first, second = rows.values()
@@ -217,27 +217,27 @@ def test_each_arm_of_a_recording_has_its_own_rows(tmp_path):
 def test_bare_identification_of_another_robot_is_refused(tmp_path, cell_at, record):
     cell = cell_at("own")
     path = record(cell)
-    about = given(ModelRequest(cell=EXAMPLES / "large" / "cell.toml"), [])
-    table = read_rows([path], given(ModelRequest(), [path]))
+    about = collect_inputs(ModelRequest(cell=EXAMPLES / "large" / "cell.toml"), [])
+    table = read_rows([path], collect_inputs(ModelRequest(), [path]))
     bare = run(table, about.model, EstimateOptions(inertials="prior:0.1"), "joint").bare
     assert bare is not None
     from gateway.result.result import to_json
 
     (tmp_path / "bare.json").write_text(to_json(Result("large", bare=bare)))
-    given(ModelRequest(cell=EXAMPLES / "large" / "cell.toml", bare=tmp_path / "bare.json"), [])
+    collect_inputs(ModelRequest(cell=EXAMPLES / "large" / "cell.toml", bare=tmp_path / "bare.json"), [])
     with pytest.raises(InputError, match="--bare: it identified robot"):
-        given(ModelRequest(cell=cell, bare=tmp_path / "bare.json"), [path])
+        collect_inputs(ModelRequest(cell=cell, bare=tmp_path / "bare.json"), [path])
 
 
 def test_a_table_of_another_number_of_axes_than_the_robot_is_refused_by_both(tmp_path: Path) -> None:
     four = CELLS[0]
     path = tmp_path / "six.csv"
     path.write_text(TABLE.replace("i2_a", "tau2_nm"))
-    about = given(ModelRequest(robot=four.folder / "robot.urdf"), [path])
+    about = collect_inputs(ModelRequest(robot=four.folder / "robot.urdf"), [path])
     with pytest.raises(InputError, match=r"six.csv: the data are of 6 axes, robot 'pallet4' has 4"):
         read_rows([path], about)
     with pytest.raises(InputError, match=r"six.csv:1: columns of 6 axes, and the arm of the cell has 4"):
-        read_rows([path], given(ModelRequest(cell=four.folder / "cell.toml"), [path]))
+        read_rows([path], collect_inputs(ModelRequest(cell=four.folder / "cell.toml"), [path]))
 
 
 def test_a_recording_of_another_number_of_axes_than_the_cell_is_refused_by_both(
@@ -245,14 +245,14 @@ def test_a_recording_of_another_number_of_axes_than_the_cell_is_refused_by_both(
 ) -> None:
     run = record(cell_at("six"))
     with pytest.raises(InputError, match=r"recorded with an arm of 6 axes, the cell's 'main' has 4"):
-        given(ModelRequest(cell=CELLS[0].folder / "cell.toml"), [run])
+        collect_inputs(ModelRequest(cell=CELLS[0].folder / "cell.toml"), [run])
 
 
 def test_a_robot_of_another_number_of_axes_than_the_cell_is_refused_by_both(cell_at: Callable[..., Path]) -> None:
     cell = cell_at("six")
     shutil.copy(CELLS[1].folder / "robot.urdf", cell.parent / "robot.urdf")
     with pytest.raises(ConfigError, match=r"robot 'light7' has 7 axes, arm 'main' 6 \[\[arm.axis\]\] tables"):
-        given(ModelRequest(cell=cell), [])
+        collect_inputs(ModelRequest(cell=cell), [])
 
 
 def test_torque_constants_are_trusted_as_the_cell_says(cell_at, record):
@@ -261,9 +261,11 @@ def test_torque_constants_are_trusted_as_the_cell_says(cell_at, record):
     text = stated.read_text()
     stated.write_text(text.replace('source = "datasheet p. 2" }', 'source = "datasheet p. 2", std_percent = 2 }', 1))
     path = record(plain)
-    assert given(ModelRequest(), [path]).gain_std == pytest.approx((0.03,) * 6)
-    assert estimate_options(given(ModelRequest(cell=stated), [path])).gain_std == pytest.approx((0.02, *(0.03,) * 5))
-    assert diagnose_arguments(given(ModelRequest(gain_std=0.01), [path]))["gain_std"] == (0.01,) * 6
+    assert collect_inputs(ModelRequest(), [path]).gain_std == pytest.approx((0.03,) * 6)
+    assert estimate_options(collect_inputs(ModelRequest(cell=stated), [path])).gain_std == pytest.approx(
+        (0.02, *(0.03,) * 5)
+    )
+    assert diagnose_arguments(collect_inputs(ModelRequest(gain_std=0.01), [path]))["gain_std"] == (0.01,) * 6
 
 
 def test_coupled_axes_of_a_cell_reach_estimate_and_diagnose(cell_at):
@@ -271,19 +273,19 @@ def test_coupled_axes_of_a_cell_reach_estimate_and_diagnose(cell_at):
     coupled = cell_at("coupled", lambda text: text.replace("[[arm.axis]]", f"coupling = {rows}\n\n[[arm.axis]]", 1))
     matrix = np.eye(6)
     matrix[5, 4] = 0.9
-    about = given(ModelRequest(cell=coupled), [])
+    about = collect_inputs(ModelRequest(cell=coupled), [])
     assert estimate_options(about).coupling == pytest.approx(matrix)
     assert diagnose_arguments(about)["coupling"] == pytest.approx(matrix)
-    assert estimate_options(given(ModelRequest(cell=cell_at("plain")), [])).coupling is None
+    assert estimate_options(collect_inputs(ModelRequest(cell=cell_at("plain")), [])).coupling is None
 
 
 def test_a_table_without_a_cell_states_no_constants():
     robot = EXAMPLES / "large" / "robot.urdf"
-    assert given(ModelRequest(robot=robot), []).gain_std is None
+    assert collect_inputs(ModelRequest(robot=robot), []).gain_std is None
 
 
 def test_a_recording_of_another_cell_is_refused_and_both_are_named(cell_at, record):
     path = record(cell_at("first"))
     other = cell_at("other", lambda text: text.replace('name = "small"', 'name = "other"', 1))
     with pytest.raises(InputError, match=r"run\.h5: was recorded with cell 'small', this is cell 'other'; name"):
-        given(ModelRequest(cell=other), [path])
+        collect_inputs(ModelRequest(cell=other), [path])

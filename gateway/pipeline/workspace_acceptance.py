@@ -9,7 +9,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.analyse.given import Given
 from gateway.cell.config import ArmConfig
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable, InputError
@@ -25,6 +24,7 @@ from gateway.identify.workspace_error import (
 from gateway.model.kinematics import flange_frames, joint_axes_origins
 from gateway.model.robot import reach_m
 from gateway.model.visits import SAME_POSE_RAD, Visits, pair_visits
+from gateway.pipeline.inputs import AnalysisInputs
 from gateway.result.result import Result
 
 Floats = NDArray[np.float64]
@@ -34,7 +34,7 @@ _LEAST_SINGULAR: Final = 0.05
 _AGAIN: Final = "measure the unloaded arm and the load in one run, and estimate with --cell"
 
 
-def entered_load(result: Result, label: str | None, about: Given) -> EnteredLoad:
+def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> EnteredLoad:
     """Return what a result predicts of an arm with one of its loads.
 
     Raises
@@ -99,7 +99,12 @@ def seen_postures(result: Result, axes: int) -> Floats:
 
 
 def accepted_over(
-    result: Result, entered: EnteredLoad, about: Given, table: Table, tolerance_nm: Floats, postures_rad: Floats
+    result: Result,
+    entered: EnteredLoad,
+    about: AnalysisInputs,
+    table: Table,
+    tolerance_nm: Floats,
+    postures_rad: Floats,
 ) -> dict[str, Any]:
     """Return the answer: outcome with the probability of a wrong decision, residual by pose, map.
 
@@ -107,7 +112,7 @@ def accepted_over(
     ----------
     result : Result
     entered : EnteredLoad
-    about : Given
+    about : AnalysisInputs
     table : Table
         Rows of unseen poses under the load.
     tolerance_nm : array of shape (N,)

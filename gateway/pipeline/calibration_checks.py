@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.analyse.given import Given
 from gateway.cell.calibration import ArmCalibration, CalibratedAxis
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.joint import estimate_joint
@@ -18,6 +17,7 @@ from gateway.identify.nuisance import gain_stds
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
+from gateway.pipeline.inputs import AnalysisInputs
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -45,7 +45,7 @@ class Weight:
     com_m: tuple[float, float, float] | None
 
     @staticmethod
-    def of(label: str, about: Given) -> Weight:
+    def of(label: str, about: AnalysisInputs) -> Weight:
         """The load of that label among those that are known.
 
         Raises
@@ -86,7 +86,7 @@ class AxisCalibration:
     stated_nm_per_a: float
 
 
-def stated_std(about: Given, axes: int) -> Floats:
+def stated_std(about: AnalysisInputs, axes: int) -> Floats:
     """Relative standard deviations (N,) that a measured constant is compared with."""
     return np.maximum(gain_stds(about.gain_std, axes), _STATED_STD)
 
