@@ -156,15 +156,15 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     options = options or MoveOptions()
     start_rad = opened.arm.where()
     try:
-        test, speed_rad_s = _stopped_slowly(opened, options, opened.group.withhold_heartbeat, goes_on=True)
+        test, speed_rad_s = stopped_slowly(opened, options, opened.group.withhold_heartbeat, goes_on=True)
     except BaseException as error:
-        for node, what in _reset_provoked(opened).items():
+        for node, what in reset_provoked(opened).items():
             error.add_note(f"node {node}: {what}")
         raise
-    proof = _judge(opened, test.traces(), speed_rad_s, _reset_provoked(opened))
+    proof = _judge(opened, test.traces(), speed_rad_s, reset_provoked(opened))
     if not proof.passed:
         return proof
-    test, _ = _stopped_slowly(opened, options, opened.group.try_quick_stop, goes_on=False)
+    test, _ = stopped_slowly(opened, options, opened.group.try_quick_stop, goes_on=False)
     stopped = test.traces()
     proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
     if opened.workspace.path_into_range(start_rad) is None:
@@ -215,7 +215,7 @@ class _SlowMotion(MotionSetpoints):
             self._stream.excuse(0, np.asarray(self._turns[stops].any(axis=0)))
 
 
-def _stopped_slowly(
+def stopped_slowly(
     opened: OpenArm, options: MoveOptions, begin: Callable[[], StopTest], *, goes_on: bool
 ) -> tuple[StopTest, float]:
     """Move slowly, begin a test, and go on until it has ended; the test and the speed [rad/s]."""
@@ -290,7 +290,7 @@ def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
     )
 
 
-def _reset_provoked(opened: OpenArm) -> dict[int, str]:
+def reset_provoked(opened: OpenArm) -> dict[int, str]:
     """Reset the faults that the withheld heartbeat explains; what stays, by node."""
     left: dict[int, str] = {}
     for access in opened.group.access:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.measure import arm_option
-from gateway.commands.motion_options import MoveChoice, move_options, stoppable
+from gateway.commands.motion_options import MoveChoice, move_options, stoppable, support_asked
 from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
@@ -65,7 +65,8 @@ def drive_test(
     from gateway.commands.cell_context import open_cell
     from gateway.drivetest.run import DriveTestRun, axes_named
     from gateway.model.arm_model import arm_named
-    from gateway.motion.opening import open_arm
+    from gateway.motion.holdtorun import with_held_input
+    from gateway.motion.opening import frame_log_watched, open_arm
 
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
@@ -82,10 +83,17 @@ def drive_test(
         f"by its brake alone.{context.grippers} Is the area clear of people and the emergency stop within reach?"
     )
     opening = open_arm(context.loaded, context.override(arm), arm.name)
-    with context.with_move_command(), stoppable(moving), opening as opened:
+    with (
+        context.with_move_command(),
+        stoppable(moving) as options,
+        opening as opened,
+        context.last_seconds(options, opened),
+    ):
+        options = with_held_input(opened, options)
+        options.desk.watch(frame_log_watched(opened))
         test = DriveTestRun(opened, numbers, folder, session.note)
         try:
-            test.run()
+            test.run(options, context.stop_proof(arm), support_asked(moving))
         finally:
             _write_page(test, context.loaded.cell.name, folder)
     _show(test, folder)
@@ -108,6 +116,8 @@ def _show(test: DriveTestRun, folder: Path) -> None:
         for text in report.findings:
             session.show(f"  {text}")
     session.show(f"{folder / PAGE}: page of {len(test.reports)} drives")
+    if test.error is not None and not isinstance(test.error, FindingFailed):
+        raise test.error
     if failed:
         names = ", ".join(f"{report.axis} node {report.node}" for report in failed)
         raise FindingFailed(f"the test of {names} has findings; see {folder / PAGE}")

@@ -21,6 +21,8 @@ from gateway.drivetest.frames import FrameRecord
 
 #: A SYNC counts if the next one follows within this share of the period: another one was delayed by this computer.
 _REGULAR_SHARE: Final = 0.2
+#: SYNCs that most drives do not answer in time are left out up to this share.
+_DISTURBED_SHARE: Final = 0.1
 #: How long a controlword may take to show in the statusword [s].
 REACTION_LIMIT_S: Final = 0.5
 
@@ -98,27 +100,17 @@ class SyncBench:
                 sent.append(self.sync())
                 clock.sent(due_s)
         self._bus.listen(2.0 * period_s)
-        return [self._answers(drive, period_s, sent) for drive in self.drives]
+        return count_answers([self._answers(drive, sent) for drive in self.drives], sent, period_s)
 
-    def _answers(self, drive: Cia402Drive, period_s: float, sent: Sequence[SentSync]) -> SyncSeries:
-        """Assign the answers of a drive to the SYNCs by time."""
+    def _answers(self, drive: Cia402Drive, sent: Sequence[SentSync]) -> list[list[float]]:
+        """Return the times of the answers of a drive to each SYNC [s]."""
         came = [frame.at_s for frame in self.record.of(drive.answers[0][0], sent[0].before_s)]
         ends = [*(sync.before_s for sync in sent[1:]), math.inf]
         windows = [[at for at in came if sync.before_s <= at < end] for sync, end in zip(sent, ends, strict=True)]
-        delays: list[tuple[float, float]] = []
-        missed = delayed = counted = surplus = 0
-        for number, (sync, end_s, own) in enumerate(zip(sent, ends, windows, strict=True)):
-            following = windows[number + 1] if number + 1 < len(windows) else []
+        for own, following in zip(windows, windows[1:], strict=False):
             if not own and len(following) > 1:  # two answers to the next SYNC: the first belongs to this one
-                own = [following.pop(0)]
-            surplus += max(0, len(own) - 1)
-            if own:
-                delays.append((own[0] - sync.after_s, own[0] - sync.before_s))
-            if end_s is math.inf or abs(end_s - sync.before_s - period_s) <= _REGULAR_SHARE * period_s:
-                counted += 1
-                missed += not own
-                delayed += bool(own) and own[0] - sync.after_s > DELAYED_SHARE * period_s
-        return SyncSeries(period_s, tuple(delays), missed, delayed, counted, surplus)
+                own.append(following.pop(0))
+        return windows
 
     def reaction(self, drive: Cia402Drive, trials: int) -> list[tuple[float, float]]:
         """Measure the time from the SYNC that makes a controlword effective until the statusword shows its state.
@@ -161,3 +153,59 @@ class SyncBench:
             least_s = max(0.0, asked_s - sync.after_s)
         what = f"does not reach {target} within {REACTION_LIMIT_S} s of the controlword"
         raise TransitionTimeout(what, node=drive.node_id, index=0x6041, advice="read its error history 0x1003")
+
+
+def count_answers(answers: Sequence[list[list[float]]], sent: Sequence[SentSync], period_s: float) -> list[SyncSeries]:
+    """Return the series of each drive.
+
+    Parameters
+    ----------
+    answers : sequence of lists of lists of float
+        Of each drive and SYNC, the times of the answers [s].
+    sent : sequence of SentSync
+    period_s : float
+    """
+    on_time = _regular(sent, period_s) & _undisturbed(answers, sent, period_s)
+    return [_counted(each, sent, period_s, on_time) for each in answers]
+
+
+def _regular(sent: Sequence[SentSync], period_s: float) -> frozenset[int]:
+    """Return the SYNCs that the next one followed after one period: no delay of this computer between them."""
+    gaps = [after.before_s - sync.before_s for sync, after in zip(sent, sent[1:], strict=False)]
+    return frozenset(
+        number for number, gap_s in enumerate([*gaps, period_s]) if abs(gap_s - period_s) <= _REGULAR_SHARE * period_s
+    )
+
+
+def _is_delayed(own: Sequence[float], sync: SentSync, period_s: float) -> bool:
+    return bool(own) and own[0] - sync.after_s > DELAYED_SHARE * period_s
+
+
+def _undisturbed(answers: Sequence[list[list[float]]], sent: Sequence[SentSync], period_s: float) -> frozenset[int]:
+    """Return the SYNCs that were not disturbed on the bus or in this computer.
+
+    A SYNC is disturbed if more than half of the drives answer it with a delay or not at all. Where that happens often,
+    it is a property of the drives, and no SYNC is left out.
+    """
+    bad = [
+        number
+        for number, sync in enumerate(sent)
+        if sum(not own[number] or _is_delayed(own[number], sync, period_s) for own in answers) > len(answers) / 2
+    ]
+    often = len(bad) > _DISTURBED_SHARE * len(sent)
+    return frozenset(range(len(sent))) - frozenset(() if often or len(answers) == 1 else bad)
+
+
+def _counted(
+    windows: Sequence[Sequence[float]], sent: Sequence[SentSync], period_s: float, regular: frozenset[int]
+) -> SyncSeries:
+    """Return the series of one drive from its answers to each SYNC."""
+    answered = [(sync, own[0]) for sync, own in zip(sent, windows, strict=True) if own]
+    return SyncSeries(
+        period_s,
+        tuple((at_s - sync.after_s, at_s - sync.before_s) for sync, at_s in answered),
+        missed=sum(not windows[number] for number in regular),
+        delayed=sum(_is_delayed(windows[number], sent[number], period_s) for number in regular),
+        counted=len(regular),
+        surplus=sum(max(0, len(own) - 1) for own in windows),
+    )

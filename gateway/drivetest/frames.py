@@ -18,7 +18,7 @@ _OLDEST_S: Final = 10.0
 
 @dataclass(frozen=True, slots=True)
 class SeenFrame:
-    """A received frame and the monotonic time [s] of its time stamp."""
+    """A frame and the monotonic time [s] of its time stamp; of a frame that was sent, when that was done."""
 
     can_id: int
     data: bytes
@@ -26,7 +26,7 @@ class SeenFrame:
 
 
 class FrameRecord:
-    """Received frames while open, in their order.
+    """Frames received and sent while open, in their order.
 
     Parameters
     ----------
@@ -46,10 +46,8 @@ class FrameRecord:
         self._bus.remove_tap(self._take)
 
     def _take(self, frame: Frame, received: bool) -> None:
-        if not received:
-            return
         now_s, age_s = time.monotonic(), time.time() - frame.timestamp
-        back_s = age_s if self._bus.stamped and 0.0 < age_s < _OLDEST_S else 0.0
+        back_s = age_s if received and self._bus.stamped and 0.0 < age_s < _OLDEST_S else 0.0
         self.frames.append(SeenFrame(frame.arbitration_id, bytes(frame.data), now_s - back_s))
 
     def of(self, can_id: int, since_s: float = 0.0) -> list[SeenFrame]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
 
+from gateway.check.brakes import AskSupport
 from gateway.drivetest.frames import FrameRecord
+from gateway.drivetest.powered import PoweredTests
 from gateway.drivetest.sheet import DriveSheet
 from gateway.drivetest.unpowered import run_unpowered
 from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
 from gateway.result.drive_test import DriveTestReport
 
 #: Takes a remark about progress.
@@ -33,6 +36,8 @@ class DriveTestRun:
         self._opened, self._folder, self._say = opened, folder, say
         drives = opened.group.drives
         self._sheets = [DriveSheet(number, drives[number]) for number in sorted(numbers)]
+        #: Why the test ended early, if no tested drive has failed.
+        self.error: Exception | None = None
 
     @property
     def reports(self) -> tuple[DriveTestReport, ...]:
@@ -45,14 +50,23 @@ class DriveTestRun:
         for report in self.reports:
             report.write(self._folder)
 
-    def run(self) -> None:
-        """Run every phase; a failure of one drive does not end the test of the others."""
+    def run(self, options: MoveOptions, proof: Path, ask: AskSupport) -> None:
+        """Run every phase; a failure of one drive does not end the test of the others.
+
+        Parameters
+        ----------
+        options, proof, ask
+            As `PoweredTests`.
+        """
         with FrameRecord(self._opened.group.bus) as record:
             self._say("services, NMT, SYNC and controlwords with the axes disabled")
             try:
                 run_unpowered(self._opened, self._sheets, record)
             finally:
                 self.write()
+            powered = PoweredTests(self._opened, self._sheets, record, options, proof, ask)
+            powered.run(self._say, self.write)
+            self.error = powered.error
 
 
 def axes_named(names: Sequence[str], count: int) -> frozenset[int]:

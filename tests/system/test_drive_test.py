@@ -28,6 +28,7 @@ def results(report):
     return {each["check"]: each["result"] for each in report["clauses"]}
 
 
+@pytest.mark.slow
 def test_a_good_drive_has_no_finding_and_a_page(tested):
     _, reports, out, drives = tested("--axis", "J2", "--axis", "J3")
     assert list(reports) == ["J2", "J3"]
@@ -38,11 +39,22 @@ def test_a_good_drive_has_no_finding_and_a_page(tested):
     assert {"pass", "not tested"} == set(results(report).values())
     assert {"nmt_stop", "sdo_abort_unknown_object", "pdo_only_in_operational"} <= results(report).keys()
     assert all(each["detail"] for each in report["clauses"])
+    figures = {each["name"]: each for each in report["figures"]}
+    for name, low, high in (
+        ("heartbeat_loss_to_standstill_s", 0.5, 0.56),
+        ("quick_stop_time_s", 0.005, 0.06),
+        ("fault_reaction_time_s", 0.01, 0.06),
+        ("quick_stop_angle_rad", 0.0003, 0.001),
+        ("brake_drop_rad", 0.0, 0.0005),
+    ):
+        assert low <= figures[name]["value"] <= high, figures[name]
+        assert figures[name]["interval"][0] <= figures[name]["value"] <= figures[name]["interval"][1]
     page = (out / "drive-test.html").read_text()
     assert "2 drives tested, nothing found" in page
     assert drives.stand_still()
 
 
+@pytest.mark.slow
 def test_a_drive_that_answers_an_unknown_object_is_found_and_the_others_are_tested(tested):
     def answers(drives):
         drives.handle.simulation.arms[0].drives[2].store.constant((0x0FFF, 0), "u32", 0)

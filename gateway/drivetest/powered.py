@@ -1,0 +1,375 @@
+"""Tests under power: loss of the heartbeat, quick stop, fault reaction, age of the torque word, drop in the brake.
+
+The arm moves by the checks of the gateway (`gateway.check.stop`, `gateway.check.brakes`), with their limits and stops.
+This module adds no motion of its own but the slow one that `torque_age` describes. It evaluates what the drives
+answered and what was on the bus.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from drives.bus import HEARTBEAT_BASE
+from drives.cia402 import QUICK_STOP, State, decode_state
+from drives.errors import ConfigurationRefused, DriveError
+from drives.heartbeat import MASTER_NODE_ID
+from drives.objects import OBJECTS
+from drives.values import DriveReading
+from gateway.check.brakes import AskSupport, try_brakes
+from gateway.check.proofs import keep_proof
+from gateway.check.stop import prove_stop, reset_provoked, stopped_slowly
+from gateway.drivetest.estimates import not_measured
+from gateway.drivetest.frames import FrameRecord
+from gateway.drivetest.services import EMCY, STATES
+from gateway.drivetest.sheet import DriveSheet
+from gateway.drivetest.standstill import PositionTrack, Standstill, first_after
+from gateway.errors import FindingFailed, LimitExceeded, PlanRefused
+from gateway.motion.observer import Observed, Scene
+from gateway.motion.opening import OpenArm
+from gateway.motion.stream import MoveOptions
+from gateway.result.drive_test import TimingFigure
+
+#: 0x6007: reaction of the drive to the lost heartbeat, a fault.
+_FAULT_OPTION: Final = 1
+#: Error code of a lost heartbeat (CiA 301, table 26).
+_HEARTBEAT_ERROR: Final = 0x8130
+LOSS, QUICK_TIME, QUICK_ANGLE = "heartbeat_loss_to_standstill_s", "quick_stop_time_s", "quick_stop_angle_rad"
+FAULT_TIME, BRAKE = "fault_reaction_time_s", "brake_drop_rad"
+
+
+@dataclass(slots=True)
+class PowerRun:
+    """Answers of all drives while they were under power once, by SYNC.
+
+    Attributes
+    ----------
+    began_s : float
+        When power was requested (monotonic).
+    sent_s : list of float
+        When each SYNC was sent (monotonic).
+    time_s : list of float
+        The same in the time of the motion, which in lockstep is SYNC index times period.
+    rows : list of tuples of DriveReading or None
+    """
+
+    began_s: float
+    sent_s: list[float] = field(default_factory=list[float])
+    time_s: list[float] = field(default_factory=list[float])
+    rows: list[tuple[DriveReading | None, ...]] = field(default_factory=list[tuple[DriveReading | None, ...]])
+
+    def at(self, sent_s: float) -> float:
+        """Return the time of the motion at a monotonic time."""
+        return float(np.interp(sent_s, self.sent_s, self.time_s))
+
+    def track(self, axis: int) -> PositionTrack | None:
+        """Return the positions of an axis (from 0); None where it has too few answers."""
+        seen = [(at, row[axis]) for at, row in zip(self.time_s, self.rows, strict=True)]
+        known = [(at, reading) for at, reading in seen if reading is not None]
+        if len(known) < 10:
+            return None
+        return PositionTrack(
+            np.array([at for at, _ in known]),
+            np.array([reading.position_count for _, reading in known], dtype=float),
+            np.array([decode_state(reading.statusword) is State.OPERATION_ENABLED for _, reading in known]),
+        )
+
+
+class MotionRecord:
+    """Observer of the motion loop that keeps the answers of every run under power."""
+
+    def __init__(self, opened: OpenArm) -> None:
+        self.runs: list[PowerRun] = []
+        self._group = opened.group
+
+    def began(self, _scene: Scene) -> None:
+        """Begin a run."""
+        self.runs.append(PowerRun(time.monotonic()))
+
+    def sampled(self, observed: Observed) -> None:
+        """Keep the answers of one SYNC."""
+        run, sample = self.runs[-1], observed.samples[0]
+        run.sent_s.append(self._group.sync_sent_s)
+        run.time_s.append(sample.time_s)
+        run.rows.append(sample.readings)
+
+    def reported(self, _event: object) -> None:
+        """Ignore events."""
+
+    def ended(self, _failure: BaseException | None) -> None:
+        """The arm is no longer under power."""
+
+
+class PoweredTests:
+    """Tests under power of one arm; results and failures are added to the sheets.
+
+    Parameters
+    ----------
+    opened : OpenArm
+    sheets : sequence of DriveSheet
+    record : FrameRecord
+    options : MoveOptions
+    proof : Path
+        Where the proof that the drives stop without their master is kept.
+    ask : callable
+        As `try_brakes`.
+
+    Attributes
+    ----------
+    error : Exception or None
+        Why the test ended early, if no tested drive has failed.
+    """
+
+    def __init__(
+        self,
+        opened: OpenArm,
+        sheets: Sequence[DriveSheet],
+        record: FrameRecord,
+        options: MoveOptions,
+        proof: Path,
+        ask: AskSupport,
+    ) -> None:
+        self._opened, self._sheets, self._record = opened, tuple(sheets), record
+        self._options, self._proof, self._ask = options, proof, ask
+        self._motion = MotionRecord(opened)
+        self._drops_rad: list[np.ndarray] = []
+        self._stopped_by = "not measured"
+        self.error: Exception | None = None
+        options.observers.add(self._motion)
+
+    def phases(self) -> list[tuple[str, Callable[[], None]]]:
+        """Return the tests in their order, each with its description."""
+        return [
+            ("heartbeat withheld, then quick stop, in slow motions", self._stops),
+            ("heartbeat withheld again: fault reaction", self._fault_reaction),
+            ("brakes", self._brakes),
+        ]
+
+    def run(self, say: Callable[[str], None], write: Callable[[], None]) -> None:
+        """Run the tests; nothing moves any more after one that was stopped by a drive, a limit or a failed proof."""
+        left = self.phases()
+        while left:
+            text, phase = left.pop(0)
+            say(text)
+            try:
+                phase()
+            except (DriveError, FindingFailed, LimitExceeded, PlanRefused) as error:
+                self._failed(error, text)
+                break
+            finally:
+                write()
+        self._fill()
+
+    def _failed(self, error: Exception, during: str) -> None:
+        """Name the drives that failed. A failure of all drives at once is one of the bus or of this computer."""
+        failures = [each for each in getattr(error, "failures", (error,)) if isinstance(each, DriveError)]
+        by_node = {each.node: each for each in failures if each.node is not None}
+        if len(by_node) < len(self._opened.group.drives):
+            for sheet in self._sheets:
+                own = by_node.get(sheet.drive.node_id)
+                if own is not None:
+                    sheet.broke(own, during)
+        if not any(sheet.broken for sheet in self._sheets):
+            self.error = error
+        self._stopped_by = f"not measured: the test ended, {during}: {error}"
+
+    def _fill(self) -> None:
+        """State why a figure is missing."""
+        for sheet in self._sheets:
+            names = {figure.name for figure in sheet.figures}
+            for name in (LOSS, QUICK_TIME, QUICK_ANGLE, FAULT_TIME, BRAKE):
+                if name not in names:
+                    unit = "rad" if name.endswith("_rad") else "s"
+                    sheet.figures.append(not_measured(name, self._stopped_by, unit))
+
+    # -- stops -------------------------------------------------------------------------------------------------------
+
+    def _stops(self) -> None:
+        """Prove the stop; figures of the loss of the heartbeat and of the quick stop."""
+        try:
+            proof = prove_stop(self._opened, self._options)
+        except BaseException:
+            self._evaluate_stops(len(self._motion.runs) - 1)  # the run that was interrupted shows no stop
+            raise
+        keep_proof(self._proof, self._opened, proof)
+        self._evaluate_stops(len(self._motion.runs))
+        self._drops_rad.append(self._opened.arm.brake_drop_rad())
+        for item in proof.items:
+            for sheet in self._sheets:
+                if item.severity == "fail" and f"node {sheet.drive.node_id}" in item.where:
+                    sheet.findings.append(f"{item.what}; {item.advice}")
+        if not proof.passed:
+            failed = next(item for item in proof.items if item.severity == "fail")
+            raise FindingFailed(f"{failed.where}: {failed.what}; nothing moves any more")
+
+    def _evaluate_stops(self, complete: int) -> None:
+        for number, evaluate in enumerate((self._loss, self._quick_stop)[:complete]):
+            self._each_run(number, evaluate)
+
+    def _each_run(self, number: int, evaluate: Callable[[DriveSheet, PowerRun, PositionTrack], None]) -> None:
+        """Evaluate a run under power for each drive."""
+        run = self._motion.runs[number]
+        for sheet in self._sheets:
+            track = run.track(sheet.number)
+            if track is not None:
+                evaluate(sheet, run, track)
+
+    def _loss(self, sheet: DriveSheet, run: PowerRun, track: PositionTrack) -> None:
+        last_s = self._last_heartbeat(run)
+        method = "heartbeat withheld in a slow motion; last heartbeat until the speed is below 2 % of that motion"
+        self._timed(sheet, LOSS, track, (run.at(last_s), run.at(last_s)), method)
+        seen = [frame for frame in self._record.emergencies(sheet.drive.node_id, last_s) if len(frame.data) >= 2]
+        codes = {int.from_bytes(frame.data[:2], "little") for frame in seen}
+        listed = ", ".join(f"0x{code:04X}" for code in sorted(codes)) or "no emergency message"
+        result = "pass" if _HEARTBEAT_ERROR in codes else "fail"
+        sheet.clause(EMCY, "emcy_heartbeat_lost", result, f"{listed} after the lost heartbeat (0x8130 is required)")
+
+    def _last_heartbeat(self, run: PowerRun) -> float:
+        """Return when the last heartbeat of the master was sent before the one gap of a run."""
+        end_s = run.sent_s[-1]
+        beats = [frame.at_s for frame in self._record.of(HEARTBEAT_BASE + MASTER_NODE_ID, run.began_s)]
+        beats = [at_s for at_s in beats if at_s <= end_s]
+        return beats[int(np.argmax(np.diff([*beats, end_s])))] if beats else run.began_s
+
+    def _quick_stop(self, sheet: DriveSheet, run: PowerRun, track: PositionTrack) -> None:
+        own = self._record.of(sheet.drive.commands[0].cob_id, run.began_s)
+        commanded = first_after([f.at_s for f in own if int.from_bytes(f.data[:2], "little") == QUICK_STOP], 0.0)
+        sync_s = None if commanded is None else first_after(run.sent_s, commanded)
+        if sync_s is None:
+            return
+        sync_s = run.at(sync_s)
+        method = "quick stop (controlword 0x02) in a slow motion; SYNC that carries it until the speed is below 2 %"
+        rest = self._timed(sheet, QUICK_TIME, track, (sync_s, sync_s), method)
+        if rest is None:
+            return
+        scale, half = self._joint_per_count(sheet), 1.0 + rest.speed_per_s * self._record.resolution_s
+        interval = (max(0.0, (rest.travel - half) * scale), (rest.travel + rest.between + half) * scale)
+        method = "joint angle from that SYNC to rest; one count, the time stamp of the SYNC, the peak between two SYNCs"
+        value = (rest.travel + rest.between / 2.0) * scale
+        sheet.figures.append(TimingFigure(QUICK_ANGLE, value, interval, "rad", 1, method))
+
+    @property
+    def _period_s(self) -> float:
+        return self._opened.group.timing.period_s
+
+    def _joint_per_count(self, sheet: DriveSheet) -> float:
+        """Return how far the joint turns with one count of the motor [rad]."""
+        motor = np.eye(len(self._opened.config.axis))[sheet.number]
+        per_motor = float(self._opened.arm.axes.joint_bound(motor).max())
+        return abs(sheet.drive.scale.count_rad) * per_motor
+
+    def _timed(
+        self, sheet: DriveSheet, name: str, track: PositionTrack, begin_s: tuple[float, float], method: str
+    ) -> Standstill | None:
+        """Add the time from an event, known between two bounds, until rest."""
+        rest = track.until_rest(begin_s[1])
+        if rest is None:
+            sheet.figures.append(not_measured(name, f"{method}: it did not come to rest"))
+            return None
+        slip_s = self._record.resolution_s
+        low, high = max(0.0, rest.low_s - slip_s), rest.high_s + begin_s[1] - begin_s[0] + slip_s
+        text = f"{method}; resolution: SYNC period of {1000 * self._period_s:g} ms"
+        sheet.figures.append(TimingFigure(name, (low + high) / 2.0, (low, high), "s", 1, text))
+        return rest
+
+    # -- fault reaction ----------------------------------------------------------------------------------------------
+
+    def _fault_reaction(self) -> None:
+        """Set the reaction to a lost heartbeat to a fault, withhold it in a slow motion, and reset the fault."""
+        ready: list[DriveSheet] = []
+        for sheet in self._sheets:
+            try:
+                self._abort_connection(sheet, _FAULT_OPTION)
+                ready.append(sheet)
+            except (ConfigurationRefused, DriveError) as error:
+                sheet.figures.append(not_measured(FAULT_TIME, f"0x6007 = 1: {error}"))
+        number, left = len(self._motion.runs), dict[int, str]()
+        try:
+            if ready:
+                stopped_slowly(self._opened, self._options, self._opened.group.withhold_heartbeat, goes_on=True)
+        finally:
+            if ready:
+                left = reset_provoked(self._opened)
+            for sheet in ready:
+                self._abort_connection(sheet, sheet.drive.setup.profile.heartbeat.abort_connection)
+        if ready:
+            self._each_run(number, partial(self._fault_time, left=left, ready=ready))
+        self._drops_rad.append(self._opened.arm.brake_drop_rad())
+
+    def _abort_connection(self, sheet: DriveSheet, option: int) -> None:
+        reason = "reaction of the drive when the master's heartbeat stops"
+        sheet.drive.access.write(OBJECTS["abort_connection_option"], option, reason)
+
+    def _fault_time(
+        self,
+        sheet: DriveSheet,
+        run: PowerRun,
+        track: PositionTrack,
+        left: dict[int, str],
+        ready: Sequence[DriveSheet],
+    ) -> None:
+        bounds = track.left_enabled()
+        if sheet not in ready or bounds is None:
+            return
+        faults = {State.FAULT, State.FAULT_REACTION_ACTIVE}
+        row = [each[sheet.number] for each in run.rows]
+        states = {decode_state(reading.statusword) for reading in row if reading is not None}
+        shown = ", ".join(str(state) for state in states & faults) or "no fault state"
+        passed = "pass" if State.FAULT in states else "fail"
+        sheet.clause(STATES, "fault_reaction", passed, f"{shown} after the lost heartbeat with 0x6007 = 1")
+        stays = left.get(sheet.drive.node_id, "")
+        sheet.clause(STATES, "fault_reset", "fail" if stays else "pass", stays or "reset by bit 7 of the controlword")
+        seen = [frame.at_s for frame in self._record.emergencies(sheet.drive.node_id, run.began_s)]
+        emcy_s = first_after([run.at(at_s) for at_s in seen], bounds[0])
+        begin_s = (emcy_s, emcy_s) if emcy_s is not None and emcy_s <= bounds[1] else bounds
+        method = (
+            "heartbeat withheld with 0x6007 = 1; from the emergency message, or the SYNCs around the fault, to rest"
+        )
+        self._timed(sheet, FAULT_TIME, track, begin_s, method)
+
+    # -- brakes ------------------------------------------------------------------------------------------------------
+
+    def _brakes(self) -> None:
+        """Let each brake hold its axis; where that is not tried, the drop when the axes were disabled counts."""
+        number = len(self._motion.runs)
+        items = try_brakes(self._opened, self._options, self._ask)
+        self._drops_rad.append(self._opened.arm.brake_drop_rad())
+        run = self._motion.runs[number]
+        for sheet in self._sheets:
+            own = [item for item in items if item.where == f"{sheet.axis} node {sheet.drive.node_id}"]
+            sheet.findings += [f"{item.what}; {item.advice}" for item in own if item.severity == "fail"]
+            scale, track = self._joint_per_count(sheet), run.track(sheet.number)
+            drop_rad, method = (
+                float(max(drop[sheet.number] for drop in self._drops_rad)),
+                "largest drop after disabling",
+            )
+            counts = None if track is None else _released_counts(track)
+            if counts is not None:
+                drop_rad, method = (
+                    max(drop_rad, counts * scale),
+                    "axis held by its brake alone, up to 1 s; largest drop",
+                )
+            interval = (max(0.0, drop_rad - scale), drop_rad + scale)
+            text = f"{method}; ± one count"
+            sheet.figures.append(TimingFigure(BRAKE, drop_rad, interval, "rad", len(self._drops_rad), text))
+
+
+def _released_counts(track: PositionTrack) -> float | None:
+    """Return the largest displacement [counts] while an axis was disabled between two times enabled; None = never."""
+    enabled = np.flatnonzero(track.enabled)
+    if not len(enabled):
+        return None
+    inside = np.arange(enabled[0], enabled[-1])
+    held, most, found = float(track.count[enabled[0]]), 0.0, False
+    for index in inside:
+        if track.enabled[index]:
+            held = float(track.count[index])
+        else:
+            found, most = True, max(most, abs(float(track.count[index]) - held))
+    return most if found else None

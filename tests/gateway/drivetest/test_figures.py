@@ -1,0 +1,106 @@
+"""Figures of the drive test from samples with a known truth."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.drivetest.bench import SentSync, count_answers
+from gateway.drivetest.estimates import bracketed_quantile, quantile_ranks, share_figure
+from gateway.drivetest.standstill import PositionTrack
+from gateway.report.drive_test_page import render_drive_test
+from gateway.result.drive_test import ClauseResult, DriveTestReport, TimingFigure
+
+
+def track(at_s, count, left_s=10.0):
+    return PositionTrack(np.array(at_s), np.array(count, dtype=float), np.array(at_s) < left_s)
+
+
+@pytest.mark.parametrize("period_s", [0.002, 0.004, 0.01])
+def test_the_time_and_angle_of_a_ramp_are_within_their_bounds(period_s):
+    """Speed 5000 counts/s, constant deceleration from a SYNC on, then a decaying oscillation."""
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        speed, begin_s, ramp_s = 5000.0 * rng.choice((-1, 1)), period_s * 80, 0.02 + 0.05 * rng.random()
+        at = period_s * np.arange(round(80 + 0.4 / period_s))
+        left = np.clip(at - begin_s, 0.0, ramp_s)
+        after = np.clip(at - begin_s - ramp_s, 0.0, None)
+        count = speed * (np.minimum(at, begin_s) + left - left**2 / (2 * ramp_s))
+        count += -speed * 0.001 * np.exp(-after / 0.1) * np.sin(160.0 * after) * (after > 0)
+        rest = track(at, np.round(count)).until_rest(begin_s)
+        assert rest is not None
+        assert rest.low_s <= ramp_s <= rest.high_s + 1e-9
+        assert rest.high_s - rest.low_s <= 3.01 * period_s
+        assert rest.travel - 2.0 <= abs(speed) * ramp_s / 2 <= rest.travel + rest.between + 2.0
+
+
+def test_an_axis_that_goes_on_is_not_at_rest():
+    at = 0.01 * np.arange(100)
+    assert track(at, 5000.0 * at).until_rest(0.5) is None
+
+
+def test_bounds_of_leaving_operation_enabled_are_neighbouring_answers():
+    at = 0.01 * np.arange(50)
+    assert track(at, at, left_s=0.305).left_enabled() == pytest.approx((0.30, 0.31))
+    assert track(at, at).left_enabled() is None
+
+
+def test_intervals_of_a_median_hold_their_share():
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(400):
+        true = rng.gamma(4.0, 0.001, 60)
+        early, more = 0.0004 * rng.random(60), 0.0004 * rng.random(60)
+        figure = bracketed_quantile("x", list(zip(true - early, true + more, strict=True)), 0.5, 0.0, "drawn")
+        assert figure.interval is not None
+        hits += figure.interval[0] <= 0.0036720607489 <= figure.interval[1]  # median of the distribution, by tables
+    assert hits >= 376
+    assert quantile_ranks(1, 0.5) == (0, 0)
+
+
+def test_intervals_of_a_share_are_those_of_clopper_and_pearson():
+    figure = share_figure("x", 5, 500, "counted")
+    assert figure.interval == pytest.approx((0.003255, 0.023174), abs=1e-5)
+    assert share_figure("x", 0, 500, "counted").interval == pytest.approx((0.0, 0.007351), abs=1e-5)
+    assert share_figure("x", 0, 0, "counted").value is None
+
+
+def sent(count, period_s=0.004):
+    return [SentSync(number * period_s, number * period_s + 0.0001) for number in range(count)]
+
+
+def test_missing_and_delayed_answers_differ_from_disturbed_syncs():
+    syncs = sent(100)
+    answers = [[[sync.after_s + 0.001] for sync in syncs] for _ in range(3)]
+    answers[0][7] = []
+    answers[1][9] = [syncs[9].after_s + 0.0038]
+    for own in answers:
+        own[50] = []  # the computer, not the drives
+    first, second, third = count_answers(answers, syncs, 0.004)
+    assert (first.missed, first.delayed) == (1, 0)
+    assert (second.missed, second.delayed) == (0, 1)
+    assert (third.missed, third.delayed, third.counted) == (0, 0, 99)
+    assert len(third.delays_s) == 99
+    (low, high) = third.delays_s[0]
+    assert low == pytest.approx(0.001)
+    assert high == pytest.approx(0.0011)
+
+
+def test_drives_that_are_all_delayed_often_are_not_excused():
+    syncs = sent(100)
+    answers = [[[sync.after_s + (0.0039 if number % 4 == 0 else 0.001)] for number, sync in enumerate(syncs)]] * 3
+    assert [each.delayed for each in count_answers(answers, syncs, 0.004)] == [25, 25, 25]
+
+
+def test_the_page_shows_what_was_not_measured_and_what_failed():
+    clause = ClauseResult("CiA 301 7.2.7 EMCY", "emcy", "fail", "no <message>")
+    figures = (
+        TimingFigure("quick_stop_time_s", 0.02, (0.01, 0.03), "s", 1, "ramp"),
+        TimingFigure("torque_age_s", None, None, "s", 0, "not moved"),
+    )
+    report = DriveTestReport("J2", 2, {"vendor": 1}, (clause,), figures, ("EMCY: no <message>",))
+    html = render_drive_test("cell", "2026", [report])
+    assert "1 of 1 drives with findings: J2" in html
+    assert "no &lt;message&gt;" in html
+    assert "20 [10, 30]" in html
+    assert "not moved" in html
