@@ -12,6 +12,8 @@ import numpy as np
 REST_SHARE: Final = 0.02
 #: Change of the position [counts] between two SYNCs that an axis at rest may show.
 QUANTUM_COUNTS: Final = 1.5
+#: Largest true speed at which the counts of a motor can look at rest, over `QUANTUM_COUNTS` per SYNC: rounding.
+_UNSEEN: Final = 5.0 / 3.0
 #: Two times that differ by less are of the same SYNC [s].
 _SAME_SYNC_S: Final = 1e-4
 
@@ -68,6 +70,7 @@ class PositionTrack:
         begin = float(np.median(speed[max(0, first - 3) : max(1, first)]))
         towards = speed * np.sign(begin)
         quantum = QUANTUM_COUNTS / float(np.median(np.diff(self.at_s)))
+        unseen = _UNSEEN * quantum / abs(begin) if begin else 0.0
         floor = max(REST_SHARE * abs(begin), quantum)
         slow = np.flatnonzero(towards[first:] <= floor)
         if abs(begin) <= floor or not len(slow):
@@ -78,7 +81,8 @@ class PositionTrack:
         travel = (self.count[first : last + 2] - start) * np.sign(begin)
         fall = float(np.abs(np.diff(towards[max(0, first - 1) : last + 2])).max())
         between = fall * float(self.at_s[last + 1] - self.at_s[last]) / 8.0
-        high_s = float(self.at_s[last + 1] - begin_s) * (1.0 + quantum / abs(begin))
+        high_s = float(self.at_s[last + 1] - begin_s) * (1.0 + unseen)
+        between += float(travel.max()) * unseen**2
         return Standstill(max(0.0, low_s), high_s, float(travel.max()), between, abs(begin))
 
     def _index(self, at_s: float) -> int:
