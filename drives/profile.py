@@ -28,6 +28,7 @@ from drives.profile_parts import (
     Signal,
     Source,
     StateMachine,
+    Temperature,
     TorqueOffsetWord,
     Velocity,
     Write,
@@ -73,6 +74,7 @@ class DriveProfile(Strict):
     feedforward: Feedforward | None = Field(
         default=None, description="absent: the drive has no 0x60B1, or it is not known how it takes it"
     )
+    temperature: Temperature | None = Field(default=None, description="absent: no temperature is recorded")
     position: Position = Field(description="actual position and its counts")
     state_machine: StateMachine = Field(description="times and behaviour of the CiA 402 state machine")
     sdo: SdoTimes = Field(description="how long an answer may take")

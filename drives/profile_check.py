@@ -74,6 +74,8 @@ def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
         yield profile.velocity.object, profile.current is not None
     if profile.feedforward is not None:
         yield VELOCITY_OFFSET, True
+    if profile.temperature is not None:
+        yield profile.temperature.object, False
     counts = profile.position.counts_per_revolution
     if isinstance(counts, CountsFromObjects):
         yield counts.object, False

@@ -214,6 +214,14 @@ class Velocity(Strict):
         return self
 
 
+class Temperature(Strict):
+    """The temperature object. It is read now and then while the arm is measured, and never needed."""
+
+    object: ObjectReference = Field(description="where the value is")
+    unit_c: Constant = Field(description="degrees Celsius that one bit means")
+    of: Literal["motor", "drive"] = Field(description="where the sensor is: motor winding or power stage")
+
+
 def _turned_rad(counts: Constant | None, counts_per_revolution: float | None) -> float | None:
     if counts is None or not counts_per_revolution:
         return None

@@ -77,6 +77,18 @@ def fill(drive: DescribedDrive) -> None:
     _state_objects(drive)
     _motion_objects(drive)
     _torque_objects(drive)
+    _temperature(drive)
+
+
+def _temperature(drive: DescribedDrive) -> None:
+    """Where the profile says that the drive has it."""
+    stated = drive.spec.profile.get("temperature")
+    if stated is None:
+        return
+    at, per_bit = stated["object"], float(stated["unit_c"]["value"])
+    least, most = LIMITS[at["type"]]
+    address = (int(at["index"]), int(at.get("subindex", 0)))
+    drive.store.live(address, at["type"], lambda: min(max(round(drive.axis.winding_c() / per_bit), least), most))
 
 
 def _device(drive: DescribedDrive) -> None:

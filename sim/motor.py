@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from sim.friction import JointFriction
 from sim.servo import TICK_S, ServoLoop
@@ -26,6 +27,7 @@ class MotorAxis:
     position_rad : what the encoder gives, cell's zero offset taken off
     shown_nm : motor torque behind the drive's filter
     shown_sum_nm : the same, summed over the milliseconds since it was set to 0
+    winding_c : gives the temperature of the winding [deg C]
     """
 
     __slots__ = (
@@ -49,6 +51,7 @@ class MotorAxis:
         "step",
         "theta_rad",
         "torque_nm",
+        "winding_c",
     )
 
     def __init__(self, servo: ServoLoop, friction: JointFriction, filter_s: float) -> None:
@@ -61,6 +64,7 @@ class MotorAxis:
         self.theta_rad = self.omega_rad_s = self.torque_nm = self.position_rad = 0.0
         self.shown_nm = self.shown_sum_nm = 0.0
         self.compliance_rad_nm = self.shift_rad = self.step = 0.0
+        self.winding_c: Callable[[], float] = lambda: math.nan
 
     def tick(self, q_rad: float, torque: float) -> None:
         """One millisecond, while the coupling transmits a torque [Nm] to the link."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from sim.engine import NUDGE, NUDGES, bullet, load_arm, usable
 from sim.friction import JointFriction
 from sim.motor import MotorAxis
 from sim.plant import Payload, Plant
+from sim.reading_effects import AMBIENT_C
 from sim.servo import TICK_S
 from sim.tuning import Coupling, coupling, coupling_at_once, servo_loops
 from sim.urdf import SimBody, SimChain, UrdfError, combine, write_chain
@@ -63,6 +65,8 @@ class ArmWorld:
         loops = servo_loops(arm, self._masses(), plant.rotor_inertia_kg_m2)
         filters = tuple(filters_s) or (0.001,) * len(loops)
         self.axes = [MotorAxis(servo, JointFriction(seed * 8 + i), filters[i]) for i, servo in enumerate(loops)]
+        for i, axis in enumerate(self.axes):
+            axis.winding_c = partial(self._winding_c, i)
         self._tune()
         self._take_over()
         self._settle()
@@ -103,6 +107,11 @@ class ArmWorld:
         low, high = self._limits.T
         shares = np.random.default_rng(0).uniform(0.1, 0.9, (12, len(low)))
         return [np.array(self._q), *(low + shares * (high - low))]
+
+    def _winding_c(self, motor: int) -> float:
+        """Temperature of a motor now; that of the surroundings where the plant has none."""
+        warm = self.plant.temperature_c
+        return AMBIENT_C if warm is None else float(warm(self.time_s)[motor])
 
     def _masses(self) -> list[Array]:
         """Mass matrices (N, N) on the motor side of a coupling, in the present and twelve other postures."""

@@ -186,7 +186,7 @@ class MovingRun:
     def _drive(self, leg: DrivenLeg, periods: tuple[int, ...]) -> None:
         """So many periods without a stop; those that lack a SYNC are noted."""
         self._incomplete = []
-        driven, store = leg.driven, self._store
+        driven, store, temperatures = leg.driven, self._store, self._station.temperatures
         count, axes = driven.motion.q_rad.shape
         what = f"drive '{driven.excitation.name}'" + (f" at {driven.speed:.0%}" if driven.speed != 1.0 else "")
         log: PeriodLog | None = None
@@ -195,13 +195,17 @@ class MovingRun:
             nonlocal log
             if row == 0 or log is None:
                 log = PeriodLog(driven.label(self._load, periods[place]), count, axes)
+                if temperatures is not None:
+                    temperatures.begin()
             log.add(sample, target_rad)
+            if temperatures is not None:
+                temperatures.poll()
             if row < count - 1:
                 return
             if log.incomplete_epochs:
                 self._incomplete.append(periods[place])
             if len(log):
-                store.add(leg.transfer.arm, log.period())
+                store.add(leg.transfer.arm, log.period(self._station.temperatures_c()))
             log = None
 
         self._next()

@@ -41,6 +41,7 @@ from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import Phase, StateTracker
 from gateway.motion.stops import StopKind, StopRequest, guarded
 from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
+from gateway.motion.temperature import MotorTemperatures
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
 
@@ -129,6 +130,8 @@ class VisitStation:
         Called with every event, in the thread of the run.
     options : MoveOptions
     pacing : "lockstep" or "real"
+    temperatures : MotorTemperatures or None
+        Asked while the arm is sampled; None = no drive reports one.
     """
 
     arm: Arm
@@ -137,6 +140,11 @@ class VisitStation:
     listeners: tuple[Listener, ...] = ()
     options: MoveOptions = field(default_factory=MoveOptions)
     pacing: Pacing = "lockstep"
+    temperatures: MotorTemperatures | None = None
+
+    def temperatures_c(self) -> np.ndarray | None:
+        """Temperatures (N,) [deg C] since the sampling began."""
+        return None if self.temperatures is None else self.temperatures.read_c
 
     def tell(self, event: Event) -> None:
         """Hand an event to all listeners, then to who looks on; one that listens and fails stops the arm.
@@ -167,7 +175,7 @@ class Run:
         self._load = load
         self._arm = station.arm
         self._workspace = station.workspace
-        self._store = station.store
+        self._store, self._station = station.store, station
         self._tell = station.tell
         self._period_s = plan.settings.period_s
         self._first = FIRST_SHARE if station.options.first_done is not None else 1.0
@@ -281,9 +289,14 @@ class Run:
         label = VisitLabel(self._load, step.pose, purpose, step.direction, self._direction, at)
         samples: list[ArmSample] = []
         repeated = 0
+        temperatures = self._station.temperatures
+        if temperatures is not None:
+            temperatures.begin()
         try:
             while len(samples) < step.count:
                 (sample,) = self._stream.hold(f"sample pose {step.pose}", len(samples), step.count)
+                if temperatures is not None:
+                    temperatures.poll()
                 if sample.complete:
                     samples.append(sample)
                     continue
@@ -297,7 +310,7 @@ class Run:
         except BaseException:
             self.broken = visit_from_samples(label, samples, False, repeated) if samples else None
             raise
-        self._keep(visit_from_samples(label, samples, True, repeated))
+        self._keep(visit_from_samples(label, samples, True, repeated, self._station.temperatures_c()))
 
     def _keep(self, visit: Visit) -> None:
         first, self._first_side = self._first_side, visit

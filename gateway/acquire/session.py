@@ -32,6 +32,7 @@ from gateway.errors import GatewayError, InputError
 from gateway.model.arm_model import arm_named, arm_robot
 from gateway.motion.opening import BusOverride, OpenArm, open_arm
 from gateway.motion.stream import MoveOptions
+from gateway.motion.temperature import motor_temperatures
 from gateway.motion.workspace import workspace_of
 from gateway.result.origin import software
 
@@ -173,7 +174,8 @@ class Kept:
         listening = (self._tally, *listeners)
         options = options or MoveOptions()
         options.observers.add(self._watch)
-        return VisitStation(opened.arm, opened.workspace, store, listening, options, pacing)
+        temperatures = motor_temperatures(opened)
+        return VisitStation(opened.arm, opened.workspace, store, listening, options, pacing, temperatures)
 
     def finish(self) -> None:
         """Store that the run has ended well."""

@@ -73,6 +73,8 @@ class Period:
         Current NaN where the drive sends none.
     sync_index : int64 array of shape (n,)
     time_s : array of shape (n,)
+    temperature_c : array of shape (N,) or None
+        As in `Visit`.
     """
 
     number: int
@@ -98,6 +100,7 @@ class Period:
     motor_current_a: np.ndarray
     sync_index: np.ndarray
     time_s: np.ndarray
+    temperature_c: np.ndarray | None = None
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -181,8 +184,8 @@ class PeriodLog:
         """Samples so far."""
         return self._taken
 
-    def period(self) -> Period:
-        """What was taken, complete if it is all of it.
+    def period(self, temperature_c: np.ndarray | None = None) -> Period:
+        """What was taken, complete if it is all of it; with the temperatures (N,) [deg C] that were read meanwhile.
 
         Raises
         ------
@@ -214,4 +217,5 @@ class PeriodLog:
             motor_current_a=self._current[:n],
             sync_index=self._sync[:n],
             time_s=self._time[:n],
+            temperature_c=temperature_c,
         )

@@ -43,6 +43,8 @@ class Visit:
     time_s : array of shape (n,)
     gravity_nm, friction_band_nm : arrays of shape (N,) or None
         Half sum and half difference of both sides, with the efficiency of each side; with the second side only.
+    temperature_c : array of shape (N,) or None
+        Of motor or drive, read once during the visit; NaN where the drive reports none, None where none does.
     """
 
     number: int
@@ -67,6 +69,7 @@ class Visit:
     time_s: np.ndarray
     gravity_nm: np.ndarray | None = None
     friction_band_nm: np.ndarray | None = None
+    temperature_c: np.ndarray | None = None
 
     def __len__(self) -> int:
         """Number of samples."""
@@ -86,7 +89,11 @@ class VisitLabel:
 
 
 def visit_from_samples(
-    label: VisitLabel, samples: Sequence[ArmSample], complete: bool, incomplete_epochs: int
+    label: VisitLabel,
+    samples: Sequence[ArmSample],
+    complete: bool,
+    incomplete_epochs: int,
+    temperature_c: np.ndarray | None = None,
 ) -> Visit:
     """Stack complete samples.
 
@@ -125,4 +132,5 @@ def visit_from_samples(
         motor_current_a=np.array(current),
         sync_index=np.array([sample.sync_index for sample in samples], dtype=np.int64),
         time_s=np.array([sample.time_s for sample in samples]),
+        temperature_c=temperature_c,
     )

@@ -212,6 +212,12 @@ def recording_page() -> str:
             " sample."
         ),
         "",
+        _paragraph(
+            "The attribute `temperature_c` (axes,) of a visit or period is the temperature of motor or drive in deg C."
+            " It is read once by SDO during the visit or period, where the drive profile has `[temperature]`. NaN:"
+            " the drive has none, or did not answer in time. The attribute is absent if no drive has one."
+        ),
+        "",
         *_periods(),
         "",
         *_black_box(),

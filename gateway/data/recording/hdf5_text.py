@@ -127,8 +127,18 @@ class Hdf5Group:
 
     def numbers(self, name: str, count: int, default: np.ndarray | None = None) -> np.ndarray:
         """An attribute of `count` finite numbers."""
+        value = self._numbers(name, count, default)
+        if not np.isfinite(value).all():
+            raise self.refuse(f"@{name}", f"{count} finite numbers expected")
+        return value
+
+    def optional_numbers(self, name: str, count: int) -> np.ndarray | None:
+        """An attribute of `count` numbers, NaN where one is missing; None where there is no such attribute."""
+        return self._numbers(name, count, None) if name in self.group.attrs else None
+
+    def _numbers(self, name: str, count: int, default: np.ndarray | None) -> np.ndarray:
         value = np.asarray(self._attribute(name, default))
-        if value.shape != (count,) or value.dtype.kind not in "iuf" or not np.isfinite(value).all():
+        if value.shape != (count,) or value.dtype.kind not in "iuf" or np.isinf(value).any():
             raise self.refuse(f"@{name}", f"{count} finite numbers expected")
         return value
 

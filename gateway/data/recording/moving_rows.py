@@ -76,7 +76,7 @@ def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, 
         tau_std_nm=blank,
         count=np.ones(n, dtype=int),
         q2nd_rad=blank,
-        temperature_c=blank,
+        temperature_c=blank if period.temperature_c is None else np.tile(period.temperature_c, (n, 1)),
         motor_torque_nm=period.motor_torque_nm,
         extra={
             EXCITATION: np.full(n, float(period.motion)),

@@ -74,6 +74,7 @@ def _period(
         complete=bool(place.integer("complete")),
         incomplete_epochs=place.integer("incomplete_epochs", 0),
         **arrays,
+        temperature_c=place.optional_numbers("temperature_c", axes),
     )
     _require_labels(place, period, axes)
     if period.excitation not in excitations:

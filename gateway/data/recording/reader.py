@@ -153,6 +153,7 @@ def _visit(place: Hdf5Group, number: int, axes: int, torque_unit_nm: np.ndarray 
         **read_samples(place, axes, torque_unit_nm),
         gravity_nm=place.numbers("gravity_nm", axes) if "gravity_nm" in place.group.attrs else None,
         friction_band_nm=place.numbers("friction_band_nm", axes) if "friction_band_nm" in place.group.attrs else None,
+        temperature_c=place.optional_numbers("temperature_c", axes),
     )
     if visit.purpose not in ("fit", "validation") or visit.approach not in SIDES:
         raise place.refuse("", "load, purpose or approach is not what a visit has")

@@ -173,7 +173,9 @@ class Recording:
             tau_std_nm=np.array([_std(samples) for samples in joint]).reshape(shape),
             count=np.array([len(visit) for visit in visits], dtype=int),
             q2nd_rad=blank,
-            temperature_c=blank,
+            temperature_c=np.array(
+                [blank[0] if visit.temperature_c is None else visit.temperature_c for visit in visits]
+            ).reshape(shape),
             motor_torque_nm=motor,
             extra={"x_validation": np.array([float(visit.purpose == "validation") for visit in visits])},
         )

@@ -284,6 +284,8 @@ def _write_period(group: h5py.Group, period: Period) -> None:
 
 
 def _write_samples(group: h5py.Group, attributes: dict[str, Any], visit: Visit | Period) -> None:
+    if visit.temperature_c is not None:
+        attributes = attributes | {"temperature_c": visit.temperature_c}
     for name, value in attributes.items():
         group.attrs[name] = value
     for name, (source, unit) in WORDS.items():
