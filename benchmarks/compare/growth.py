@@ -23,7 +23,7 @@ def main(argv: list[str]) -> int:
     from gateway.diagnose import diagnose
     from gateway.estimate import run
     from gateway.model.robot import robot_from_urdf
-    from sim.nature.cell import VISIT_S, draw_cell
+    from sim.nature.nature_cell import VISIT_S, draw_cell
     from sim.offline import PlannedVisit
     from tests.support.blind.nature import diagnose_options, estimate_options
     from tests.support.rigs.tables import simulated_table

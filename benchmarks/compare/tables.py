@@ -15,9 +15,9 @@ from gateway.estimate import EstimateOptions, estimate
 from gateway.model.robot import Robot, robot_from_urdf
 from sim import blind
 from sim.draw import LOADED_S, VISIT_S, draw_load
-from sim.nature.cell import NatureCell, draw_effect_cell
-from sim.nature.cell import draw_cell as draw_nature_cell
 from sim.nature.levels import CONDITIONS
+from sim.nature.nature_cell import NatureCell, draw_effect_cell
+from sim.nature.nature_cell import draw_cell as draw_nature_cell
 from sim.offline import PlannedVisit, measure
 from sim.plant import Payload
 from tests.arms import peer_of, urdf_of

@@ -10,7 +10,7 @@ from typing import Final
 
 from drives.configuration.dcf_text import configured
 from drives.configuration.kinds import own_identifier
-from drives.configuration.values import Value, is_held, written
+from drives.configuration.object_values import Value, is_held, written
 from drives.datasheet.building import sheet_of_text
 from drives.datasheet.encoding import read_text
 from drives.datasheet.sections import COMMISSIONING

@@ -11,7 +11,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping
 from typing import Final, Literal
 
-from drives.configuration.values import Value
+from drives.configuration.object_values import Value
 from drives.datasheet.numbers import is_by_node, resolved
 from drives.datasheet.sheet import SheetObject
 from drives.pdo import INVALID

@@ -12,7 +12,7 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
-from drives.configuration.values import is_held, type_name
+from drives.configuration.object_values import is_held, type_name
 from drives.datasheet.encoding import read_text, unreadable
 from drives.datasheet.numbers import is_ambiguous, number, plain_number
 from drives.datasheet.sections import COMMISSIONING_NAMES, LISTS, Address, Section, sections_of

@@ -9,8 +9,8 @@ from typing import Final
 from drives.cia402 import Mode, mode_supported
 from drives.draft.answers import ProfileAnswers, address_of
 from drives.draft.device import Address, Device
+from drives.draft.draft_units import velocity_unit_rad_s
 from drives.draft.questions import COUNTS, RATED, is_current, open_questions, rated_address, torque_address
-from drives.draft.units import velocity_unit_rad_s
 from drives.errors import ProfileError
 from drives.objects import DataType
 from drives.profile_check import contradictions

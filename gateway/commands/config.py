@@ -33,7 +33,7 @@ from gateway.errors import ConfigError, FindingFailed
 if TYPE_CHECKING:
     from drives.configuration.dcf import BeyondLimit, NodeConfiguration
     from drives.configuration.difference import Compared
-    from drives.configuration.reading import Readout
+    from drives.configuration.object_reading import Readout
     from drives.drive import Cia402Drive
     from drives.group import DriveGroup
     from drives.pdo import Step
@@ -72,7 +72,7 @@ def config_dump(
     Status and process values are not part of the configuration; --json lists them separately.
     """
     from drives.configuration.dcf import beyond_limits, read_data_sheet
-    from drives.configuration.reading import read_drive
+    from drives.configuration.object_reading import read_drive
     from gateway.commands.cell_context import open_cell
 
     context, session = open_cell(cell, bus_spec), session_of()
@@ -293,7 +293,7 @@ def _compared(arm: ArmConfig, group: DriveGroup, files: dict[int, NodeConfigurat
     from drives.bringup import read_identity
     from drives.configuration.difference import compare
     from drives.configuration.kinds import mapped_objects
-    from drives.configuration.reading import read_drive
+    from drives.configuration.object_reading import read_drive
 
     nodes = []
     said = {

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.draw import GRAVITY, arm_geometry, draw_load, rated_torque_nm
-from sim.nature.friction import Friction, draw_friction
+from sim.nature.gear_friction import Friction, draw_friction
 from sim.nature.levels import Harshness
 from sim.plant import Payload
 from sim.urdf import SimBody, SimChain, write_chain

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 from sim.cellfile import ArmSpec, CellFileError, CellSpec
 from sim.pair.body import ArmTruth
-from sim.pair.errors import (
+from sim.pair.gap import GapSensors, add_sensors
+from sim.pair.geometry import ArmGeometry, translation
+from sim.pair.light import LightWorld
+from sim.pair.motors import DriveTrain
+from sim.pair.pair_errors import (
     GEAR_STIFFNESS_NM_RAD,
     RATED_TORQUE_NM,
     ArmErrors,
@@ -20,10 +24,6 @@ from sim.pair.errors import (
     as_stated,
     draw_of,
 )
-from sim.pair.gap import GapSensors, add_sensors
-from sim.pair.geometry import ArmGeometry, translation
-from sim.pair.light import LightWorld
-from sim.pair.motors import DriveTrain
 from sim.pair.rows import ArmRows, rows_of
 from sim.pair.two_arms import TwoArms
 from sim.pair.unit import PairUnit

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from gateway.model.effects import LIBRARY
-from sim.nature.cell import NAMED
+from sim.nature.nature_cell import NAMED
 from sim.nature.unmodelled import UNMODELLED
 from sim.nature.wiring import WIRING
 from tests.support.blind.mechanisms import MECHANISMS

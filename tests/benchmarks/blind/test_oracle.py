@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.nature.cell import draw_cell
 from sim.nature.effect import rows_of
 from sim.nature.levels import levels_of
 from sim.nature.measuring import OutlierVisit, quiet, reported_nm
+from sim.nature.nature_cell import draw_cell
 from sim.nature.strength import halves
 from tests.support.blind import oracle
 

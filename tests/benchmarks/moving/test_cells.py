@@ -14,8 +14,8 @@ from gateway.model.robot import robot_from_urdf
 from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.inverse import InverseDynamics
 from sim.nature.levels import MILD
-from sim.nature.moving import PeriodicMotion
 from sim.nature.moving_arm import MovingArm, draw_moving_arm, moving_arm
+from sim.nature.moving_cell import PeriodicMotion
 from sim.urdf import read_chain
 from tests.support.moving.cells import MovingCell, draw_cell
 from tests.support.moving.excitations import USED, random_series

@@ -6,9 +6,9 @@ import pytest
 
 from drives.draft.answers import ProfileAnswers, address_of, read_answers, with_answers
 from drives.draft.device import Device, device_of_sheet
+from drives.draft.draft_units import unit_rad_s
 from drives.draft.questions import QUESTIONS, next_question, open_questions
 from drives.draft.text import draft, profile_name
-from drives.draft.units import unit_rad_s
 from drives.errors import ProfileError
 from drives.profile_file import PROFILE_FOLDER, find_profile, parse_profile
 from drives.scaling import Constants, motor_scale

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio
 import pytest
 
-from sim.nature.cell import KINDS, draw_cell, draw_effect_cell, drawn_kind
 from sim.nature.effect import rows_of
-from sim.nature.friction import Friction
+from sim.nature.gear_friction import Friction
 from sim.nature.levels import CONDITIONS
 from sim.nature.measuring import equilibrium, quiet, reported_nm
+from sim.nature.nature_cell import KINDS, draw_cell, draw_effect_cell, drawn_kind
 from sim.nature.strength import halves
 from sim.urdf import SimBody, write_chain
 

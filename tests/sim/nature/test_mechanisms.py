@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.nature.cell import NAMED, draw_cell, draw_effect_cell
 from sim.nature.effect import Mechanism, play, rows_of
 from sim.nature.measuring import equilibrium, quiet, reported_nm
+from sim.nature.nature_cell import NAMED, draw_cell, draw_effect_cell
 from sim.nature.springs import draw_linkage
 from sim.nature.strength import absorbing, added, strength, strengths_beside
 from sim.nature.unmodelled import UNMODELLED, pulled

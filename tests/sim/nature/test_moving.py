@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from sim.nature.levels import MILD
-from sim.nature.moving import FINE, PeriodicMotion, electrical_noise, measure_moving, reported_nm
 from sim.nature.moving_arm import MovingArm, box_inertia, draw_moving_arm, moving_arm
+from sim.nature.moving_cell import FINE, PeriodicMotion, electrical_noise, measure_moving, reported_nm
 from sim.urdf import SimBody, SimChain
 
 G = 9.80665

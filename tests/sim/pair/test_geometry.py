@@ -7,7 +7,7 @@ import pinocchio
 import pytest
 
 from sim.pair import geometry
-from sim.pair.errors import draw
+from sim.pair.pair_errors import draw
 from sim.pair.ranges import ranges, six_sensors
 
 SYNC_S = 0.004

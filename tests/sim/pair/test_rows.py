@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from sim.cellfile import ArmSpec, read_cell
 from sim.pair.cell import PairOptions, pair_units
-from sim.pair.errors import GEAR_RATIO, GEAR_STIFFNESS_NM_RAD, draw
 from sim.pair.geometry import ArmGeometry, bases, nominal_arms, tip
+from sim.pair.pair_errors import GEAR_RATIO, GEAR_STIFFNESS_NM_RAD, draw
 from sim.pair.rows import rows_of
 from sim.pair.two_arms import TwoArms
 from sim.physics import bullet

@@ -16,9 +16,9 @@ from gateway.estimate import EstimateOptions, estimate
 from gateway.identify.load_estimate import LoadEstimate
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import LoadResult, Result
-from sim.nature.cell import VISIT_S, NatureCell, draw_cell, draw_effect_cell
 from sim.nature.effect import rows_of
 from sim.nature.measuring import OutlierVisit
+from sim.nature.nature_cell import VISIT_S, NatureCell, draw_cell, draw_effect_cell
 from sim.nature.strength import strengths_beside
 from sim.offline import PlannedVisit
 from tests.support.blind.oracle import load_std

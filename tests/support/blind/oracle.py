@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.nature.arm import NatureArm
-from sim.nature.cell import NatureCell
 from sim.nature.effect import Mechanism, TableRows, rows_of
 from sim.nature.measuring import OutlierVisit, equilibrium
+from sim.nature.nature_cell import NatureCell
 from sim.nature.strength import added, efficiency_slopes
 from sim.offline import PlannedVisit, gravity_columns
 

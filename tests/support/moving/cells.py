@@ -15,8 +15,8 @@ from gateway.estimate import EstimateOptions, run
 from gateway.excite.excitation import Series, fingerprint
 from gateway.model.robot import robot_from_urdf
 from sim.nature.levels import levels_of
-from sim.nature.moving import PeriodicMotion, measure_moving
 from sim.nature.moving_arm import MovingArm, StatedMoving, draw_moving_arm
+from sim.nature.moving_cell import PeriodicMotion, measure_moving
 from tests.support.moving.excitations import random_series
 from tests.support.moving.oracle import oracle_std
 from tests.support.moving.scores import drawn_truth, score
@@ -80,7 +80,7 @@ class MovingCell:
 
 
 def moving_table(columns: dict[str, NDArray[Any]]) -> Table:
-    """The columns of `sim.nature.moving`: rows of moving runs."""
+    """The columns of `sim.nature.moving_cell`: rows of moving runs."""
     return make_table(
         columns["load"],
         np.full(len(columns["load"]), MOVING),

@@ -16,8 +16,8 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
 from sim.inverse import InverseDynamics
-from sim.nature.moving import PeriodicMotion, friction_nm
 from sim.nature.moving_arm import SHORTEST_LINK_M, MovingArm
+from sim.nature.moving_cell import PeriodicMotion, friction_nm
 from sim.urdf import SimChain, write_chain
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.result.result import AxisMotion, LoadResult, Result
-from sim.nature.moving import PeriodicMotion, rigid_nm
 from sim.nature.moving_arm import MovingArm
+from sim.nature.moving_cell import PeriodicMotion, rigid_nm
 from sim.plant import Payload
 
 Floats = NDArray[np.float64]

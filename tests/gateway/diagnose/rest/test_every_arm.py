@@ -10,7 +10,7 @@ import pytest
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import Result
-from sim.nature.cell import NatureCell, draw_cell
+from sim.nature.nature_cell import NatureCell, draw_cell
 from tests.resting_arm import Bench, effect, found
 from tests.support.rigs.tables import simulated_table
 

@@ -10,7 +10,7 @@ from gateway.diagnose import diagnose
 from gateway.diagnose.rest.decide import _instead
 from gateway.model.effects.joint_zero_offset import JointZeroOffset
 from gateway.model.robot import robot_from_urdf
-from sim.nature.cell import draw_effect_cell
+from sim.nature.nature_cell import draw_effect_cell
 from tests.support.blind.nature import diagnose_options
 from tests.support.rigs.tables import simulated_table
 
