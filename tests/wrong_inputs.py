@@ -506,14 +506,16 @@ KINDS: list[Kind] = [
         cell(),
     ),
     Kind("until: no unit", (*UNTIL, "mass=1"), 3, (r"mass=1 lacks its unit \(kg, g, %\)",), cell()),
-    Kind("until: nothing that is told", (*UNTIL, "weight=1%"), 3, ("neither mass=.. nor com=..",), cell()),
-    Kind("until: an exact mass", (*UNTIL, "mass=0%"), 3, ("a half width is above 0",), cell()),
-    Kind("until: a load of an arm that is not known", (*UNTIL, "mass=1%"), 3, ("measure it bare first",), cell()),
+    Kind("until: unknown quantity", (*UNTIL, "weight=1%"), 3, ("must be mass=.. or com=..",), cell()),
+    Kind("until: an exact mass", (*UNTIL, "mass=0%"), 3, ("a half width must be positive",), cell()),
+    Kind(
+        "until: a load of an arm that is not known", (*UNTIL, "mass=1%"), 3, ("measure the unloaded arm first",), cell()
+    ),
     Kind(
         "until: the bare arm",
         ("record", "cell.toml", "--load", "none", "-o", "r.h5", "--until", "mass=1%"),
         3,
-        ("is the bare arm, of which no mass is told",),
+        ("is the unloaded arm, for which no mass is estimated",),
         cell(),
     ),
     Kind("thermal: as short as it can", (*THERMAL, "--until", "mass=1%"), 2, ("give one of them",), cell()),

@@ -1,4 +1,6 @@
-"""Poses that show an entered load over the whole workspace: few, unseen by its identification, and reachable."""
+"""Choose the poses of the acceptance test of an entered load: few, reachable, spread over the workspace and not used
+to identify the load.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +26,14 @@ MOST_POSES: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class AcceptancePlan:
-    """A plan, and the largest expected standard deviation of any error anywhere, over the tolerance."""
+    """Plan of an acceptance test, and the largest standard deviation of any torque error, relative to the tolerance."""
 
     plan: Plan
     resolution: float
 
 
 def workspace_postures(loaded: LoadedCell, workspace: Workspace) -> np.ndarray:
-    """Return postures (m, N) [rad] at which the arm can be measured, the same ones every time.
+    """Return random postures (m, N) [rad] at which the arm can be measured; the same for every call.
 
     Raises
     ------
@@ -51,7 +53,7 @@ def plan_acceptance(
     noise: np.ndarray,
     seen_rad: np.ndarray,
 ) -> AcceptancePlan:
-    """Choose the fewest poses by which every error is resolved, and a checked path over them.
+    """Choose the fewest poses that resolve every torque error, and plan checked paths over them.
 
     Parameters
     ----------
@@ -59,7 +61,7 @@ def plan_acceptance(
     config : ArmConfig
     workspace : Workspace
     families : callable
-        Errors to look for, at postures (n, N).
+        Torque errors to be detected, at postures (n, N).
     noise : array of shape (N,)
         Standard deviation of a measured torque over the tolerance.
     seen_rad : array of shape (k, N)
@@ -81,9 +83,10 @@ def plan_acceptance(
         reached = resolution(errors, noise, chosen)
         if reached > UNDECIDED:
             raise PlanRefused(
-                f"arm '{config.name}': the tolerance is too small for the noise of the torque readings: {MOST_POSES} "
-                f"poses leave a standard deviation of {reached:.2g} of it somewhere, {UNDECIDED:g} is the most that "
-                f"can be decided; state a tolerance {reached / UNDECIDED:.2g} times as large"
+                f"arm '{config.name}': the tolerance is too small for the noise of the torque readings: with"
+                f" {MOST_POSES} poses its standard deviation is still {reached:.2g} of the tolerance in part of the"
+                f" workspace, and at most {UNDECIDED:g} allows a decision; state a tolerance"
+                f" {reached / UNDECIDED:.2g} times as large"
             )
         visits = [RestPose(row + 1, tuple(postures[row].tolist()), "validation") for row in chosen]
         plan, unreachable = plan_poses(config.name, workspace, visits, visit_settings(loaded, config))
@@ -92,6 +95,6 @@ def plan_acceptance(
             return AcceptancePlan(plan, reached)
         allowed = np.setdiff1d(allowed, [pose.number - 1 for pose in unreachable])
     raise PlanRefused(
-        f"arm '{config.name}': the workspace cannot be covered: no path that keeps the limits joins the poses that "
-        "show every error; narrow the joint limits to the part of the cell that the arm can reach"
+        f"arm '{config.name}': the workspace cannot be covered: no path within the limits connects the poses of the"
+        " acceptance test; narrow the joint limits to the part of the cell that the arm can reach"
     )

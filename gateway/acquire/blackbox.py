@@ -1,4 +1,6 @@
-"""The black box of what moves an arm: looks on, listens in, and is kept where the motion is stopped."""
+"""Black box of a motion: record the last seconds of samples and CAN frames, and keep the file when the motion is
+stopped.
+"""
 
 from __future__ import annotations
 
@@ -28,12 +30,12 @@ class BlackBoxWatch:
     ----------
     recorder : BoxKeeper
     arm : str
-        Whose rows are kept; others may be under power beside it.
+        Arm whose samples are recorded; other arms may be powered too.
 
     Attributes
     ----------
     powered : bool
-        Arms were about to be powered.
+        True once the arms have been powered.
     """
 
     def __init__(self, recorder: BoxKeeper, arm: str) -> None:
@@ -42,32 +44,35 @@ class BlackBoxWatch:
         self._arm, self._place = arm, -1
 
     def began(self, scene: Scene) -> None:
-        """Arms are about to be powered."""
+        """Note that arms are about to be powered."""
         self.powered = True
         names = [member.name for member in scene.arms.members]
         self._place = names.index(self._arm) if self._arm in names else -1
 
     def sampled(self, observed: Observed) -> None:
-        """One SYNC."""
+        """Pass the sample of one SYNC to the recorder."""
         if self._recorder is None or self._place < 0:
             return
         sample = observed.samples[self._place]
         fill(self._recorder.row(sample.time_s, sample.sync_index), 0, observed, self._place, KEPT)
 
     def reported(self, event: object) -> None:
-        """Nothing of it is kept."""
+        """Ignore reports: the black box holds samples only."""
 
     def ended(self, failure: BaseException | None) -> None:
-        """The frames of the stop follow: the owner of the recording closes the box."""
+        """Do nothing: the frames of the stop follow, and the owner of the recording closes the box."""
 
     def leave(self) -> None:
-        """Take no more."""
+        """Stop recording."""
         self._recorder = None
 
 
 @contextmanager
 def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
-    """While this is open the last seconds are kept; they stay where the header says if it ends badly.
+    """Record the last seconds while this context is open; keep the file named in the header if it is left with an
+    error.
+
+    Errors of the black box become notes of the error that ended the run. They do not stop the arm.
 
     Errors of the box itself become notes of the error that ended the run; they do not end it.
     """
@@ -90,20 +95,24 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
         trouble = recorder.close(reason)
         if failure is not None and reason is not None:
             box = box_of(header.recording)
-            failure.add_note(trouble or f"The last seconds before it: {box}; servo-gateway report {box} -o STOP.html")
+            failure.add_note(
+                trouble
+                or f"Recording of the last seconds before the stop: {box}; view it with servo-gateway report {box} -o"
+                " STOP.html"
+            )
 
 
 @contextmanager
 def last_seconds(opened: OpenArm, folder: Path, observers: Observers) -> Generator[None]:
-    """The black box of what is not recorded; of an arm, the newest ones stay in a folder.
+    """Return the black box context for a motion without a recording; a folder keeps the newest boxes of each arm.
 
     Parameters
     ----------
     opened : OpenArm
     folder : Path
-        That of the write ledgers.
+        Folder of the write ledgers (records of written drive objects).
     observers : Observers
-        Of whatever moves the arm.
+        Observers of the motion loop.
     """
     kind = f"{opened.loaded.cell.name}-{opened.config.name}"
     place = place_in(folder, kind, datetime.now(UTC))

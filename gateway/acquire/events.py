@@ -1,4 +1,4 @@
-"""Events of a run, for console, recording and log."""
+"""Events of a measurement run, sent to console, recording and log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gateway.motion.state import CellState
 
 @dataclass(frozen=True, slots=True)
 class Started:
-    """A recording begins."""
+    """Event: a recording begins."""
 
     arm: str
     load: str
@@ -20,7 +20,7 @@ class Started:
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Progress of the run; times are those of the arm, as planned."""
+    """Event: progress of the run; times are planned motion times of the arm."""
 
     step: int
     steps: int
@@ -31,7 +31,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class SampleRepeated:
-    """A SYNC while sampling that some axes (from 1) left unanswered; it is taken again."""
+    """Event: some axes (numbered from 1) did not answer a SYNC while sampling; the sample is taken again."""
 
     sync_index: int
     axes: tuple[int, ...]
@@ -39,7 +39,7 @@ class SampleRepeated:
 
 @dataclass(frozen=True, slots=True)
 class VisitDone:
-    """One side of a pose is measured and on disk.
+    """Event: a pose is measured from one approach direction and stored on disk.
 
     Attributes
     ----------
@@ -59,12 +59,12 @@ class VisitDone:
 
 @dataclass(frozen=True, slots=True)
 class PoseDone:
-    """Both sides of a pose are measured.
+    """Event: a pose is measured from both approach directions.
 
     Attributes
     ----------
     gravity_nm, friction_band_nm : tuples of floats, one per axis
-        Half the sum and half the difference of the two sides, each with the gear efficiency of its direction.
+        Half-sum and half-difference of the torques of both approach directions, each corrected by its gear efficiency.
     """
 
     pose: int
@@ -75,20 +75,20 @@ class PoseDone:
 
 @dataclass(frozen=True, slots=True)
 class PeriodDone:
-    """One period of an excitation is driven and on disk.
+    """Event: one period of an excitation trajectory is driven and stored on disk.
 
     Attributes
     ----------
     name : str
-        Of the excitation.
+        Name of the excitation.
     period : int
-        Which of its periods, from 1.
+        Number of the period, from 1.
     speed : float
         Share of the full speed.
     complete : bool
-        Every SYNC of it was answered.
+        True if every SYNC of the period was answered.
     incomplete_epochs : int
-        SYNCs that were not.
+        SYNCs that were not answered by all axes.
     """
 
     number: int
@@ -102,7 +102,7 @@ class PeriodDone:
 
 @dataclass(frozen=True, slots=True)
 class Narrowed:
-    """A load that is measured until it is known well enough was estimated anew; `text` says how far it is known."""
+    """Event: the load of a measurement with `--until` was estimated again; `text` states its uncertainty."""
 
     load: str
     poses: int
@@ -111,14 +111,14 @@ class Narrowed:
 
 @dataclass(frozen=True, slots=True)
 class Stopped:
-    """The run ended before its plan did."""
+    """Event: the run was stopped before the end of its plan."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class StateChanged:
-    """The arm does something else now."""
+    """Event: the activity of the arm changed, for example from moving to sampling."""
 
     state: CellState
 

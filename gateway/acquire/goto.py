@@ -28,12 +28,12 @@ STILL_RAD: Final = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Destination:
-    """A posture to go to.
+    """Target posture of a transfer motion.
 
     Attributes
     ----------
     what : str
-        In words: "home", or "loading".
+        Name for messages, such as "home" or "the loading posture".
     q_rad : tuple of floats, one per axis
     """
 
@@ -45,7 +45,7 @@ class Destination:
 
 
 def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[float]) -> Destination:
-    """The posture that is meant by a name or by joint angles.
+    """Return the posture for "home", "loading" or joint angles.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
     Raises
     ------
     ConfigError
-        The cell file does not say where that is.
+        The cell file does not define this posture.
     PlanRefused
         The posture is not allowed.
     """
@@ -70,7 +70,7 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
             )
         found = Destination("the loading posture", config.loading_rad)
     else:
-        found = Destination("the posture that was asked for", tuple(float(value) for value in to))
+        found = Destination("the requested posture", tuple(float(value) for value in to))
     reason = workspace.why_not(np.array(found.q_rad))
     if reason is not None:
         raise PlanRefused(f"arm '{config.name}' may not rest at {found}: {reason}; choose another posture")
@@ -78,7 +78,7 @@ def destination(config: ArmConfig, workspace: Workspace, to: str | Sequence[floa
 
 
 def _home(config: ArmConfig, workspace: Workspace) -> Destination:
-    """As the cell says; else the middle of the joint ranges, which the planner tries first as a posture in between."""
+    """Return home_rad of the cell file, else the middle of the joint ranges."""
     if config.home_rad is not None:
         return Destination(HOME, config.home_rad)
     middle = (workspace.lower_rad + workspace.upper_rad) / 2
@@ -105,7 +105,7 @@ def plan_transfer(opened: OpenArm, target: Destination) -> Plan:
 
 
 def transfer_from_here(opened: OpenArm, target: Destination, plan: Plan) -> Plan:
-    """Return a transfer that was planned before a person confirmed it; planned again where the arm has moved since.
+    """Return the confirmed transfer, or a new plan if the arm has moved since the transfer was planned.
 
     Raises
     ------
@@ -117,39 +117,42 @@ def transfer_from_here(opened: OpenArm, target: Destination, plan: Plan) -> Plan
 
 
 def remarks(plan: Plan, workspace: Workspace) -> tuple[str, ...]:
-    """Return remarks on a transfer for the operator: a first motion inwards, and why it is not straight."""
+    """Return remarks on a transfer for the operator: a first motion back into the joint range, or a detour."""
     said: list[str] = []
     start = np.array(plan.start_rad)
     for step in plan.steps:
         if isinstance(step, MoveInwards):
             joints = np.flatnonzero(np.abs(np.array(step.q_rad) - start) > 0) + 1
             which = ", ".join(str(joint) for joint in joints)
-            said.append(f"joint {which} is outside its range: it first moves inwards, slowly, to {angles(step.q_rad)}")
+            said.append(
+                f"joint {which} is outside its range: it first moves slowly back into the range, to"
+                f" {angles(step.q_rad)}"
+            )
             start = np.array(step.q_rad)
     points = [step.q_rad for step in plan.steps if isinstance(step, MoveTo)]
     if len(points) > 1:
         met = workspace.why_not_path(np.array([start, points[-1]]))
         over = ", then ".join(angles(point) for point in points[:-1])
-        said.append(f"straight there, the arm would not keep its limits: {met}; it goes over {over}")
+        said.append(f"the straight path violates a limit: {met}; the arm moves by way of {over}")
     return tuple(said)
 
 
 def go(opened: OpenArm, plan: Plan, listeners: Sequence[Listener] = (), options: MoveOptions | None = None) -> None:
-    """Bring the arm to a posture; the brakes are on before and after.
+    """Move the arm to a posture; the brakes are on before and after.
 
     Parameters
     ----------
     opened : OpenArm
-        Connected and configured, in its brakes; the stop on loss of the master is proven.
+        Connected and configured, brakes on; the stop on loss of the master has been tested.
     plan : Plan
-        Of `plan_transfer`, from the present posture.
+        Plan made by `plan_transfer` from the present posture.
     listeners : sequence of Listener
     options : MoveOptions, optional
 
     Raises
     ------
     LimitExceeded, DriveError, KeyboardInterrupt
-        The arm was stopped, and is in its brakes.
+        The arm was stopped, and its brakes are on.
     """
     pacing = opened.group.timing.pacing
     run_transfer(

@@ -1,4 +1,6 @@
-"""Record a moving plan: excitations driven period by period, every SYNC kept. Brakes are on before and after."""
+"""Record a moving plan: drive the excitations period by period and store every SYNC. The brakes are on before and
+after.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ from gateway.motion.stream import MoveOptions
 
 @dataclass(frozen=True, slots=True)
 class MovingSummary:
-    """What a run has added to a recording.
+    """Summary of what a run has added to a recording.
 
     Attributes
     ----------
@@ -33,11 +35,11 @@ class MovingSummary:
     periods : int
         New periods in which every SYNC was answered.
     skipped : int
-        Periods that were there already.
+        Periods that the recording already held.
     incomplete_epochs : int
-        SYNCs that were not answered; their periods were driven again.
+        SYNCs that were not answered by all axes; their periods were repeated.
     missed : tuple of (str, int)
-        Excitation and number of the periods that lack a SYNC though they were driven twice.
+        Excitation and number of the periods that lack a SYNC after a repetition.
     statistics : dict
         Of the bus.
     """
@@ -58,21 +60,26 @@ def record_moving(
     listeners: Sequence[Listener] = (),
     options: MoveOptions | None = None,
 ) -> MovingSummary:
-    """Drive a moving plan under one load; the arm stays in its brakes if nothing is missing.
+    """Drive a moving plan under one load; without missing periods the arm does not move.
+
+    If the operator requests a stop through the desk of `options`, the arm stops and the measured periods are kept.
 
     A person who asks the desk of `options` for a stop stops the arm; the periods that were driven are kept.
 
     Raises
     ------
     InputError
-        The file exists and is not to be gone on with, or belongs to another cell.
+        The file exists and `resume` is not set, or it belongs to another cell.
     PlanRefused
-        A motion leaves a limit, or no path leads to its start; nothing was enabled.
+        A motion violates a limit, or no path leads to its start; no drive was enabled.
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped.
     """
     if plan.arm != opened.config.name:
-        raise InputError(f"the plan is one of arm '{plan.arm}', this is arm '{opened.config.name}'; plan for this arm")
+        raise InputError(
+            f"the plan is for arm '{plan.arm}', but the connected arm is '{opened.config.name}'; make a plan for this"
+            " arm"
+        )
     check_moving_plan(plan, opened.workspace, opened.config, opened.arm.known)
     options = options or MoveOptions()
     earlier = read(request.path) if request.resume and request.path.exists() else None
@@ -101,12 +108,12 @@ def record_moving(
 
 
 def run_legs(station: VisitStation, legs: Sequence[DrivenLeg], load: str) -> tuple[tuple[str, int], ...]:
-    """Drive legs from the present posture; on return, and after any error, the brakes are on and periods on disk.
+    """Drive legs from the present posture; after return or an error, the brakes are on and all periods are on disk.
 
     Returns
     -------
     tuple of (str, int)
-        Excitation and number of the periods that lack a SYNC though they were driven twice.
+        Excitation and number of the periods that lack a SYNC after a repetition.
 
     Raises
     ------
@@ -122,8 +129,6 @@ def run_legs(station: VisitStation, legs: Sequence[DrivenLeg], load: str) -> tup
 
 
 class _Tally:
-    """Counts what a run adds."""
-
     def __init__(self) -> None:
         self.periods = self.incomplete = 0
 
@@ -134,5 +139,5 @@ class _Tally:
 
 
 def excitations_of(plan: MovingPlan) -> dict[int, dict[str, Any]]:
-    """Excitations of a plan by fingerprint, as plain values."""
+    """Return the excitations of a plan as plain values, keyed by fingerprint."""
     return {fingerprint(excitation): excitation.plain() for excitation in plan.excitations}

@@ -1,4 +1,4 @@
-"""One run of one moving plan under power: to the start, all periods without a stop, on to the next excitation."""
+"""Drive a moving plan under power: transfer to the start, all periods without a stop, then the next excitation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from gateway.motion.stops import StopKind, StopRequest
 from gateway.motion.stream import FIRST_SHARE, Stream
 from gateway.motion.trajectory import MotionLimits, straight
 
-#: Rest before each pass: what the servos lag behind is made up for, the first period begins as the others do [s].
+#: Rest before each pass [s]: following errors settle, so that the first period begins like the others.
 REST_S: Final = 0.3
 #: A transfer that is longer counts as the first motion with these drives [rad].
 FAR_RAD: Final = 0.1
@@ -38,15 +38,15 @@ FAR_RAD: Final = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenLeg:
-    """A pass and the transfer to its start.
+    """Transfer motion to the start of a pass, and the pass.
 
     Attributes
     ----------
     transfer : Plan
-        Of `plan_to`.
+        Plan made by `plan_to`.
     driven : Pass
     modelled_nm : array of shape (n, N) or None
-        Torque of the free motion of one period.
+        Modelled joint torque [Nm] of one period without contact.
     """
 
     transfer: Plan
@@ -57,12 +57,12 @@ class DrivenLeg:
 def legs_from(
     station: VisitStation, config: ArmConfig, start_rad: np.ndarray, passes: Sequence[Pass], settings: VisitSettings
 ) -> tuple[DrivenLeg, ...]:
-    """Plan transfers and passes from the present posture; nothing moves. `check_moving_plan` has to come first.
+    """Plan transfers and passes from the present posture without moving; call `check_moving_plan` first.
 
     Raises
     ------
     PlanRefused
-        The samples of a pass do not determine what was driven, or no path that keeps the limits leads to its start.
+        The samples of a pass do not determine its motion, or no path within the limits leads to its start.
     """
     legs, at = [], start_rad
     for one in passes:
@@ -74,12 +74,12 @@ def legs_from(
 
 
 class MovingRun:
-    """One run under power; `broken` is the period that an error has cut short.
+    """Run of a moving plan under power; `broken` is the period that an error interrupted.
 
     Parameters
     ----------
     station : VisitStation
-        Its speed override is taken here: transfers and passes are made slower, the stream drives them as they are.
+        Its speed override is applied here to transfers and passes; the stream does not scale them again.
     legs : tuple of DrivenLeg
         From the present posture of the arm.
     load : str
@@ -88,7 +88,7 @@ class MovingRun:
     Attributes
     ----------
     missed : tuple of (str, int)
-        Excitation and number of the periods that lack a SYNC though they were driven twice.
+        Excitation and number of the periods that lack a SYNC after a repetition.
     """
 
     def __init__(self, station: VisitStation, legs: Sequence[DrivenLeg], load: str, state: StateTracker) -> None:
@@ -107,7 +107,7 @@ class MovingRun:
         self._steps = len(self._ahead_s)
 
     def _durations(self) -> list[float]:
-        """Time of every motion and every rest, as planned."""
+        """Return the planned time of every motion and rest."""
         out: list[float] = []
         for leg in self._legs:
             out += [second / self._speed for second in step_durations(leg.transfer, self._station.workspace)]
@@ -116,7 +116,7 @@ class MovingRun:
         return out
 
     def execute(self, stream: Stream) -> None:
-        """All legs."""
+        """Drive all legs."""
         refuse_sunk(self._legs[0].transfer, stream)
         self._stream = stream
         periods = sum(len(leg.driven.periods) for leg in self._legs)
@@ -137,7 +137,7 @@ class MovingRun:
         self._tell(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
 
     def disk(self) -> StopRequest | None:
-        """Report the periods on disk; a request to stop where the disk does not keep up.
+        """Report the periods that are on disk; return a stop request if the disk is too slow. Called at every SYNC.
 
         The motion loop asks at every SYNC.
         """
@@ -148,13 +148,13 @@ class MovingRun:
         return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
 
     def report(self, what: str, row: int, rows: int) -> None:
-        """Progress of the run, reported by the motion loop now and then."""
+        """Report the progress of the run; called by the motion loop at intervals."""
         done_s = self._now_s * max(row, 0) / rows
         left_s = self._now_s - done_s + sum(self._ahead_s)
         self._tell(Progress(self._steps - len(self._ahead_s), self._steps, what, self._elapsed_s + done_s, left_s))
 
     def _next(self) -> None:
-        """The motion or the rest that comes next begins."""
+        """Announce the next motion or rest."""
         self._elapsed_s += self._now_s
         self._now_s = self._ahead_s.popleft()
 
@@ -162,7 +162,7 @@ class MovingRun:
         workspace = self._station.workspace
         for step in transfer.steps:
             if not isinstance(step, MoveTo | MoveInwards):
-                raise TypeError("a transfer to a start has moves only")
+                raise TypeError("a transfer may contain moves only")
             self._next()
             inwards = isinstance(step, MoveInwards)
             limits = _slowed(inward_limits(workspace) if inwards else travel_limits(workspace), self._speed)
@@ -172,7 +172,7 @@ class MovingRun:
             self._stream.move([straight(at, target, limits, self._period_s)], what)
 
     def _try(self, driven: Pass) -> None:
-        """The first motion with these drives is slow; after a very short transfer, a period is driven slowly."""
+        """Drive one period slowly if no longer motion has tested these drives before."""
         if not self._first or self._gone_rad > FAR_RAD:
             return
         self._first = False
@@ -184,7 +184,7 @@ class MovingRun:
         self._stream.move([motion], f"try '{driven.excitation.name}' at {FIRST_SHARE:.0%}")
 
     def _drive(self, leg: DrivenLeg, periods: tuple[int, ...]) -> None:
-        """So many periods without a stop; those that lack a SYNC are noted."""
+        """Drive a number of periods without a stop; note those that lack a SYNC."""
         self._incomplete = []
         driven, store, temperatures = leg.driven, self._store, self._station.temperatures
         count, axes = driven.motion.q_rad.shape
@@ -233,7 +233,7 @@ class MovingRun:
 
 
 def _slowed(limits: MotionLimits, speed: float) -> MotionLimits:
-    """Limits of the same path, driven at a share of its speed."""
+    """Return the limits for the same path at a share of its speed."""
     return MotionLimits(
         speed * limits.speed_rad_s, speed**2 * limits.acceleration_rad_s2, speed**3 * limits.jerk_rad_s3
     )

@@ -1,4 +1,4 @@
-"""Excitations as they are driven: periods one after the other without a stop, at a share of their speed."""
+"""Passes of an excitation trajectory: several periods without a stop, at a share of the planned speed."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from gateway.motion.workspace import Workspace
 
 Floats = NDArray[np.float64]
 
-#: Share of its speed at which the first excitation is driven once with a load that is new.
+#: Share of its speed at which the first excitation is driven once with a new load.
 TRIED_SPEED: Final = 0.25
-#: How far rounding may go [rad, rad/s].
+#: Tolerance for rounding [rad, rad/s].
 HAIR: Final = 1e-6
 
 
@@ -40,11 +40,10 @@ class Pass:
     ----------
     excitation : Excitation
     speed : float
-        Share of its speed.
-    periods : tuple of int
+        Share of the planned speed. periods : tuple of int
         Their numbers, from 1.
     motion : Motion
-        Of one period, at that speed.
+        Motion of one period at that speed.
     """
 
     excitation: Excitation
@@ -54,11 +53,11 @@ class Pass:
 
     @property
     def duration_s(self) -> float:
-        """All periods."""
+        """Duration of all periods."""
         return len(self.periods) * self.motion.duration_s
 
     def label(self, load: str, period: int) -> PeriodLabel:
-        """What one of its periods is called under a load."""
+        """Return the label of a period under a load."""
         it = self.excitation
         return PeriodLabel(
             load, fingerprint(it), it.name, it.kind, it.joint, period, self.speed, self.motion.duration_s
@@ -66,7 +65,7 @@ class Pass:
 
 
 def slowed(excitation: Excitation, speed: float, sync_period_s: float) -> Motion:
-    """One period at a share of its speed: the same way, sampled more finely; a whole number of SYNCs."""
+    """Return one period at a share of its speed: the same path, sampled more finely, over a whole number of SYNCs."""
     motion = excitation.motion(speed * sync_period_s)
     return Motion(motion.q_rad, speed * motion.qd_rad_s, speed**2 * motion.qdd_rad_s2, sync_period_s)
 
@@ -78,13 +77,13 @@ def passes_of(
     speed: float,
     sync_period_s: float,
 ) -> tuple[Pass, ...]:
-    """What is to be driven under a load, without what was driven already.
+    """Return the passes to drive under a load, without the periods that are already recorded.
 
     Parameters
     ----------
     plan : MovingPlan
     load : str
-        Under another one than `none`, the first excitation is tried once at `TRIED_SPEED` of the speed before.
+        For a load other than `none`, the first excitation is first driven once at `TRIED_SPEED` of the speed.
     driven : set of (fingerprint, speed, period)
         Complete periods under this load.
     speed : float
@@ -105,7 +104,9 @@ def passes_of(
 
 
 def check_pass(arm: str, one: Pass, axes: int) -> None:
-    """Refuse a motion whose periods do not follow one another, or whose samples do not determine what was driven.
+    """Refuse a motion whose periods are not continuous, or whose samples do not determine the motion.
+
+    `check_moving_plan` checks the limits of the arm.
 
     Whether the arm may drive it is `check_moving_plan`'s part.
 
@@ -116,10 +117,12 @@ def check_pass(arm: str, one: Pass, axes: int) -> None:
     name, motion = f"arm '{arm}', motion '{one.excitation.name}'", one.motion
     rows = (motion.q_rad, motion.qd_rad_s, motion.qdd_rad_s2)
     if any(values.shape != (len(motion), axes) or not np.isfinite(values).all() for values in rows):
-        raise PlanRefused(f"{name}: a motion of {axes} joints by finite numbers is needed")
+        raise PlanRefused(f"{name}: the motion must hold finite numbers for {axes} joints")
     moves = max(np.abs(motion.qd_rad_s[-1]).max(), np.abs(motion.q_rad[-1] - one.excitation.start_rad).max())
     if moves > HAIR:
-        raise PlanRefused(f"{name}: does not end at rest where it began, so that its periods do not follow one another")
+        raise PlanRefused(
+            f"{name}: a period must end at rest in its start posture so that it can repeat; this one does not"
+        )
     reason = why_aliased(len(motion), harmonics_of(one.excitation.plain()))
     if reason is not None:
         raise PlanRefused(f"{name}: {reason}")
@@ -128,10 +131,10 @@ def check_pass(arm: str, one: Pass, axes: int) -> None:
 def free_torque_nm(
     workspace: Workspace, arm: ArmConfig, motion: Motion, known: Sequence[AxisConstants] = ()
 ) -> Floats | None:
-    """Torque (n, N) [Nm] of the unloaded arm for a motion, as far as known; None where links are unknown.
+    """Return the modelled torque (n, N) [Nm] of the unloaded arm for a motion; None where a link is unknown.
 
-    Bodies as drawn, rotors as identified, else as typed. Friction as typed: what was identified of an axis is added by
-    the watch itself. Unknown terms are left out.
+    Links are taken from the URDF; rotors are the identified ones, else those of the cell file. Friction is that of the
+    cell file: the torque watch adds identified friction itself. Unknown terms are left out.
 
     Parameters
     ----------
@@ -139,7 +142,7 @@ def free_torque_nm(
     arm : ArmConfig
     motion : Motion
     known : sequence of AxisConstants, one per axis, optional
-        Those of the arm if left out.
+        Defaults to those of the arm.
     """
     try:
         links = drawn_parameters(workspace.robot, arm)
@@ -159,12 +162,13 @@ def free_torque_nm(
     return bodies + said(axis.rotor_kg_m2 for axis in constants) * qdd + dry + viscous * qd
 
 
-#: Takes the row within the period, the number of the period within the pass, the sample, the targets of its SYNC.
+#: Called with the sample's index within the period, the period's index, the sample, and the targets of its SYNC.
 Taken = Callable[[int, int, ArmSample, np.ndarray], None]
 
 
 class PeriodicSetpoints(MotionSetpoints):
-    """One period of an arm's motion, so many times without a stop; every SYNC at full rate is handed over.
+    """Setpoint source that repeats one period a number of times without a stop; every sample at full speed is passed
+    on.
 
     Parameters
     ----------
@@ -174,7 +178,7 @@ class PeriodicSetpoints(MotionSetpoints):
         One period.
     periods : int
     modelled_nm : array of shape (n, N) or None
-        Torque of the free motion, row by row of a period; None = gravity of the unloaded arm.
+        Modelled torque of each sample of a period; None = gravity of the unloaded arm.
     taken : callable
     """
 
@@ -186,11 +190,11 @@ class PeriodicSetpoints(MotionSetpoints):
         self._period_rows, self._modelled, self._taken = len(motion), modelled_nm, taken
 
     def modelled(self, at: float) -> PerArm | None:
-        """As `SetpointSource.modelled`."""
+        """Return the modelled torque; see `SetpointSource.modelled`."""
         return None if self._modelled is None else (self._modelled[max(int(at), 0) % self._period_rows],)
 
     def take(self, at: float, rate: float, samples: Sequence[ArmSample]) -> None:
-        """Hand over what was measured; while the arm is slowed down to a stop, nothing is."""
+        """Pass on a measured sample; none while the arm decelerates to a stop."""
         if rate == 1.0:
             period, row = divmod(round(at), self._period_rows)
             self._taken(row, period, samples[0], self.targets(at, rate)[0])

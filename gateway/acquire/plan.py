@@ -1,4 +1,7 @@
-"""The plan of a recording: typed steps as data, checked before anything moves.
+"""Plan of a recording at rest: typed steps as data, checked before anything moves.
+
+Every pose is approached slowly in both directions: from a small positive offset of all joints (last motion negative),
+then from the negative offset (last motion positive). After each approach the arm settles and is sampled.
 
 Every pose is approached slowly from both sides: from a small positive offset of all joints (last motion negative), then
 from the negative offset (last motion positive). Each side settles and is sampled on its own.
@@ -20,9 +23,9 @@ from gateway.motion.trajectory import MotionLimits, straight
 from gateway.motion.workspace import Workspace
 
 SIDES = (-1, 1)
-#: Share of the speed limit that moves between poses use.
+#: Speed of moves between poses, as a share of the speed limit.
 TRAVEL_SPEED = 0.95
-#: Typical time until a pose has settled; for the duration only.
+#: Typical time until a pose has settled [s]; only to estimate the duration.
 TYPICAL_SETTLE_S = 0.4
 #: Largest distance between two joint angles that count as the same.
 SAME_RAD = 1e-9
@@ -30,21 +33,21 @@ SAME_RAD = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class MoveTo:
-    """Straight joint motion at travel speed."""
+    """Step: straight joint motion at travel speed."""
 
     q_rad: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class MoveInwards:
-    """Slow straight motion of the joints outside their range, back into it; first step, if any."""
+    """Step: slow straight motion of joints outside their range back into it; only as the first step."""
 
     q_rad: tuple[float, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
-    """Slow last motion to a pose; `direction` is its sign on every joint."""
+    """Step: slow last motion to a pose; `direction` is its sign on every joint."""
 
     pose: int
     direction: int
@@ -53,7 +56,7 @@ class Approach:
 
 @dataclass(frozen=True, slots=True)
 class Settle:
-    """Wait until position and torque are at rest."""
+    """Step: wait until position and torque have settled."""
 
     pose: int
     timeout_s: float
@@ -61,7 +64,7 @@ class Settle:
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Record complete SYNC epochs of the standing arm."""
+    """Step: record complete SYNC epochs of the arm at rest."""
 
     pose: int
     direction: int
@@ -73,7 +76,7 @@ Step = MoveTo | MoveInwards | Approach | Settle | Sample
 
 @dataclass(frozen=True, slots=True)
 class VisitSettings:
-    """How each pose is approached, settled and sampled."""
+    """Settings for the approach, settling and sampling of each pose."""
 
     approach_offset_rad: float
     approach_speed_rad_s: float
@@ -84,7 +87,7 @@ class VisitSettings:
 
 @dataclass(frozen=True, slots=True)
 class Expectation:
-    """Standard deviations the poses to fit from promise, for one load measured bare and loaded.
+    """Expected standard deviations of a load measured without and with the load at the poses of the plan.
 
     Attributes
     ----------
@@ -93,10 +96,10 @@ class Expectation:
         Of the centre of gravity in the last link, for `reference_load_kg`.
     reference_load_kg : float
     noise_nm : tuple of floats, one per axis
-        Standard deviation of a two-sided joint torque that was put in.
+        Assumed standard deviation of the half-sum of a joint torque.
     noise_source : str
     gain_std : tuple of floats, one per axis
-        Relative standard deviation of the torque constants that was put in.
+        Assumed relative standard deviation of the torque constants.
     """
 
     mass_std_kg: float
@@ -109,7 +112,7 @@ class Expectation:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Everything a recording will do.
+    """Plan of a recording: poses, settings and all steps.
 
     Attributes
     ----------
@@ -145,7 +148,9 @@ def plan_poses(
     settings: VisitSettings,
     known_rad: np.ndarray | None = None,
 ) -> tuple[Plan, tuple[RestPose, ...]]:
-    """Plan over all poses from anywhere, and the poses that no checked path reaches.
+    """Plan over all poses from an arbitrary start; also return the poses that no checked path reaches.
+
+    Paths may pass known postures (k, N) in addition to random ones.
 
     Paths may lead over known postures (k, N), beside random ones.
     """
@@ -162,13 +167,15 @@ def _route(
     offset_rad: float,
     known_rad: np.ndarray | None,
 ) -> Route:
-    """Route with clearance beside the paths, else one that only keeps clear."""
+    """Return a route with extra clearance along the paths, else one that is only collision-free."""
     route = find_route(workspace.with_clearance(), poses, start_rad, offset_rad, known_rad)
     return find_route(workspace, poses, start_rad, offset_rad, known_rad) if route.unreachable else route
 
 
 def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Sequence[tuple[int, int]] = ()) -> Plan:
-    """The same poses ordered from the present posture, without the visits that are done.
+    """Order the poses from the present posture, without the completed visits.
+
+    An arm outside its joint range first moves slowly back into it.
 
     An arm outside its joint range moves back into it first, slowly.
 
@@ -192,9 +199,9 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     route = _route(workspace, poses, begin_rad, plan.settings.approach_offset_rad, passed)
     if route.unreachable:
         raise WrongPlace(
-            f"no path that keeps the limits leads from {angles(begin_rad)} to pose {route.unreachable[0].number} at "
-            f"{angles(route.unreachable[0].q_rad)}; move the arm elsewhere, or say in the cell what is assumed "
-            "around it (floor_m, wall, column_radius_m, link_radius_m, load_size_m)",
+            f"no path within the limits leads from {angles(begin_rad)} to pose {route.unreachable[0].number} at "
+            f"{angles(route.unreachable[0].q_rad)}; move the arm elsewhere, or correct the assumed surroundings in"
+            " the cell file (floor_m, wall, column_radius_m, link_radius_m, load_size_m)",
             plan.arm,
         )
     steps = (*inwards, *_steps(route.legs, plan.settings, missing))
@@ -203,12 +210,12 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
 
 
 def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple[MoveInwards, ...]:
-    """The slow motion (one step) that an arm outside its joint range begins with; none for one inside.
+    """Return the slow motion (one step) back into the joint range; empty for an arm inside its range.
 
     Raises
     ------
     PlanRefused
-        The arm is in a posture that is not allowed, and cannot be brought inwards.
+        The arm is in a posture that is not allowed, and no motion back into the joint range is allowed.
     """
     inside = inside_from(workspace, start_rad, arm)
     return () if inside is None else (MoveInwards(tuple(inside.tolist())),)
@@ -217,7 +224,9 @@ def inward_steps(workspace: Workspace, start_rad: np.ndarray, arm: str) -> tuple
 def plan_to(
     arm: str, workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray, settings: VisitSettings
 ) -> Plan:
-    """Plan from the present posture to a posture, where nothing is measured.
+    """Plan a motion without measurements from the present posture to another one.
+
+    An arm outside its joint range first moves slowly back into it.
 
     An arm outside its joint range moves back into it first, slowly.
 
@@ -257,23 +266,23 @@ def _steps(legs: Sequence[Leg], settings: VisitSettings, missing: Mapping[int, t
 
 
 def travel_limits(workspace: Workspace) -> MotionLimits:
-    """Limits of moves between poses."""
+    """Return the limits of moves between poses."""
     return MotionLimits(TRAVEL_SPEED * workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
 def approach_limits(workspace: Workspace, speed_rad_s: float | np.ndarray) -> MotionLimits:
-    """Limits of the slow last motion."""
+    """Return the limits of the slow last motion to a pose."""
     speed = np.minimum(speed_rad_s, TRAVEL_SPEED * workspace.speed_rad_s)
     return MotionLimits(speed, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
 def inward_limits(workspace: Workspace) -> MotionLimits:
-    """Limits of the motion back into the joint range."""
+    """Return the limits of the motion back into the joint range."""
     return approach_limits(workspace, workspace.inward_speed_rad_s())
 
 
 def step_durations(plan: Plan, workspace: Workspace) -> list[float]:
-    """Expected time [s] of every step; the time to reach the first point is 0 if the start is not known."""
+    """Return the expected time [s] of every step; the first move takes 0 s if the start is not known."""
     travel = travel_limits(workspace)
     slow = approach_limits(workspace, plan.settings.approach_speed_rad_s)
     at = plan.start_rad
@@ -293,12 +302,12 @@ def step_durations(plan: Plan, workspace: Workspace) -> list[float]:
 
 
 def check_plan(plan: Plan, workspace: Workspace) -> None:
-    """Refuse a plan that breaks a limit anywhere, or that lacks one.
+    """Refuse a plan that violates a limit or for which a limit is missing.
 
     Raises
     ------
     PlanRefused
-        A limit that is missing, a posture or path that is not feasible, a step out of order.
+        A limit is missing, a posture or path is not feasible, or steps are out of order.
     """
     _check_limits(plan, workspace)
     at = None if plan.start_rad is None else np.array(plan.start_rad)
@@ -316,9 +325,9 @@ def check_plan(plan: Plan, workspace: Workspace) -> None:
             at = target
         elif isinstance(step, Settle):
             if not (isinstance(before, Approach) and before.pose == step.pose):
-                raise PlanRefused(f"{where}: pose {step.pose} is to settle without having been approached")
+                raise PlanRefused(f"{where}: pose {step.pose} must be approached before it settles")
         elif not (isinstance(before, Settle) and before.pose == step.pose):
-            raise PlanRefused(f"{where}: pose {step.pose} is to be sampled before it has settled")
+            raise PlanRefused(f"{where}: pose {step.pose} must settle before it is sampled")
         before = step
 
 
@@ -335,7 +344,8 @@ def _check_limits(plan: Plan, workspace: Workspace) -> None:
         bad = ~(np.isfinite(values) & (values > 0))
         if bad.any():
             raise PlanRefused(
-                f"arm '{plan.arm}', joint {int(np.argmax(bad)) + 1}: {name} is missing; nothing will move"
+                f"arm '{plan.arm}', joint {int(np.argmax(bad)) + 1}: {name} is missing in the cell file; nothing will"
+                " move"
             )
     settings = plan.settings
     for name, value in (
@@ -352,7 +362,9 @@ def _check_limits(plan: Plan, workspace: Workspace) -> None:
 def _check_inwards(workspace: Workspace, step: MoveInwards, start: np.ndarray | None, where: str) -> np.ndarray:
     inside = None if start is None else workspace.path_into_range(start)
     if inside is None or np.abs(inside - step.q_rad).max() > SAME_RAD:
-        raise PlanRefused(f"{where}: is not the straight motion of an arm outside its joint range back into it")
+        raise PlanRefused(
+            f"{where}: this step must be the straight motion of an arm outside its joint range back into it"
+        )
     return inside
 
 
@@ -373,10 +385,12 @@ def _check_rest(workspace: Workspace, q_rad: np.ndarray, where: str) -> None:
 
 def _check_approach(step: Approach, start: np.ndarray | None, where: str) -> None:
     if start is None:
-        raise PlanRefused(f"{where}: pose {step.pose} is approached from nowhere")
+        raise PlanRefused(f"{where}: pose {step.pose} is approached without a move before it")
     motion = np.array(step.q_rad) - start
     wrong = np.abs(motion) < SAME_RAD
     wrong |= np.sign(motion) != step.direction
     if wrong.any():
         joint = int(np.argmax(wrong)) + 1
-        raise PlanRefused(f"{where}: joint {joint} does not come to pose {step.pose} from side {-step.direction:+d}")
+        raise PlanRefused(
+            f"{where}: joint {joint} must approach pose {step.pose} from an offset with sign {-step.direction:+d}"
+        )

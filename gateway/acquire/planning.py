@@ -1,4 +1,4 @@
-"""From a cell file to a checked plan: poses chosen or read, route, expected uncertainty."""
+"""Make a checked plan from a cell file: choose or read poses, find the route, compute the expected uncertainty."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from gateway.motion.workspace import Workspace, workspace_of
 from gateway.pipeline.inputs import constants_std, profile_of
 from gateway.preflight.limits import refuse_beyond_counts
 
-#: Other choices that are tried if no path leads to some chosen pose.
+#: Further pose choices that are tried if a chosen pose is not reachable.
 CHOICES = 5
 SEED_STEP = 1000
-#: Relative size of a singular value below which poses do not determine its direction.
+#: Relative singular value below which the poses do not determine its direction.
 TOLERANCE = 1e-5
 
 
 def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None = None, arm: str | None = None) -> Plan:
-    """Plan of a recording; needs no bus.
+    """Make the plan of a recording at rest; needs no bus.
 
     Parameters
     ----------
     loaded : LoadedCell
     n_poses : int, optional
-        Poses to fit from, instead of the cell's number; not used with a pose file.
+        Number of fitted poses, instead of that of the cell file; not used with a pose file.
     seed : int, optional
-        Instead of the cell's.
+        Seed of the random choice, instead of that of the cell file.
     arm : str, optional
         Name of the arm, if the cell has several.
 
@@ -47,7 +47,7 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
     ConfigError, InputError
         Cell, robot or pose file cannot be used.
     PlanRefused
-        No such poses, no path between them, or a limit that is broken.
+        Not enough feasible poses, no path between them, or a violated limit.
     """
     config = arm_named(loaded, arm)
     refuse_beyond_counts(loaded, config)
@@ -63,8 +63,8 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
     )
     if request.count < 2:
         raise PlanRefused(
-            "one posture never gives all of a load: the part of its centre of gravity along gravity is in no axis "
-            "torque; plan two poses at least, ten are usual"
+            "one pose cannot identify a load: the coordinate of its centre of gravity along gravity causes no axis"
+            " torque; plan at least two poses (usual: ten)"
         )
     joined = np.empty((0, workspace.robot.axes))
     for choice in range(CHOICES):
@@ -76,37 +76,37 @@ def make_plan(loaded: LoadedCell, n_poses: int | None = None, seed: int | None =
             return _expected(plan, loaded, config, workspace)
         joined = _more_joined(joined, plan)
     raise PlanRefused(
-        f"arm '{config.name}': no path that keeps the limits joins the chosen poses; narrow the joint limits to the "
-        "part of the cell the arm can reach, or say in the cell what is assumed (floor_m, wall, column_radius_m, "
+        f"arm '{config.name}': no path within the limits connects the chosen poses; narrow the joint limits to the"
+        " part of the cell that the arm can reach, or correct the assumed surroundings in the cell file (floor_m,"
+        " wall, column_radius_m, "
         "link_radius_m, load_size_m)"
     )
 
 
 def _more_joined(joined: np.ndarray, plan: Plan) -> np.ndarray:
-    """Postures (k, N) between which paths are known, with those that a plan passes."""
+    """Return the connected postures (k, N) together with the via points of a plan."""
     passed = np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
     return np.vstack([joined, passed])
 
 
 def plan_of_poses(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
-    """Plan over given poses that shall identify a load, such as those of a file or of an earlier recording.
+    """Plan over specified poses that must identify a load, such as those of a file or of an earlier recording.
 
     Raises
     ------
     PlanRefused
-        A pose is not feasible or out of reach, or the poses do not determine mass and centre of gravity.
+        A pose is not feasible or not reachable, or the poses do not determine mass and centre of gravity.
     """
     return _expected(plan_of_any(loaded, config, workspace, poses), loaded, config, workspace)
 
 
 def plan_of_any(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, poses: Sequence[RestPose]) -> Plan:
-    """Plan over given poses, which may be one alone or say little of a load.
+    """Plan over specified poses, without checking that they identify a load.
 
     Raises
     ------
     PlanRefused
-        A pose is not feasible or out of reach.
-    """
+        A pose is not feasible or not reachable."""
     if not poses:
         raise PlanRefused(f"arm '{config.name}': no poses to measure")
     for pose in poses:
@@ -117,13 +117,13 @@ def plan_of_any(loaded: LoadedCell, config: ArmConfig, workspace: Workspace, pos
     if unreachable:
         pose = unreachable[0]
         where = angles(pose.q_rad)
-        raise PlanRefused(f"arm '{config.name}', pose {pose.number}: no path that keeps the limits leads to {where}")
+        raise PlanRefused(f"arm '{config.name}', pose {pose.number}: no path within the limits leads to {where}")
     check_plan(plan, workspace)
     return plan
 
 
 def visit_settings(loaded: LoadedCell, config: ArmConfig) -> VisitSettings:
-    """How the cell asks for its poses to be approached, settled and sampled."""
+    """Return the settings of approach, settling and sampling from the cell file."""
     poses = loaded.cell.poses
     return VisitSettings(
         approach_offset_rad=poses.approach_offset_rad,
@@ -155,11 +155,10 @@ def expectation(
     workspace : Workspace
     poses : sequence of RestPose
     noise_nm : array of shape (N,)
-        Standard deviation of a two-sided joint torque.
-    noise_source : str
+        Standard deviation of the half-sum of a joint torque. noise_source : str
     gain_std : sequence of N floats
-        Relative standard deviation of the torque constants. What known links add to them is left out: an arm whose
-        links are well known does better.
+        Relative standard deviation of the torque constants. The information of known link masses is left out: with well
+        known links the result is better.
 
     Raises
     ------
@@ -187,7 +186,8 @@ def expectation(
 def expected_stds(
     workspace: Workspace, q_rad: np.ndarray, moment: np.ndarray, errors: tuple[np.ndarray, Sequence[float]]
 ) -> np.ndarray:
-    """Return the standard deviations (4,) of mass and centre of gravity; NaN where the poses do not determine them.
+    """Return the expected standard deviations (4,) of mass and centre of gravity; NaN where the poses do not determine
+    them.
 
     Parameters
     ----------
@@ -197,7 +197,7 @@ def expected_stds(
     moment : array of shape (4,)
         [m, hx, hy, hz] of the load.
     errors : (N,) and (N,)
-        Standard deviation of a two-sided torque [Nm], and relative standard deviation of the torque constants.
+        Standard deviation of the half-sum of a torque [Nm], and relative standard deviation of the torque constants.
     """
     noise_nm, gain_std = errors
     axes = workspace.robot.axes

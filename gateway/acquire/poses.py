@@ -1,4 +1,11 @@
-"""Choice of rest poses: D-optimal for the load's mass and first moment, drawn from random feasible postures.
+"""Choose rest poses: D-optimal for the load's mass and first moment, among random feasible postures.
+
+Measured without and with the load, a pose adds L' W L / 2 to the information on [m, h]. L are the load's regressor
+columns of all axes, W the inverse variances. Poses are chosen greedily, then exchanged until nothing improves. The
+matrix determinant lemma evaluates all candidates at once.
+
+Similar poses share their friction error and add less information. Poses therefore keep a distance, and a small weight
+on the information about the links spreads them.
 
 Measured without and with the load, a pose adds L' W L / 2 to the information on [m, h]. L are the load's columns of all
 axes, W the inverse variances. Greedy choice, then exchange until nothing improves. The determinant lemma evaluates
@@ -24,22 +31,22 @@ DRAWS = 60
 DISTANCE_RAD = 0.3
 LINK_WEIGHT = 0.1
 SWEEPS = 4
-#: Postures with known paths that a candidate is tried to be joined to.
+#: Number of connected postures to which a straight path from a candidate is checked.
 NEAREST = 3
-#: Distance to the joint limits beyond the approach offset.
+#: Distance to the joint limits beyond the approach offset [rad].
 LIMIT_MARGIN_RAD = 0.02
-#: Postures in the statistics of violations.
+#: Number of postures in the statistics of violations.
 MOST_LOOKED_AT = 3000
 
 
 @dataclass(frozen=True, slots=True)
 class PoseRequest:
-    """How many poses to choose, and from what.
+    """Number of poses to choose, and the settings of the choice.
 
     Attributes
     ----------
     count, validation : int
-        Poses to fit from, and to judge on.
+        Number of fitted poses, and of validation poses.
     approach_offset_rad : float
     seed : int
     """
@@ -51,23 +58,22 @@ class PoseRequest:
 
     @property
     def margin_rad(self) -> float:
-        """Distance to keep from the joint limits."""
+        """Distance to keep from the joint limits [rad]."""
         return self.approach_offset_rad + LIMIT_MARGIN_RAD
 
 
 def choose_poses(
     workspace: Workspace, request: PoseRequest, noise_nm: np.ndarray, joined_rad: np.ndarray | None = None
 ) -> tuple[RestPose, ...]:
-    """Poses to fit from, D-optimal, numbered from 1, then validation poses drawn at random.
+    """Choose the D-optimal fitted poses, numbered from 1, then random validation poses.
 
     Parameters
     ----------
     workspace : Workspace
     request : PoseRequest
     noise_nm : array of shape (N,)
-        Standard deviation of a two-sided joint torque.
-    joined_rad : array of shape (k, N), optional
-        Postures between which paths are known: only such poses are chosen as a straight path joins to one of them.
+        Standard deviation of the half-sum of a joint torque. joined_rad : array of shape (k, N), optional
+        Postures between which paths are known: only poses with a straight path to one of them are chosen.
 
     Raises
     ------
@@ -88,12 +94,12 @@ def choose_poses(
 
 
 def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.random.Generator) -> np.ndarray:
-    """Random postures (n, N) whose approach from both sides is feasible; full turns of a joint are drawn once.
+    """Draw random postures (n, N) that can be approached in both directions; full turns of a joint are drawn once.
 
     Raises
     ------
     PlanRefused
-        Fewer than four times the poses asked for.
+        Fewer than four times the requested number of poses.
     """
     drawn, found, n_found = [], [], 0
     for _ in range(DRAWS):
@@ -113,8 +119,8 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
         worst = "; ".join(f"{share:.0%} {words}" for share, words in sorted(reasons, reverse=True)[:3])
         raise PlanRefused(
             f"{n_found} of {len(everything)} random postures are feasible, at least {4 * needed} are needed to choose "
-            f"{needed} poses: {worst}. Widen the limits, say in the cell what "
-            "is assumed (floor_m, wall, column_radius_m, link_radius_m, load_size_m), or ask for fewer poses"
+            f"{needed} poses: {worst}. Widen the limits, correct the assumed surroundings in the cell file (floor_m,"
+            " wall, column_radius_m, link_radius_m, load_size_m), or ask for fewer poses"
         )
     return np.concatenate(found)[:CANDIDATES]
 
@@ -122,7 +128,7 @@ def feasible_postures(workspace: Workspace, request: PoseRequest, random: np.ran
 def _joined_to(
     workspace: Workspace, candidates: np.ndarray, joined_rad: np.ndarray, request: PoseRequest
 ) -> np.ndarray:
-    """Candidates (m, N) with a straight path to their approach from one of the `NEAREST` of some postures, and back."""
+    """Return the candidates (m, N) with a straight path to and from one of the `NEAREST` of some postures."""
     time_s = workspace.travel_time(candidates[:, None], joined_rad[None])
     nearest = joined_rad[np.argsort(time_s, axis=1)[:, :NEAREST]]
     tried = nearest.shape[1]
@@ -132,16 +138,17 @@ def _joined_to(
     needed = request.count + request.validation
     if len(found) < 2 * needed:
         raise PlanRefused(
-            f"{len(found)} of {len(candidates)} feasible postures are joined to one another by a free path, at least "
-            f"{2 * needed} are needed to choose {needed} poses: narrow the joint limits to the part of the cell that "
-            "the arm can reach, or say in the cell what is assumed (floor_m, wall, column_radius_m, link_radius_m, "
+            f"{len(found)} of {len(candidates)} feasible postures are connected by a free path, at least "
+            f"{2 * needed} are needed to choose {needed} poses: narrow the joint limits to the part of the cell that"
+            " the arm can reach, or correct the assumed surroundings in the cell file (floor_m, wall,"
+            " column_radius_m, link_radius_m, "
             "load_size_m)"
         )
     return found
 
 
 def can_be_measured(workspace: Workspace, request: PoseRequest, q_rad: np.ndarray) -> np.ndarray:
-    """Postures (n,) of (n, N) at which the arm may rest, and to which it may come from both sides."""
+    """Return a mask (n,) of the postures (n, N) where the arm may rest and that it can approach in both directions."""
     good = workspace.feasible(q_rad, request.margin_rad, workspace.rest_share)
     offset = request.approach_offset_rad
     good[good] = workspace.path_clear(q_rad[good] + offset, q_rad[good] - offset)
@@ -172,7 +179,7 @@ def _d_optimal(workspace: Workspace, candidates: np.ndarray, count: int, noise_n
 
 
 def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> np.ndarray:
-    """Growth (n,) of the weighted log determinants if a posture joins the chosen ones (determinant lemma)."""
+    """Return the growth (n,) of the weighted log determinants when a posture is added (matrix determinant lemma)."""
     total = np.zeros(len(designs[0][0]))
     for rows, weight in designs:
         information = 1e-4 * np.eye(rows.shape[2]) + np.einsum("nij,nik->jk", rows[chosen], rows[chosen])
@@ -184,7 +191,7 @@ def _gain(designs: tuple[tuple[np.ndarray, float], ...], chosen: list[int]) -> n
 
 
 def _near(candidates: np.ndarray) -> np.ndarray:
-    """Pairs (n, n) of postures closer than the distance to keep in all joints."""
+    """Return the pairs (n, n) of postures that are closer than the required distance in all joints."""
     span = np.zeros((len(candidates), len(candidates)), dtype=np.float32)
     for joint in candidates.T.astype(np.float32):
         np.maximum(span, np.abs(joint[:, None] - joint), out=span)
@@ -197,7 +204,7 @@ def _best(gain: np.ndarray, near: np.ndarray, chosen: list[int]) -> int:
 
 
 def _apart(candidates: np.ndarray, chosen: list[int], count: int) -> list[int]:
-    """Further postures in the order they were drawn, each apart from all others."""
+    """Return further postures in drawing order, each at the required distance from all others."""
     taken, found = list(chosen), []
     for row in range(len(candidates)):
         if len(found) == count:
@@ -207,23 +214,23 @@ def _apart(candidates: np.ndarray, chosen: list[int], count: int) -> list[int]:
             found.append(row)
     if len(found) < count:
         raise PlanRefused(
-            f"only {len(found)} of {count} validation poses keep {DISTANCE_RAD} rad to the others; widen "
+            f"only {len(found)} of {count} validation poses are at least {DISTANCE_RAD} rad from the others; widen "
             "the limits or lower [poses] validation"
         )
     return found
 
 
 def read_poses(path: Path, axes: int) -> tuple[RestPose, ...]:
-    """Poses of an arm of so many axes from a CSV file: `pose`, `q1_rad` .., and `x_validation` (0 or 1) if some judge.
+    """Read the poses of an arm from a CSV file: `pose`, `q1_rad` .., and optionally `x_validation` (0 or 1).
 
     Raises
     ------
     InputError
-        With file and line: missing or unknown column, too many axes, cell that is not a number, pose given twice.
+        Missing or unknown column, wrong number of axes, a value that is not a number, or a duplicate pose.
     """
     columns = read_columns(path)
     if columns.axes > axes:
-        raise InputError(f"{path}:1: columns of {columns.axes} axes, and the arm has {axes}")
+        raise InputError(f"{path}:1: has columns for {columns.axes} axes, but the arm has {axes}")
     names = ["pose", *(f"q{i}_rad" for i in range(1, axes + 1))]
     for name in names:
         if name not in columns.values:
@@ -233,9 +240,9 @@ def read_poses(path: Path, axes: int) -> tuple[RestPose, ...]:
     poses: list[RestPose] = []
     for row, number in enumerate(numbers):
         if number != round(number) or not 0 <= number < 1e6 or any(pose.number == number for pose in poses):
-            raise InputError(f"{columns.where(row)}: pose: {number:g} is not a new number from 0 on")
+            raise InputError(f"{columns.where(row)}: pose: {number:g} must be an unused integer from 0")
         if validation[row] not in (0, 1):
-            raise InputError(f"{columns.where(row)}: x_validation: {validation[row]} is neither 0 nor 1")
+            raise InputError(f"{columns.where(row)}: x_validation: {validation[row]} must be 0 or 1")
         q_rad = tuple(float(columns.values[name][row]) for name in names[1:])
         poses.append(RestPose(int(number), q_rad, "validation" if validation[row] else "fit"))
     return tuple(poses)

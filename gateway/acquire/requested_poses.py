@@ -1,4 +1,4 @@
-"""Poses that are asked for: by a person, or by a result as what to measure next; and what a result may ask for."""
+"""Poses requested by an operator or by a result (what to measure next), and the postures that a result may request."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from gateway.motion.workspace import workspace_of
 from gateway.pipeline.inputs import AnalysisInputs
 from gateway.result.result import read_result
 
-#: Postures that a result may choose among, drawn so many at once and so often at most.
+#: Number of candidate postures for a result, number drawn at once, and largest number of draws.
 CHOICE: Final = 160
 _AT_ONCE: Final = 400
 _DRAWS: Final = 25
-#: Postures of one number differ by no more than this [rad].
+#: Largest difference between postures with the same pose number [rad].
 _SAME_RAD: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Asked:
-    """Poses that are asked for.
+    """Requested poses.
 
     Attributes
     ----------
     q_rad : tuple of tuples of floats, one per axis
     taken : tuple of int
-        Numbers that stand for other poses in what was measured before.
+        Pose numbers that earlier data use for other postures.
     """
 
     q_rad: tuple[tuple[float, ...], ...]
@@ -46,29 +46,31 @@ class Asked:
 
 
 def asked_by(path: Path, loaded: LoadedCell, config: ArmConfig) -> Asked:
-    """What a result asks for under `next`, with numbers beyond those of the poses that it was made from.
+    """Return the poses that a result requests under `next`, numbered after the poses of its data.
 
     Raises
     ------
     InputError
-        The file cannot be read, was made with another robot, cell or arm, or asks for no pose.
+        The file cannot be read, was made with another robot, cell or arm, or requests no pose.
     """
     result = read_result(path)
     elsewhere = other_origin(result, loaded, config, arm_robot(loaded, config))
     if elsewhere:
-        raise InputError(f"{path}: was made on {elsewhere}: its poses are none of this arm; name the cell it is of")
+        raise InputError(
+            f"{path}: was made on {elsewhere}: its poses are not for this arm; name the cell of the result"
+        )
     poses = dict.fromkeys(tuple(q_rad) for entry in result.next for q_rad in entry.poses_rad)
     if not poses:
         wants = "; ".join(entry.what for entry in result.next) or "nothing more"
-        raise InputError(f"{path}: asks for no pose under `next`, but for: {wants}; there is nothing to measure by it")
+        raise InputError(f"{path}: requests no pose under `next`, but: {wants}; there is no pose to measure")
     if any(len(q_rad) != len(config.axis) for q_rad in poses):
-        raise InputError(f"{path}: its poses are not of {len(config.axis)} axes as arm '{config.name}' is")
+        raise InputError(f"{path}: its poses must have {len(config.axis)} axes like arm '{config.name}'")
     taken = () if result.data is None else tuple(sorted({pose.pose for pose in result.data.poses if pose.pose >= 0}))
     return Asked(tuple(poses), taken)
 
 
 def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Recording | None) -> Plan:
-    """Plan over what is asked for; a posture that the recording holds keeps its number, any other gets a new one.
+    """Plan over requested poses; a posture in the recording keeps its number, any other gets a new one.
 
     Parameters
     ----------
@@ -76,12 +78,10 @@ def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Rec
     config : ArmConfig
     asked : Asked
     earlier : Recording or None
-        That is gone on with.
-
-    Raises
+        Recording that is continued. Raises
     ------
     PlanRefused
-        A pose is outside the limits, in a box, or out of reach.
+        A pose is outside the limits, in an obstacle, or not reachable.
     """
     stored = None if earlier is None else earlier.arm(config.name)
     known = () if stored is None else stored.poses
@@ -90,7 +90,7 @@ def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Rec
 
 
 def plan_again(loaded: LoadedCell, config: ArmConfig, numbers: Collection[int], earlier: Recording) -> Plan:
-    """Plan over poses that a recording holds or asks for, by their numbers.
+    """Plan over poses that a recording holds or requests, selected by number.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def plan_again(loaded: LoadedCell, config: ArmConfig, numbers: Collection[int], 
     missing = sorted(set(numbers) - set(known))
     if missing:
         held = ", ".join(map(str, sorted(known))) or "none"
-        raise InputError(f"{earlier.path}: has no pose {missing[0]} of arm '{config.name}'; its poses are {held}")
+        raise InputError(f"{earlier.path}: holds no pose {missing[0]} of arm '{config.name}'; its poses are {held}")
     poses = tuple(known[number] for number in dict.fromkeys(numbers))
     return plan_of_any(loaded, config, workspace_of(config, arm_robot(loaded, config)), poses)
 
@@ -124,9 +124,10 @@ def _numbered(
 
 
 def postures_to_ask(about: AnalysisInputs) -> np.ndarray | None:
-    """Postures (k, N) [rad] that a result may request: inside the limits, free, approachable from both sides.
+    """Return random postures (k, N) [rad] that a result may request: inside the limits, free, approachable in both
+    directions.
 
-    None where no cell is known; none at all where a thousand draws find none.
+    None without a cell; empty if a thousand draws find no such posture.
     """
     if about.arm is None or about.robot is None:
         return None

@@ -1,4 +1,7 @@
-"""Paths around obstacles between two postures: the shortest over random postures whose straight pieces are clear.
+"""Plan paths around obstacles between two postures: the shortest path over random postures whose segments are clear.
+
+Segments are checked only where the current shortest path uses them (lazy probabilistic roadmap; Bohlin and Kavraki,
+Path planning using lazy PRM, 2000).
 
 Pieces are checked only where the shortest path so far leads over them (lazy probabilistic roadmap; Bohlin and Kavraki,
 Path planning using lazy PRM, 2000).
@@ -15,17 +18,17 @@ from scipy.sparse.csgraph import dijkstra
 from gateway.motion.workspace import Workspace
 
 SEED = 7
-#: Nearest postures that a posture is joined to, and that a begin or an end is joined to.
+#: Number of nearest neighbours of a posture, and of a start or goal.
 NEIGHBOURS = 12
 NEIGHBOURS_OF_ENDS = 30
-#: How often paths are searched again without the pieces that were found to be blocked.
+#: Number of repeated searches without the segments that were found to be blocked.
 ROUNDS = 30
-#: Random postures that are drawn for each that is asked for.
+#: Random postures drawn for each requested one.
 _DRAWN = 6
 
 
 def via_points(workspace: Workspace, count: int) -> np.ndarray:
-    """Up to `count` feasible postures (n, N) of the joint range, its middle first."""
+    """Return up to `count` feasible postures (n, N); the middle of the joint range comes first."""
     random = np.random.default_rng(SEED)
     lower, upper = workspace.lower_rad, workspace.upper_rad
     q_rad = np.vstack([(lower + upper) / 2, random.uniform(lower, upper, (_DRAWN * count, workspace.robot.axes))])
@@ -39,7 +42,7 @@ def find_paths(
     ends: np.ndarray,
     wanted: Sequence[tuple[int, int]],
 ) -> Mapping[tuple[int, int], np.ndarray]:
-    """Postures (k, N) to pass from a begin to an end, for every wanted pair that a path was found for.
+    """Return the via points (k, N) from start to goal, for every requested pair with a path.
 
     Parameters
     ----------
@@ -84,7 +87,7 @@ def find_paths(
 
 
 def _pieces(workspace: Workspace, points: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Travel times (n, n) of the pieces that are tried, 0 for all others."""
+    """Return the travel times (n, n) of the segments to try, 0 for all others."""
     count, total = len(points), len(points) + len(begins) + len(ends)
     joined = np.zeros((total, total), dtype=bool)
     every = np.vstack([points, begins, ends])
@@ -102,7 +105,7 @@ def _pieces(workspace: Workspace, points: np.ndarray, begins: np.ndarray, ends: 
 
 
 def _path(before: np.ndarray, begin: int, end: int) -> list[int]:
-    """Nodes from begin to end by the node before each; empty where there is no path."""
+    """Return the nodes from start to goal from the predecessor of each node; empty without a path."""
     path = [end]
     while path[-1] != begin:
         if before[path[-1]] < 0:

@@ -1,4 +1,4 @@
-"""Order of the rest poses and the paths between them: every path is checked, travel is short."""
+"""Order the rest poses for short travel, and find checked paths between them."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from gateway.errors import PlanRefused
 from gateway.motion.joint_path import angles
 from gateway.motion.workspace import Workspace
 
-#: Postures that a path may pass; the larger number is drawn where a pose was not reached over the smaller.
+#: Number of random via points; the larger number is used if a pose is not reachable with the smaller.
 VIA_POINTS = (150, 450)
 
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One pose and the points to pass before the start of its approach."""
+    """Pose and the via points on the path to the start of its approach."""
 
     pose: RestPose
     via_rad: tuple[tuple[float, ...], ...]
@@ -29,7 +29,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """Poses in the order of visiting; `unreachable` have no checked path."""
+    """Poses in visiting order; `unreachable` holds the poses without a checked path."""
 
     legs: tuple[Leg, ...]
     unreachable: tuple[RestPose, ...]
@@ -42,21 +42,21 @@ def find_route(
     approach_offset_rad: float,
     known_rad: np.ndarray | None = None,
 ) -> Route:
-    """Order the poses for short travel over paths that stay feasible.
+    """Order the poses for short travel over checked paths.
 
-    A path leads from where the last visit ends (the pose itself) to where the next begins (the pose plus the approach
-    offset on every joint), straight in joint space or over points in between.
+    A path leads from the end of a visit (the pose itself) to the start of the next approach (the next pose plus the
+    approach offset on every joint), straight in joint space or over via points.
 
     Parameters
     ----------
     workspace : Workspace
     poses : sequence of RestPose
     start_rad : array of shape (N,) or None
-        Present posture; None = anywhere.
+        Present posture; None = arbitrary.
     approach_offset_rad : float
     known_rad : array of shape (k, N), optional
-        Postures that paths are known to lead over, beside random ones. None: no other poses can be chosen in place of
-        one that is not reached, and more random postures are drawn.
+        Postures with known paths, used in addition to random ones. None: an unreachable pose cannot be replaced, so
+        more random postures are drawn.
     """
     if not poses:
         return Route((), ())
@@ -82,26 +82,26 @@ def find_route(
 
 
 def _joined(cost: np.ndarray) -> np.ndarray:
-    """The largest set of poses that can be reached from one another: bool array (n,)."""
+    """Return the largest set of mutually reachable poses: bool array (n,)."""
     _, of_pose = connected_components(csr_array(np.isfinite(cost)), connection="strong")
     return of_pose == np.argmax(np.bincount(of_pose))
 
 
 def path_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) -> list[np.ndarray]:
-    """Points of a checked path, the end included: straight where that is free, else over points in between.
+    """Return the points of a checked path including its end: straight where that is free, else over via points.
 
     Raises
     ------
     PlanRefused
-        No such path was found; the violation of the straight one is named.
+        No such path was found; the message names the violation of the straight path.
     """
     route = find_route(workspace, [RestPose(1, tuple(end_rad.tolist()), "fit")], start_rad, 0.0)
     if not route.legs:
         met = workspace.why_not_path(np.array([start_rad, end_rad]))
         raise PlanRefused(
-            f"no path inside the limits leads from {angles(start_rad)} to {angles(end_rad)}: straight there, {met}, "
-            "and no posture was found over which it would be free; go there in steps, by postures of your own choice "
-            "(servo-gateway move CELL --to J1,J2,..), or say in the cell what is assumed (floor_m, wall, "
+            f"no path inside the limits leads from {angles(start_rad)} to {angles(end_rad)}: on the straight path,"
+            f" {met}, and no detour was found; move there in steps over postures of your choice (servo-gateway move"
+            " CELL --to J1,J2,..), or correct the assumed surroundings in the cell file (floor_m, wall, "
             "column_radius_m, link_radius_m, load_size_m)"
         )
     return [*(np.array(point) for point in route.legs[0].via_rad), end_rad]
@@ -110,7 +110,9 @@ def path_to(workspace: Workspace, start_rad: np.ndarray, end_rad: np.ndarray) ->
 def _paths(
     workspace: Workspace, exits: np.ndarray, entries: np.ndarray, over: tuple[np.ndarray, tuple[int, ...]]
 ) -> tuple[np.ndarray, list[list[tuple[tuple[float, ...], ...]]]]:
-    """Travel time (exits, entries), infinite where no path was found, and the points to pass.
+    """Return the travel times (exits, entries), infinite without a path, and the via points.
+
+    Paths pass known postures (k, N) and random ones; more are drawn while a pose is not reachable.
 
     Paths lead over known postures (k, N) and random ones, of which more are drawn while a pose is not reached.
     """
@@ -138,7 +140,7 @@ def _paths(
 
 
 def _all_reached(cost: np.ndarray) -> bool:
-    """Whether a path leads to every pose from elsewhere, and on from every pose where there are others."""
+    """Return True if every pose can be reached from another pose and left towards another pose."""
     others = np.isfinite(cost)
     np.fill_diagonal(others, val=False)
     count = cost.shape[1]
@@ -146,7 +148,7 @@ def _all_reached(cost: np.ndarray) -> bool:
 
 
 def _short_order(cost: np.ndarray, first: np.ndarray) -> list[int]:
-    """Open tour: nearest neighbour from every begin, improved by reversing parts (2-opt)."""
+    """Return a short open tour: nearest neighbour from every start, improved by reversing segments (2-opt)."""
     count = len(first)
     finite = np.concatenate([cost[np.isfinite(cost)], first[np.isfinite(first)]])
     large = 1e3 * (finite.max() if len(finite) else 1.0)

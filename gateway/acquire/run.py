@@ -1,4 +1,4 @@
-"""One run of one plan, step by step: move, approach, settle, sample."""
+"""Run of a plan at rest under power, step by step: move, approach, settle, sample."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ from gateway.motion.temperature import MotorTemperatures
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
 
-#: Incomplete SYNCs while sampling, as a share of the samples asked for, before the visit is given up.
+#: Largest number of incomplete SYNCs while sampling, as a share of the requested samples.
 REPEATED_SHARE = ARM_RULES["repeats"].limit
 REPEATED_LEAST = 10
 PHASES = {
@@ -55,38 +55,38 @@ PHASES = {
     Settle: Phase.SETTLING,
     Sample: Phase.SAMPLING,
 }
-#: How far the arm may sink when its brakes open, before the checked plan no longer fits.
+#: Largest drop of a joint when its brakes open [rad] for which the checked plan still holds.
 SINK_RAD = ARM_RULES["sinks"].limit
 
 
 class VisitStore(Protocol):
-    """Where visits and periods go; nothing here may keep the motion loop waiting but `flush`."""
+    """Store for visits and periods; only `flush` may block the motion loop."""
 
     def add(self, arm: str, visit: Measured) -> Measured:
-        """Take a visit or a period; returns it with its number."""
+        """Add a visit or period; return it with its number."""
         ...
 
     def written(self) -> Sequence[Visit | Period]:
-        """What has been kept for good since this was asked last."""
+        """Return what has been stored permanently since the last call."""
         ...
 
     def trouble(self) -> GatewayError | None:
-        """Why nothing more should be measured: a disk that is full or too slow."""
+        """Return the reason to stop measuring, such as a full or slow disk; None if all is well."""
         ...
 
     def flush(self) -> None:
-        """Wait until everything is kept for good.
+        """Block until everything is stored permanently.
 
         Raises
         ------
         InputError
-            It cannot be kept.
+            The data cannot be stored.
         """
         ...
 
 
 class MemoryStore:
-    """Visits and periods in memory."""
+    """Store that keeps visits and periods in memory."""
 
     def __init__(self) -> None:
         self.visits: list[Visit] = []
@@ -94,7 +94,7 @@ class MemoryStore:
         self._untold: list[Visit | Period] = []
 
     def add(self, arm: str, visit: Measured) -> Measured:
-        """Keep a visit or a period."""
+        """Add a visit or period."""
         del arm
         kept = replace(visit, number=len(self.visits) + len(self.periods) + 1)
         if isinstance(kept, Period):
@@ -105,20 +105,20 @@ class MemoryStore:
         return kept
 
     def written(self) -> Sequence[Visit | Period]:
-        """What was added since."""
+        """Return what was added since the last call."""
         since, self._untold = self._untold, []
         return since
 
     def trouble(self) -> None:
-        """None: memory is not expected to be full."""
+        """Return None: memory is assumed to be sufficient."""
 
     def flush(self) -> None:
-        """Nothing to wait for."""
+        """Return at once: memory needs no flush."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisitStation:
-    """What a run works with.
+    """Arm, workspace, store and listeners of a run.
 
     Attributes
     ----------
@@ -147,7 +147,8 @@ class VisitStation:
         return None if self.temperatures is None else self.temperatures.read_c
 
     def tell(self, event: Event) -> None:
-        """Hand an event to all listeners, then to who looks on; one that listens and fails stops the arm.
+        """Send an event to all listeners, then to the observers; the first error is raised after all are notified and
+        stops the arm.
 
         All others are still notified.
         """
@@ -157,7 +158,7 @@ class VisitStation:
 
 
 class Run:
-    """One run of one plan under power; `broken` is the visit that an error has cut short.
+    """Run of a plan at rest under power; `broken` is the visit that an error interrupted.
 
     Parameters
     ----------
@@ -189,7 +190,7 @@ class Run:
         self._settled_s = 0.0
 
     def check_start(self, stream: Stream) -> None:
-        """Refuse an arm that has sunk while its brakes opened: the checked plan no longer fits.
+        """Refuse an arm that dropped while its brakes opened: the checked plan no longer fits.
 
         Raises
         ------
@@ -198,20 +199,20 @@ class Run:
         refuse_sunk(self.plan, stream)
 
     def execute(self, stream: Stream) -> None:
-        """All steps."""
+        """Execute all steps of the plan."""
         self.begin(stream, len(self.plan.visits), 0.0)
         self.steps()
         self.end()
 
     def begin(self, stream: Stream, visits: int, further_s: float) -> None:
-        """Report that a run begins, of so many visits and with so much time expected beyond the plan [s]."""
+        """Report the start of a run with its number of visits and the time [s] expected in addition to the plan."""
         self.check_start(stream)
         self._stream, self._further_s = stream, further_s
         self._tell(Started(self.plan.arm, self._load, visits, self._slower * (self._ends[-1] + further_s)))
         stream.take_over()
 
     def go_on(self, plan: Plan, further_s: float) -> None:
-        """All steps of another plan, from the present posture now; so much time is expected beyond it [s]."""
+        """Execute another plan from the present posture; report the time [s] expected in addition to it."""
         self._ends = self._timed(plan, self._ends[-1])
         self.plan, self._step, self._further_s = plan, -1, further_s
         self.steps()
@@ -221,14 +222,14 @@ class Run:
         self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
 
     def _timed(self, plan: Plan, begin_s: float) -> list[float]:
-        """When every step of a plan ends, from its begin on; the very first is slow with drives that never moved."""
+        """Return the end times of the steps; the very first step is slow if these drives have not moved yet."""
         durations = step_durations(plan, self._workspace)
         durations[:1] = [duration / self._first for duration in durations[:1]]
         self._first = 1.0
         return list(accumulate(durations, initial=begin_s))
 
     def steps(self) -> None:
-        """The steps of the plan."""
+        """Execute the steps of the plan."""
         stream = self._stream
         for number, step in enumerate(self.plan.steps):
             self._step = number
@@ -245,7 +246,7 @@ class Run:
                 self._sample(step)
 
     def disk(self) -> StopRequest | None:
-        """Report the visits on disk; a request to stop where the disk does not keep up.
+        """Report the visits that are on disk; return a stop request if the disk is too slow. Called at every SYNC.
 
         The motion loop asks at every SYNC.
         """
@@ -304,7 +305,8 @@ class Run:
                 self._tell(SampleRepeated(sample.sync_index, sample.silent))
                 if repeated > max(REPEATED_LEAST, REPEATED_SHARE * step.count):
                     raise IncompleteEpochs(
-                        f"pose {step.pose}: {repeated} SYNCs were left unanswered while {len(samples)} were sampled",
+                        f"pose {step.pose}: {repeated} SYNCs were not answered by all axes while {len(samples)}"
+                        " samples were taken",
                         advice=ARM_RULES["repeats"].advice,
                     )
         except BaseException:
@@ -339,7 +341,7 @@ class Run:
             self._tell(PoseDone(visit.pose, visit.load, gravity, band))
 
     def report(self, what: str, row: int, rows: int) -> None:
-        """Progress of the run, reported by the motion loop now and then."""
+        """Report the progress of the run; called by the motion loop at intervals."""
         begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else self._ends[:1] * 2
         elapsed = begin + (end - begin) * max(row, 0) / rows
         left = self._slower * (self._ends[-1] - elapsed + self._further_s)
@@ -347,7 +349,7 @@ class Run:
 
 
 def refuse_sunk(plan: Plan, stream: Stream) -> None:
-    """As `Run.check_start`."""
+    """Refuse an arm that dropped while its brakes opened; see `Run.check_start`."""
     sunk = np.abs(stream.q_rad[0] - np.array(plan.start_rad))
     if not sunk.max() <= SINK_RAD:
         joint = int(np.argmax(np.nan_to_num(sunk, nan=np.inf))) + 1
@@ -358,7 +360,10 @@ def refuse_sunk(plan: Plan, stream: Stream) -> None:
 
 
 def with_half_sums(arm: Arm, first: Visit, second: Visit) -> Visit:
-    """The second side with half the sum and half the difference of both, upward less downward.
+    """Return the second visit of a pose with half-sum and half-difference of both approach directions (upward minus
+    downward).
+
+    Each torque is converted to the joint with the gear efficiency of its own direction (driving or back-driven).
 
     Each side is taken to the joint with the gear efficiency of its own direction (driving or driven back).
     """

@@ -1,4 +1,4 @@
-"""From a plan to visits on disk: check of the plan, run under power, storage of interrupted visits."""
+"""Execute a plan under power: check it, power the arm, drive the run, store interrupted visits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gateway.motion.stream import MoveOptions, Station, Stream
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What to run.
+    """Plan to run, with the label of the load.
 
     Attributes
     ----------
@@ -38,12 +38,12 @@ class RunRequest:
 
 
 def run_plan(station: VisitStation, request: RunRequest) -> None:
-    """Run a plan from the present posture; on return, and after any error, the brakes are on and visits on disk.
+    """Run a plan from the present posture; after return or an error, the brakes are on and the visits are on disk.
 
     Raises
     ------
     PlanRefused
-        The plan breaks a limit; nothing was enabled.
+        The plan violates a limit; no drive was enabled.
     LimitExceeded, PoseNeverSettles
         The arm was stopped.
     DriveError
@@ -51,7 +51,7 @@ def run_plan(station: VisitStation, request: RunRequest) -> None:
     InputError
         The recording cannot be written, or not fast enough; the arm was stopped.
     KeyboardInterrupt
-        A stop was asked for; the arm was stopped.
+        A stop was requested; the arm was stopped.
     """
     check_plan(request.plan, station.workspace)
     plan = plan_from(request.plan, station.workspace, station.arm.where(), request.done)
@@ -60,13 +60,13 @@ def run_plan(station: VisitStation, request: RunRequest) -> None:
 
 
 def run_transfer(station: VisitStation, plan: Plan) -> None:
-    """Run a plan of moves only, without changes; the brakes are on afterwards, and after any error.
+    """Run a plan that contains moves only; after return or an error, the brakes are on.
 
     Parameters
     ----------
     station : VisitStation
     plan : Plan
-        Of `plan_to`, from the present posture.
+        Plan made by `plan_to` from the present posture.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def run_transfer(station: VisitStation, plan: Plan) -> None:
 
 
 def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, Stream], None]) -> None:
-    """Have a run driven under power; the brakes are on afterwards and what was measured is on disk, whatever happens.
+    """Drive a run under power; afterwards, also after an error, the brakes are on and the visits are on disk.
 
     Parameters
     ----------
@@ -94,29 +94,29 @@ def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, 
 
 
 def tracked_state(station: VisitStation, arm: str) -> StateTracker:
-    """Return the state of a run, which notifies the listeners of the station."""
+    """Return the state tracker of a run; it notifies the listeners of the station."""
     return StateTracker(arm, lambda new: station.tell(StateChanged(new)))
 
 
 class PoweredRun(Protocol):
-    """What is run under power."""
+    """Run that can be driven under power."""
 
     @property
     def broken(self) -> Visit | Period | None:
-        """What an error has cut short."""
+        """Visit or period that an error interrupted."""
         ...
 
     @property
     def state(self) -> StateTracker:
-        """Kept as it goes."""
+        """State of the arm during the run."""
         ...
 
     def disk(self) -> StopRequest | None:
-        """Report what is on disk; a request to stop where the disk does not keep up."""
+        """Report what is on disk; return a stop request if the disk is too slow."""
         ...
 
     def report(self, what: str, row: int, rows: int) -> None:
-        """Progress of the run."""
+        """Report the progress of the run."""
         ...
 
 
@@ -130,7 +130,7 @@ class Powered:
 
 
 def under_power(station: VisitStation, run: PoweredRun, what: Powered, drive: Callable[[Stream], None]) -> None:
-    """Power the arm and drive a run; the brakes are on afterwards and what was measured is on disk, whatever happens.
+    """Power the arm and drive a run; afterwards, also after an error, the brakes are on and the data are on disk.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ def _moved(station: VisitStation, run: PoweredRun, what: Powered) -> Station:
 
 
 def _keep_the_rest(station: VisitStation, run: PoweredRun, arm: str, failure: BaseException) -> None:
-    """After the stop, store an interrupted visit or period and report why the run ended."""
+    """After the stop, store an interrupted visit or period and report the reason of the end."""
     try:
         if run.broken is not None:
             station.store.add(arm, run.broken)

@@ -1,4 +1,6 @@
-"""What a command line needs of an arm: open it, plan, record under one load. Brakes are on between two recordings."""
+"""Operations for the command line: open an arm, plan, record under one load. The brakes are on between two
+recordings.
+"""
 
 from __future__ import annotations
 
@@ -48,13 +50,13 @@ __all__ = [
 ]
 
 
-#: Between two looks at the disk, where nothing else has to go on [s].
+#: Polling interval while only the disk is awaited [s].
 PAUSE_S = 0.001
 
 
 @dataclass(frozen=True, slots=True)
 class RecordRequest:
-    """One load to measure.
+    """Measurement under one load.
 
     Attributes
     ----------
@@ -63,9 +65,9 @@ class RecordRequest:
     path : Path
         The recording.
     resume : bool
-        Go on with a file that is there: measure only what is missing under this load.
+        Continue an existing file: measure only what is missing under this load.
     again : bool
-        Measure the poses of the plan once more, also where the file holds them under this load.
+        Measure the poses of the plan again, even if the file already holds them under this load.
     """
 
     load: str
@@ -76,20 +78,20 @@ class RecordRequest:
 
 @dataclass(frozen=True, slots=True)
 class RecordingSummary:
-    """What a run has added to a recording.
+    """Summary of what a run has added to a recording.
 
     Attributes
     ----------
     path : Path
     load : str
     visits : int
-        New visits, one per side of a pose.
+        New visits, one per approach direction of a pose.
     skipped : int
-        Visits that were there already.
+        Visits that the recording already held.
     incomplete_epochs : int
-        SYNCs that were taken again while sampling.
+        SYNCs that were repeated while sampling.
     friction_band_nm : tuple of floats, one per axis
-        Median over the poses of half the difference of both sides; NaN if no pose was measured from both.
+        Median half-difference over the poses; NaN if no pose was measured in both directions.
     statistics : dict
         Of the bus.
     """
@@ -104,19 +106,19 @@ class RecordingSummary:
 
 
 def plan_of_recording(loaded: LoadedCell, recording: Recording, arm: str | None = None) -> Plan:
-    """Plan over the poses that a recording asks for, to go on with it.
+    """Plan over the poses that a recording requests, to continue it.
 
     Raises
     ------
     PlanRefused
         The poses are no longer feasible.
     InputError
-        The recording asks for no poses of this arm.
+        The recording requests no poses of this arm.
     """
     config = arm_named(loaded, arm)
     stored = recording.arm(config.name)
     if stored is None or not stored.poses:
-        raise InputError(f"{recording.path}: asks for no poses of arm '{config.name}'")
+        raise InputError(f"{recording.path}: requests no poses of arm '{config.name}'")
     workspace = workspace_of(config, arm_robot(loaded, config))
     return plan_of_poses(loaded, config, workspace, stored.poses)
 
@@ -128,14 +130,16 @@ def record(
     listeners: Sequence[Listener] = (),
     options: MoveOptions | None = None,
 ) -> RecordingSummary:
-    """Measure a plan under one load; the arm is in its brakes before and after, and all the time if nothing is missing.
+    """Measure a plan under one load; the brakes are on before and after. Without missing visits the arm does not move.
+
+    If the operator requests a stop through the desk of `options`, the arm stops and the measured visits are kept.
 
     A person who asks the desk of `options` for a stop stops the arm; what was measured is kept.
 
     Raises
     ------
     InputError
-        The file exists and is not to be gone on with, or belongs to another cell or other poses.
+        The file exists and `resume` is not set, or it belongs to another cell or other poses.
     PlanRefused, DriveError, KeyboardInterrupt
         As `run_plan`.
     """
@@ -151,14 +155,14 @@ def record(
 
 
 class Kept:
-    """A recording that is written to, and what is added to it.
+    """Recording that is being written, and what the run adds to it.
 
     Attributes
     ----------
     reason : str
-        Why the run has ended, if it ends well.
+        Reason of the end of a run without error.
     statistics : dict
-        Of the bus, once it has ended well.
+        Bus statistics, once the run has ended without error.
     """
 
     def __init__(self, opened: OpenArm, queue: VisitQueue, watch: BlackBoxWatch) -> None:
@@ -168,7 +172,7 @@ class Kept:
         self.statistics: dict[str, Any] = {}
 
     def station(self, listeners: Sequence[Listener], options: MoveOptions | None) -> VisitStation:
-        """Where a run finds the arm, and where its visits go."""
+        """Return the station of a run: the arm and the store for its visits."""
         opened, pacing = self._opened, self._opened.group.timing.pacing
         store = QueuedStore(self._queue, opened.config.name, pacing)
         listening = (self._tally, *listeners)
@@ -178,12 +182,12 @@ class Kept:
         return VisitStation(opened.arm, opened.workspace, store, listening, options, pacing, temperatures)
 
     def finish(self) -> None:
-        """Store that the run has ended well."""
+        """Store that the run has ended without error."""
         self.statistics = plain(asdict(self._opened.group.statistics))
         self._queue.finish(self._opened.config.name, "success", self.reason, self.statistics)
 
     def summary(self, load: str, skipped: int) -> RecordingSummary:
-        """What the run has added."""
+        """Return the summary of what the run has added."""
         return RecordingSummary(
             path=self._queue.path,
             load=load,
@@ -197,18 +201,16 @@ class Kept:
 
 @contextmanager
 def keeping(opened: OpenArm, path: Path, header: ArmHeader, earlier: Recording | None) -> Generator[Kept]:
-    """A recording while it is written to; however that ends, what was measured is on disk, with the reason.
+    """Open a recording for writing; on exit, also after an error, the measured data and the reason are on disk.
 
     Parameters
     ----------
     opened : OpenArm
     path : Path
     header : ArmHeader
-        What the recording is to hold, as far as it is known.
+        Description of the arm for the recording, as far as known.
     earlier : Recording or None
-        That is gone on with.
-
-    Raises
+        Recording that is continued. Raises
     ------
     InputError
         As `VisitQueue`.
@@ -229,11 +231,11 @@ def keeping(opened: OpenArm, path: Path, header: ArmHeader, earlier: Recording |
 
 
 def _finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
-    """Store why a run ended before its time, if it has measured anything; an error of that becomes a note."""
+    """Store the reason of an early end if anything was measured; an error of this becomes a note."""
     if not writer.visits:
         return
     status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
-    reason = str(error) or "stopped by a person"
+    reason = str(error) or "stopped by the operator"
     try:
         writer.finish(arm, status, reason, plain(asdict(opened.group.statistics)))
     except GatewayError as failed:
@@ -241,12 +243,12 @@ def _finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseExc
 
 
 def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
-    """Poses of the file and of the plan, each number once.
+    """Return the poses of the file and of the plan, each number once.
 
     Raises
     ------
     InputError
-        A number stands for another posture in the file.
+        The file uses a number for another posture.
     """
     stored = None if earlier is None else earlier.arm(plan.arm)
     poses = {pose.number: pose for pose in (() if stored is None else stored.poses)}
@@ -254,14 +256,14 @@ def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
         known = poses.setdefault(pose.number, pose)
         if np.abs(np.array(known.q_rad) - np.array(pose.q_rad)).max() > 1e-6:
             raise InputError(
-                f"{earlier.path if earlier else ''}: pose {pose.number} is another posture there; go on with the poses "
-                "of the file, or give new poses new numbers"
+                f"{earlier.path if earlier else ''}: pose {pose.number} is another posture in this file; continue"
+                " with the poses of the file, or give new poses new numbers"
             )
     return tuple(poses[number] for number in sorted(poses))
 
 
 def _recording_header(opened: OpenArm) -> RecordingHeader:
-    """What a recording says once of its cell, drives' profiles, robot and software."""
+    """Return the header of a recording: cell, drive profiles, robot and software."""
     return RecordingHeader(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         cell=opened.loaded.text,
@@ -277,7 +279,7 @@ def _recording_header(opened: OpenArm) -> RecordingHeader:
 def arm_header(
     opened: OpenArm, poses: tuple[RestPose, ...], excitations: dict[int, dict[str, Any]] | None = None
 ) -> ArmHeader:
-    """What a recording says once of an arm: what it is to hold, and what its drives are."""
+    """Return the header of an arm in a recording: expected content and drives."""
     return ArmHeader(
         name=opened.config.name,
         poses=poses,
@@ -289,14 +291,14 @@ def arm_header(
 
 
 class QueuedStore:
-    """A recording's queue as the store of a run; in lockstep, where no arm waits for it, the disk sets the pace."""
+    """Store that writes to a recording through a queue; in lockstep it waits for the disk."""
 
     def __init__(self, queue: VisitQueue, arm: str, pacing: Pacing) -> None:
         self._queue, self._arm, self._patient = queue, arm, pacing == "lockstep"
         self._seen: list[Visit | Period] = []
 
     def add(self, arm: str, visit: Measured) -> Measured:
-        """Take a visit or a period."""
+        """Add a visit or period."""
         stored = self._queue.add(arm, visit)
         while self._patient and self._queue.waiting and self._queue.failed is None:
             time.sleep(PAUSE_S)
@@ -304,28 +306,26 @@ class QueuedStore:
         return stored
 
     def written(self) -> Sequence[Visit | Period]:
-        """Visits and periods that are on disk by now."""
+        """Return the visits and periods that are on disk."""
         seen, self._seen = self._seen, []
         return (*seen, *self._queue.written())
 
     def trouble(self) -> GatewayError | None:
-        """A disk that cannot be written, or not as fast as visits come."""
+        """Return the reason if the disk cannot be written or is too slow."""
         if self._queue.failed is None and self._queue.full:
             return InputError(
-                f"{self._queue.path}: {self._queue.waiting} visits wait for the disk, which is too slow: the arm was "
-                "stopped, none is lost; free the disk or record to another one, then go on with --resume"
+                f"{self._queue.path}: {self._queue.waiting} visits wait for the disk, which is too slow: the arm was"
+                " stopped, no visit is lost; free the disk or record to another disk, then continue with --resume"
             )
         return self._queue.failed
 
     def flush(self) -> None:
-        """Wait for the disk."""
+        """Block until everything is on disk."""
         if self._queue.visits:
             self._queue.finish(self._arm, "abort", UNFINISHED, {})
 
 
 class _Tally:
-    """Counts what a run adds."""
-
     def __init__(self, axes: int) -> None:
         self.visits = self.incomplete = 0
         self._axes = axes
@@ -343,7 +343,7 @@ class _Tally:
 
 
 def plain(value: Any) -> Any:
-    """The same as JSON can hold it."""
+    """Return a value as types that JSON can hold."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""Test on the samples whether an arm has settled."""
+"""Decide from the samples whether an arm has settled."""
 
 from __future__ import annotations
 
@@ -10,27 +10,27 @@ WINDOW_S = 0.12
 LEAST_WINDOW = 10
 #: Three windows: at the crest of an oscillation, two neighbouring means agree by chance.
 WINDOWS = 3
-#: Difference of two window means that noise alone explains, in its standard deviations.
+#: Largest difference of two window means that noise explains, in standard deviations.
 SIGMAS = 3.0
-#: Movement within a window that counts as rest.
+#: Largest movement within a window that counts as rest [rad].
 POSITION_FLOOR_RAD = 1e-4
-#: Torque difference that counts as none, as a share of the torque limit.
+#: Ignored torque difference, as a share of the torque limit.
 TORQUE_FLOOR_SHARE = 5e-4
 
 
 class SettleTest:
-    """Compares three successive windows of samples.
+    """Test for settling by comparing three successive windows of samples.
 
-    A joint is settled if its positions in the last window are within noise and the mean torques of the windows differ
-    by no more than noise explains. Noise is taken from the differences of neighbouring samples, which a slow drift
-    does not inflate.
+    A joint has settled if its positions in the last window are within noise and the window means of its torque differ
+    by no more than noise explains. Noise is estimated from differences of successive samples, which a slow drift barely
+    affects.
 
     Parameters
     ----------
     period_s : float
         SYNC period.
     torque_limit_nm : array of shape (N,)
-        Sets the floor below which torque differences do not matter.
+        Torque limit; a small share of it is the torque difference that is ignored.
     """
 
     def __init__(self, period_s: float, torque_limit_nm: np.ndarray) -> None:
@@ -41,11 +41,11 @@ class SettleTest:
         self._rows: deque[np.ndarray] = deque(maxlen=WINDOWS * self.window)
 
     def add(self, q_rad: np.ndarray, torque_nm: np.ndarray) -> None:
-        """Take in one complete sample, (N,) each."""
+        """Add one complete sample, (N,) each."""
         self._rows.append(np.concatenate([q_rad, torque_nm]))
 
     def restless(self) -> np.ndarray | None:
-        """Return the joints (N,) that are not settled; None = too few samples."""
+        """Return a mask (N,) of the joints that have not settled; None = too few samples."""
         if len(self._rows) < WINDOWS * self.window:
             return None
         axes, rows = len(self._floor_nm), np.array(self._rows)

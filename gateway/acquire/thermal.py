@@ -1,4 +1,7 @@
-"""Meeting drift: the order of the loads, and a warm-up before them.
+"""Reduce the effect of thermal drift: order of the loads, and a warm-up before them.
+
+Loads are measured in forward and reverse order, with the unloaded arm twice in the middle: a, bare, bare, a. A drift
+that is linear in time then has the same mean under every load and cancels in the differences.
 
 Loads are measured forth and back, the unloaded arm twice in the middle: a, bare, bare, a. What drifts evenly in time is
 then the same on average under every load and cancels in their differences.
@@ -18,16 +21,16 @@ from gateway.data.rest_pose import RestPose
 from gateway.identify.drift import AGAIN
 from gateway.identify.loads import BARE_LABEL
 
-#: Poses of one round of the warm-up.
+#: Number of poses in one round of the warm-up.
 ROUND_POSES: Final = 4
-#: Change of the friction band from round to round at which an arm counts as warm.
+#: Relative change of the friction band between rounds below which an arm counts as warm.
 STILL: Final = 0.02
 WARM_UP_FILE: Final = "warm-up.h5"
 
 
 @dataclass(frozen=True, slots=True)
 class Thermal:
-    """How a job meets drift.
+    """Settings of a job against thermal drift.
 
     Attributes
     ----------
@@ -40,17 +43,17 @@ class Thermal:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """Poses under one load, one after the other."""
+    """Poses that are measured one after the other under one load."""
 
     load: str
     poses: tuple[RestPose, ...]
 
 
 def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal | None) -> tuple[Block, ...]:
-    """Blocks in the order in which they are measured.
+    """Return the blocks in measuring order.
 
-    Without `thermal` the unloaded arm, then each load; with it the loads, the unloaded arm twice, the loads backwards,
-    each load with the same poses under other numbers the second time.
+    Without `thermal`: the unloaded arm, then each load. With it: the loads, the unloaded arm twice, the loads in
+    reverse order; the second block of a load has the same poses under new numbers.
     """
     once = tuple(poses)
     if thermal is None:
@@ -61,13 +64,15 @@ def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal
 
 
 def bracket_of(label: str, poses: Sequence[RestPose]) -> tuple[Block, ...]:
-    """Blocks of a load between two of the unloaded arm: what drifts evenly in time cancels in their difference."""
+    """Return the blocks of a load between two of the unloaded arm: a drift linear in time cancels in their
+    difference.
+    """
     once = tuple(poses)
     return (Block(BARE_LABEL, once), Block(label, once), Block(BARE_LABEL, _again(once)))
 
 
 def _again(poses: Sequence[RestPose]) -> tuple[RestPose, ...]:
-    """The same poses under the numbers of a second time."""
+    """Return the same poses under the numbers of the second block."""
     return tuple(replace(pose, number=pose.number + AGAIN) for pose in poses)
 
 
@@ -77,17 +82,18 @@ def warm_up(
     longest_s: float,
     measure: Callable[[Sequence[RestPose], Path], None],
 ) -> str:
-    """Move between a few poses until their friction no longer changes, or for the longest time; says how it ended.
+    """Move between a few poses until their friction no longer changes, or the time is over; return a text with the
+    outcome.
 
     Parameters
     ----------
     poses : sequence of RestPose
     recording : Path
-        Of the job; the warm-up is kept beside it, one file a job.
+        Recording of the job; the warm-up is stored in a second file beside it.
     longest_s : float
-        By the time of the bus.
+        Longest duration [s], in bus time.
     measure : callable
-        Measures poses into a file, which is gone on with.
+        Function that measures poses and appends them to a file.
     """
     path = recording.with_name(WARM_UP_FILE)
     chosen = poses[:ROUND_POSES]
@@ -106,7 +112,7 @@ def warm_up(
 
 
 def _rounds(path: Path) -> int:
-    """Rounds that a file holds."""
+    """Return the number of rounds in a file."""
     if not path.exists():
         return 0
     return max(
@@ -115,7 +121,7 @@ def _rounds(path: Path) -> int:
 
 
 def _bands(path: Path, rounds: int) -> tuple[np.ndarray, float]:
-    """Friction band (rounds, poses, N) [Nm] of the warm-up, and how long it has taken."""
+    """Return the friction bands (rounds, poses, N) [Nm] of the warm-up, and its duration [s]."""
     visits = [visit for arm in read(path).arms for visit in arm.visits if visit.complete]
     both = [(visit.pose, visit.friction_band_nm) for visit in visits if visit.friction_band_nm is not None]
     both.sort(key=lambda each: each[0])

@@ -28,11 +28,11 @@ class ArmDrives(Protocol):
         ...
 
     def exchange(self, commands: Sequence[DriveCommand], /) -> Epoch:
-        """One SYNC: targets out, readings in."""
+        """Exchange one SYNC: send targets, return readings."""
         ...
 
     def hold(self) -> Epoch:
-        """One SYNC at the last targets."""
+        """Exchange one SYNC with the last targets."""
         ...
 
     def begin(self, commands: Sequence[DriveCommand] | None, /) -> None:
@@ -40,19 +40,19 @@ class ArmDrives(Protocol):
         ...
 
     def prepare(self, at_s: float | None, /) -> float:
-        """Second part: wait until the SYNC is due, or take over when it is due for another arm [monotonic s]."""
+        """Second part: wait until the SYNC is due; `due_s` of another arm overrides the own time [monotonic s]."""
         ...
 
     def sync(self) -> None:
-        """Third part: the SYNC."""
+        """Third part: send the SYNC."""
         ...
 
     def gather(self) -> Epoch:
-        """Fourth part: readings in."""
+        """Fourth part: collect the readings."""
         ...
 
     def check(self, epoch: Epoch, /) -> None:
-        """Fifth part: raise what is wrong with them."""
+        """Fifth part: raise the errors that the readings show."""
         ...
 
     def abandon(self) -> None:
@@ -60,32 +60,32 @@ class ArmDrives(Protocol):
         ...
 
     def disable(self) -> None:
-        """Brakes on, power off."""
+        """Apply the brakes and disable the drives."""
         ...
 
     def quick_stop(self) -> None:
-        """Stop by the drives' own ramp."""
+        """Stop with the quick stop ramps of the drives."""
         ...
 
     def brake_drop_rad(self) -> Sequence[float]:
-        """How far each motor has turned since the drives were disabled."""
+        """Return how far each motor has turned since the drives were disabled."""
         ...
 
     def when_stopping(self, report: Callable[[], None], /) -> None:
-        """Have `report` called before the drives are stopped because of an error of theirs."""
+        """Register `report`, which is called before the drives are stopped because of one of their errors."""
         ...
 
     def align(self, at_s: float, /) -> None:
-        """Real time: set when the next SYNC is due (monotonic)."""
+        """Real time: set the time at which the next SYNC is due (monotonic)."""
         ...
 
     def sync_sent_s(self) -> float:
-        """Monotonic time of the last SYNC."""
+        """Monotonic time [s] of the last SYNC."""
         ...
 
 
 class JointSide:
-    """Answers of the drives, converted to the joint side.
+    """Convert the answers of the drives to the joint side.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class JointSide:
         self._zero = axes.zero_offset_rad
 
     def sample(self, epoch: Epoch) -> ArmSample:
-        """One SYNC; NaN where a drive did not answer."""
+        """Return the sample of one SYNC; NaN for a drive that did not answer."""
         motor = np.array([(np.nan, np.nan) if r is None else (r.position_rad, r.torque_nm) for r in epoch.readings])
         q_rad = motor[:, 0] @ self._to_joint + self._zero
         torque_nm = motor[:, 1] @ self._to_torque
@@ -128,7 +128,7 @@ class Arm:
         self._sample = JointSide(axes).sample
 
     def where(self) -> np.ndarray:
-        """Joint positions (N,) [rad] of the arm in its brakes."""
+        """Return the joint positions (N,) [rad] of the arm with its brakes on."""
         return self.axes.joint_position(np.array(self.drives.positions_rad()))
 
     def enable(self, stop_requested: Callable[[], bool] = lambda: False) -> ArmSample:
@@ -136,21 +136,21 @@ class Arm:
         return self._sample(self.drives.enable(stop_requested))
 
     def disable(self) -> None:
-        """Brakes on, power off."""
+        """Apply the brakes and disable the drives."""
         self.drives.disable()
 
     def quick_stop(self) -> None:
-        """Stop by the drives' own ramp."""
+        """Stop with the quick stop ramps of the drives."""
         self.drives.quick_stop()
 
     def brake_drop_rad(self) -> np.ndarray:
-        """How far each joint (N,) [rad] has moved since the drives were disabled."""
+        """Return how far each joint (N,) [rad] has moved since the drives were disabled."""
         return self.axes.joint_bound(np.array(self.drives.brake_drop_rad()))
 
     def command(
         self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None
     ) -> Sequence[DriveCommand]:
-        """Drive targets of joint positions (N,) [rad].
+        """Return the drive targets for joint positions (N,) [rad].
 
         Parameters
         ----------
@@ -158,7 +158,7 @@ class Arm:
         ahead_rad : array of shape (N,), optional
             Setpoint of the next SYNC, if known; for arms with feedforward.
         offset_nm : array of shape (N,), optional
-            Joint torque that the drives add to their own.
+            Joint torque that the drives add to the output of their own controller.
         """
         del ahead_rad
         motor = self.axes.motor_position(q_rad).tolist()
@@ -168,14 +168,14 @@ class Arm:
         return [DriveCommand(value, nm) for value, nm in zip(motor, torque, strict=True)]
 
     def exchange(self, commands: Sequence[DriveCommand]) -> ArmSample:
-        """One SYNC with targets of `command`."""
+        """Exchange one SYNC with targets of `command`."""
         return self._sample(self.drives.exchange(commands))
 
     def hold(self) -> ArmSample:
-        """One SYNC at the last targets."""
+        """Exchange one SYNC with the last targets."""
         return self._sample(self.drives.hold())
 
     def checked(self, epoch: Epoch) -> ArmSample:
-        """What a SYNC that was shared with other arms has brought; raises what is wrong with it."""
+        """Return the samples of a SYNC shared with other arms; raise the errors that they show."""
         self.drives.check(epoch)
         return self._sample(epoch)

@@ -28,12 +28,12 @@ from gateway.motion.arm import Arm
 
 Result = TypeVar("Result")
 
-#: Real time: until the first common SYNC [s].
+#: Real time: lead time of the first common SYNC [s].
 _START_S: Final = 0.02
-#: In lockstep, between two SYNCs of an arm that waits for another one to be ready [s]: nothing else paces it, and where
-#: both are on one plant the other one's drives, which count its time, would give up their master.
+#: In lockstep, time between two SYNCs of an arm that waits for another one [s]: nothing else paces it, and if
+#: both are in one simulation, the drives of the other arm would detect a lost heartbeat.
 _PAUSE_S: Final = 0.01
-#: Skews that are kept for the quantiles.
+#: Number of stored skews for the quantiles.
 _KEPT: Final = 100_000
 
 
@@ -64,13 +64,12 @@ def _each(jobs: Sequence[Callable[[], Result]]) -> tuple[Result, ...]:
 
 
 class Arms:
-    """Arms under one clock.
+    """Group of arms driven with one SYNC per cycle from one clock.
 
     Parameters
     ----------
     arms : sequence of Arm
-        Connected and configured, in their brakes.
-    pacing : "lockstep" or "real"
+        Connected and configured, brakes on. pacing : "lockstep" or "real"
 
     Attributes
     ----------
@@ -80,7 +79,7 @@ class Arms:
     enabled : bool
         All arms follow `exchange`.
     stopped_by : int or None
-        Index of the arm whose error stopped all, None while none did.
+        Index of the arm whose error stopped all arms; None without an error.
     """
 
     def __init__(self, arms: Sequence[Arm], pacing: Pacing) -> None:
@@ -99,20 +98,20 @@ class Arms:
 
     @property
     def names(self) -> str:
-        """Names of all arms, as in a sentence."""
+        """Names of all arms, joined with "and"."""
         return " and ".join(f"'{arm.name}'" for arm in self.members)
 
     def where(self) -> tuple[np.ndarray, ...]:
-        """Joint positions of every arm in its brakes [rad]."""
+        """Return the joint positions [rad] of every arm with its brakes on."""
         return tuple(arm.where() for arm in self.members)
 
     def enable(self, stop_requested: Callable[[], bool]) -> tuple[ArmSample, ...]:
-        """Power all drives; an arm that is ready holds its position until the others are.
+        """Power all drives; an arm that is ready holds its position until all are ready.
 
         Raises
         ------
         DriveError
-            A failure, or a requested stop; all arms are disabled again.
+            A drive failed or a stop was requested; all arms are disabled again.
         """
         ready, failed = [False] * len(self.members), threading.Event()
 
@@ -148,7 +147,7 @@ class Arms:
         return samples
 
     def exchange(self, commands: Sequence[Sequence[DriveCommand]]) -> tuple[ArmSample, ...]:
-        """One cycle: targets to every arm, what every arm measured at this SYNC.
+        """Exchange one cycle: send targets to every arm, return what every arm measured at this SYNC.
 
         Raises
         ------
@@ -160,30 +159,30 @@ class Arms:
         return self._cycle(lambda index: self.members[index].exchange(commands[index]))
 
     def hold(self) -> tuple[ArmSample, ...]:
-        """One cycle at the last targets; raises as `exchange`."""
+        """Exchange one cycle with the last targets; raises as `exchange`."""
         if self.real and len(self.members) > 1:
             return self._together([None] * len(self.members))
         return self._cycle(lambda index: self.members[index].hold())
 
     def quick_stop(self) -> None:
-        """All arms by the quick stop ramp of their drives, at the same time.
+        """Stop all arms at the same time with the quick stop ramps of their drives.
 
         Raises
         ------
         DriveError
-            An axis that is not confirmed to be at rest.
+            The standstill of an axis is not confirmed.
         """
         self.enabled = False
         self._all(lambda index: self.members[index].quick_stop())
 
     def disable(self) -> None:
-        """Brakes on, power off, all arms at the same time."""
+        """Apply the brakes and disable the drives of all arms at the same time."""
         self.enabled = False
         self._wait_stopped()
         self._all(lambda index: self.members[index].disable())
 
     def close(self) -> None:
-        """End the threads."""
+        """Shut down the threads."""
         self._wait_stopped()
         if self._pool is not None:
             self._pool.shutdown()
@@ -198,7 +197,7 @@ class Arms:
             raise
 
     def _together(self, commands: Sequence[Sequence[DriveCommand] | None]) -> tuple[ArmSample, ...]:
-        """Real time: each part of the SYNC for all arms before the next one."""
+        """Real time: execute each part of the SYNC for all arms before the next part."""
         drives = [arm.drives for arm in self.members]
         try:
             for each, targets in zip(drives, commands, strict=True):
@@ -230,7 +229,7 @@ class Arms:
             arm.drives.abandon()
 
     def _all(self, action: Callable[[int], Result]) -> tuple[Result, ...]:
-        """Do something with all arms at the same time; the first failure is raised when all have ended."""
+        """Call a function for all arms at the same time; the first failure is raised when all calls have ended."""
         if self._pool is None:
             return (action(0),)
         others = [self._pool.submit(action, index) for index in range(1, len(self.members))]

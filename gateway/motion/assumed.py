@@ -11,11 +11,13 @@ from gateway.motion.workspace import BAND_SHARE, Workspace
 LEFT_SHARE = 0.2
 #: Share of the heaviest possible load that the expected uncertainty refers to, if the cell names none.
 REFERENCE_SHARE = 0.5
-NOISE_SOURCE = f"assumed: {LEFT_SHARE:.0%} of a friction band of {BAND_SHARE:.1%} of each torque limit"
+NOISE_SOURCE = f"assumed: {LEFT_SHARE:.0%} of the friction band, which is {BAND_SHARE:.1%} of each torque limit"
 
 
 def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
-    """Return the assumed standard deviation (N,) of a joint torque after friction compensation.
+    """Return the assumed standard deviation (N,) [Nm] of a joint torque after friction compensation.
+
+    It is a share of the torque limit, the same for both approach directions at rest and for motion.
 
     A share of the torque limit, at rest from both sides and in motion alike.
     """
@@ -23,7 +25,9 @@ def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
 
 
 def reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the cell's heaviest load, else half of the load that the free share of the torque limits can carry."""
+    """Return the heaviest load of the cell file, else half of the load that the free share of the torque limits can
+    carry.
+    """
     if workspace.max_load is not None:
         return float(workspace.max_load[0]), workspace.max_load[1:] / workspace.max_load[0]
     com_m = workspace.points_m[0]

@@ -36,13 +36,13 @@ class Part:
     name : str
         "base", "column", "link 3", "load".
     link : int
-        Link, from 0, that it moves with; `BASE` = fixed.
+        Index (from 0) of the link that the part moves with; `BASE` = fixed.
     solids : tuple of Solid
-        In that link's frame, of fixed parts in the base frame.
+        Bodies in the frame of that link; fixed parts in the base frame.
     source : str
-        Its size and the source of it.
+        Size, and the source of the size.
     known : bool
-        Whether the shape is that of the URDF or of the cell, nothing of it assumed.
+        True if the shape is defined by the URDF or the cell file, without an assumption.
     """
 
     name: str
@@ -60,13 +60,13 @@ class Body:
     ----------
     parts : tuple of Part
     solids : tuple of k Solid
-        Those of all parts, in order.
+        Bodies of all parts, in order.
     part : int array of shape (k,)
-        Row in `parts` that each belongs to.
+        Index in `parts` of each body.
     link : int array of shape (k,)
-        Link, from 0, that it moves with; `BASE` = it stands still.
+        Index (from 0) of the link that the body moves with; `BASE` = fixed.
     start_m, end_m : arrays of shape (k, 3)
-        Segment of the capsule around each.
+        Segment of the capsule around each body.
     radius_m : array of shape (k,)
         Radius of that capsule.
     """
@@ -80,13 +80,19 @@ class Body:
     radius_m: Floats
 
     def segments_m(self, frames: Floats) -> Floats:
-        """Ends (n, k, 2, 3) [m] of the segments in the base frame, from frames (n, N + 1, 4, 4), the base's first."""
+        """Return the ends (n, k, 2, 3) [m] of the segments in the base frame, from frames (n, N + 1, 4, 4), base
+        first.
+        """
         of_link = frames[:, self.link + 1]
         ends = np.stack([self.start_m, self.end_m], axis=1)
         return np.matmul(ends, of_link[:, :, :3, :3].transpose(0, 1, 3, 2)) + of_link[:, :, None, :3, 3]
 
     def levers_m(self, robot: Robot) -> Floats:
-        """Farthest (k, N) [m] that a body's points may lie from each joint axis, in any posture; 0 beyond the link.
+        """Return the largest distance (k, N) [m] of a body's points from each joint axis in any posture; 0 for later
+        joints.
+
+        A point moves by at most the sum of these levers times the joint rotations. A rotation does not move a ball
+        about its centre.
 
         No point moves farther than these times the joints' turns; a ball about a point turns into itself.
         """
@@ -103,13 +109,13 @@ class Body:
 
 
 def base_and_link_frames(robot: Robot, q_rad: Floats) -> Floats:
-    """Frames (n, N + 1, 4, 4) of the base and of every link in the base frame [m], at postures (n, N)."""
+    """Return the frames (n, N + 1, 4, 4) of base and links in the base frame [m], at postures (n, N)."""
     base = np.broadcast_to(np.eye(4), (len(q_rad), 1, 4, 4))
     return np.concatenate([base, link_frames(robot, q_rad)], axis=1)
 
 
 def body_of_parts(parts: Sequence[Part]) -> Body:
-    """The rows of these parts."""
+    """Return the collision bodies of the parts as one table."""
     solids = [solid for part in parts for solid in part.solids]
     rows = [row for row, part in enumerate(parts) for _ in part.solids]
     return Body(
@@ -124,11 +130,11 @@ def body_of_parts(parts: Sequence[Part]) -> Body:
 
 
 def moving_parts(arm: ArmConfig, robot: Robot) -> list[Part]:
-    """Links and load of a configured arm.
+    """Return the links and the load of a configured arm.
 
     A link has the collision geometry of the URDF; where that is missing or cannot be read, a capsule from the link's
-    joint to the next one with the radius of `arm.link_radius_m`, else with an assumed one. Of link 2 such a capsule
-    begins a radius away from its joint: the shoulder itself is carried by link 1.
+    joint to the next one with the radius of `arm.link_radius_m`, else with an assumed one. The capsule of link 2 begins
+    one radius from its joint, because the shoulder itself belongs to link 1.
     """
     return [*(_link(arm, robot, link) for link in range(robot.axes)), _load(arm, robot)]
 
@@ -143,7 +149,7 @@ def stated_radius_m(arm: ArmConfig, robot: Robot, link: int) -> tuple[float, str
 
 
 def solids_of(shapes: Sequence[LinkShape], source: str) -> tuple[list[Solid], list[str]]:
-    """Bodies of the shapes that can be read, and why others cannot."""
+    """Return the bodies of the readable shapes, and the reasons why others cannot be read."""
     solids: list[Solid] = []
     unusable: list[str] = []
     for shape in shapes:
@@ -165,7 +171,7 @@ def _link(arm: ArmConfig, robot: Robot, link: int) -> Part:
 
 
 def _bone(robot: Robot, link: int, radius_m: float) -> Capsule:
-    """Capsule from a link's joint to the next one, of the last link to the flange."""
+    """Return the capsule from a link's joint to the next one; for the last link to the flange."""
     start = np.zeros(3)
     end = robot.placement[link + 1, :3, 3] if link + 1 < robot.axes else _flange(robot)[:3, 3]
     length = float(np.linalg.norm(end))

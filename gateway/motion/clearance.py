@@ -1,4 +1,11 @@
-"""Collision checks of an arm: pairs of bodies, their distances, and whether they stay apart along a path.
+"""Collision checks of an arm: pairs of bodies, their distances, and proof that a path is collision-free.
+
+The path is proven clear, not sampled. Between two postures, a point of a body moves relative to another body by at most
+the joint steps times the levers. A segment is therefore clear if the sum of the distances at its ends exceeds that
+bound; any other segment is halved (conservative advancement, Mirtich 1996, section 2.3).
+
+Distances are computed between the capsules around the bodies, all at once. The distance of the bodies themselves (FCL)
+is computed only where the capsules do not decide.
 
 A path is proven clear, not sampled. Between two postures no point of a body moves farther relative to another than the
 joint steps times its levers. A segment is therefore clear if the distances at its ends exceed that bound in sum; any
@@ -26,38 +33,38 @@ from gateway.motion.surroundings import Plane, surroundings_of
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
-#: A segment along which no body moves farther relative to another is not halved again. It is blocked unless it is
+#: A segment with a smaller relative motion of all bodies is not halved again [m]. It is blocked unless it is
 #: proven clear, so that a path that passes an obstacle closer than half of this is refused.
 PATH_RESOLUTION_M = 0.002
-#: Bodies whose capsules are farther apart than this are not looked at closer: it is cheaper to halve the stretch.
+#: Capsule distance above which the exact distance is not computed [m]: halving the segment is cheaper.
 CLOSE_M = 0.03
-#: What is planned keeps apart by this in addition, where two bodies are ever farther apart than that.
+#: Additional clearance of planned paths [m], for pairs that can be farther apart than this.
 PLANNING_CLEARANCE_M = 0.005
 #: Random postures at which pairs are tested for permanent contact.
 SAMPLES = 200
-#: Share of those postures with contact from which on assumed bodies count as too thick to be checked.
+#: Share of those postures with contact above which a pair with an assumed shape is not checked.
 ALWAYS = 0.95
 _SEED = 11
-#: Rows that are worked on at once.
+#: Number of rows per batch.
 _BLOCK = 200_000
-#: Kinds of what something may touch.
+#: Kinds of the second object of a pair.
 SOLID, BOX, PLANE = range(3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pairs:
-    """What may touch what: a table of p rows.
+    """Pairs of bodies whose distance is checked: a table of p rows.
 
     Attributes
     ----------
     kind : int array of shape (p,)
-        What the other is: a body, a box or a plane.
+        Kind of the second object: body, box or plane.
     first, other : int arrays of shape (p,)
-        Row of the body that moves; row of the other body, box or plane.
+        Index of the moving body; index of the second body, box or plane.
     lever_m : array of shape (p, N)
-        Farthest that a point of the first may lie from each joint axis that moves it against the other.
+        Largest distance of a point of the moving body from each joint axis between the two.
     clearance_m : array of shape (p,)
-        What is taken off each distance.
+        Clearance that is subtracted from each distance.
     """
 
     kind: Rows
@@ -67,13 +74,13 @@ class Pairs:
     clearance_m: Floats
 
     def only(self, rows: NDArray[np.bool_]) -> Pairs:
-        """Some of the rows."""
+        """Return a selection of the rows."""
         return Pairs(self.kind[rows], self.first[rows], self.other[rows], self.lever_m[rows], self.clearance_m[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Space:
-    """Bodies of an arm, its surroundings, and the pairs that are kept apart.
+    """Bodies of an arm, its surroundings, and the pairs to keep apart.
 
     Attributes
     ----------
@@ -84,7 +91,7 @@ class Space:
     planes : tuple of Plane
     pairs : Pairs
     narrow : bool array of shape (p,)
-        Pairs that are never farther apart than `PLANNING_CLEARANCE_M`.
+        Pairs whose distance never exceeds `PLANNING_CLEARANCE_M`.
     unchecked : tuple of str
         Pairs that are not checked because they touch at all joint positions.
     exact : Exact
@@ -101,11 +108,11 @@ class Space:
     exact: Exact
 
     def with_clearance(self) -> Space:
-        """The same with `PLANNING_CLEARANCE_M` to be left between what can be that far apart."""
+        """Return a copy that keeps `PLANNING_CLEARANCE_M` between all pairs that can be that far apart."""
         return replace(self, pairs=replace(self.pairs, clearance_m=np.where(self.narrow, 0.0, PLANNING_CLEARANCE_M)))
 
     def gaps_m(self, q_rad: Floats, posture: Rows, pair: Rows, enough_m: Floats) -> Floats:
-        """Distances (m,) [m] of pairs at postures, less the room to be left; 0 or less where they touch.
+        """Return the distances (m,) [m] of pairs at postures, less the clearance; 0 or less at contact.
 
         Parameters
         ----------
@@ -113,7 +120,7 @@ class Space:
         posture, pair : int arrays of shape (m,)
             Rows of `q_rad` and of the table of pairs.
         enough_m : array of shape (m,)
-            Where a lower bound is above this, or above `CLOSE_M`, the bound is given.
+            If a lower bound exceeds this, or `CLOSE_M`, the bound is returned.
         """
         frames = base_and_link_frames(self.robot, q_rad)
         segments = self.body.segments_m(frames)
@@ -171,7 +178,7 @@ class Space:
         return found
 
     def touching(self, q_rad: Floats) -> NDArray[np.bool_]:
-        """Whether anything touches at postures (n, N): bool array of shape (n,)."""
+        """Return True for each posture (n, N) with any contact: bool array of shape (n,)."""
         found = np.zeros(len(q_rad), dtype=bool)
         count = max(len(self.pairs.kind), 1)
         for begin in range(0, len(q_rad), max(_BLOCK // count, 1)):
@@ -180,7 +187,7 @@ class Space:
         return found
 
     def _all_gaps(self, q_rad: Floats) -> Floats:
-        """Distances (n, p), bounds where they are above 0."""
+        """Return the distances (n, p); lower bounds where they are above 0."""
         count = len(self.pairs.kind)
         posture, pair = np.repeat(np.arange(len(q_rad)), count), np.tile(np.arange(count), len(q_rad))
         return self.gaps_m(q_rad, posture, pair, np.zeros(len(pair))).reshape(len(q_rad), count)
@@ -194,7 +201,7 @@ class Space:
             yield each, np.asarray(np.any(touching[:, of_pair], axis=1), dtype=bool)
 
     def name_of(self, pair: int) -> str:
-        """The two of a pair: "link 6 and link 4"."""
+        """Return the names of a pair, such as "link 6 and link 4"."""
         other = int(self.pairs.other[pair])
         names = {BOX: f"keep_out box {other + 1}", PLANE: "", SOLID: ""}
         if self.pairs.kind[pair] == PLANE:
@@ -215,7 +222,7 @@ class Space:
         return f"{part.name} ({part.source}) touches {_the(second.name)} ({second.source})"
 
     def blocked_at(self, start_rad: Floats, end_rad: Floats) -> Floats:
-        """Return where straight joint motions collide or cannot be proven clear: share of the path, NaN = clear.
+        """Return the share of the path at which a straight joint motion collides or is not proven clear; NaN = clear.
 
         Parameters
         ----------
@@ -273,7 +280,7 @@ class Space:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Items:
-    """Pairs of one kind at postures, all arrays of shape (m,)."""
+    """Pairs of one kind at postures; all arrays have shape (m,)."""
 
     posture: Rows
     first: Rows
@@ -282,7 +289,7 @@ class _Items:
 
 
 def _length(segments: Floats) -> Floats:
-    """Lengths (m,) [m] of segments (m, 2, 3)."""
+    """Return the lengths (m,) [m] of segments (m, 2, 3)."""
     return np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
 
 
@@ -293,10 +300,10 @@ def _the(name: str) -> str:
 def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats) -> Space:
     """Return the collision pairs of a configured arm in its joint range.
 
-    Pairs that are checked: links and load against planes, boxes, base and column, and against one another where at
-    least one link is between them. Neighbours touch at their joint and are left out. So are bodies that touch at all
-    joint positions (at all of `SAMPLES` postures; where one of them is assumed, at `ALWAYS` of them): links about one
-    point, link 1 and what it turns in. Planes and boxes are never left out for a link beyond the first.
+    Checked pairs: links and load against planes, boxes, base and column, and against one another if at least one link
+    is between them. Neighbouring links touch at their joint and are left out. Bodies that touch at all joint positions
+    are also left out (all of `SAMPLES` random postures; `ALWAYS` of them if a shape is assumed). Planes and boxes are
+    never left out for a link beyond the first.
     """
     around = surroundings_of(arm, robot)
     body = body_of_parts([*around.fixed_parts, *moving_parts(arm, robot)])
@@ -306,7 +313,11 @@ def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats)
 def space_between(
     robot: Robot, body: Body, boxes_m: Floats, planes: tuple[Plane, ...], range_rad: tuple[Floats, Floats]
 ) -> Space:
-    """As `space_of`, of given bodies, boxes (b, 2, 3) and planes; lower and upper ends (N,) of the joint range."""
+    """Return the collision pairs for given bodies, boxes (b, 2, 3) and planes; lower and upper ends (N,) of the joint
+    range.
+
+    See `space_of`.
+    """
     everything = _all_pairs(body, robot, len(boxes_m), len(planes))
     exact = Exact(body, boxes_m, 2.0 * reach_m(robot) + float(np.linalg.norm(body.end_m, axis=1).max()) + 1.0)
     space = Space(robot, body, boxes_m, planes, everything, np.zeros(len(everything.kind), dtype=bool), (), exact)

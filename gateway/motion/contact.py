@@ -1,4 +1,7 @@
-"""Detect contact, or a drive that does not follow its command: unexplained torque, and a following error.
+"""Detect contact and drives that do not follow their setpoints, from unexplained torque and following error.
+
+The model lacks the load, and friction and rotors that were not identified. The difference between measured and modelled
+torque is therefore compared with its own recent mean: the load changes it slowly, contact changes it at once.
 
 The model lacks the load, and friction and rotors that were not identified. The difference between measured and modelled
 torque is therefore compared with its own recent mean: the load changes it slowly, contact changes it at once.
@@ -13,14 +16,14 @@ from gateway.motion.reactions import ARM_RULES
 from gateway.motion.workspace import Workspace
 
 #: Jump of the unexplained torque, as a share of the joint's torque limit; friction at a reversal is below half of it.
-#: A gear that turns from driving to driven back adds (1 / eta - eta) of the torque it carries.
+#: A gear that changes from driving to back-driven adds (1 / eta - eta) of the torque it carries.
 CONTACT_SHARE = 0.25
-#: The same of a joint of which friction, rotor and links are known: the friction's reversal comes on top, by its size,
+#: The same for a joint with identified friction, rotor and links: the friction reversal is added by its size,
 #: since the joint reverses later than its setpoints.
 KNOWN_SHARE = 0.15
 #: Number of consecutive SYNCs with the same sign: delayed setpoints make the torque oscillate.
 IN_A_ROW = ARM_RULES["contact"].count
-#: Time constant of the recent mean.
+#: Time constant of the recent mean [s].
 MEMORY_S = 0.5
 #: A delayed SYNC makes the drives wait and start again: contact is not checked until the oscillation has decayed.
 DELAY_GRACE_S = ARM_RULES["late_sync"].limit
@@ -33,7 +36,7 @@ FOLLOW_SHARE = 0.2
 
 
 class Contact:
-    """Watches one arm; one instance per run.
+    """Contact detection of one arm; one instance per run.
 
     Parameters
     ----------
@@ -43,7 +46,7 @@ class Contact:
     period_s : float
         SYNC period.
     turning_nm : array of shape (N,), optional
-        By how much the friction of each joint changes as it turns round; NaN where it was not identified.
+        Change of each joint's friction torque at a reversal; NaN where not identified.
     """
 
     def __init__(self, arm: str, workspace: Workspace, period_s: float, turning_nm: np.ndarray | None = None) -> None:
@@ -60,13 +63,11 @@ class Contact:
         self._count = np.zeros(len(self._limit), dtype=int)
         self._side = np.zeros_like(self._limit)
         self._from: tuple[np.ndarray, np.ndarray] | None = None
-        #: Joints (N,) of bool that are not looked at.
+        #: Joints (bool, (N,)) that are not checked.
         self.excused = np.zeros(len(self._limit), dtype=bool)
 
     def excuse(self, joints: np.ndarray) -> None:
-        """Exclude joints (N,) of bool from now on; once included again, their drives take over the torque as after
-        enabling.
-        """
+        """Exclude joints (bool, (N,)) from now on; a joint that is included again starts as after enabling."""
         if (self.excused & ~joints).any():
             self._taking_over = self._take_over_syncs
         self.excused = joints
@@ -76,13 +77,12 @@ class Contact:
         self._grace = self._grace_syncs
 
     def check(self, q_rad: np.ndarray, torque_nm: np.ndarray, modelled_nm: np.ndarray, target_rad: np.ndarray) -> None:
-        """One complete SYNC.
+        """Check one complete SYNC.
 
         Parameters
         ----------
         q_rad : array of shape (N,)
-            Measured.
-        torque_nm, modelled_nm : arrays of shape (N,)
+            Measured positions. torque_nm, modelled_nm : arrays of shape (N,)
             Joint side.
         target_rad : array of shape (N,)
             Setpoints of the drives.
@@ -90,7 +90,7 @@ class Contact:
         Raises
         ------
         LimitExceeded
-            Contact, or a joint that does not follow.
+            Contact is detected, or a joint does not follow.
         """
         self._check_following(q_rad, target_rad)
         unexplained_nm = torque_nm - modelled_nm
@@ -116,8 +116,8 @@ class Contact:
             if self._count.max() >= IN_A_ROW:
                 joint = int(np.argmax(self._count))
                 raise LimitExceeded(
-                    f"arm '{self._arm}', joint {joint + 1}: the torque has jumped by {jump[joint]:.0f} Nm, more than "
-                    f"{self._limit[joint]:.0f} Nm and the reversal of its gear explain: "
+                    f"arm '{self._arm}', joint {joint + 1}: the torque has jumped by {jump[joint]:.0f} Nm, more than"
+                    f" the limit of {self._limit[joint]:.0f} Nm plus the effect of a reversal: "
                     f"{ARM_RULES['contact'].advice}",
                     joint=joint + 1,
                 )
@@ -141,7 +141,7 @@ class Contact:
             joint = int(np.argmax(behind))
             raise LimitExceeded(
                 f"arm '{self._arm}', joint {joint + 1} was commanded to move by {commanded[joint]:.3f} rad "
-                f"and has moved by {q_rad[joint] - start_q[joint]:.3f} rad: "
+                f"but has moved by {q_rad[joint] - start_q[joint]:.3f} rad: "
                 f"{ARM_RULES['stays_behind'].advice}",
                 joint=joint + 1,
             )

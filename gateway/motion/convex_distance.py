@@ -14,12 +14,12 @@ from gateway.motion.body import Body
 
 Floats = NDArray[np.float64]
 
-#: Boxes are taken smaller by this on every side: what touches from outside is outside. No body is thinner either.
+#: Boxes are shrunk by this on every side [m], so that touching from outside is no contact; also the smallest body size.
 TOLERANCE_M = 1e-6
 
 
 class Exact:
-    """Distances of the bodies themselves."""
+    """Exact distances of the bodies of an arm."""
 
     def __init__(self, body: Body, boxes_m: Floats, most_m: float) -> None:
         self.plain = np.array([solid.plain for solid in body.solids], dtype=bool)
@@ -30,12 +30,12 @@ class Exact:
         self._boxes = [_box(low, high) for low, high in near]
 
     def solids_m(self, frames: Floats, first: int, other: int) -> float:
-        """Distance [m] of two bodies at frames (N + 1, 4, 4)."""
+        """Return the distance [m] of two bodies at frames (N + 1, 4, 4)."""
         one, two = self._shapes[first], self._shapes[other]
         return one.placed(frames[self._link[first] + 1]).distance_m(two.placed(frames[self._link[other] + 1]))
 
     def box_m(self, frames: Floats, first: int, box: int) -> float:
-        """Distance [m] of a body to a box at frames (N + 1, 4, 4)."""
+        """Return the distance [m] of a body from a box at frames (N + 1, 4, 4)."""
         obstacle = self._boxes[box]
         if obstacle is None:
             return np.inf
@@ -43,7 +43,7 @@ class Exact:
 
 
 class _Shape:
-    """A body in FCL."""
+    """Body as an FCL object."""
 
     def __init__(self, solid: Solid) -> None:
         around = solid.around
@@ -64,18 +64,18 @@ class _Shape:
         self.thing: Any = fcl.CollisionObject(shape)
 
     def placed(self, frame: Floats) -> _Shape:
-        """Itself, standing in a frame (4, 4)."""
+        """Return the FCL object placed at a frame (4, 4)."""
         pose = frame @ self._pose if self._turned else frame
         self.thing.setTransform(fcl.Transform(pose[:3, :3], pose[:3, 3]))
         return self
 
     def distance_m(self, other: _Shape) -> float:
-        """Distance [m] to another, -1 where they touch."""
+        """Return the distance [m] to another body, -1 at contact."""
         return float(fcl.distance(self.thing, other.thing))
 
 
 def _hull(points_m: Floats) -> Any:
-    """Convex body of FCL: vertices and faces that look outward."""
+    """Return the convex FCL body from vertices and outward faces."""
     hull = ConvexHull(points_m)
     number = {vertex: row for row, vertex in enumerate(hull.vertices)}
     faces: list[int] = []
@@ -87,7 +87,7 @@ def _hull(points_m: Floats) -> Any:
 
 
 def _box(low_m: Floats, high_m: Floats) -> Any:
-    """Return a fixed box; None where it is empty."""
+    """Return a fixed box; None if it is empty."""
     size = high_m - low_m - 2 * TOLERANCE_M
     if not (size > 0.0).all():
         return None

@@ -1,4 +1,4 @@
-"""Limits that the drives of an arm are given, motor side: those of the joints, through gears and coupling."""
+"""Limits that are written to the drives of an arm (motor side), computed from joint limits, gears and coupling."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from gateway.cell.conversion import AxisConversion
 from gateway.preflight.coasting import quick_stop_ramp
 from gateway.preflight.rules import Readings, counts_per_revolution
 
-#: A target at a joint's limit is rounded to counts: so far beyond it the drive still takes it [rad, joint].
+#: Margin beyond a joint limit [rad, joint] within which the drive accepts a target that was rounded to counts.
 ROUNDING_RAD: Final = 1e-4
 
 Range = tuple[float, float]
 
 
 def motor_ranges_rad(arm: ArmConfig) -> tuple[Range | None, ...]:
-    """Motor angles [rad] between the limits of each joint; None for an axis whose motor turns with other joints too.
+    """Return the motor angles [rad] at the limits of each joint; None for an axis whose motor also turns other joints.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def motor_ranges_rad(arm: ArmConfig) -> tuple[Range | None, ...]:
 
 
 def motor_torques_nm(axes: AxisConversion, joint_nm: np.ndarray | None) -> tuple[float | None, ...]:
-    """Motor torque [Nm] of each drive that covers torques (N,) [Nm] of either sign at the joints; None = not known.
+    """Return the motor torque [Nm] of each drive for joint torques (N,) [Nm] of either sign; None = not known.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def motor_torques_nm(axes: AxisConversion, joint_nm: np.ndarray | None) -> tuple
 def quick_stop_rad_s2(
     arm: ArmConfig, profiles: Sequence[DriveProfile], readings: Sequence[Readings]
 ) -> np.ndarray | None:
-    """Deceleration (N,) [rad/s2] of the joints by the drives' quick stop ramps; None where one of them is not known.
+    """Return the joint decelerations (N,) [rad/s2] of the drives' quick stop ramps; None if one is not known.
 
     Parameters
     ----------

@@ -28,16 +28,16 @@ from gateway.motion.opening import OpenArm
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
 
-#: No repeat for so long is a release; the first repeat of a key may take longer [s].
+#: Time without a repeat that counts as a release, and longest time until the first repeat [s].
 RELEASED_S: Final = 0.6
 FIRST_REPEAT_S: Final = 1.0
-#: Between two questions to a digital input, and how long it is waited for [s].
+#: Polling interval of a digital input, and longest wait for a hold [s].
 POLL_S: Final = 0.1
 PATIENCE_S: Final = 60.0
 
 
 class HeldKey:
-    """A key that has to be held; a source of stop requests.
+    """Key that has to be held; a source of stop requests.
 
     Parameters
     ----------
@@ -53,7 +53,9 @@ class HeldKey:
         self._reading = threading.Lock()
 
     def wait(self) -> None:
-        """Drop what was typed before, then wait until a key is pressed, and for its first repeat.
+        """Drop earlier input, then wait until a key is pressed, and for its first repeat.
+
+        Without a repeat within `FIRST_REPEAT_S` the key counts as released.
 
         Where no repeat comes within `FIRST_REPEAT_S` the key counts as released.
 
@@ -76,7 +78,7 @@ class HeldKey:
                 self._repeated = True
 
     def __call__(self) -> StopRequest | None:
-        """A wish to stop once the key was released."""
+        """Return a stop request once the key was released."""
         if self._reading.acquire(blocking=False):
             try:
                 self._look()
@@ -96,7 +98,7 @@ class HeldKey:
             self._repeated = True
 
     def _read(self, timeout_s: float) -> bool:
-        """Whether a key came within a time."""
+        """Return True if a key was received within a time."""
         came = False
         while select.select([self._terminal], [], [], timeout_s)[0] and os.read(self._terminal, 4096):
             came, timeout_s = True, 0.0
@@ -104,7 +106,10 @@ class HeldKey:
 
 
 class HeldInput:
-    """A digital input that has to be held; a source of stop requests.
+    """Digital input that has to be held; a source of stop requests.
+
+    It is read by SDO repeatedly, without waiting. It counts as released when the last request answered as held was sent
+    more than `RELEASED_S` ago.
 
     It is read by SDO repeatedly, without waiting. It counts as released when the last request answered as held was sent
     more than `RELEASED_S` ago.
@@ -113,7 +118,7 @@ class HeldInput:
     ----------
     bus : Bus
     sdo : SdoClient
-        Of the node that has the input.
+        SDO client of the node with the input.
     config : HoldToRun
     """
 
@@ -128,7 +133,7 @@ class HeldInput:
         Raises
         ------
         PlanRefused
-            It was not held within `PATIENCE_S`.
+            The input was not held within `PATIENCE_S`.
         """
         until_s = time.monotonic() + PATIENCE_S
         while not self._held():
@@ -141,7 +146,7 @@ class HeldInput:
             self._bus.listen(POLL_S / 2.0)
 
     def __call__(self) -> StopRequest | None:
-        """A wish to stop once the input was released."""
+        """Return a stop request once the input was released."""
         if self._held():
             return None
         return StopRequest(StopKind.ALONG_PATH, StoppedByPerson("stopped: the hold-to-run input was released"))
@@ -159,7 +164,7 @@ class HeldInput:
 
 
 def with_held_input(opened: OpenArm, options: MoveOptions) -> MoveOptions:
-    """The same options, for an arm whose cell names an input that has to be held; else as they are."""
+    """Return the motion options with the hold-to-run input of the cell file, if it names one."""
     config = opened.config.hold_to_run
     if config is None:
         return options
@@ -181,7 +186,7 @@ def line_entered(terminal: int) -> Callable[[], bool]:
     Parameters
     ----------
     terminal : int
-        File descriptor; what was typed before is dropped.
+        File descriptor; earlier input is dropped.
     """
     import termios
 
@@ -195,15 +200,15 @@ def line_entered(terminal: int) -> Callable[[], bool]:
 
 @contextmanager
 def held_key() -> Generator[HeldKey]:
-    """The keyboard of the terminal, key by key, and without showing them.
+    """Open the keyboard of the terminal, read key by key without echo.
 
     Raises
     ------
     ConfigError
-        Standard input is no terminal.
+        Standard input is not a terminal.
     """
     if sys.stdin is None or not sys.stdin.isatty():
-        raise ConfigError("--hold-to-run needs a terminal whose keys can be held: standard input is none")
+        raise ConfigError("--hold-to-run needs a terminal: standard input is not one; start the command in a terminal")
     import termios  # with tty, of Linux and macOS
     import tty
 

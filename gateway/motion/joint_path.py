@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-#: Largest joint step between two points of a path at which the holding torque is checked.
+#: Largest joint step between two points of a path at which the holding torque is checked [rad].
 PATH_STEP_RAD = 0.05
 
 
@@ -16,7 +16,7 @@ def angles(q_rad: Sequence[float] | np.ndarray) -> str:
 
 
 def path_points(start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-    """Points (k, N) of a straight joint motion, at most `PATH_STEP_RAD` apart, both ends included."""
+    """Return points (k, N) on a straight joint motion, at most `PATH_STEP_RAD` apart, both ends included."""
     path = np.array([start_rad, end_rad])
     return postures_at(path, path_positions(path))
 

@@ -1,4 +1,4 @@
-"""Write the values of one SYNC into a row of numbers, for the live page and the black box."""
+"""Write the values of one SYNC into a numeric array, for the live page and the black box."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Field = Callable[[Observed, int], Sequence[float] | NDArray[np.float64]]
 
 
 def _of_readings(word: Callable[[DriveReading], float | None]) -> Field:
-    """A word of every drive of an arm; NaN where it did not answer, or sends no such word."""
+    """Return one value of every drive of an arm; NaN without an answer or if the drive does not send it."""
 
     def values(observed: Observed, arm: int) -> list[float]:
         values = [None if reading is None else word(reading) for reading in observed.samples[arm].readings]
@@ -24,7 +24,7 @@ def _of_readings(word: Callable[[DriveReading], float | None]) -> Field:
     return values
 
 
-#: By the names of the black box: one number per axis of an arm (its place in `Observed`).
+#: Field names of the black box; each returns one number per axis of an arm (index in `Observed`).
 FIELDS: Final[dict[str, Field]] = {
     "q_rad": lambda observed, arm: observed.samples[arm].q_rad,
     "target_rad": lambda observed, arm: observed.targets_rad[arm],
@@ -38,23 +38,22 @@ FIELDS: Final[dict[str, Field]] = {
 
 
 def fill(row: NDArray[np.float64], at: int, observed: Observed, arm: int, fields: Sequence[str]) -> int:
-    """Write fields of one arm into a row, each with one number per axis.
+    """Write the fields of one arm into an array, each with one number per axis.
 
     Parameters
     ----------
     row : array of shape (n,)
     at : int
-        Where the first one begins.
+        Start index of the first field.
     observed : Observed
     arm : int
-        Its place in `observed`.
+        Index of the arm in `observed`.
     fields : sequence of str
-        Of `FIELDS`, in the order of the row.
+        Names from `FIELDS`, in the order of the array.
 
     Returns
     -------
-    int
-        Where they end.
+    int Index after the last field.
     """
     axes = len(observed.targets_rad[arm])
     for name in fields:

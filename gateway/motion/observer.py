@@ -26,8 +26,7 @@ class Scene:
     Attributes
     ----------
     arms : Arms
-        In their brakes.
-    workspaces : tuple of Workspace
+        The arms, brakes on. workspaces : tuple of Workspace
         One per arm: its robot, limits and links.
     period_s : float
         SYNC period.
@@ -52,7 +51,7 @@ class Observed:
     targets_rad : tuple of arrays of shape (N,)
         Joint setpoints sent with this SYNC.
     modelled_nm : tuple of arrays of shape (N,)
-        Torque of the arm's model there, without friction; 0 where the links are unknown.
+        Modelled torque without friction at these setpoints; 0 where the links are unknown.
     """
 
     samples: tuple[ArmSample, ...]
@@ -64,25 +63,25 @@ class Observer(Protocol):
     """Observer of the motion loop; its methods must return at once."""
 
     def began(self, scene: Scene, /) -> None:
-        """Arms are about to be powered."""
+        """Called before the arms are powered."""
         ...
 
     def sampled(self, observed: Observed, /) -> None:
-        """One SYNC was answered; also the one that ends the motion, before anything is stopped."""
+        """Called after every answered SYNC, including the one that ends the motion, before anything is stopped."""
         ...
 
     def reported(self, event: object, /) -> None:
-        """An event of `gateway.acquire.events`, or a `MotionProgress`."""
+        """Called with an event of `gateway.acquire.events`, or a `MotionProgress`."""
         ...
 
     def ended(self, failure: BaseException | None, /) -> None:
-        """The arms are in their brakes, or were stopped as well as could be; None = all went well."""
+        """Called when the brakes are on, or the stop is finished otherwise; `error` is None without an error."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class MotionProgress:
-    """Progress of a motion: its description, the present row and the number of rows."""
+    """Progress of a motion: its description, the present sample number and the number of samples."""
 
     what: str
     row: int
@@ -99,7 +98,7 @@ class Observers:
     Attributes
     ----------
     troubles : list of Exception
-        What was raised.
+        Exceptions of the removed observers.
     """
 
     def __init__(self, *observers: Observer) -> None:
@@ -107,17 +106,17 @@ class Observers:
         self._present = list(observers)
 
     def add(self, observer: Observer) -> None:
-        """One more, from now on."""
+        """Add an observer from now on."""
         self._present.append(observer)
 
     def began(self, scene: Scene) -> None:
-        """Arms are about to be powered."""
+        """Notify the observers that the arms will be powered."""
         self._each(lambda observer: observer.began(scene))
 
     def sampled(
         self, samples: tuple[ArmSample, ...], targets_rad: tuple[np.ndarray, ...], modelled_nm: tuple[np.ndarray, ...]
     ) -> None:
-        """One SYNC was answered."""
+        """Pass on the data of one SYNC."""
         if self._present:
             observed = Observed(samples, targets_rad, modelled_nm)
             self._each(lambda observer: observer.sampled(observed))
@@ -127,7 +126,7 @@ class Observers:
         self._each(lambda observer: observer.reported(event))
 
     def ended(self, failure: BaseException | None) -> None:
-        """The arms are no longer under power."""
+        """Notify the observers that the arms are no longer under power."""
         self._each(lambda observer: observer.ended(failure))
 
     def _each(self, call: Callable[[Observer], None]) -> None:

@@ -1,4 +1,4 @@
-"""Connect and configure the drives of an arm from a cell file; the axes stay held by their brakes."""
+"""Connect and configure the drives of an arm from a cell file; the brakes stay on."""
 
 from __future__ import annotations
 
@@ -41,13 +41,13 @@ class BusOverride:
     Attributes
     ----------
     spec : BusSpec or None
-        Instead of the cell's bus; SYNC period and pacing stay the cell's.
+        Bus instead of that of the cell file; SYNC period and pacing remain those of the cell file.
     trace : Path or None
-        Where the frames are logged (`.blf`, `.log`).
+        File of the frame log (`.blf`, `.log`).
     ledger : Path or None
-        Where the write ledger is kept.
+        Folder of the write ledger.
     feedforward : bool
-        The drives take velocity and torque offsets: a second RPDO is mapped.
+        Use velocity and torque offsets of the drives: a second RPDO is mapped.
     instruments : tuple of InstrumentSetup
         Measuring devices that are read with the drives.
     """
@@ -61,7 +61,7 @@ class BusOverride:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenArm:
-    """An arm whose drives are connected and configured, held by its brakes.
+    """Arm with connected and configured drives, brakes on.
 
     Attributes
     ----------
@@ -76,9 +76,9 @@ class OpenArm:
     constants : tuple of Constants, one per axis
         Read from the drives.
     preflight : tuple of Finding
-        What the drives were found to be before anything was written.
+        Findings of the pre-flight check before anything was written.
     readings : tuple of Readings, one per axis
-        Objects of each drive as the engineer left them, (index, subindex) -> value.
+        Objects of each drive before configuration, (index, subindex) -> value.
     """
 
     loaded: LoadedCell
@@ -112,20 +112,20 @@ class _GroupDrives:
         self._group = group
 
     def positions_rad(self) -> list[float]:
-        """Motor positions, read by SDO."""
+        """Read the motor positions by SDO."""
         drives = self._group.drives
         return [drive.access.read(drive.setup.profile.position.object) * drive.scale.count_rad for drive in drives]
 
     def brake_drop_rad(self) -> tuple[float, ...]:
-        """How far each motor has turned since it was disabled."""
+        """Return how far each motor has turned since it was disabled."""
         return self._group.brake_drop_rad or (0.0,) * len(self._group.drives)
 
     def when_stopping(self, report: Callable[[], None]) -> None:
-        """Have `report` called before the drives are stopped because of an error of theirs."""
+        """Register `report`; see `ArmDrives.when_stopping`."""
         self._group.on_stop = report
 
     def align(self, at_s: float) -> None:
-        """Real time: set when the next SYNC is due (monotonic)."""
+        """Real time: set the time at which the next SYNC is due (monotonic)."""
         self._group.align(at_s)
 
     def sync_sent_s(self) -> float:
@@ -169,7 +169,9 @@ def axis_setups(loaded: LoadedCell, config: ArmConfig) -> tuple[AxisSetup, ...]:
 def _limit_torques(
     group: DriveGroup, config: ArmConfig, workspace: Workspace, found: Preflight, known: tuple[AxisConstants, ...]
 ) -> None:
-    """Limit the torque of each drive to the largest that the arm can need, where links, load and ramps are known.
+    """Limit the torque of each drive to the largest that the arm can need, if links, load and ramps are known.
+
+    A motion may accelerate harder than the quick stop decelerates: the larger of both counts.
 
     A motion may accelerate harder than the quick stop brakes: the larger of both counts.
     """
@@ -216,7 +218,7 @@ def _refuse_placeholders(config: ArmConfig) -> None:
 
 @contextmanager
 def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Generator[OpenArm]:
-    """Connect, check and configure the drives of an arm; on leaving they are disabled and the bus is closed.
+    """Connect, check and configure the drives of an arm; on exit they are disabled and the bus is closed.
 
     The pre-flight check runs here: nothing is written to a drive that fails it.
 
@@ -230,13 +232,13 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     Raises
     ------
     ConfigError
-        Robot or cell cannot be used.
+        Robot or cell file cannot be used.
     InputError
         The identification named by the cell belongs to another arm, or contradicts it.
     ProfileError
-        A drive whose profile allows reading only.
+        The profile of a drive allows reading only.
     DriveError
-        Bus or drives: missing, duplicate, of another type, in fault; all drives' failures at once.
+        Bus failure, or drives that are missing, duplicate, of another type or in fault; all are named at once.
     FindingFailed
         The settings of a drive do not allow motion.
     """

@@ -1,4 +1,7 @@
-"""Torque of an arm's own motion besides gravity: friction, rotors and links, where they were identified.
+"""Model of the torque of an arm's motion besides gravity: identified friction, rotors and links.
+
+Contact detection compares measured with modelled torque. The motion is taken from the setpoints; the servo lag and the
+load are not modelled.
 
 Used by contact detection, which compares measured with modelled torque. The motion is taken from the setpoints; the
 servo lag and the load are not modelled.
@@ -21,22 +24,22 @@ Floats = NDArray[np.float64]
 
 
 class OwnTorque:
-    """Friction and inertia of one arm, updated from setpoint to setpoint.
+    """Friction and inertia torque of one arm, updated with every setpoint.
 
     Parameters
     ----------
     known : tuple of AxisConstants
-        Axes of which both friction and rotor were identified count, no others.
+        Constants; only axes with identified friction and rotor are used.
     axes : AxisConversion
     workspace : Workspace
-        Its robot's links; one that is not known takes no torque here.
+        Links of its robot; an unknown link adds no torque.
     period_s : float
         SYNC period.
 
     Attributes
     ----------
     turning_nm : array of shape (N,)
-        By how much the friction of each joint changes at most as it turns round; NaN where it was not identified.
+        Largest change of each joint's friction torque at a reversal; NaN where not identified.
     """
 
     def __init__(
@@ -58,7 +61,7 @@ class OwnTorque:
         self._change = np.zeros_like(self._rotor)
 
     def take(self, target_rad: Floats) -> None:
-        """Take the setpoints (N,) [rad] of one more SYNC."""
+        """Update the motion with the setpoints (N,) [rad] of the next SYNC."""
         before = target_rad if self._at is None else self._at
         displacement = self._coupling @ (target_rad - before)
         rate = (target_rad - before) / self._period_s
@@ -67,12 +70,12 @@ class OwnTorque:
 
     @property
     def friction_nm(self) -> Floats:
-        """Torque (N,) of friction at the joints."""
+        """Return the friction torque (N,) [Nm] at the joints."""
         return (self._coulomb * self._sense + self._viscous * (self._coupling @ self._rate)) @ self._coupling
 
     @property
     def inertia_nm(self) -> Floats:
-        """Torque (N,) of rotors and links at the joints, of those that were identified."""
+        """Return the inertia torque (N,) [Nm] of identified rotors and links at the joints."""
         if self._at is None or not self._identified.any():
             return np.zeros_like(self._rate)
         rotors = (self._rotor * (self._coupling @ self._change)) @ self._coupling
@@ -82,24 +85,24 @@ class OwnTorque:
 
 
 def own_torque(arm: Arm, workspace: Workspace, period_s: float) -> OwnTorque | None:
-    """Return the model of the torque of an arm's own motion; None where nothing was identified."""
+    """Return the torque model of an arm's motion; None where nothing was identified."""
     if not any(watched(axis) for axis in arm.known):
         return None
     return OwnTorque(arm.known, arm.axes, workspace, period_s)
 
 
 def watched(axis: AxisConstants) -> bool:
-    """Return whether the torque of this axis' own motion was identified, so that contact detection uses it."""
+    """Return True if the motion torque of this axis was identified, so that contact detection uses it."""
     return all(one is not None and one.identified for one in (axis.coulomb_nm, axis.rotor_kg_m2))
 
 
 def _of(used: NDArray[np.bool_], constants: list[Known | None]) -> Floats:
-    """Values (N,) of the axes that count, 0 where there is none."""
+    """Return the values (N,) of the used axes, 0 for the others."""
     return np.array([one.value if here and one is not None else 0.0 for here, one in zip(used, constants, strict=True)])
 
 
 def _dynamics(workspace: Workspace) -> ArmDynamics | None:
-    """Links without gravity; None where one of them is not known, or the cell trusts none."""
+    """Return the link dynamics without gravity; None if a link is unknown or the cell file distrusts the masses."""
     robot = workspace.robot
     if workspace.links is None or not np.isfinite(robot.inertia_kg_m2).all():
         return None

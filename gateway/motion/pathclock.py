@@ -13,10 +13,10 @@ import math
 
 import numpy as np
 
-#: A trajectory at its limits throughout leaves no acceleration for braking: after the first time [s] it is brought to
-#: rest within the second one all the same.
+#: A trajectory at its limits has no reserve of acceleration for braking: after the first time [s] it is brought to
+#: rest within the second time, beyond the limits if necessary.
 PATIENCE_S, LONGEST_S = 1.5, 1.0
-#: A joint that is slower does not limit the rate [rad/s].
+#: A slower joint does not limit the rate [rad/s].
 STILL_RAD_S = 1e-9
 
 
@@ -26,7 +26,7 @@ class PathClock:
     Parameters
     ----------
     count : int
-        Rows of the trajectory; row 0 is due one SYNC after the start, which counts as row -1.
+        Number of samples of the trajectory; sample 0 is due one SYNC after the start, which is sample -1.
     period_s : float
         SYNC period.
     acceleration_rad_s2, jerk_rad_s3 : arrays of shape (n,)
@@ -37,9 +37,9 @@ class PathClock:
     Attributes
     ----------
     at : float
-        Row of the next setpoint, -1 to count - 1.
+        Sample index of the next setpoint, -1 to count - 1.
     rate : float
-        Rows by which it moves per SYNC.
+        Samples per SYNC.
     """
 
     def __init__(
@@ -55,25 +55,25 @@ class PathClock:
 
     @property
     def arrived(self) -> bool:
-        """The last row was reached."""
+        """Return True if the last sample was reached."""
         return self.at >= self._last
 
     @property
     def done(self) -> bool:
-        """Return whether the end of the trajectory is reached, or the stop has come to rest."""
+        """Return True if the end of the trajectory is reached, or the stop has come to rest."""
         return self.arrived or (self.stopping and self.rate == 0.0)
 
     def stop(self) -> None:
-        """From now on towards rest."""
+        """Begin to decelerate to rest."""
         self.stopping = True
 
     def advance(self, speed_rad_s: np.ndarray, acceleration_rad_s2: np.ndarray) -> float:
-        """Return the row of the next setpoint.
+        """Return the sample index of the next setpoint.
 
         Parameters
         ----------
         speed_rad_s, acceleration_rad_s2 : arrays of shape (n,)
-            Of the trajectory at full rate, at the present position.
+            Speed and acceleration of the trajectory at full rate, at the present position.
         """
         if self.stopping:
             self._slow_down(speed_rad_s, acceleration_rad_s2)

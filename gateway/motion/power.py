@@ -29,7 +29,7 @@ def _on_time(arms: Arms) -> Generator[None]:
 
 @contextmanager
 def powered(stream: Stream) -> Generator[Stream]:
-    """Enable the arms at their present positions; on every exit they are at rest with their brakes applied.
+    """Enable the arms at their present positions; on every exit they are at rest with their brakes on.
 
     The stop depends on the cause. After a stop along the path the arms are already at rest. While setpoints are being
     sent, and after an error of a drive or of a limit, all axes are stopped by their quick stop ramps at once. An
@@ -100,7 +100,7 @@ def _report_end(stream: Stream, failure: BaseException | None) -> None:
         return
     if drop_text:
         failure.add_note(drop_text)
-    failure.add_note(f"It happened at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
+    failure.add_note(f"Stopped at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
     state.enter(Phase.STOPPED, stream.sync_index, str(failure) or type(failure).__name__)
 
 

@@ -69,20 +69,20 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "check the drive's tuning, and gear_ratio and position_sign of this axis",
         ),
         "never_settles": Rule(
-            "a pose does not come to rest in its time",
+            "a pose does not settle within settle_timeout_s",
             "stop",
             1,
             "settle_timeout_s",
             "look for a swinging load, a loose mounting or a hunting position loop, or raise [poses] settle_timeout_s",
         ),
         "repeats": Rule(
-            "too many SYNCs of a visit had to be taken again",
+            "too many SYNCs of a visit had to be repeated",
             "stop",
             0.5,
             "of the samples, at least 10",
-            "the visit was given up; check cabling, termination and bus load, then record --resume",
+            "the visit was aborted; check cabling, termination and bus load, then record --resume",
         ),
-        "urgent": Rule("a second signal", "stop", 1, "signal", "go on with --resume"),
+        "urgent": Rule("a second signal (SIGINT, SIGTERM, SIGHUP)", "stop", 1, "signal", "go on with --resume"),
         "asked": Rule(
             "Ctrl-C, a request to terminate, a terminal that was closed, a key that was released, the live page",
             "along the path",
@@ -91,7 +91,11 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "go on with --resume",
         ),
         "disk": Rule(
-            "a recording that falls behind", "along the path", 8, "visits that wait for the disk", "free the disk"
+            "a disk that is too slow for the recording",
+            "along the path",
+            8,
+            "visits that wait for the disk",
+            "free the disk",
         ),
         "frame_log": Rule(
             "a frame log (--trace) that cannot be written; it is switched off",
@@ -101,32 +105,32 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "free the disk",
         ),
         "page": Rule(
-            "a live page whose process has ended: its stop button is dead",
+            "the process of the live page has ended: its stop button no longer works",
             "along the path",
             1,
             "SYNC",
             "start again, with or without --live",
         ),
         "force": Rule(
-            "two arms: the force inside the part above twice its limit; quick stop if it then rises 2.5 times",
+            "two arms: internal force above twice its limit; quick stop if it then rises 2.5 times",
             "along the path",
             0.02,
             "s",
             "release the part before moving on",
         ),
         "force_at_rest": Rule(
-            "two arms: force in a part that is already held above half its limit with certainty, approaching the start",
+            "two arms: internal force significantly above half its limit in a held part while approaching the start",
             "along the path",
             0.02,
             "s",
             "open the grippers and check the grasp of both arms",
         ),
         "sensors": Rule(
-            "two arms: a distance sensor that does not follow the hands while a gap is closed at the start",
+            "two arms: a distance sensor does not follow the arms while the gap is closed at the start",
             "along the path",
             3,
             _ROW,
-            "exchange the channels, or check the sensor's place, direction and wiring",
+            "swap the sensor channels, or check the sensor's position, direction and wiring",
         ),
         "gap": Rule(
             "two arms: no distance for missing_cycles; quick stop where one is outside its range",
@@ -138,22 +142,22 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
     }
 )
 
-#: All of them, the drives' first.
+#: All rules, those of the drives first.
 REACTIONS: Final[Mapping[str, Rule]] = MappingProxyType({**DRIVE_RULES, **ARM_RULES})
 
-#: What a reaction means.
+#: Description of each reaction.
 MEANING: Final[Mapping[str, str]] = MappingProxyType(
     {
         "stop": "quick stop of all axes with the next SYNC, standstill, then brakes; nothing resumes by itself",
         "along the path": "time along the path is slowed down to a stop, then brakes; nothing resumes by itself",
-        "retry": "the sample is incomplete, is reported and taken again",
-        "count": "is counted and reported",
+        "retry": "the sample is incomplete; it is reported and repeated",
+        "count": "counted and reported",
     }
 )
 
 
 def markdown() -> str:
-    """The table, one row per rule."""
+    """Return the table as Markdown, one row per rule."""
     rows = ["| condition | threshold | reaction |", "|---|---|---|"]
     for reaction in MEANING:
         rows += [

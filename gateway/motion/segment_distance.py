@@ -1,4 +1,4 @@
-"""Exact distances of segments, many at once."""
+"""Exact distances between line segments and boxes, vectorised."""
 
 from __future__ import annotations
 
@@ -9,7 +9,10 @@ Floats = NDArray[np.float64]
 
 
 def segment_box_distance(start_m: Floats, end_m: Floats, low_m: Floats, high_m: Floats) -> Floats:
-    """Exact distance (m,) [m] of segments to axis-aligned boxes; 0 where they meet.
+    """Return the exact distances (m,) [m] of segments from axis-aligned boxes; 0 where they intersect.
+
+    The squared distance along the segment is convex and piecewise quadratic between its intersections with the planes
+    of the box. Its slope is piecewise linear, so that the minimum is found without iteration.
 
     The squared distance along the segment is convex and quadratic between the points at which the segment crosses a
     plane of the box: its slope is linear there, so that its zero is found without iteration.
@@ -38,12 +41,15 @@ def segment_box_distance(start_m: Floats, end_m: Floats, low_m: Floats, high_m: 
 
 
 def _beyond(points: Floats, low: Floats, high: Floats) -> Floats:
-    """Vectors (m, t, 3) from the nearest points of boxes (m, 3) to points (m, t, 3)."""
+    """Return the vectors (m, t, 3) from the nearest points of boxes (m, 3) to points (m, t, 3)."""
     return points - np.clip(points, low[:, None], high[:, None])
 
 
 def segment_segment_distance(first_m: Floats, other_m: Floats) -> Floats:
-    """Exact distance (m,) [m] of segments to segments; 0 where they meet.
+    """Return the exact distances (m,) [m] between segments; 0 where they intersect.
+
+    Ericson, Real-Time Collision Detection, 2005, section 5.1.9: nearest points of the two lines, each clamped to its
+    segment in turn.
 
     Ericson, Real-Time Collision Detection, 2005, section 5.1.9: the nearest places of the two lines, each brought back
     into its segment in turn.

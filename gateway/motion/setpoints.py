@@ -15,15 +15,17 @@ PerArm = tuple[np.ndarray, ...]
 
 
 class SetpointSource(Protocol):
-    """Setpoints of all arms along a trajectory of `count` rows, one row per SYNC at full rate."""
+    """Setpoints of all arms along a trajectory of `count` samples, one sample per SYNC at full rate."""
 
     @property
     def count(self) -> int:
-        """Rows."""
+        """Number of samples."""
         ...
 
     def rates(self, at: float) -> tuple[np.ndarray, np.ndarray]:
-        """Speeds [rad/s] and accelerations [rad/s2] of all joints of all arms in one array each, at full rate."""
+        """Return the speeds [rad/s] and accelerations [rad/s2] of all joints of all arms in one array each, at full
+        rate.
+        """
         ...
 
     def targets(self, at: float, rate: float) -> PerArm:
@@ -39,16 +41,18 @@ class SetpointSource(Protocol):
         ...
 
     def modelled(self, at: float) -> PerArm | None:
-        """Return the modelled torque [Nm] of the free motion there; None = gravity of the unloaded arm."""
+        """Return the modelled torque [Nm] of the motion without contact at these setpoints; None = gravity of the
+        unloaded arm.
+        """
         ...
 
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
-        """Take the measurement at the SYNC of these setpoints."""
+        """Accept the measurement at the SYNC of these setpoints."""
         ...
 
 
 class MotionSetpoints:
-    """Prepared motions of all arms, sampled between their rows.
+    """Prepared motions of all arms, interpolated between their samples.
 
     Parameters
     ----------
@@ -61,7 +65,7 @@ class MotionSetpoints:
     def __init__(self, start_rad: Sequence[np.ndarray], motions: Sequence[Motion]) -> None:
         self.count = len(motions[0])
         if any(len(motion) != self.count for motion in motions):
-            raise ValueError("arms that move together need motions of one length")
+            raise ValueError("arms that move together need motions of equal length")
         self._period_s = motions[0].period_s
         still = np.zeros((1, sum(motion.q_rad.shape[1] for motion in motions)))
         self._q = np.vstack([np.concatenate(list(start_rad)), np.hstack([motion.q_rad for motion in motions])])
@@ -70,7 +74,7 @@ class MotionSetpoints:
         self._ends = np.cumsum([motion.q_rad.shape[1] for motion in motions])[:-1]
 
     def rates(self, at: float) -> tuple[np.ndarray, np.ndarray]:
-        """As `SetpointSource.rates`."""
+        """Return speeds and accelerations; see `SetpointSource.rates`."""
         row, share = self._place(at)
         after = min(row + 1, self.count)
         return (
@@ -79,7 +83,7 @@ class MotionSetpoints:
         )
 
     def targets(self, at: float, rate: float) -> PerArm:
-        """As `SetpointSource.targets`."""
+        """Return the setpoints; see `SetpointSource.targets`."""
         row, share = self._place(at)
         if share == 0.0:
             return tuple(np.split(self._q[row], self._ends))
@@ -90,22 +94,22 @@ class MotionSetpoints:
         return tuple(np.split(self._q[row] + share * (step + bend), self._ends))
 
     def ahead(self, at: float, rate: float) -> PerArm | None:
-        """As `SetpointSource.ahead`."""
+        """Return the setpoints of the next SYNC."""
         return self.targets(min(at + rate, self.count - 1.0), rate)
 
     def offsets(self) -> PerArm | None:
-        """None."""
+        """Return None: prepared motions have no torque offsets."""
         return None
 
     def modelled(self, at: float) -> PerArm | None:
-        """None: gravity is what the watch models."""
+        """Return None: the monitor itself models gravity."""
         return None
 
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
         """Ignore the measurement."""
 
     def _place(self, at: float) -> tuple[int, float]:
-        """Return the row before a position and the fraction beyond it; rows count from the start here."""
+        """Return the sample index before a position and the fraction beyond it; index 0 is the start."""
         place = min(max(at + 1.0, 0.0), float(self.count))
         row = min(int(place), self.count)
         return row, place - row

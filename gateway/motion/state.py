@@ -23,13 +23,13 @@ class Phase(Enum):
         return self.value
 
 
-#: Phases in which no axis is energised by the master's will.
+#: Phases in which the master has not enabled any axis.
 SAFE = frozenset({Phase.IN_BRAKES, Phase.STOPPED})
 
 
 @dataclass(frozen=True, slots=True)
 class CellState:
-    """One state.
+    """State of an arm at one time.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class CellState:
     since : datetime
         UTC.
     sync_index : int
-        Last SYNC before it; 0 = none yet.
+        Last SYNC before the change; 0 = none yet.
     reason : str
-        After a stop: what happened, on which axis, what to do.
+        After a stop: the event, the axis and the action to take.
     """
 
     arm: str

@@ -2,8 +2,8 @@
 
 Two kinds of stop can be requested; a third follows where they fail (`drives.stopping`: heartbeat stopped).
 
-along the path   all drives are healthy: a person, a question, a recording that falls behind, the force in a part
-quick stop       contact, a limit that was passed, a second signal
+along the path all drives are healthy: operator, prompt, slow disk, internal force
+quick stop contact, exceeded limit, second signal
 """
 
 from __future__ import annotations
@@ -74,11 +74,11 @@ class StopDesk:
         self._requests: list[StopRequest] = []
 
     def watch(self, source: StopSource) -> None:
-        """Ask `source` too from now on, at every SYNC."""
+        """Add a source of stop requests, which is called at every SYNC."""
         self._sources.append(source)
 
     def forget(self, source: StopSource) -> None:
-        """Undo `watch`."""
+        """Remove a source added by `watch`."""
         self._sources.remove(source)
 
     def ask(self, cause: BaseException, kind: StopKind = StopKind.ALONG_PATH) -> None:
@@ -98,7 +98,7 @@ class StopDesk:
         return StopRequest(max(request.kind for request in requests), requests[0].cause)
 
     def asked(self) -> bool:
-        """Return whether a stop is requested."""
+        """Return True if a stop is requested."""
         return self.look() is not None
 
 
@@ -165,7 +165,9 @@ def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
 
 
 def output_closed(error: BaseException) -> bool:
-    """Return whether an error means that the output is closed.
+    """Return True if an error means that the output is closed.
+
+    The rich library ends the program by SystemExit in that case.
 
     What prints for us (rich) ends the program by SystemExit in that case.
     """

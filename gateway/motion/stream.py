@@ -1,4 +1,4 @@
-"""The only loop that sends setpoints: one row for all arms per SYNC, every answer checked, every stop request
+"""The only loop that sends setpoints: one setpoint per arm and SYNC, every answer checked, every stop request
 handled.
 """
 
@@ -28,25 +28,26 @@ from gateway.motion.trajectory import Motion
 from gateway.motion.watch import Watch
 from gateway.motion.workspace import Workspace
 
-#: Called with what is done, the row and the number of rows, now and then.
+#: Called at intervals with the description of the motion, the sample number and the number of samples.
 Report = Callable[[str, int, int], None]
 
 Result = TypeVar("Result")
 
-#: Between two reports [s].
+#: Interval between two reports [s].
 REPORT_S: Final = 0.25
-#: How soon the loop takes the interpreter back from what is computed beside it [s].
+#: Switch interval of the Python interpreter between the loop and other threads [s].
 SWITCH_S: Final = 0.0005
 #: In real time drives buffer setpoints, so that their arrival time within a period does not matter.
 BUFFERED_SYNCS: Final = 2.0
 #: Speed override of the first motion with a set of drives.
 FIRST_SHARE: Final = 0.1
-#: A stop along the path ends when no joint has moved by more than this [rad] for so long [s], or after the second time.
+#: A stop along the path ends when no joint has moved by more than this [rad] for the first time [s], or after the
+#: second.
 REST_RAD: Final = 5e-5
 REST_S, REST_LONGEST_S = 0.02, 0.4
 #: Minimum number of SYNCs: at a reversal or with a delayed reading two successive readings may be equal.
 REST_SYNCS: Final = 3
-#: Rounding of a number of periods.
+#: Tolerance for rounding a number of periods.
 HAIR: Final = 1e-9
 
 
@@ -64,10 +65,10 @@ class MoveOptions:
     override : float
         Speed override in (0, 1].
     first_done : callable or None
-        Set where nothing has moved yet with these drives: the first motion then runs at `FIRST_SHARE` of its speed.
-        Called once it has ended and the brakes are applied.
+        Set if these drives have not moved yet: the first motion then runs at `FIRST_SHARE` of its speed. Called after
+        that motion, when the brakes are on.
     ready : callable
-        Called before power; returns when the person is ready.
+        Called before the arms are powered; returns when the operator is ready.
     observers : Observers
         Observers of the motion.
     """
@@ -110,7 +111,7 @@ class Station:
 
 
 class Stream:
-    """Motion and rest of enabled arms.
+    """Motion and standstill of enabled arms.
 
     Parameters
     ----------
@@ -127,9 +128,8 @@ class Stream:
     urgent : bool
         A quick stop was requested.
     sync_index : int
-        Of the last answer.
-    first_moved : bool
-        The first motion with these drives has ended.
+        SYNC of the last answer. first_moved : bool
+        True after the first motion with these drives.
     """
 
     def __init__(self, station: Station) -> None:
@@ -159,9 +159,9 @@ class Stream:
         Raises
         ------
         DriveError
-            A failure; nothing is under power.
+            A drive failed; no arm is under power.
         StoppedByPerson
-            A stop was requested while enabling; nothing is under power.
+            A stop was requested while enabling; no arm is under power.
         """
         try:
             self.samples = self._arms.enable(self._desk.asked)
@@ -222,7 +222,7 @@ class Stream:
             raise wish.cause
 
     def _asked_to_stop(self) -> bool:
-        """Return whether a stop along the path is requested; raise the cause of a quick stop."""
+        """Return True if a stop along the path is requested; raise the cause of a quick stop."""
         wish = self._desk.look()
         if wish is None:
             return False
@@ -256,7 +256,9 @@ class Stream:
         source.take(at, rate, samples)
 
     def hold(self, what: str, row: int, rows: int, *, heed: bool = True) -> tuple[ArmSample, ...]:
-        """One SYNC of the standing arms; raises as `drive`. Without `heed` requests to stop are left for later."""
+        """Exchange one SYNC with the arms at rest; raises as `drive`. Without `heed`, stop requests are handled
+        later.
+        """
         if row % self._every == 0:
             self._report(what, row, rows)
         if heed:
@@ -266,7 +268,7 @@ class Stream:
         return samples
 
     def stand(self, seconds: float, what: str, listen: Callable[[tuple[ArmSample, ...]], None] | None = None) -> None:
-        """Stay at rest for a time, and pass every SYNC to a listener; raises as `drive`."""
+        """Stay at rest for a time and pass every sample to a listener; raises as `drive`."""
         rows = math.ceil(seconds / self._period_s - HAIR)
         for row in range(rows):
             samples = self.hold(what, row, rows)
@@ -278,11 +280,11 @@ class Stream:
         self.stand(TAKE_OVER_S, "open the brakes", listen)
 
     def excuse(self, arm: int, joints: np.ndarray) -> None:
-        """From now on only the range of joints (N,) of bool of an arm (from 0) is checked."""
+        """Check only the joint range for joints (bool, (N,)) of one arm (index from 0) from now on."""
         self._watches[arm].excuse(joints)
 
     def hold_while(self, job: Callable[[], Result], what: str) -> Result:
-        """Run a job that takes longer than a SYNC period, and keep the standing arms under SYNC meanwhile.
+        """Run a job that takes longer than a SYNC period while the arms are kept at rest under SYNC.
 
         In lockstep, where no time passes on the bus, the job runs in the calling thread. A stop does not wait for the
         job: it is raised while the job continues in its thread, and its result is dropped.

@@ -1,4 +1,6 @@
-"""Surroundings of an arm: floor, wall, column and boxes, from the cell file or assumed where it states nothing."""
+"""Surroundings of an arm: floor, wall, column and boxes, from the cell file or assumed where it does not define
+them.
+"""
 
 from __future__ import annotations
 
@@ -17,19 +19,19 @@ from gateway.motion.body import BASE, GEOMETRY, Part, solids_of, stated_radius_m
 
 Floats = NDArray[np.float64]
 
-#: A base that leans farther than this from upright is bolted to a wall or a ceiling.
+#: A base tilted by more than this from upright is mounted on a wall or a ceiling [rad].
 WALL_ANGLE_RAD = np.pi / 4
-#: A base tilted by more than this counts as inverted: a floor at the height of the base would block the arm.
+#: A base tilted by more than this counts as inverted [rad]: a floor at the height of the base would block the arm.
 INVERTED_MOUNT_ANGLE_RAD = np.radians(100.0)
-#: Room that is left below the shoulder's axis, in radii of a link, where floor, wall or column are assumed: a link as
-#: thick as assumed may then lie level, and 30 degrees lower.
+#: Clearance below the shoulder's axis, in radii of a link, where floor, wall or column are assumed: a link of the
+#: assumed thickness may then be horizontal, and 30 degrees lower.
 SHOULDER_CLEARANCE = 2.0
 #: A shoulder offset from the base's origin below this share of the reach does not determine the direction of the arm.
 LEAST_SHARE = 0.01
 #: Assumed radius of a column, as a share of the reach: bases of the 10 kg class (reach 1.3 m) are 0.25 to 0.35 m wide,
 #: those of the 165 kg class (2.7 m) 0.5 to 0.9 m.
 COLUMN_SHARE = 0.1
-#: Directions of the first joint at which the shoulder's height is looked at.
+#: Number of angles of joint 1 at which the shoulder's height is computed.
 _TURNS = 72
 
 
@@ -42,10 +44,10 @@ class Plane:
     name : str
         "floor" or "wall".
     normal : tuple of 3 floats
-        Unit vector in the base frame, away from it.
+        Unit normal vector in the base frame, pointing to the free side.
     height_m : float
     source : str
-        Its position and the source of it.
+        Position, and the source of the position.
     """
 
     name: str
@@ -64,7 +66,7 @@ class Surroundings:
 
 
 def surroundings_of(arm: ArmConfig, robot: Robot) -> Surroundings:
-    """What a configured arm has around it."""
+    """Return the surroundings of a configured arm."""
     planes = tuple(_planes(arm, robot))
     floor = next((plane.height_m for plane in planes if plane.name == "floor"), None)
     return Surroundings(
@@ -75,14 +77,14 @@ def surroundings_of(arm: ArmConfig, robot: Robot) -> Surroundings:
 
 
 def upward(arm: ArmConfig, robot: Robot) -> Floats:
-    """Unit vector (3,) against gravity in the base frame; along axis 1 where there is none."""
+    """Return the unit vector (3,) against gravity in the base frame; along axis 1 without gravity."""
     gravity = np.array(arm.gravity_m_s2)
     size = float(np.linalg.norm(gravity))
     return -gravity / size if size > 0.0 else outward(robot)
 
 
 def outward(robot: Robot) -> Floats:
-    """Unit vector (3,) along axis 1, from the base to the arm."""
+    """Return the unit vector (3,) along axis 1, from the base to the arm."""
     axis = robot.placement[0, :3, :3] @ robot.axis[0]
     heights = link_frames(robot, np.zeros((1, robot.axes)))[0, 1:, :3, 3] @ axis
     determining = heights[0] if abs(heights[0]) > LEAST_SHARE * reach_m(robot) else heights[np.argmax(np.abs(heights))]
@@ -94,14 +96,14 @@ def _lean_rad(arm: ArmConfig, robot: Robot) -> float:
 
 
 def _shoulder_m(robot: Robot, direction: Floats) -> float:
-    """Largest height [m] of joint 2 along a direction, over all turns of joint 1."""
+    """Return the largest height [m] of joint 2 along a direction, over all angles of joint 1."""
     q_rad = np.zeros((_TURNS, robot.axes))
     q_rad[:, 0] = np.linspace(-np.pi, np.pi, _TURNS)
     return float((link_frames(robot, q_rad)[:, 1, :3, 3] @ direction).max())
 
 
 def _assumed_height_m(arm: ArmConfig, robot: Robot, direction: Floats) -> float:
-    """0, the base's origin, or lower where the shoulder needs room."""
+    """Return 0 (the origin of the base), or a lower height if the shoulder needs clearance."""
     clearance = SHOULDER_CLEARANCE * stated_radius_m(arm, robot, 1)[0]
     return min(0.0, _shoulder_m(robot, direction) - clearance)
 
@@ -119,7 +121,7 @@ def _planes(arm: ArmConfig, robot: Robot) -> Iterator[Plane]:
     elif not isinstance(arm.floor_m, bool):
         yield _plane("floor", up, arm.floor_m, f"{arm.floor_m:g} m, arm.floor_m")
     if arm.wall or (arm.wall is None and lean > WALL_ANGLE_RAD):
-        words = "arm.wall" if arm.wall else "assumed: the base leans; give arm.wall"
+        words = "arm.wall" if arm.wall else "assumed, because the base is tilted; give arm.wall"
         yield _plane("wall", out, _assumed_height_m(arm, robot, out), words)
 
 
@@ -128,7 +130,7 @@ def _plane(name: str, normal: Floats, height_m: float, source: str) -> Plane:
 
 
 def _fixed_parts(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterator[Part]:
-    """The base's own geometry and the column that carries the arm."""
+    """Return the geometry of the base and of the column that carries the arm."""
     solids, unusable = solids_of(robot.base_shapes, robot.source)
     if solids:
         yield Part("base", BASE, tuple(solids), GEOMETRY, known=not unusable)
@@ -149,7 +151,7 @@ def _fixed_parts(arm: ArmConfig, robot: Robot, floor_m: float | None) -> Iterato
 
 
 def _upright(axis: Floats, bottom_m: float, top_m: float, radius_m: float) -> Solid:
-    """A cylinder about an axis (3,) through the base's origin."""
+    """Return a cylinder about an axis (3,) through the origin of the base."""
     across: Floats = np.linalg.svd(axis[None])[2][1]
     turned: Floats = np.column_stack([across, np.cross(axis, across), axis])
     pose = transform(turned, (bottom_m + top_m) / 2 * axis)

@@ -1,4 +1,4 @@
-"""Torque that each axis needs in the worst case: the lower bound of its torque limit."""
+"""Torque that each axis needs in the worst case: the lower bound for its torque limit."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from gateway.motion.workspace import BAND_SHARE, Workspace
 
 Floats = NDArray[np.float64]
 
-#: What is kept above the sum: speed products, a model that is some percent off, a load that swings.
+#: Reserve factor: Coriolis torques, model errors of some percent, a swinging load.
 RESERVE = 1.3
-#: The worst posture: the best of so many drawn at random, improved joint by joint over so many angles, so many times,
-#: each time that much closer about what was found.
+#: Search for the worst posture: number of random postures, angles per joint, number of refinements,
+#: and the factor by which each refinement narrows the range.
 POSTURES, STARTS, ANGLES, SWEEPS, NARROWER = 1500, 3, 24, 4, 5
 SEED = 11
 
@@ -29,21 +29,22 @@ SEED = 11
 def needed_torque_nm(
     workspace: Workspace, arm: ArmConfig, decel_rad_s2: Floats, known: tuple[AxisConstants, ...] = ()
 ) -> Floats | None:
-    """Torque (N,) [Nm, joint side, gear losses included] that every axis needs at most, with a reserve.
+    """Return the largest torque (N,) [Nm, joint side, gear losses included] that every axis needs, with a reserve.
 
-    1.3 x (largest gravity torque over the joint range, bare and with the rated and the heaviest load, over the gear's
-    efficiency + friction band + what the quick stop of all axes at once needs: the row of the inertia matrix and the
-    rotor times the decelerations). The three maxima are added, although they occur at different postures.
+    1.3 x (largest gravity torque over the joint range, divided by the gear efficiency, + friction band + quick stop
+    torque). Gravity is that of the unloaded arm and of the arm with the rated and the heaviest load. The quick stop
+    torque is the row of the inertia matrix, including the rotor, times the decelerations of all axes. The three maxima
+    are added, although they occur at different postures.
 
     Parameters
     ----------
     workspace : Workspace
     arm : ArmConfig
-        Loads, and rotors and friction where they were not identified.
+        Source of the loads, and of rotors and friction that were not identified.
     decel_rad_s2 : array of shape (N,)
-        Ramps of the quick stop at the joints.
+        Quick stop decelerations at the joints.
     known : tuple of AxisConstants, one per axis, optional
-        Rotors and friction; those of the arm if left out.
+        Rotors and friction; defaults to those of the arm.
 
     Returns
     -------
@@ -79,7 +80,9 @@ def needed_torque_nm(
 
 
 def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
-    """Dry friction (N,) [Nm] of the joints, the most that is known of it, that of the onset of motion included.
+    """Return the dry friction (N,) [Nm] of the joints: the largest known value, including breakaway.
+
+    Without any value the assumed friction band is used.
 
     Where nothing is known the assumed friction band is used.
     """
@@ -93,7 +96,7 @@ def _dry_nm(known: AxisConstants, axis: AxisConfig) -> float:
 
 
 def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedLoad]) -> Floats | None:
-    """Link parameters (10 N, 1 + loads) bare and with each load; None where the links are not known."""
+    """Return the link parameters (10 N, 1 + loads) without and with each load; None where a link is unknown."""
     if workspace.links is None:
         return None
     try:
@@ -108,7 +111,9 @@ def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedL
 
 
 def possible_loads(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]:
-    """The rated and the heaviest load, as far as given: solid bodies with their centre of gravity in the last link."""
+    """Return the rated and the heaviest load, if defined: solid bodies with their centre of gravity in the last
+    link.
+    """
     loads = [] if arm.rated_load_kg is None else [rated_load(arm, workspace.robot)]
     if workspace.max_load is not None:
         com_m = workspace.max_load[1:] / workspace.max_load[0]
@@ -117,7 +122,7 @@ def possible_loads(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]
 
 
 def _largest(torque_nm: Callable[[Floats], Floats], lower_rad: Floats, upper_rad: Floats) -> Floats:
-    """Largest torque (N,) over a range of postures, of a function of postures (n, N) to torques (n, N)."""
+    """Return the largest torque (N,) over a range of postures, of a function of postures (n, N) to torques (n, N)."""
     random = np.random.default_rng(SEED)
     axes = len(lower_rad)
     drawn = random.uniform(lower_rad, upper_rad, (POSTURES, axes))

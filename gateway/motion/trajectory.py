@@ -15,9 +15,9 @@ import ruckig
 
 from gateway.errors import PlanRefused
 
-#: Speed [rad/s] or acceleration [rad/s2] that counts as none.
+#: Speed [rad/s] or acceleration [rad/s2] below which a joint counts as not moving.
 STILL = 1e-9
-#: Share of the jerk limit that is tried where the full one gives no profile by rounding.
+#: Share of the jerk limit used if ruckig finds no profile at the full limit because of rounding.
 _LESS_JERK = 0.999
 
 
@@ -60,7 +60,7 @@ class Motion:
 
 
 def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits, period_s: float) -> Motion:
-    """Fastest motion from rest to rest along a straight line in joint space.
+    """Return the fastest motion from rest to rest along a straight line in joint space.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def straight(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits
     Raises
     ------
     PlanRefused
-        A limit that is not positive and finite, or a position that is not finite.
+        A limit is not positive and finite, or a position is not finite.
     """
     displacement = target_rad - start_rad
     length = float(np.abs(displacement).max())
@@ -112,7 +112,7 @@ def _along(line: np.ndarray, limits: MotionLimits) -> Any:
 
 
 def straight_duration_s(start_rad: np.ndarray, target_rad: np.ndarray, limits: MotionLimits) -> float:
-    """Duration of the fastest motion between two postures that differ, as `straight` but not rounded to SYNCs."""
+    """Return the duration of the fastest motion between two different postures, not rounded to SYNCs."""
     displacement = target_rad - start_rad
     length = float(np.abs(displacement).max())
     request = _along(displacement / length, limits)

@@ -1,4 +1,4 @@
-"""Limits that are checked with every SYNC while the arm moves: position, speed, torque, following error, contact."""
+"""Limits that are monitored at every SYNC while the arm moves: position, speed, torque, following error, contact."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from gateway.motion.own_torque import OwnTorque
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.workspace import Workspace
 
-#: A limit counts as exceeded after this many SYNCs in a row: one noisy reading does not stop the arm.
+#: Number of consecutive SYNCs above a limit that stop the arm: one noisy reading does not.
 IN_A_ROW = ARM_RULES["limits"].count
-#: Tolerance of the joint range for control error and rounding.
+#: Tolerance of the joint range for control error and rounding [rad].
 POSITION_TOLERANCE_RAD = 0.02
-#: Measured speed, a difference of counts, against the limit.
+#: Tolerance factor for the measured speed, which is a difference of counts.
 SPEED_TOLERANCE = 1.2
-#: Shortest span over which speed is measured.
+#: Shortest time over which speed is measured [s].
 SPEED_SPAN_S = 0.02
 #: Real time: a SYNC counts as delayed from this share of a period on; length of the checked window.
 DELAYED_SHARE = 0.5
@@ -32,7 +32,7 @@ RANGE = 3
 
 
 class Watch:
-    """Watches one arm; one instance per run.
+    """Limit monitor of one arm; one instance per run.
 
     Parameters
     ----------
@@ -42,9 +42,9 @@ class Watch:
     period_s : float
         SYNC period.
     delay_syncs : float
-        SYNCs of delay with which a drive may take over its setpoints, besides its servo lag.
+        Delay [SYNCs] after which a drive uses its setpoints, besides its servo lag.
     own : OwnTorque, optional
-        Torque of the arm's own motion.
+        Model of the torque of the arm's motion.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Watch:
         self._limits[RANGE] = np.maximum(self._half, away)
 
     def excuse(self, joints: np.ndarray) -> None:
-        """From now on only the range of joints (N,) of bool is checked: their drives are expected to let go of them."""
+        """Check only the range of joints (bool, (N,)) from now on: their drives are expected to lose torque."""
         self._contact.excuse(joints)
 
     def modelled_torque(self, q_rad: np.ndarray) -> np.ndarray:
@@ -91,6 +91,9 @@ class Watch:
 
     def moved_torque(self, q_rad: np.ndarray) -> np.ndarray:
         """Return the torque (N,) [Nm] of the unloaded arm moving to setpoints (N,).
+
+        Gravity is taken at these setpoints. Inertia of identified rotors and links is that of earlier setpoints,
+        because joints lag.
 
         Gravity there, and rotors and links, where they were identified, of the setpoints before, because joints lag.
         """
@@ -104,16 +107,17 @@ class Watch:
         ----------
         sample : ArmSample
         target_rad : array of shape (N,)
-            Joint positions that were sent with this SYNC.
+            Setpoints that were sent with this SYNC.
         modelled_nm : array of shape (N,)
-            Modelled torque there, without friction: `modelled_torque`, `moved_torque`, or that of the trajectory.
+            Modelled torque without friction at these setpoints: `modelled_torque`, `moved_torque`, or that of the
+            trajectory.
 
         Raises
         ------
         LimitExceeded
             A joint left its range, or another limit for `IN_A_ROW` SYNCs.
         IncompleteEpochs
-            The SYNC rhythm is not kept.
+            Too many SYNCs were delayed.
         """
         expected = target_rad if self._target is None else self._target
         self._target = target_rad

@@ -1,4 +1,4 @@
-"""Check postures and paths of an arm: joint limits, collisions, torque limits. Pure and vectorised."""
+"""Check postures and paths of an arm for joint limits, collisions and torque limits; pure, vectorised functions."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from gateway.model.robot import Robot
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_of
 from gateway.motion.joint_path import angles, path_points, path_positions, postures_at
 
-#: Share of each torque limit that holding the arm may take; bare at rest poses, the rest is left to an unknown load.
+#: Share of each torque limit for holding the arm, and for holding the unloaded arm at rest poses: the rest is for the
+#: load.
 TORQUE_SHARE = 0.9
 TORQUE_SHARE_BARE = 0.5
-#: Postures that are checked at once.
+#: Number of postures per batch.
 BLOCK = 20_000
-#: An arm outside its joint range by no more than this may move back, to this margin inside.
+#: Largest distance outside the joint range from which an arm may move back, and the margin inside it [rad].
 MOST_OUTSIDE_RAD = 0.35
 INWARD_MARGIN_RAD = 0.02
 #: Half-width of a friction band as a share of the torque limit, until a recording has measured it.
 BAND_SHARE = 0.013
-#: Speed of that motion: this share of the speed limit, and no more than this.
+#: Speed of that motion: share of the speed limit, and upper limit [rad/s].
 INWARD_SHARE = 0.1
 INWARD_SPEED_RAD_S = 0.05
-TOO_CLOSE = f"the arm passes something closer than {500 * PATH_RESOLUTION_M:g} mm"
+TOO_CLOSE = f"the arm passes an obstacle at less than {500 * PATH_RESOLUTION_M:g} mm"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +37,7 @@ class Refusal:
     Attributes
     ----------
     row : float
-        Position on the path, in rows: 2.5 is halfway from the third to the fourth posture.
+        Position on the path as a row index: 2.5 is halfway from the third to the fourth posture.
     q_rad : array of shape (N,)
         Posture there.
     reason : str
@@ -49,23 +50,23 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Workspace:
-    """Limits of one arm.
+    """Limits of one arm, and its collision model.
 
     Attributes
     ----------
     robot : Robot
     gravity_m_s2 : array of shape (3,)
     lower_rad, upper_rad : arrays of shape (N,)
-        The tighter of the cell's and the robot's own limits.
+        The tighter of the limits of cell file and robot model.
     speed_rad_s, acceleration_rad_s2, jerk_rad_s3 : arrays of shape (N,)
     torque_nm : array of shape (N,)
-        Joint-side limit of what the motors give, gear losses not included.
+        Joint-side torque limit of the motors, without gear losses.
     efficiency : array of shape (N,)
     following_error_rad : array of shape (N,)
     points_m : array of shape (p, 3)
         Points in the last link: the flange and the points of the load.
     space : Space
-        Links and load as thick as they are, and what they may not touch.
+        Collision model: bodies of links and load, and the obstacles.
     links : array of shape (4 N,) or None
         Mass and first moment of every link; None = not known, torque is then not checked.
     max_load : array of shape (4,) or None
@@ -93,11 +94,13 @@ class Workspace:
         return TORQUE_SHARE_BARE if self.max_load is None else TORQUE_SHARE
 
     def with_clearance(self) -> Workspace:
-        """The same with some room to be left between what may touch: what is planned, not what is refused."""
+        """Return a copy with extra clearance between bodies, for planning."""
         return replace(self, space=self.space.with_clearance())
 
     def draw(self, random: np.random.Generator, count: int) -> np.ndarray:
-        """Random postures (count, N) [rad] inside the joint limits, no joint more than half a turn off its middle."""
+        """Draw random postures (count, N) [rad] inside the joint limits, each joint within half a turn of its
+        middle.
+        """
         middle, half = (self.upper_rad + self.lower_rad) / 2, (self.upper_rad - self.lower_rad) / 2
         return middle + np.minimum(half, np.pi) * random.uniform(-1, 1, (count, self.robot.axes))
 
@@ -117,7 +120,7 @@ class Workspace:
         Returns
         -------
         list of (words, bool array of shape (n,))
-            One entry per joint limit, two things that may touch, and torque limit.
+            One entry per joint limit, collision pair and torque limit.
         """
         return [
             *self._outside(q_rad, margin_rad),
@@ -126,7 +129,7 @@ class Workspace:
         ]
 
     def _outside(self, q_rad: np.ndarray, margin_rad: float) -> list[tuple[str, np.ndarray]]:
-        """Words and masks (n,) for every joint limit."""
+        """Return texts and masks (n,) for every joint limit."""
         outside = ~((q_rad >= self.lower_rad + margin_rad) & (q_rad <= self.upper_rad - margin_rad))
         return [
             (
@@ -138,7 +141,7 @@ class Workspace:
         ]
 
     def _overloaded(self, q_rad: np.ndarray, torque_share: float) -> list[tuple[str, np.ndarray]]:
-        """Words and masks (n,) for every torque limit."""
+        """Return texts and masks (n,) for every torque limit."""
         torque = self.holding_torque(q_rad)
         if torque is None:
             return []
@@ -147,7 +150,7 @@ class Workspace:
         return [(words.format(i + 1, torque_share), torque[:, i] > usable[i]) for i in range(len(usable))]
 
     def feasible(self, q_rad: np.ndarray, margin_rad: float = 0.0, torque_share: float = TORQUE_SHARE) -> np.ndarray:
-        """Whether the arm may be there: bool array of shape (n,)."""
+        """Return True for each posture that violates no limit: bool array of shape (n,)."""
         found = [*self._outside(q_rad, margin_rad), *self._overloaded(q_rad, torque_share)]
         good = ~np.any([mask for _, mask in found], axis=0)
         good[good] = ~self.space.touching(q_rad[good])
@@ -159,7 +162,7 @@ class Workspace:
         return next((words for words, mask in found if mask[0]), None)
 
     def holding_torque(self, q_rad: np.ndarray) -> np.ndarray | None:
-        """Largest motor-driven torque (n, N) [Nm] that holding the posture takes, bare or with the heaviest load."""
+        """Return the largest motor-driven torque (n, N) [Nm] to hold a posture, unloaded or with the heaviest load."""
         if self.links is None:
             return None
         rows = gravity_regressor(self.robot, q_rad, self.gravity_m_s2)
@@ -169,7 +172,11 @@ class Workspace:
         return torque / self.efficiency
 
     def path_clear(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-        """Whether straight joint motions from start (n, N) to end (n, N) stay feasible: bool array of shape (n,).
+        """Return True for each straight joint motion from start (n, N) to end (n, N) that violates no limit: bool array
+        (n,).
+
+        Collisions and joint limits are checked along the whole path, the holding torque at points `PATH_STEP_RAD`
+        apart.
 
         What may touch and joint limits all along; the holding torque at points `PATH_STEP_RAD` apart.
         """
@@ -181,11 +188,11 @@ class Workspace:
         return clear
 
     def _out_of_range(self, q_rad: np.ndarray) -> np.ndarray:
-        """Postures (n,) with a joint outside its range, or no finite number."""
+        """Return a mask (n,) of postures with a joint outside its range, or a value that is not finite."""
         return ~np.all((q_rad >= self.lower_rad) & (q_rad <= self.upper_rad), axis=1)
 
     def _refuse_torque(self, clear: np.ndarray, start_rad: np.ndarray, end_rad: np.ndarray) -> None:
-        """Take off `clear` (n,) the motions that need too much torque somewhere."""
+        """Remove from `clear` (n,) the motions that exceed the torque limit at any point."""
         rows = np.flatnonzero(clear)
         paths = [path_points(start_rad[row], end_rad[row]) for row in rows]
         owner = np.repeat(rows, [len(path) for path in paths])
@@ -198,6 +205,9 @@ class Workspace:
 
     def refused_on(self, path_rad: np.ndarray) -> Refusal | None:
         """Return the first violation on a path of postures (n, N) with straight joint motions between them.
+
+        Collisions and joint limits are checked along the whole path, the holding torque at points `PATH_STEP_RAD`
+        apart.
 
         What may touch and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
         """
@@ -232,7 +242,9 @@ class Workspace:
         return None if refusal is None else f"at {angles(refusal.q_rad)}: {refusal.reason}"
 
     def path_into_range(self, q_rad: np.ndarray) -> np.ndarray | None:
-        """Return the nearest posture (N,) inside the joint range for an arm outside it; None = the arm is inside.
+        """Return the nearest posture (N,) inside the joint range for an arm outside it; None if the arm is inside.
+
+        Joints outside move to `INWARD_MARGIN_RAD` inside, the others do not move. The straight path is checked.
 
         Joints outside move in, by `INWARD_MARGIN_RAD`, the others stay; the straight path there is checked.
 
@@ -250,7 +262,7 @@ class Workspace:
             raise PlanRefused(
                 f"joint {joint + 1} is {beyond[joint]:.3f} rad outside [{self.lower_rad[joint]:.3f}, "
                 f"{self.upper_rad[joint]:.3f}] rad, more than {MOST_OUTSIDE_RAD} rad: its encoder or zero_offset_rad "
-                "may be wrong; check them, or jog it in with the drive's own tool"
+                "may be wrong; check them, or jog the joint back with the drive's own tool"
             )
         margin = np.minimum(INWARD_MARGIN_RAD, (self.upper_rad - self.lower_rad) / 2)
         target = np.where(beyond > 0, np.clip(q_rad, self.lower_rad + margin, self.upper_rad - margin), q_rad)
@@ -275,12 +287,12 @@ class Workspace:
 
 
 def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
-    """Limits of a configured arm.
+    """Return the limits and the collision model of a configured arm.
 
     Raises
     ------
     ConfigError
-        The cell's joint limits and those of the robot model have nothing in common.
+        The joint limits of the cell file and of the robot model do not overlap.
     """
     limits = np.array([axis.position_limit_rad for axis in arm.axis])
     lower, upper = np.maximum(limits[:, 0], robot.lower_rad), np.minimum(limits[:, 1], robot.upper_rad)

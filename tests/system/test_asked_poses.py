@@ -81,7 +81,7 @@ def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway
         (("--pose", "7", "--pose", POSE), 2, "give one of them"),
         (("--pose", POSE, "--next", asking(place)), 2, "give one of them"),
         (("--next", asking(place, cell="other")), 3, "was made on cell 'other', not on 'small'"),
-        (("--next", asking(place, poses=())), 3, "asks for no pose"),
+        (("--next", asking(place, poses=())), 3, "requests no pose"),
         (("--pose", "0,0,0,0,2.5,0"), 5, "joint 5 outside"),
     ):
         done = gateway(*nobody, *more)

@@ -126,6 +126,6 @@ def test_from_outside_its_range_it_moves_inwards_first_and_the_check_says_so(pla
     assert f"servo-gateway move {cell} --bus {drives.bus} --to home" in " ".join(check.stderr.split())
     moved = move(gateway, place, drives, "0.15,0,0,0,0,0", "--yes", "--override", 100, cell=cell)
     assert moved.exit_code == 0, moved.output
-    assert "joint 1 is outside its range: it first moves inwards, slowly, to [0.120," in said(moved)
+    assert "joint 1 is outside its range: it first moves slowly back into the range, to [0.120," in said(moved)
     assert "every drive stopped by itself" in moved.stderr, "proven on the way inwards"
     assert drives.stand_still()

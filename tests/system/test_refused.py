@@ -56,7 +56,7 @@ def test_a_profile_with_a_missing_constant(place, gateway, serve):
 
 
 def test_one_pose_is_refused(place, gateway):
-    complains(gateway("plan", place.cell, "--poses", 1), 5, "one posture never gives all of a load")
+    complains(gateway("plan", place.cell, "--poses", 1), 5, "one pose cannot identify a load")
 
 
 # ----------------------------------------------------------------------------------------- before anything moves
@@ -68,7 +68,7 @@ def test_a_joint_that_stands_outside_its_limits(place, gateway, serve):
     inside = (("home_rad = [0.0", "home_rad = [0.5"), ("loading_rad = [0.0", "loading_rad = [0.5"))
     cell = place.variant("narrow", ("position_limit_rad = [-2.8, 2.8]", "position_limit_rad = [0.4, 2.8]"), *inside)
     done = gateway("record", cell, "--bus", drives.bus, "--load", "none", "-o", place.run, "--yes")
-    complains(done, 5, "J1" if "J1" in done.stderr else "joint 1", "jog it in")
+    complains(done, 5, "J1" if "J1" in done.stderr else "joint 1", "jog the joint back")
     assert drives.stand_still()
     assert not place.run.exists()
     complains(gateway("check", cell, "--bus", drives.bus), 7, "limits 0.4 to 2.8 rad")

@@ -24,7 +24,7 @@ def test_a_load_is_measured_until_it_is_known(place, gateway, serve, fast_arm):
     done = record(gateway, place, drives.bus, "load", "--resume", "--until", "mass=20%,com=15mm", "--json", summary)
     assert done.exit_code == 0, done.output
     assert "is measured pose by pose" not in done.output, "with --yes nothing is asked"
-    assert "load load is known as well as was asked for after" in done.output
+    assert "load load has reached the requested uncertainty after" in done.output
     until = json.loads(summary.read_text())["until"]
     assert until["reached"] is True
     assert until["mass_half_width_kg"] <= until["mass_goal_kg"] == pytest.approx(0.2 * TRUTH_KG, rel=0.1)
@@ -47,8 +47,8 @@ def test_a_load_is_measured_until_it_is_known(place, gateway, serve, fast_arm):
 def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway):
     for load, more, code, says in (
         ("load", ("--until", "mass=1"), 3, "lacks its unit"),
-        ("load", ("--until", "mass=1%"), 3, "holds no visit of the bare arm"),
-        ("none", ("--until", "mass=1%"), 3, "is the bare arm"),
+        ("load", ("--until", "mass=1%"), 3, "holds no visit of the unloaded arm"),
+        ("none", ("--until", "mass=1%"), 3, "is the unloaded arm"),
         ("load", ("--until", "mass=1%", "--pose", "0,0,0,0,0,0"), 2, "omit --pose and --next"),
         ("load", ("--bare", "r.json"), 2, "give --until as well"),
         ("load", ("--until", "mass=1%", "--bare", place.folder / "none.json"), 3, "none.json"),
@@ -67,6 +67,8 @@ def test_the_whole_job_measures_a_load_until_it_is_known(serve, commission, fast
     (load,) = result["loads"]
     assert abs(load["mass_kg"] - TRUTH_KG) < 4 * load["mass_std_kg"]
     assert result["holdout_kind"] == "fresh"
-    (said,) = [each for each in result["findings"] if each["where"] == "load load" and "asked for" in each["what"]]
+    (said,) = [
+        each for each in result["findings"] if each["where"] == "load load" and "requested uncertainty" in each["what"]
+    ]
     assert said["severity"] == "info"
     assert drives.stand_still()

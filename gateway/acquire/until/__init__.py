@@ -1,1 +1,1 @@
-"""No longer than needed: which pose to measure next, and when a load is known well enough."""
+"""Measurement with `--until`: choose the next pose, and stop as soon as the load's uncertainty is small enough."""

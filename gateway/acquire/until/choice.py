@@ -1,4 +1,6 @@
-"""What to measure next, and when a load is known well enough: pure, from what is known to a decision."""
+"""Decide which pose to measure next and when a load's uncertainty is small enough; pure functions of the present
+estimate.
+"""
 
 from __future__ import annotations
 
@@ -14,25 +16,25 @@ from gateway.result.interval import half_width
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
-#: Poses of a load before it may count as known, and at most: the noise has to be measured, and the duration is limited.
+#: Smallest and largest number of poses of a load: the noise has to be measured, and the duration is limited.
 LEAST_POSES: Final = 4
 MOST_POSES: Final = 40
-#: Least samples a side: fewer do not determine their scatter.
+#: Smallest number of samples per approach direction: fewer do not determine their scatter.
 LEAST_SAMPLES: Final = 20
-#: Where the goal is out of reach, a half width so close to what `MOST_POSES` would leave is worth no further pose.
+#: If the goal is not reachable: stop at this ratio to the half width expected after `MOST_POSES` poses.
 NEAR: Final = 1.25
-#: Numbers of samples that are held against one another.
+#: Numbers of samples that are compared.
 _COUNTS: Final = 5
-#: Candidates among which the poses to come are looked ahead.
+#: Number of candidates in the prediction of further poses.
 _AHEAD: Final = 80
-#: The first poses to come are looked ahead one by one, later ones so many at once.
+#: The first further poses are predicted one by one, later ones in blocks of this size.
 _SINGLY: Final = 6
 _TOGETHER: Final = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Postures that may be measured next, n of them.
+    """Candidate postures for the next measurement, n of them.
 
     Attributes
     ----------
@@ -45,20 +47,20 @@ class Candidates:
     regressor: Floats
 
     def __len__(self) -> int:
-        """How many."""
+        """Return the number of candidates."""
         return len(self.q_rad)
 
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """How long a pose is sampled.
+    """Settings of the number of samples per pose.
 
     Attributes
     ----------
     period_s : float
         SYNC period.
     most : int
-        Samples a side at most: those of the cell.
+        Largest number of samples per approach direction: that of the cell file.
     """
 
     period_s: float
@@ -66,21 +68,20 @@ class Sampling:
 
     @property
     def least(self) -> int:
-        """Samples a side at least."""
+        """Smallest number of samples per approach direction."""
         return min(LEAST_SAMPLES, self.most)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Narrowness:
-    """How far a load is known against how far it shall be; arrays (4,) of mass [kg] and centre of gravity [m].
+    """Half widths of the 95 % intervals and their goal; arrays (4,) of mass [kg] and centre of gravity [m].
 
     Attributes
     ----------
-    half : half widths of the 95 % intervals now
-    goal : those asked for, infinite where nothing is
-    limit : those that are left after `MOST_POSES`
-    poses : of this load so far
-    ahead : poses that are still expected to be needed
+    half : present half widths
+    goal : requested half widths, infinite without a request
+    limit : expected half widths after `MOST_POSES` poses : poses of this load measured so far
+    ahead : further poses that are expected to be needed
     """
 
     half: Floats
@@ -91,38 +92,38 @@ class Narrowness:
 
     @property
     def reached(self) -> Bools:
-        """Which are known well enough (4,)."""
+        """Mask (4,) of the half widths that have reached their goal."""
         return self.half <= self.goal
 
     @property
     def hopeless(self) -> Bools:
-        """Which no pose brings that far (4,)."""
+        """Mask (4,) of the half widths that no number of poses brings to their goal."""
         return ~self.reached & (self.limit > self.goal)
 
     @property
     def aim(self) -> Floats:
-        """Half widths (4,) worth going on for: the goal, and where that is out of reach, what is near the limit."""
+        """Half widths (4,) to measure for: the goal, or a value near the limit where the goal is not reachable."""
         return np.where(self.limit > self.goal, NEAR * self.limit, self.goal)
 
     @property
     def done(self) -> bool:
-        """Whether nothing more is to be measured."""
+        """True if no further pose is worth measuring."""
         if self.poses < LEAST_POSES:
             return False
         return self.poses >= MOST_POSES or bool((self.half <= self.aim).all())
 
 
 def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candidates, sampling: Sampling) -> Narrowness:
-    """Hold a load against the goal, and look ahead to what more poses would give.
+    """Compare a load's half widths with the goal, and predict those after further poses.
 
     Parameters
     ----------
     known : Outlook
     half : array of shape (4,)
-        Half widths as estimated.
+        Estimated half widths.
     goal : array of shape (4,)
     poses : int
-        Of this load, so far.
+        Number of poses of this load so far.
     choice : Candidates
     sampling : Sampling
     """
@@ -142,7 +143,7 @@ def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candid
 def best_first(
     known: Outlook, verdict: Narrowness, choice: Candidates, seconds: Floats, sampling: Sampling
 ) -> tuple[NDArray[np.int_], int]:
-    """Candidates by decreasing information per second, and the samples a side.
+    """Sort the candidates by decreasing information per second; also return the samples per approach direction.
 
     Parameters
     ----------
@@ -150,13 +151,13 @@ def best_first(
     verdict : Narrowness
     choice : Candidates
     seconds : array of shape (n,)
-        Time of the path to each, both approaches and settling, sampling not included; infinite = out of question.
+        Time of the path, both approaches and settling, without sampling; infinite = excluded.
     sampling : Sampling
 
     Returns
     -------
     rows : int array of shape (k,)
-        Of those that are in question.
+        Indices of the candidates that are not excluded.
     samples : int
     """
     before = _left(known.std[None], verdict.aim)
@@ -171,7 +172,9 @@ def best_first(
 
 
 def _left(std: Floats, aim: Floats) -> Floats:
-    """How far standard deviations (n, 4) are still from the half widths aimed at (4,): sum of logarithms, 0 = there."""
+    """Return the distance of standard deviations (n, 4) to the aimed half widths (4,): sum of logarithms, 0 =
+    reached.
+    """
     asked = np.isfinite(aim) & (aim > 0)
     ratio = half_width(1.0) * std[:, asked] / aim[asked]
     return np.log(np.maximum(ratio, 1.0)).sum(axis=1)

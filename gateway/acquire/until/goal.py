@@ -1,4 +1,4 @@
-"""How well a load is to be known: half widths of 95 % intervals, as they are typed and as they are compared."""
+"""Goal of `--until`: half widths of 95 % intervals, parsed from text and compared."""
 
 from __future__ import annotations
 
@@ -16,25 +16,24 @@ from gateway.result.interval import PLUS_MINUS, half_width
 Floats = NDArray[np.float64]
 
 OPTION: Final = "--until"
-#: What may be asked for: its units, the first is the SI unit, with the factor of each.
+#: Quantities of a goal: their units and factors; the first is the SI unit.
 UNITS: Final = {"mass": {"kg": 1.0, "g": 1e-3, "%": 1e-2}, "com": {"m": 1.0, "mm": 1e-3}}
 _EXAMPLE: Final = "such as mass=0.5%,com=3mm, mass=0.2kg or com=0.003m"
-#: No more than this makes sense: a mass that is known to half of itself, a centre known to a metre.
+#: Largest half widths that are accepted: half of the mass, one metre of the centre of gravity.
 _MOST: Final = {"%": 50.0, "com": 1.0}
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """Half widths of the 95 % intervals at which a load is known well enough.
+    """Requested half widths of the 95 % intervals of a load.
 
     Attributes
     ----------
     mass_kg : float
-        Infinite where it is not asked for.
-    mass_share : float
-        Of the mass, instead of kg; infinite where it is not asked for.
+        Infinite if not requested. mass_share : float
+        Share of the mass, instead of kg; infinite if not requested.
     com_m : float
-        Of each coordinate of the centre of gravity; infinite where it is not asked for.
+        Of each coordinate of the centre of gravity; infinite if not requested.
     """
 
     mass_kg: float = math.inf
@@ -47,7 +46,7 @@ class Goal:
         return np.array([min(self.mass_kg, share_kg), self.com_m, self.com_m, self.com_m])
 
     def __str__(self) -> str:
-        """As a person reads it."""
+        """Return the goal as text for the operator."""
         mass = f"{PLUS_MINUS}{self.mass_kg:g} kg" if math.isfinite(self.mass_kg) else ""
         mass = f"{PLUS_MINUS}{100 * self.mass_share:g} %" if math.isfinite(self.mass_share) else mass
         com = f"{PLUS_MINUS}{1000 * self.com_m:g} mm" if math.isfinite(self.com_m) else ""
@@ -55,18 +54,18 @@ class Goal:
 
 
 def parse_until(text: str) -> Goal:
-    """`mass=0.5%,com=3mm` as a goal.
+    """Parse a text such as `mass=0.5%,com=3mm` to a goal.
 
     Raises
     ------
     InputError
-        A word that is none of these, a number without unit, one that is not positive or too large, or one given twice.
+        Unknown or duplicate quantity, or a number without unit, not positive or too large.
     """
     found: dict[str, tuple[float, str]] = {}
     for part in text.split(","):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals or name not in UNITS:
-            raise InputError(f"{OPTION} {text}: '{part.strip()}' is neither mass=.. nor com=..; {_EXAMPLE}")
+            raise InputError(f"{OPTION} {text}: '{part.strip()}' must be mass=.. or com=..; {_EXAMPLE}")
         if name in found:
             raise InputError(f"{OPTION} {text}: {name} is given twice; give each once, {_EXAMPLE}")
         found[name] = _number(text, name, value)
@@ -93,15 +92,19 @@ def _number(text: str, name: str, value: str) -> tuple[float, str]:
     if not unit:
         raise InputError(f"{OPTION} {text}: {name}={value} lacks its unit ({choice}); {_EXAMPLE}")
     if not (math.isfinite(number) and number > 0):
-        raise InputError(f"{OPTION} {text}: {name}={value}: a half width is above 0; {_EXAMPLE}")
+        raise InputError(f"{OPTION} {text}: {name}={value}: a half width must be positive; {_EXAMPLE}")
     most = _MOST["%"] / 100.0 if unit == "%" else _MOST.get(name, math.inf)
     if number * units[unit] > most:
-        raise InputError(f"{OPTION} {text}: {name}={value} asks for nothing; a smaller half width is meant, {_EXAMPLE}")
+        raise InputError(
+            f"{OPTION} {text}: {name}={value} is too large to be a goal; give a smaller half width, {_EXAMPLE}"
+        )
     return number * units[unit], unit
 
 
 def half_widths(load: LoadEstimate | None) -> Floats:
-    """Half widths (4,) of the 95 % intervals of a load's mass [kg] and centre of gravity [m]; infinite if not known."""
+    """Return the half widths (4,) of the 95 % intervals of a load's mass [kg] and centre of gravity [m]; infinite if
+    not known.
+    """
     if load is None:
         return np.full(4, math.inf)
     std = np.concatenate([[load.mass_std_kg], load.com_std_m])

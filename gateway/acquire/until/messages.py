@@ -1,4 +1,4 @@
-"""How far a load is known, in sentences: after each pose, and at the end with what would help."""
+"""Messages of a measurement with `--until`: the uncertainty after each pose, and the reason of the end."""
 
 from __future__ import annotations
 
@@ -21,51 +21,56 @@ _KNOWN_LOAD: Final = "mount a load of known mass and estimate with --known LABEL
 
 
 def narrowed(decision: NextStep) -> str:
-    """One line after a pose: half widths now, and how many more poses are expected."""
+    """Return one line after a pose: present half widths, and the expected number of further poses."""
     verdict = decision.verdict
     if verdict.done or decision.plan is None:
-        more = "nothing more is measured"
+        more = "the measurement ends"
     else:
-        more = f"about {verdict.ahead} more" if not verdict.hopeless.any() else "more would still help"
+        more = (
+            f"about {verdict.ahead} more poses expected"
+            if not verdict.hopeless.any()
+            else "further poses would still help"
+        )
     return f"{verdict.poses} poses: {_widths(verdict.half)}; {more}"
 
 
 def ended(decision: NextStep, label: str) -> str:
-    """Why the measurement ended: known well enough, or what no pose gives and what would."""
+    """Return the reason of the end: goal reached, or goal not reachable and what would help."""
     verdict, stock = decision.verdict, decision.stock
     after = f"after {verdict.poses} poses"
     if stock.refused is not None:
-        return f"load {label} is refused {after}: {stock.refused}; look whether it slips or touches, and measure again"
+        check = "check whether it slips or touches something, and measure again"
+        return f"load {label} is refused {after}: {stock.refused}; {check}"
     if verdict.reached.all():
-        return f"load {label} is known as well as was asked for {after}: {_widths(verdict.half)} ({SAID})"
+        return f"load {label} has reached the requested uncertainty {after}: {_widths(verdict.half)} ({SAID})"
     short = np.flatnonzero(~verdict.reached).tolist()
     missed = ", ".join(
         f"{PARTS[k]} {_width(k, verdict.goal[k])} (it is {_width(k, verdict.half[k])}, "
-        f"{MOST_POSES} poses would leave {_width(k, verdict.limit[k])})"
+        f"expected after {MOST_POSES} poses: {_width(k, verdict.limit[k])})"
         for k in short
     )
     return f"no further pose brings load {label} to {missed}; {what_helps(stock.outlook, verdict)}"
 
 
 def end_of(decision: NextStep, label: str) -> Finding:
-    """The same as a finding of the result."""
+    """Return the reason of the end as a finding of the result."""
     reached = bool(decision.verdict.reached.all()) and decision.stock.refused is None
     said, _, helps = ended(decision, label).partition("; ")
     return Finding("info" if reached else "warn", f"load {label}", said, helps)
 
 
 def what_helps(known: Outlook, verdict: Narrowness) -> str:
-    """What would bring a load as far as was asked for, where poses do not."""
+    """Return the measures that would bring a load to its goal where further poses do not."""
     short = ~verdict.reached
     now = half_width(1.0) * known.std[short]
     constants = half_width(1.0) * known.std_given(known.gain)[short]
     links = half_width(1.0) * known.std_given(np.arange(len(known.links)))[short]
     goal = verdict.goal[short]
     if (constants <= goal).all() or (constants / now).max() < (links / now).max():
-        return f"what would: better torque constants (std_percent in the cell file), or {_KNOWN_LOAD}"
+        return f"possible measures: better torque constants (std_percent in the cell file), or {_KNOWN_LOAD}"
     if (links <= goal).all() or (links / now).max() < 1.0:
-        return "what would: more poses of the unloaded arm, so that its own weight is known better"
-    return f"what would: a quieter approach (approach_speed_rad_s) or more samples, and {_KNOWN_LOAD}"
+        return "possible measures: more poses of the unloaded arm, so that the uncertainty of its own weight decreases"
+    return f"possible measures: a slower approach (approach_speed_rad_s) or more samples, and {_KNOWN_LOAD}"
 
 
 def _widths(half: Floats) -> str:
@@ -75,7 +80,7 @@ def _widths(half: Floats) -> str:
 
 
 def _width(part: int, half: float, unit: str = " mm") -> str:
-    """Half width of a part: mass in kg, a coordinate in mm."""
+    """Return the half width of a quantity as text: mass in kg, coordinate in mm."""
     if not math.isfinite(half):
         return f"{PLUS_MINUS}?"
     return f"{PLUS_MINUS}{half:.2g} kg" if part == 0 else f"{PLUS_MINUS}{1000 * half:.2g}{unit}"

@@ -1,4 +1,4 @@
-"""From a cell file and earlier visits to the search for a load: unloaded arm, and candidate postures."""
+"""Prepare the search for a load from a cell file and earlier visits: the unloaded arm, and candidate postures."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class UntilRequest:
-    """A load that shall be known.
+    """Load to measure, and its goal.
 
     Attributes
     ----------
     label : str
     goal : Goal
     path : Path
-        The recording; one that is there is gone on with.
+        The recording; an existing one is continued.
     cell : Path
         The cell file.
     bare : Path or None
@@ -56,29 +56,28 @@ class UntilRequest:
 def search_of(
     loaded: LoadedCell, workspace: Workspace, arm: ArmConfig, request: UntilRequest, apart_rad: Floats
 ) -> tuple[LoadSearch, Recording | None]:
-    """The search for a load, and the recording that it goes on with.
+    """Return the search for a load, and the recording that it continues.
 
     Parameters
     ----------
     loaded : LoadedCell
     workspace : Workspace
-        Of the arm.
-    arm : ArmConfig
+        Workspace of the arm. arm : ArmConfig
     request : UntilRequest
     apart_rad : array of shape (k, N)
-        Postures that are kept for judging; where there are any, the rows measured there are left out.
+        Postures reserved for validation; samples measured there are left out.
 
     Raises
     ------
     InputError
-        Nothing is known of the unloaded arm, or a file that cannot be used.
+        The unloaded arm is not identified, or a file cannot be used.
     PlanRefused
-        There are too few postures that can be measured.
+        Too few postures can be measured.
     """
     if request.label == BARE_LABEL:
         raise InputError(
-            f"{OPTION}: load '{BARE_LABEL}' is the bare arm, of which no mass is told; measure it without {OPTION}, "
-            f"then each load with it"
+            f"{OPTION}: load '{BARE_LABEL}' is the unloaded arm, for which no mass is estimated; measure it without"
+            f" {OPTION}, then each load with {OPTION}"
         )
     earlier = read(request.path) if request.path.exists() else None
     stored = None if earlier is None else earlier.arm(arm.name)
@@ -112,14 +111,14 @@ def search_of(
 
 
 def _refuse_unknown_arm(request: UntilRequest, table: Table | None, options: EstimateOptions) -> None:
-    """Refuse a load on an arm whose own torque is not known."""
+    """Refuse a load on an arm whose own torque is not identified."""
     loads = set() if table is None else set(np.unique(table.load).tolist())
     if BARE_LABEL in loads or options.bare is not None or options.trust == 0.0 or loads.intersection(options.known):
         return
     raise InputError(
-        f"{OPTION}: {request.path} holds no visit of the bare arm, and no load is told from an arm that is not known: "
-        f"measure it bare first (record CELL --load {BARE_LABEL} -o {request.path}, then go on by --resume), or name a "
-        "stored bare identification by --bare RESULT.json"
+        f"{OPTION}: {request.path} holds no visit of the unloaded arm, and a load cannot be estimated without one:"
+        f" measure the unloaded arm first (record CELL --load {BARE_LABEL} -o {request.path}, then continue with"
+        " --resume), or name a stored identification of the unloaded arm with --bare RESULT.json"
     )
 
 

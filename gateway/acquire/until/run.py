@@ -1,4 +1,4 @@
-"""A measurement that is no longer than needed, under power: pose by pose, until the search says that it ends."""
+"""Run of a measurement with `--until` under power: pose by pose, until the search decides to end."""
 
 from __future__ import annotations
 
@@ -21,21 +21,20 @@ from gateway.data.visit import Visit
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions, Stream
 
-#: From visits to the rows that an estimation reads.
+#: Conversion of visits to the samples that an estimation reads.
 Rows = Callable[[Sequence[Visit]], Table]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UntilSummary:
-    """What a run has added, and how it ended.
+    """Summary of what a run has added, and the reason of its end.
 
     Attributes
     ----------
     recording : RecordingSummary
     decision : NextStep
-        The last one.
-    reason : str
-        In words.
+        The last decision. reason : str
+        Reason of the end, for the operator.
     """
 
     recording: RecordingSummary
@@ -44,7 +43,7 @@ class UntilSummary:
 
 
 class _Collected:
-    """A store that remembers the visits that pass."""
+    """Store that passes visits on and remembers them."""
 
     def __init__(self, store: VisitStore) -> None:
         self._store = store
@@ -52,7 +51,7 @@ class _Collected:
         self.written, self.trouble, self.flush = store.written, store.trouble, store.flush
 
     def add(self, arm: str, visit: Visit) -> Visit:
-        """Hand a visit on."""
+        """Pass a visit on."""
         stored = self._store.add(arm, visit)
         self.visits.append(stored)
         return stored
@@ -66,7 +65,8 @@ def record_until(
     listeners: Sequence[Listener] = (),
     options: MoveOptions | None = None,
 ) -> UntilSummary:
-    """Measure a load pose by pose until it is known well enough, or no pose helps; in its brakes before and after.
+    """Measure a load pose by pose until its uncertainty is small enough or no pose helps; the brakes are on before and
+    after.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ def record_until(
     search : LoadSearch
     path : Path
     earlier : Recording or None
-        What is in the file already, to be gone on with.
+        Existing content of the file, which is continued.
     listeners : sequence of Listener
     options : MoveOptions, optional
 
@@ -91,7 +91,7 @@ def record_until(
 
 
 def rows_of(opened: OpenArm, path: Path) -> Rows:
-    """How visits of an open arm are read, as from the file that they are written to."""
+    """Return the function that converts visits of an open arm to samples, as when read from the file."""
     cell, name = opened.loaded.cell, opened.config.name
 
     def rows(visits: Sequence[Visit]) -> Table:
@@ -102,7 +102,7 @@ def rows_of(opened: OpenArm, path: Path) -> Rows:
 
 
 def run_until(station: VisitStation, search: LoadSearch, rows: Rows) -> NextStep:
-    """Drive what the search decides, one pose after another; the estimate is made beside the standing arm.
+    """Drive the poses that the search decides; the estimate is computed while the arm is at rest.
 
     Raises
     ------

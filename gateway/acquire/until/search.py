@@ -1,4 +1,7 @@
-"""One step of a measurement that is no longer than needed: from what was measured to the next pose, or to an end.
+"""One step of a measurement with `--until`: decide the next pose or the end from the visits measured so far.
+
+Pure functions: inputs are the visits and the present posture, the output is a decision with a checked plan. The run
+executes it.
 
 Pure: visits and the posture of the arm in, a decision with a checked plan out. The run executes the decision.
 """
@@ -39,9 +42,9 @@ from gateway.motion.workspace import BAND_SHARE, Workspace
 
 Floats = NDArray[np.float64]
 
-#: Postures of the whole joint range that are chosen among.
+#: Number of candidate postures of the whole joint range.
 POOL: Final = 240
-#: Further ones about the present posture, drawn again each time, and how far off at least and at most.
+#: Number of candidates near the present posture, drawn at each step; smallest and largest distance [rad].
 NEAR_BY: Final = 240
 _NEAREST_RAD, _FARTHEST_RAD = DISTANCE_RAD, 1.2
 #: Best ones whose straight paths are checked together, and those that are tried over postures in between where none is
@@ -52,7 +55,7 @@ _AROUND: Final = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadSearch:
-    """A load that shall be known, and what holds while it is measured.
+    """Load to measure, its goal, and the constant settings of the search.
 
     Attributes
     ----------
@@ -62,20 +65,20 @@ class LoadSearch:
     options : EstimateOptions
     workspace : Workspace
     settings : VisitSettings
-        With the most samples a side.
+        With the largest number of samples per approach direction.
     pool : Candidates
-        Postures of the whole joint range, each of which can be measured.
+        Measurable postures of the whole joint range.
     guess : array of shape (4,)
-        [m, hx, hy, hz] of the load as long as nothing was measured.
+        Initial guess [m, hx, hy, hz] of the load.
     earlier : Table or None
-        What was measured before: the unloaded arm, other loads, this one.
+        Earlier data: the unloaded arm, other loads, this load.
     apart_rad : array of shape (k, N)
-        Postures to keep away from: those that judge.
+        Validation postures, from which poses keep a distance.
     number : int
-        First pose number that is free.
+        First unused pose number.
     seed : int
     torque_scale : array of shape (N,)
-        True torque over the torque as measured; of `earlier` it is applied.
+        Ratio of true to measured torque; already applied to `earlier`.
     """
 
     arm: str
@@ -96,16 +99,16 @@ class LoadSearch:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NextStep:
-    """What to do next.
+    """Decision of the search: the next pose, or the end.
 
     Attributes
     ----------
     stock : Stock
     verdict : Narrowness
     plan : Plan or None
-        Of the next pose, from the present posture; None = there is nothing more to measure.
+        Plan of the next pose from the present posture; None = end of the measurement.
     expected_s : float
-        Time of the poses that are expected beyond it.
+        Expected time of the further poses.
     """
 
     stock: Stock
@@ -115,25 +118,24 @@ class NextStep:
 
 
 def pool_of(workspace: Workspace, request: PoseRequest) -> Candidates:
-    """Postures of the whole joint range to choose among.
+    """Return candidate postures of the whole joint range.
 
     Raises
     ------
     PlanRefused
-        There are too few.
-    """
+        Too few postures can be measured."""
     q_rad = feasible_postures(workspace.with_clearance(), request, np.random.default_rng(request.seed))[:POOL]
     return Candidates(q_rad, gravity_regressor(workspace.robot, q_rad, workspace.gravity_m_s2))
 
 
 def guess_of(workspace: Workspace, pool: Candidates) -> Floats:
-    """A load (4,) to begin with: the heaviest of the cell, else half of what the arm would carry."""
+    """Return an initial guess (4,) of a load: the heaviest of the cell file, else half of what the arm can carry."""
     mass_kg, com_m = reference_load(workspace, pool.q_rad)
     return mass_kg * np.append(1.0, com_m)
 
 
 def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextStep:
-    """Return what the visits identify and what to measure next.
+    """Return the estimate from the visits, and the next pose to measure.
 
     Parameters
     ----------
@@ -146,9 +148,9 @@ def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextSt
     Raises
     ------
     PlanRefused
-        The present posture is not allowed, or no path leads to any pose that is worth it.
+        The present posture is not allowed, or no path leads to a useful pose.
     InputError, DataUnusable
-        As the joint estimator.
+        As raised by the joint estimator.
     """
     table = _together(search.earlier, None if measured is None else measured.with_torque_scaled(search.torque_scale))
     stock = _stock(search, table)
@@ -174,14 +176,14 @@ def _together(earlier: Table | None, measured: Table | None) -> Table | None:
 
 
 def _poses(table: Table, label: str) -> Floats:
-    """Postures (k, N) at which the load was measured, one per pose."""
+    """Return the postures (k, N) at which the load was measured, one per pose."""
     here = table.load == label
     _, first = np.unique(table.pose[here], return_index=True)
     return table.q_rad[here][first]
 
 
 def _stock(search: LoadSearch, table: Table | None) -> Stock:
-    """Return the estimate of the load; before the first row, what is known without them."""
+    """Return the estimate of the load; before the first sample, the prior knowledge."""
     if table is None:
         band_nm = BAND_SHARE * search.workspace.torque_nm
         noise = PoseNoise(assumed_noise_nm(search.workspace) ** 2, np.zeros(len(band_nm)))
@@ -193,7 +195,7 @@ def _stock(search: LoadSearch, table: Table | None) -> Stock:
 
 
 def _sample_std_nm(table: Table) -> Floats:
-    """Median (N,) over the visits of the standard deviation of one sample; NaN where none is known."""
+    """Return the median (N,) over the visits of the standard deviation of one sample; NaN where not known."""
     known = np.isfinite(table.tau_std_nm)
     return np.array(
         [
@@ -204,7 +206,7 @@ def _sample_std_nm(table: Table) -> Floats:
 
 
 def _choice(search: LoadSearch, at_rad: Floats, count: int) -> Candidates:
-    """The pool, and postures about the present posture: the whole range has few postures close by."""
+    """Return the pool together with postures near the present one, of which the pool holds few."""
     random = np.random.default_rng([search.seed, count])
     size = random.uniform(_NEAREST_RAD, _FARTHEST_RAD, (NEAR_BY, 1))
     q_rad = at_rad + size * random.uniform(-1.0, 1.0, (NEAR_BY, len(at_rad)))
@@ -215,7 +217,7 @@ def _choice(search: LoadSearch, at_rad: Floats, count: int) -> Candidates:
 
 
 def _seconds(search: LoadSearch, at_rad: Floats, q_rad: Floats) -> Floats:
-    """Time (n,) [s] of the straight path to each pose, both approaches and settling."""
+    """Return the time (n,) [s] of the straight path to each pose, both approaches and settling."""
     settings, workspace = search.settings, search.workspace
     offset = np.full(len(at_rad), settings.approach_offset_rad)
     slow = approach_limits(workspace, settings.approach_speed_rad_s)
@@ -226,12 +228,14 @@ def _seconds(search: LoadSearch, at_rad: Floats, q_rad: Floats) -> Floats:
 
 
 def _plan(search: LoadSearch, at_rad: Floats, best_rad: Floats, named: tuple[int, int]) -> Plan:
-    """Plan of the best pose with a free path; `named` are its number and the samples a side."""
+    """Return the plan of the best pose with a free path; `named` holds its number and the samples per approach
+    direction.
+    """
     number, samples = named
     if not len(best_rad):
         raise PlanRefused(
-            f"arm '{search.arm}': every posture that could be measured is within {DISTANCE_RAD} rad of one that was; "
-            "widen the limits of the cell, or ask for less by --until"
+            f"arm '{search.arm}': every measurable posture is within {DISTANCE_RAD} rad of a measured one; widen the"
+            " limits in the cell file, or give a larger half width in --until"
         )
     settings = replace(search.settings, samples=samples)
     first = best_rad[:_STRAIGHT]

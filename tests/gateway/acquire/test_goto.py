@@ -134,7 +134,7 @@ def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(small_ce
         assert room.feasible((1 - share) * begin + share * end).all()
     (said,) = remarks(plan, room)
     assert "in keep_out box 1" in said
-    assert "it goes over" in said
+    assert "by way of" in said
 
 
 def test_where_no_way_is_found_it_says_what_the_straight_one_meets(small_cell, opened, fake):
@@ -142,7 +142,7 @@ def test_where_no_way_is_found_it_says_what_the_straight_one_meets(small_cell, o
     pinned = replace(wall, lower_rad=np.array([-1.3, -0.25, 0.35, -0.1, -0.1, -0.1]))
     pinned = replace(pinned, upper_rad=np.array([1.3, -0.15, 0.45, 0.1, 0.1, 0.1]))
     stand(fake, LEFT)
-    with pytest.raises(PlanRefused, match=r"straight there, at .*in keep_out box 1.*of your own choice"):
+    with pytest.raises(PlanRefused, match=r"on the straight path, at .*in keep_out box 1.*of your choice"):
         plan_transfer(opened(room=pinned), to(RIGHT))
     assert fake.log == []
 
@@ -153,7 +153,7 @@ def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, 
     stand(fake, (0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0))
     plan = went(opened(pacing), to(TARGET))
     assert isinstance(plan.steps[0], MoveInwards)
-    assert "joint 4 is outside its range: it first moves inwards" in remarks(plan, workspace)[0]
+    assert "joint 4 is outside its range: it first moves slowly back" in remarks(plan, workspace)[0]
     path = np.array(fake.path)
     assert (np.diff(path[:, 3]) <= COUNTS_RAD).all(), "never outwards"
     assert path[-1] == pytest.approx(TARGET, abs=COUNTS_RAD)
@@ -164,7 +164,8 @@ def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(small_cell, o
     stand(fake, (0.0, -0.2, 0.4, 0.0, 0.0, 0.0))
     room = post(small_cell)
     with pytest.raises(
-        PlanRefused, match=r"in keep_out box 1.*move it clear by hand.*joint [1-6] by [+-].*no command moves it"
+        PlanRefused,
+        match=r"in keep_out box 1.*move it clear by hand.*joint [1-6] by [+-].*no command of servo-gateway moves it",
     ) as refused:
         went(opened(room=room), to(LEFT))
     assert not isinstance(refused.value, WrongPlace), "no command leads out of there"

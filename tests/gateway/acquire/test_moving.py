@@ -250,6 +250,6 @@ def test_samples_that_do_not_tell_the_harmonics_are_refused(drive, workspace, fa
 
 
 def test_periods_that_do_not_follow_one_another_are_refused(drive, workspace, fake):
-    with pytest.raises(PlanRefused, match="'load': does not end at rest where it began"):
+    with pytest.raises(PlanRefused, match="'load': a period must end at rest in its start posture"):
         drive(what=MovingPlan("main", (Unrested(swing(workspace)),), {}))
     assert fake.log == []

@@ -218,9 +218,9 @@ def test_a_motion_inwards_that_is_none_is_refused(plan, workspace):
         (replace(inwards, q_rad=plan.poses[1].q_rad), *others),
         (MoveTo(inwards.q_rad), *others),
     ):
-        with pytest.raises(PlanRefused, match="not the straight motion|joint 4 outside"):
+        with pytest.raises(PlanRefused, match="must be the straight motion|joint 4 outside"):
             check_plan(replace(going, steps=steps), workspace)
-    with pytest.raises(PlanRefused, match="not the straight motion"):
+    with pytest.raises(PlanRefused, match="must be the straight motion"):
         check_plan(replace(going, start_rad=None), workspace)
 
 
@@ -231,7 +231,7 @@ def test_a_motion_inwards_that_is_none_is_refused(plan, workspace):
 def test_a_missing_limit_refuses(plan, workspace, name):
     values = getattr(workspace, name).copy()
     values[3] = np.inf if name == "upper_rad" else np.nan
-    with pytest.raises(PlanRefused, match="joint 4: .* is missing; nothing will move"):
+    with pytest.raises(PlanRefused, match="joint 4: .* is missing in the cell file; nothing will move"):
         check_plan(plan, replace(workspace, **{name: values}))
 
 
@@ -245,13 +245,13 @@ def test_broken_plans_are_refused(plan, workspace):
     approach = next(i for i, step in enumerate(plan.steps) if isinstance(step, Approach))
     step = plan.steps[approach]
     cases = [
-        (changed(plan, approach, replace(step, direction=1)), "does not come to pose"),
-        (changed(plan, approach, plan.steps[approach - 1]), "without having been approached"),
-        (changed(plan, approach + 1, plan.steps[approach - 1]), "before it has settled"),
+        (changed(plan, approach, replace(step, direction=1)), "must approach pose"),
+        (changed(plan, approach, plan.steps[approach - 1]), "must be approached before it settles"),
+        (changed(plan, approach + 1, plan.steps[approach - 1]), "must settle before it is sampled"),
         (changed(plan, approach - 1, MoveTo((0.0, 0.0, 9.0, 0.0, 0.0, 0.0))), "joint 3 outside"),
         (changed(plan, approach - 1, MoveTo((0.0, 0.0, float("nan"), 0.0, 0.0, 0.0))), "6 finite joint angles"),
         (replace(plan, settings=replace(plan.settings, approach_speed_rad_s=0.0)), "approach speed is 0"),
-        (replace(plan, steps=plan.steps[approach:]), "approached from nowhere"),
+        (replace(plan, steps=plan.steps[approach:]), "without a move before it"),
     ]
     check_plan(plan, workspace)
     for broken, words in cases:
@@ -295,7 +295,7 @@ def test_travel_is_shorter_than_in_the_order_of_choice(workspace, poses):
 
 
 def test_one_pose_is_refused(small_cell):
-    with pytest.raises(PlanRefused, match="one posture never gives all of a load"):
+    with pytest.raises(PlanRefused, match="one pose cannot identify a load"):
         make_plan(small_cell, n_poses=1)
 
 
@@ -321,9 +321,9 @@ def test_poses_from_a_file(tmp_path, small_cell, workspace, poses):
     ("rows", "header", "message"),
     [
         ([[1, 0, 0, 0, 0, 0]], "pose,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad", "column 'q6_rad' is missing"),
-        ([[1] + [0] * 7, [1] + [1] * 7], None, ":3: pose: 1 is not a new number"),
-        ([[1.5] + [0] * 7], None, ":2: pose: 1.5 is not a new number"),
-        ([[1] + [0] * 6 + [2]], None, ":2: x_validation: 2.0 is neither 0 nor 1"),
+        ([[1] + [0] * 7, [1] + [1] * 7], None, ":3: pose: 1 must be an unused integer"),
+        ([[1.5] + [0] * 7], None, ":2: pose: 1.5 must be an unused integer"),
+        ([[1] + [0] * 6 + [2]], None, ":2: x_validation: 2.0 must be 0 or 1"),
     ],
 )
 def test_bad_pose_files(tmp_path, rows, header, message):

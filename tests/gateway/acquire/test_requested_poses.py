@@ -83,8 +83,8 @@ def test_what_a_result_asks_for_gets_numbers_beyond_its_own_whatever_hangs(small
         ({"robot": "kr300"}, "robot 'kr300'"),
         ({"cell": "elsewhere"}, "cell 'elsewhere'"),
         ({"arm": "left"}, "arm 'left'"),
-        ({"poses": (), "what": "weigh the links"}, "asks for no pose under `next`, but for: weigh the links"),
-        ({"poses": ((0.1, 0.2),)}, "not of 6 axes"),
+        ({"poses": (), "what": "weigh the links"}, "requests no pose under `next`, but: weigh the links"),
+        ({"poses": ((0.1, 0.2),)}, "must have 6 axes"),
     ],
 )
 def test_a_result_that_cannot_be_measured_here_is_refused(small_cell, config, result, change, says):

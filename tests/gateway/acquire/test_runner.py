@@ -146,7 +146,7 @@ def brought_to_rest(fake) -> bool:
 
 def test_too_many_incomplete_epochs_give_the_visit_up(station, plan, store, events, fake):
     fake.silent = dict.fromkeys(range(0, 20000, 2), 2)
-    with pytest.raises(IncompleteEpochs, match="left unanswered"):
+    with pytest.raises(IncompleteEpochs, match="were not answered by all axes"):
         run_plan(station, RunRequest(plan, "none"))
     assert brought_to_rest(fake)
     assert [visit.complete for visit in store.visits] == [False]

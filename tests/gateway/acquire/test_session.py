@@ -117,7 +117,7 @@ def test_arm_stood_at_the_poses(recorded, plan):
 def test_plan_of_a_recording_has_its_poses(recorded, small_cell, plan):
     again = plan_of_recording(small_cell, read(recorded[0]))
     assert again.poses == plan.poses
-    with pytest.raises(InputError, match="asks for no poses"):
+    with pytest.raises(InputError, match="requests no poses"):
         plan_of_recording(small_cell, read(recorded[0]).__class__(**_without_arms(read(recorded[0]))))
 
 

@@ -20,7 +20,7 @@ def cubic(scale: float, rows: int = ROWS) -> Motion:
 
 
 def test_arms_that_move_together_need_motions_of_one_length():
-    with pytest.raises(ValueError, match="one length"):
+    with pytest.raises(ValueError, match="equal length"):
         MotionSetpoints([np.zeros(6)] * 2, [cubic(1.0), cubic(1.0, ROWS + 1)])
 
 

@@ -302,7 +302,7 @@ def test_a_stuck_joint_is_named_with_what_it_was_told(watch, workspace):
             watch.check(sample(k, ZERO), joint(4, -0.001 * k), ZERO)
 
     with pytest.raises(
-        LimitExceeded, match=r"joint 4 was commanded to move by -0\.\d+ rad and has moved by 0\.000 rad"
+        LimitExceeded, match=r"joint 4 was commanded to move by -0\.\d+ rad but has moved by 0\.000 rad"
     ):
         told()
 

@@ -84,7 +84,7 @@ _WHOLE = Count("incomplete", most=0)
 _GAPS = Count("incomplete", least=1)
 _SILENT = "left 5 SYNCs in a row unanswered"
 _EMERGENCY = r"sent an emergency: 0x7305, encoder signal faulty"
-_BEHIND = r"was commanded to move by -?0\.04\d rad and has moved by -?0\.0\d\d rad"
+_BEHIND = r"was commanded to move by -?0\.04\d rad but has moved by -?0\.0\d\d rad"
 _EMCY_RESET = (Count("emcy", share=1.0), Count("emcy of the node", share=1.0), Count("emcy of an error", most=0))
 
 STATED: Final[Mapping[str, Stated]] = MappingProxyType(

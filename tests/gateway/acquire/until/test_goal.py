@@ -28,15 +28,15 @@ def test_what_is_typed_is_meant(text, goal):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("", "neither mass=.. nor com=.."),
-        ("weight=1kg", "'weight=1kg' is neither"),
+        ("", "must be mass=.. or com=.."),
+        ("weight=1kg", "'weight=1kg' must be"),
         ("mass=0.5", "lacks its unit (kg, g, %)"),
         ("com=3%", "not a number with a unit (m, mm)"),
-        ("mass=-1kg", "a half width is above 0"),
-        ("mass=nan%", "a half width is above 0"),
+        ("mass=-1kg", "a half width must be positive"),
+        ("mass=nan%", "a half width must be positive"),
         ("mass=1kg,mass=2%", "mass is given twice"),
-        ("com=3m", "asks for nothing"),
-        ("mass=80%", "asks for nothing"),
+        ("com=3m", "is too large to be a goal"),
+        ("mass=80%", "is too large to be a goal"),
     ],
 )
 def test_what_cannot_be_meant_is_refused_by_name(text, says):

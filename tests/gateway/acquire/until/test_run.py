@@ -113,7 +113,7 @@ def test_the_run_ends_once_the_load_is_known(finished, workspace):
     assert numbers == [number for number in range(7, 7 + decision.verdict.poses) for _ in range(2)]
     told = [event for event in events if isinstance(event, Narrowed)]
     assert [event.poses for event in told] == list(range(1, decision.verdict.poses + 1))
-    assert "known as well as was asked for" in ended(decision, "a")
+    assert "has reached the requested uncertainty" in ended(decision, "a")
     assert [event.pose for event in events if isinstance(event, PoseDone)] == numbers[::2]
     assert [event.remaining_s for event in events if isinstance(event, Progress)][-1] == 0.0
     assert [str(event.state.phase) for event in events if isinstance(event, StateChanged)][-1] == "in its brakes"
