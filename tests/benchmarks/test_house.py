@@ -28,7 +28,7 @@ def found() -> dict[str, dict]:
         "public class names used twice",
     ],
 )
-def test_house_stands_as_drawn(found: dict[str, dict], name: str) -> None:
+def test_repository_structure_is_as_drawn(found: dict[str, dict], name: str) -> None:
     allowed = 2 if name == "files at the root of gateway" else 0
     assert found[name]["value"] == allowed, found[name]["list"]
 
@@ -38,7 +38,7 @@ def test_groups_that_reach_each_other_are_circles() -> None:
     assert circles(edges) == [["a", "b", "c"], ["d", "e"]]
 
 
-def test_import_of_a_higher_room_is_found() -> None:
+def test_import_of_a_higher_layer_is_found() -> None:
     edges = frozenset({("gateway.model.robot", "gateway.report.view"), ("gateway.report.view", "gateway.model.robot")})
     assert upward(House({}, edges, {})) == [("gateway.model.robot", "gateway.report.view")]
 
@@ -57,12 +57,12 @@ def test_modules_of_a_folder_are_read_with_their_imports(tmp_path: Path) -> None
     assert house.lines == {"drives.a": 2, "gateway.b": 2, "sim.c": 5}
 
 
-def test_floors_are_those_that_the_linter_holds() -> None:
+def test_layers_are_those_of_the_linter() -> None:
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(each["layers"] for each in contracts if each["type"] == "layers")
     assert [tuple(layer.split(" : ")) for layer in reversed(layers)] == list(FLOORS)
 
 
 @pytest.mark.parametrize(("path", "name"), TORQUE_PATH)
-def test_the_way_of_a_torque_is_as_drawn(path, name):
+def test_the_transmission_of_a_torque_is_as_drawn(path, name):
     assert name in (ROOT / path).read_text(encoding="utf-8")

@@ -84,7 +84,7 @@ def test_code_of_a_page_is_not_read_as_its_text():
     assert [(each.line, each.found) for each in slips_of_page("docs/a.md", page)] == [(7, "nobody")]
 
 
-def test_sentences_are_counted_up_to_their_full_stop():
+def test_word_counts_end_at_a_full_stop():
     short, long = " ".join(["word"] * 30) + ".", " ".join(["word"] * 31) + "."
     assert long_sentences(f"{short} {short}\n\n| {long} |") == []
     assert long_sentences(f"{short} {long}") == [long]

@@ -45,7 +45,7 @@ def test_mutants_are_drawn_by_the_seed(tmp_path):
     ("path", "folder"),
     [("drives/epoch.py", "tests/drives"), ("gateway/motion/watch.py", "tests/gateway/motion")],
 )
-def test_a_module_is_mirrored_by_the_tests_of_its_room(path, folder):
+def test_a_module_is_mirrored_by_the_tests_of_its_package(path, folder):
     assert mirrored(path) == folder
 
 

@@ -77,7 +77,7 @@ def test_a_value_that_does_not_fit_its_type_is_not_sent(access, slave):
     assert slave.written == []
 
 
-def test_a_mode_that_is_shown_late_is_waited_for_and_one_that_is_not_shown_refused(bus, add_slaves, setups):
+def test_a_mode_that_is_shown_with_delay_is_waited_for_and_one_that_is_not_shown_refused(bus, add_slaves, setups):
     """Generic profile: 1 s."""
     (slave,) = add_slaves(1)
     with DriveGroup(bus, setups(1), 0.004) as group:

@@ -116,7 +116,7 @@ def test_a_lost_frame_costs_at_most_four_rows(rig_of: Callable[[bool], Rig], sta
     assert rig.group.enabled
 
 
-def test_a_time_stamp_tells_the_age_of_the_first_frame_that_comes_too_late(rig_of: Callable[[bool], Rig]) -> None:
+def test_a_time_stamp_gives_the_age_of_the_first_delayed_frame(rig_of: Callable[[bool], Rig]) -> None:
     """Sent just before the next SYNC and read after it: what only its stamp can tell when nothing was amiss before."""
     rig = rig_of(True)
     rig.step()

@@ -76,7 +76,7 @@ def test_a_closed_bus_says_so():
         bus.receive(0.0)
 
 
-def test_many_own_frames_may_be_on_their_way_back_at_once(bus, wire):
+def test_many_own_frames_may_be_in_transit_at_once(bus, wire):
     """NMT commands to every node of a large bus, before the first of them is received."""
     wire.echo = bus.echoes = True
     for node_id in range(1, 100):
@@ -86,7 +86,7 @@ def test_many_own_frames_may_be_on_their_way_back_at_once(bus, wire):
 
 
 @pytest.mark.parametrize("echo", [False, True])
-def test_own_frames_are_told_from_another_masters(bus, wire, echo):
+def test_own_frames_are_distinguished_from_another_masters(bus, wire, echo):
     wire.echo = bus.echoes = echo
     for _ in range(20):
         bus.send(0x080, b"")
@@ -257,7 +257,7 @@ def test_a_good_frame_among_odd_ones_is_received(bus, wire):
     assert frame.arbitration_id == 0x181
 
 
-def test_frames_without_end_do_not_hold_up_whoever_takes_in_what_has_arrived(bus, wire):
+def test_frames_without_end_do_not_block_the_reading_of_what_has_arrived(bus, wire):
     def flood(timeout=None):
         wire.now_s += 0.0001
         return can.Message(arbitration_id=0x7FF, data=bytes(8), is_extended_id=False)
@@ -268,7 +268,7 @@ def test_frames_without_end_do_not_hold_up_whoever_takes_in_what_has_arrived(bus
     assert wire.now_s - start < 0.06
 
 
-def test_the_network_of_canopen_sends_and_hears_through_the_bus(bus, make_slave):
+def test_the_network_of_canopen_sends_and_receives_through_the_bus(bus, make_slave):
     slave = make_slave(5)
     node = bus.network.add_node(5)
     bus.network.nmt.send_command(1)
@@ -317,7 +317,7 @@ def test_a_disk_that_is_full_switches_the_frame_log_off_and_raises_nowhere_else(
     assert any("frame log is incomplete" in note for note in first.value.__notes__)
 
 
-def test_a_disk_that_hangs_delays_no_frame_and_the_frames_that_are_missing_are_counted(wire, tmp_path, monkeypatch):
+def test_a_blocked_disk_delays_no_frame_and_the_frames_that_are_missing_are_counted(wire, tmp_path, monkeypatch):
     """The log's writer does not return from its first frame until the test lets it."""
     monkeypatch.setattr("drives.frame_log._QUEUE_FRAMES", 10)
     goes_on, entered = threading.Event(), threading.Event()

@@ -99,7 +99,7 @@ def test_no_controlword_has_the_reset_bit_and_only_enabling_has_the_enable_bit(s
 
 @pytest.mark.parametrize("target", TARGETS)
 @pytest.mark.parametrize("start", [State.FAULT, State.FAULT_REACTION_ACTIVE, State.UNDEFINED])
-def test_there_is_no_way_out_of_a_fault(start, target):
+def test_no_transition_leaves_a_fault(start, target):
     with pytest.raises(NoRoute):
         next_controlword(start, target)
 
@@ -112,7 +112,7 @@ def test_stopping_never_energises(state):
         assert standard(state, word) in (state, State.SWITCH_ON_DISABLED, State.QUICK_STOP_ACTIVE)
 
 
-def test_nobody_can_ask_for_a_fault():
+def test_a_fault_cannot_be_commanded():
     with pytest.raises(NoRoute):
         next_controlword(State.SWITCHED_ON, State.FAULT)
 

@@ -72,7 +72,7 @@ def test_an_axis_found_outside_moves_only_inwards(bus, slave, generic, found, si
 
 
 @pytest.mark.parametrize(("found", "side"), [(5000, 1), (-5000, -1)])
-def test_an_axis_held_outside_stays_where_it_is_when_a_way_inwards_begins_a_hair_further_out(
+def test_an_axis_held_outside_stays_where_it_is_when_a_path_inwards_begins_a_hair_further_out(
     bus, slave, generic, found, side
 ):
     """What is read while it is held differs by some counts from what it was told to hold."""

@@ -47,7 +47,7 @@ def test_who_asks_before_anything_began_gets_nothing_enabled(group, slaves):
     assert [slave.controlwords for slave in slaves] == [[]] * 3
 
 
-def test_a_stop_is_heard_while_a_node_does_not_start(group, slaves, wire):
+def test_a_stop_is_detected_while_a_node_does_not_start(group, slaves, wire):
     slaves[1].communication_error_until_s = wire.now_s + 1e9
     begin_s = wire.now_s
     with pytest.raises(StopRequested):
@@ -56,7 +56,7 @@ def test_a_stop_is_heard_while_a_node_does_not_start(group, slaves, wire):
     assert enabling_words(slaves) == set()
 
 
-def test_a_stop_is_heard_while_an_axis_does_not_switch_on(group, slaves):
+def test_a_stop_is_detected_while_an_axis_does_not_switch_on(group, slaves):
     slaves[2].stuck_in = "ready"
     with pytest.raises(StopRequested):
         group.enable(lambda: slaves[2].state == "ready")
@@ -65,7 +65,7 @@ def test_a_stop_is_heard_while_an_axis_does_not_switch_on(group, slaves):
 
 
 @pytest.mark.parametrize("syncs", [0, 3, 10])
-def test_a_stop_is_heard_while_the_brakes_open(group, slaves, syncs):
+def test_a_stop_is_detected_while_the_brakes_open(group, slaves, syncs):
     """The profile gives the brakes 50 ms, 13 SYNCs."""
 
     def asked():
@@ -78,7 +78,7 @@ def test_a_stop_is_heard_while_the_brakes_open(group, slaves, syncs):
     assert {slave.values[0x1016, 1] for slave in slaves} == {0}
 
 
-def test_nobody_asks_and_all_are_enabled(group, slaves):
+def test_without_a_stop_request_all_are_enabled(group, slaves):
     assert group.enable(lambda: False).complete
     assert {slave.state for slave in slaves} == {"operation enabled"}
 
@@ -130,7 +130,7 @@ def test_an_axis_that_falls_back_while_the_brakes_open_ends_it(group, slaves):
 # -- time -------------------------------------------------------------------------------------------------------------
 
 
-def test_rows_that_never_become_complete_end_the_way_up(group, slaves, wire):
+def test_rows_that_never_become_complete_end_the_enabling(group, slaves, wire):
     """Each axis answers often enough not to count as silent, but never all three at once."""
 
     class Absent(dict):
@@ -156,7 +156,7 @@ def test_rows_that_never_become_complete_end_the_way_up(group, slaves, wire):
 # -- places -----------------------------------------------------------------------------------------------------------
 
 
-def test_the_target_on_the_way_up_does_not_follow_an_axis_that_sags(group, slaves, wire):
+def test_the_target_during_enabling_does_not_follow_an_axis_that_drops(group, slaves, wire):
     """Every SYNC before its brake holds the axis sinks by 100 counts: it is told to stay where it stood."""
     stood = slaves[1].position
     slaves[0].stuck_in = "ready"
@@ -185,7 +185,7 @@ def with_short_patience(group):
 
 
 @pytest.mark.parametrize("share", [0.9, 1.1])
-def test_an_axis_that_moves_while_its_brake_opens_stops_the_way_up(group, slaves, share):
+def test_an_axis_that_moves_while_its_brake_opens_stops_the_enabling(group, slaves, share):
     moved = round(share * BRAKE_DROP_REVOLUTIONS * TURN)
 
     def sag(word):
@@ -230,7 +230,7 @@ def test_a_drive_that_goes_to_fault_before_the_first_word_is_led_nowhere(group, 
     assert all(not word & 0x80 for slave in slaves for word in slave.controlwords)
 
 
-def test_a_drive_that_somebody_enabled_meanwhile_is_not_enabled_again(group, slaves):
+def test_a_drive_enabled_meanwhile_is_not_enabled_again(group, slaves):
     slaves[0].state = "operation enabled"
     with pytest.raises(DriveFault, match="node 1.*before it was enabled.*disable it first"):
         group.enable()

@@ -50,7 +50,7 @@ def test_a_lost_answer_leaves_a_gap_and_the_next_row_is_whole(group, slaves):
 
 
 @pytest.mark.parametrize("delay_s", [0.025, 0.03, 0.039])
-def test_a_late_answer_never_enters_the_next_row(group, slaves, delay_s):
+def test_a_delayed_answer_never_enters_the_next_row(group, slaves, delay_s):
     slaves[2].tpdo_delay_s[slaves[2].sync_seen + 1] = delay_s
     assert step(group, slaves).missing == (2,)
     for _ in range(20):
@@ -70,7 +70,7 @@ def test_an_answer_that_comes_after_the_next_sync_contradicts_its_successor(grou
         assert step(group, slaves).complete
 
 
-def test_of_a_single_drive_too_an_answer_to_the_sync_before_is_not_believed(bus, add_slaves, setups):
+def test_of_a_single_drive_too_an_answer_to_the_sync_before_is_not_accepted(bus, add_slaves, setups):
     """Nothing else comes late here: what stayed away itself is what is watched for."""
     slaves = add_slaves(1)
     with DriveGroup(bus, setups(1), 0.004) as group:

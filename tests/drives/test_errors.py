@@ -37,7 +37,7 @@ def test_what_was_said_is_not_repeated_while_stopping():
     assert "while stopping: node 4:" in str(error)
 
 
-def test_a_bus_that_dies_is_told_in_ten_lines_with_the_cause_first():
+def test_a_bus_that_fails_is_reported_in_ten_lines_with_the_cause_first():
     """The bus fails, then every node in every way while stopping, disabling and disarming."""
     error = BusError(
         "frame 201 could not be sent within 20 ms: Transmit buffer full", advice="check that the bus is up"

@@ -24,7 +24,7 @@ def test_a_link_is_replaced_and_the_file_behind_it_keeps_its_content(tmp_path):
     assert (other.read_text(), path.read_text(), path.is_symlink()) == ("kept", "new", False)
 
 
-def test_no_file_that_lies_in_the_folder_is_written_through(tmp_path):
+def test_no_existing_link_in_the_folder_is_written_through(tmp_path):
     other = tmp_path / "other"
     other.write_text("kept")
     for name in (".result.json.tmp", "result.json.tmp", f"result.json.{os.getpid()}", f".result.json.{os.getpid()}"):

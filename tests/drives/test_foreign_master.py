@@ -19,7 +19,7 @@ SAID = [
 
 
 @pytest.mark.parametrize(("frame", "said"), SAID)
-def test_a_scan_beside_a_master_sends_nothing_and_says_who_was_heard(bus, make_slave, wire, frame, said):
+def test_a_scan_beside_a_master_sends_nothing_and_names_who_was_received(bus, make_slave, wire, frame, said):
     make_slave(3)
     wire.emit(*frame, delay_s=0.9 * FREE_S)
     with pytest.raises(ForeignMaster, match=f"has sent {said}; nothing was sent to the drives") as refused:
@@ -28,7 +28,7 @@ def test_a_scan_beside_a_master_sends_nothing_and_says_who_was_heard(bus, make_s
     assert wire.sent == []
 
 
-def test_all_that_was_heard_is_said(bus, wire):
+def test_all_received_frames_are_reported(bus, wire):
     for can_id, data in (SYNC, SYNC, UPLOAD, (0x605, bytes(8)), BEAT):
         wire.emit(can_id, data, delay_s=0.01)
     says = r"has sent 2 SYNC and SDO requests to nodes 3, 5 and the heartbeat of node 127"
@@ -37,7 +37,7 @@ def test_all_that_was_heard_is_said(bus, wire):
     assert "is a drive" not in str(refused.value)
 
 
-def test_a_drive_with_the_id_of_masters_is_told_what_to_do(bus, wire):
+def test_a_drive_with_the_id_of_masters_is_reported_with_the_remedy(bus, wire):
     wire.emit(*BEAT, delay_s=0.01)
     with pytest.raises(ForeignMaster, match="if node 127 is a drive, give it another id"):
         refuse_foreign(bus, 0.1)
@@ -69,7 +69,9 @@ def test_drives_are_not_taken_from_another_master(bus, add_slaves, setups, wire,
 
 
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
-def test_a_master_with_a_sync_of_100_ms_is_heard_before_a_group_sends_anything(bus, add_slaves, setups, wire, pacing):
+def test_a_master_with_a_sync_of_100_ms_is_detected_before_a_group_sends_anything(
+    bus, add_slaves, setups, wire, pacing
+):
     add_slaves(6)
     for number in range(20):
         wire.emit(*SYNC, delay_s=0.08 + 0.1 * number)
@@ -92,7 +94,7 @@ def test_once_a_master_appears_nothing_more_is_written_or_commanded(bus, add_sla
     assert wire.sent == sent, "nor while closing"
 
 
-def test_a_master_that_appears_while_the_arm_waits_in_its_brakes_is_heard_before_it_is_enabled(
+def test_a_master_that_appears_while_the_arm_waits_in_its_brakes_is_detected_before_it_is_enabled(
     bus, add_slaves, setups, wire
 ):
     slaves = add_slaves(2)

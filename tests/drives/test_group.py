@@ -249,7 +249,7 @@ def test_a_fault_while_moving_stops_all_axes_within_five_syncs(group, slaves):
     assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}
 
 
-def test_no_word_on_the_way_down_energises(group, slaves):
+def test_no_controlword_while_disabling_energises(group, slaves):
     group.enable()
     for slave in slaves:
         slave.controlwords.clear()
@@ -258,7 +258,7 @@ def test_no_word_on_the_way_down_energises(group, slaves):
     assert {word & 0x08 for slave in slaves for word in slave.controlwords} == {0}
 
 
-def test_an_axis_that_falls_silent_stops_the_others(group, slaves):
+def test_an_axis_that_stops_responding_stops_the_others(group, slaves):
     group.enable()
     slaves[5].alive = False
     epochs = [group.hold() for _ in range(4)]
@@ -435,7 +435,7 @@ def test_axes_are_armed_whenever_they_are_enabled(group, slaves):
         group.disable()
 
 
-def test_a_drive_that_somebody_else_enabled_is_not_configured(bus, slaves, setups):
+def test_a_drive_enabled_by_another_master_is_not_configured(bus, slaves, setups):
     slaves[1].state = "operation enabled"
     with DriveGroup(bus, setups(6), PERIOD_S) as group:
         group.connect()

@@ -88,7 +88,7 @@ def test_frames_of_another_mapping_are_not_read(bus, wire, setups):
     assert heard.epochs()[0].readings == (None,)
 
 
-def test_emergencies_are_told_in_words(bus, wire, setups):
+def test_emergencies_are_reported_in_words(bus, wire, setups):
     heard = ListenOnlyBus(bus, setups(2))
     wire.emit(0x082, struct.pack("<HB5s", 0x8130, 0x11, b""))
     bus.listen(0.01)

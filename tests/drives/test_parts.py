@@ -201,7 +201,7 @@ def test_a_heartbeat_watch_starts_with_the_first_heartbeat(bus, wire):
 @pytest.mark.parametrize(
     ("clock_s", "syncs_s", "lost"), [(0.4, 0.4, ()), (9.0, 0.4, ()), (0.4, 9.0, ()), (0.6, 0.6, (1,)), (9.0, 0.6, (1,))]
 )
-def test_a_heartbeat_is_lost_when_it_is_silent_too_long_by_the_clock_and_by_syncs(
+def test_a_heartbeat_is_lost_when_it_is_missing_too_long_in_real_time_and_by_syncs(
     bus, wire, begin_s, clock_s, syncs_s, lost
 ):
     sync_time_s = [begin_s]
@@ -376,7 +376,7 @@ def test_the_clock_goes_on_from_the_syncs_of_another_one(bus, wire):
     assert (clock.overruns, clock.paused_s) == (0, pytest.approx(0.0, abs=1e-4))
 
 
-def test_by_the_clock_a_silent_axis_does_not_hold_up_the_others(bus, add_slaves, setups, wire):
+def test_in_real_time_an_axis_that_does_not_respond_does_not_block_the_others(bus, add_slaves, setups, wire):
     slaves = add_slaves(3)
     with DriveGroup(bus, setups(3), 0.004, "real") as group:
         group.connect()

@@ -127,7 +127,7 @@ def test_a_profile_that_is_not_there_names_those_that_are():
         load_profile("nobody")
 
 
-def test_the_schema_is_json_and_knows_every_key():
+def test_the_schema_is_json_and_has_every_key():
     schema = json.loads(json.dumps(profile_schema()))
     assert set(tomllib.loads(GENERIC)) <= set(schema["properties"])
 
@@ -273,7 +273,7 @@ def test_internal_units():
     assert 65536 * scale.velocity_rad_s == pytest.approx(2 * math.pi / 8192 * 1000)
 
 
-def test_internal_units_with_rms_and_peak_the_other_way():
+def test_internal_units_with_rms_and_peak_exchanged():
     text = (PROFILE_FOLDER / "technosoft-ipos8010.toml").read_text()
     text = text.replace('current_reference = "peak"', 'current_reference = "rms"')
     scale = motor_scale(parse_profile(text, "x"), constants(), 0.05)

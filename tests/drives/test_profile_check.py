@@ -66,6 +66,6 @@ def test_a_missing_sheet_is_a_profile_error(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["../x.eds", "/dev/zero", "a/b.eds", "x.txt"])
-def test_a_sheet_lies_beside_its_profile(name):
+def test_a_sheet_is_beside_its_profile(name):
     with pytest.raises(ProfileError, match="eds"):
         parse_profile(PROFILE.replace("generic-cia402.eds", name), "mine.toml")

@@ -150,7 +150,7 @@ def test_whatever_0x6007_makes_of_it_counts_as_left(group, slaves, option):
     assert slaves[0].state == ("fault" if option == 1 else "switch on disabled")
 
 
-def test_only_enabled_axes_fall_silent(group, slaves):
+def test_only_enabled_axes_stop_responding(group, slaves):
     group.disable()
     with pytest.raises(ConfigurationRefused):
         fall_silent(group, rows(slaves, 1))
@@ -291,7 +291,7 @@ def test_a_ramp_is_watched_until_it_ends(group, slaves):
     assert third.coast_rad / COUNT_RAD == pytest.approx(sum(1000 - 10 * number for number in range(50)), abs=2 * STEP)
 
 
-def test_a_drive_that_obeys_two_syncs_late_is_in_time_and_a_later_one_is_not(group, slaves):
+def test_a_drive_that_obeys_after_two_syncs_is_in_time_and_a_later_one_is_not(group, slaves):
     slow(slaves[0], 1)
     slow(slaves[1], 6)
     first, second, third = prove_quick_stop(group, rows(slaves, 5))

@@ -48,7 +48,7 @@ def test_what_was_given_is_given_back(monkeypatch):
     assert system.calls[2:] == [("scheduler", os.SCHED_OTHER, 0), ("munlockall",)]
 
 
-def test_where_nothing_is_permitted_nothing_happens_and_the_reason_is_told(monkeypatch):
+def test_where_nothing_is_permitted_nothing_happens_and_the_reason_is_reported(monkeypatch):
     system = System(monkeypatch, permitted=False)
     with RealTime() as status:
         assert (status.fifo, status.locked) == (False, False)
@@ -72,7 +72,7 @@ def test_asking_changes_nothing_and_says_what_would_be_given(monkeypatch, permit
     assert system.calls == []
 
 
-def test_a_scheduler_that_cannot_be_set_back_is_told(monkeypatch):
+def test_a_scheduler_that_cannot_be_set_back_is_reported(monkeypatch):
     system = System(monkeypatch, permitted=True)
     asked = RealTime()
     with asked:
@@ -88,7 +88,7 @@ def test_a_thread_may_leave_what_it_inherited(monkeypatch, permitted):
     assert system.calls == ([("scheduler", os.SCHED_OTHER, 0)] if permitted else [])
 
 
-def test_memory_that_cannot_be_locked_is_told_and_not_unlocked(monkeypatch):
+def test_memory_that_cannot_be_locked_is_reported_and_not_unlocked(monkeypatch):
     system = System(monkeypatch, permitted=True)
     system.mlockall = lambda flags: -1  # type: ignore[method-assign]
     with RealTime() as status:

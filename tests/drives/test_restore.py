@@ -77,7 +77,7 @@ def test_the_limit_of_an_exchanged_drive_is_its_own_original(drive, group_of):
     restored(group_of())
 
 
-def test_a_limit_that_somebody_else_has_set_is_a_new_original(drive, group_of):
+def test_a_limit_set_by_another_master_is_a_new_original(drive, group_of):
     slave = drive()
     run(group_of(1.0))
     slave.values[TORQUE] = 800

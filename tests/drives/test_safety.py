@@ -84,7 +84,7 @@ def test_safety_objects_are_looked_up_in_the_data_sheet(generic):
         parse_profile(generic.text + SAFETY, "here.toml")
 
 
-def test_the_schema_tells_of_safety_and_reference():
+def test_the_schema_describes_safety_and_reference():
     schema = profile_schema()
     assert {"safety", "reference"} <= set(schema["properties"])
     assert {"SafetyCondition", "Reference"} <= set(schema["$defs"])

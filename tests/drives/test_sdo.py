@@ -64,7 +64,7 @@ def test_segmented_download(sdo, slave, length):
     assert slave._download == data
 
 
-def test_abort_in_words_with_node_object_and_advice(sdo, slave):
+def test_abort_in_words_with_node_object_and_remedy(sdo, slave):
     slave.refused[0x6077, 0] = 0x06020000
     with pytest.raises(SdoAbort, match=r"node 3:6077:00 \(torque\).*0x06020000.*does not exist.*profile") as caught:
         sdo.read(0x6077, 0, "i16")
@@ -78,7 +78,7 @@ def test_every_abort_code_of_the_library_is_known_here():
     assert set(SdoAbortedError.CODES) <= set(ABORT_CODES)
 
 
-def test_a_late_answer_is_never_the_answer_to_the_next_question(sdo, slave):
+def test_a_delayed_answer_is_never_the_answer_to_the_next_question(sdo, slave):
     """The answer to 0x6064 comes after its time-out: the next read is of another object."""
     slave.reply = late_once(0.35)
     slave.position, slave.torque = 111, 222
@@ -90,7 +90,7 @@ def test_a_late_answer_is_never_the_answer_to_the_next_question(sdo, slave):
     assert sdo.statistics.late == 1
 
 
-def test_a_late_answer_is_not_taken_for_a_fresh_one_of_the_same_object(sdo, slave):
+def test_a_delayed_answer_is_not_taken_for_a_fresh_one_of_the_same_object(sdo, slave):
     slave.reply = late_once(0.35)
     slave.position = 111
     with pytest.raises(SdoTimeout):
@@ -99,7 +99,7 @@ def test_a_late_answer_is_not_taken_for_a_fresh_one_of_the_same_object(sdo, slav
     assert sdo.read(0x6064, 0, "i32") == 999
 
 
-def test_a_repeated_read_waits_until_the_first_answer_is_out_of_the_way(sdo, slave):
+def test_a_repeated_read_waits_until_the_first_answer_has_arrived(sdo, slave):
     """The read is repeated by itself; the late answer holds what the object was at the first request."""
     values = iter([111, 999])
     delays = iter([0.35, 0.001])
@@ -112,7 +112,7 @@ def test_a_repeated_read_waits_until_the_first_answer_is_out_of_the_way(sdo, sla
     assert (sdo.statistics.timeouts, sdo.statistics.late) == (1, 1)
 
 
-def test_a_late_abort_does_not_hit_another_object(sdo, slave):
+def test_a_delayed_abort_does_not_hit_another_object(sdo, slave):
     slave.refused[0x2010, 0] = 0x06020000
     slave.reply = late_once(0.35)
     with pytest.raises(SdoTimeout):
@@ -128,7 +128,7 @@ def test_a_write_is_sent_once_whatever_happens(sdo, slave):
     assert slave.written == [(0x6060, 0, 8)]
 
 
-def test_a_late_confirmation_does_not_confirm_the_next_write(sdo, slave):
+def test_a_delayed_confirmation_does_not_confirm_the_next_write(sdo, slave):
     slave.reply = late_once(0.35)
     with pytest.raises(SdoTimeout):
         sdo.write(0x6060, 0, "i8", 8)
@@ -424,7 +424,7 @@ def test_a_posted_read_takes_its_answer_when_it_comes(bus, sdo, slave):
         (0x43, b"\xfe\xff\x00\x00", "i16", -2),
     ],
 )
-def test_one_value_by_every_way_of_reading(bus, sdo, slave, command, data, kind, value):
+def test_one_value_by_every_method_of_reading(bus, sdo, slave, command, data, kind, value):
     """CiA 301, 7.2.4.3.6: without an indicated size the bytes behind the object are undefined."""
     code = {"u8": 0x05, "i16": 0x03, "u16": 0x06, "u32": 0x07}[kind]
     slave.reply = lambda request, answer: [(0.001, bytes([command]) + request[1:4] + data)]
@@ -466,7 +466,7 @@ def test_one_question_at_a_time_for_one_object(bus, sdo, slave, wire):
     assert (first.value, other.value) == (slave.torque, slave.position)
 
 
-def test_an_answer_that_may_be_late_is_as_old_as_the_first_question_that_it_may_answer(bus, sdo, slave, wire):
+def test_a_possibly_delayed_answer_is_as_old_as_the_first_question_that_it_may_answer(bus, sdo, slave, wire):
     delays = iter([0.4])
     slave.reply = lambda request, answer: [(next(delays, 0.001), answer)]
     slave.torque, requested_s = 1, wire.now_s

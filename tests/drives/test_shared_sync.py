@@ -94,7 +94,7 @@ def free(group: DriveGroup) -> bool:
 
 
 @pytest.mark.parametrize("held_s", [0.0, 0.006, 0.013, 0.0175])
-def test_both_buses_get_their_sync_at_one_instant_and_answer_it_however_late_one_was(groups, wires, held_s):
+def test_both_buses_get_their_sync_at_one_instant_and_answer_it_whatever_the_delay_of_one(groups, wires, held_s):
     before = [len(syncs_s(each)) for each in wires]
     for row in range(12):
         if row == 5:
@@ -109,7 +109,7 @@ def test_both_buses_get_their_sync_at_one_instant_and_answer_it_however_late_one
     assert [slave.position for slave in wires[0].slaves] == [drive.target_count for drive in groups[0].drives]
 
 
-def test_an_axis_that_is_silent_on_one_bus_leaves_the_answers_of_the_other_bus_whole(groups, wires):
+def test_an_axis_that_does_not_respond_on_one_bus_leaves_the_answers_of_the_other_bus_whole(groups, wires):
     silent = wires[0].slaves[1]
     for sync in (silent.sync_seen + 1, silent.sync_seen + 2):
         silent.tpdo_delay_s[sync] = None
@@ -134,7 +134,7 @@ def test_what_one_arm_refuses_is_not_begun_by_the_other(groups, wires):
     assert all(epoch.complete for epoch in together(groups))
 
 
-def test_nobody_leaves_a_cycle_that_another_thread_has_begun(groups):
+def test_no_thread_leaves_a_cycle_that_another_thread_has_begun(groups):
     """One thread may be stopping an arm while another one clears up what was begun with it."""
     together(groups)
     told, first = [drive.target_count for drive in groups[0].drives], groups[0]
@@ -177,7 +177,7 @@ def test_a_stall_while_both_move_stops_before_the_sync_and_takes_the_targets_bac
     assert free(groups[1])
 
 
-def test_a_fault_is_told_by_the_last_part_and_stops_the_axes_of_its_bus(groups, wires):
+def test_a_fault_is_reported_by_the_last_part_and_stops_the_axes_of_its_bus(groups, wires):
     together(groups)
     wires[1].slaves[2].state = "fault"
     for group in groups:

@@ -76,7 +76,7 @@ def rig() -> Rig:
 
 
 @pytest.mark.parametrize(("word", "says"), [(0x0A37, "bit 11"), (0x2237, "bit 13"), (0x0037, "bit 9")])
-def test_a_bit_that_stands_stops_and_one_that_flickers_does_not(rig: Rig, word: int, says: str) -> None:
+def test_a_bit_that_stays_set_stops_and_one_that_flickers_does_not(rig: Rig, word: int, says: str) -> None:
     for number in range(10):
         rig.check((word if number % BITS_IN_A_ROW else ENABLED, number, 0), (ENABLED, number, 0))
     rig.monitor.forgive()
@@ -130,7 +130,7 @@ def test_an_emergency_that_says_all_is_well_and_an_old_one_do_not_stop(rig: Rig)
     rig.check((ENABLED, 0, 0), (ENABLED, 0, 0))
 
 
-def test_an_axis_that_stands_still_is_asked_and_believed(rig: Rig) -> None:
+def test_an_axis_at_rest_is_read_by_sdo_and_accepted(rig: Rig) -> None:
     for _ in range(4 * SAME_IN_A_ROW + 2):
         rig.check((ENABLED, 1000, 10), (ENABLED, 2000, 20))
     assert rig.asked == 4 * 2 * 2
@@ -171,7 +171,7 @@ def test_an_axis_at_rest_may_stand_a_little_elsewhere_by_sdo(rig: Rig, off: floa
 LATEST = SAME_IN_A_ROW + SETTLED_SYNCS + 2
 
 
-def test_by_the_clock_an_axis_that_stands_still_is_asked_and_believed() -> None:
+def test_in_real_time_an_axis_at_rest_is_read_by_sdo_and_accepted() -> None:
     rig = Rig("real")
     rig.checks(*(((ENABLED, 1000, 10), (ENABLED, 2000, 20)) for _ in range(LATEST)))
     assert rig.asked == 4
@@ -184,7 +184,7 @@ def test_by_the_clock_an_answer_that_stays_while_the_axis_moves_stops() -> None:
         rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(LATEST)))
 
 
-def test_by_the_clock_an_axis_that_begins_to_move_is_believed() -> None:
+def test_in_real_time_an_axis_that_begins_to_move_is_accepted() -> None:
     rig = Rig("real")
     rig.truth[1] = (2400, 20)
     rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(SAME_IN_A_ROW + 2)))

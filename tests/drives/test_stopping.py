@@ -95,7 +95,7 @@ def test_a_master_that_was_held_up_while_moving_stops_and_sends_no_further_set_p
 
 
 @pytest.mark.parametrize(("late_s", "stops"), [(0.019, False), (0.0225, True)])
-def test_two_periods_late_are_the_limit(real, slaves, wire, late_s, stops):
+def test_a_delay_of_two_periods_is_the_limit(real, slaves, wire, late_s, stops):
     assert DRIVE_RULES["stalled"].limit == 2
     move(real, 3)
     wire.now_s += PERIOD_S + late_s - 1e-3
@@ -127,7 +127,7 @@ def test_a_master_that_was_held_up_at_rest_goes_on_without_that_row(real, slaves
     assert real.enabled
 
 
-def test_in_lockstep_time_stands_still_while_the_master_does(group, wire):
+def test_in_lockstep_time_stops_while_the_master_does(group, wire):
     move(group, 3)
     wire.now_s += 5.0
     move(group, 3)
@@ -164,7 +164,7 @@ def test_an_axis_that_moves_is_brought_to_rest_before_it_is_disabled(group, slav
         assert slave.state == "switch on disabled"
 
 
-def test_an_axis_that_stands_is_disabled_without_a_ramp(group, slaves):
+def test_an_axis_at_rest_is_disabled_without_a_ramp(group, slaves):
     for _ in range(5):
         group.hold()
     for slave in slaves:
@@ -173,7 +173,7 @@ def test_an_axis_that_stands_is_disabled_without_a_ramp(group, slaves):
     assert all(0x02 not in slave.controlwords for slave in slaves)
 
 
-def test_sag_is_measured_from_where_the_drive_last_held_the_axis(group, slaves):
+def test_drop_is_measured_from_where_the_drive_last_held_the_axis(group, slaves):
     for _ in range(5):
         group.hold()
     slaves[1].ways = {"switched on": [-20], "switch on disabled": [-30, -40, 10, 0, 0, -5]}
@@ -318,7 +318,7 @@ def test_the_heartbeat_ends_when_an_axis_stays_enabled_too_long(group, slaves, w
     assert {slave.state for slave in slaves} == {"quick stop"}
 
 
-def test_a_bus_that_fails_while_sag_is_watched_ends_the_heartbeat(group, slaves, wire):
+def test_a_bus_that_fails_while_the_drop_is_monitored_ends_the_heartbeat(group, slaves, wire):
     for _ in range(5):
         group.hold()
     plain = slaves[0]._sync
@@ -337,7 +337,7 @@ def test_a_bus_that_fails_while_sag_is_watched_ends_the_heartbeat(group, slaves,
     assert len(beats_s(wire)) == beats
 
 
-def test_arms_that_all_fall_silent_are_not_watched_for_sag(group, slaves):
+def test_arms_that_all_stop_responding_are_not_monitored_for_a_drop(group, slaves):
     """Nothing is measured where nothing answers."""
     for _ in range(5):
         group.hold()
@@ -480,7 +480,7 @@ def test_waiting_for_an_answer_does_not_revive_the_heartbeat(group, slaves, wire
 
 
 @pytest.mark.parametrize("pacing", ["real", "lockstep"])
-def test_one_axis_hangs_on_its_brake_while_the_others_hold(bus, slaves, setups, pacing):
+def test_one_axis_is_held_by_its_brake_while_the_others_hold(bus, slaves, setups, pacing):
     with DriveGroup(bus, setups(6), PERIOD_S, pacing) as group:
         group.connect()
         group.configure()
@@ -497,7 +497,7 @@ def test_one_axis_hangs_on_its_brake_while_the_others_hold(bus, slaves, setups, 
         assert group.enable().complete
 
 
-def test_another_axis_that_gives_way_meanwhile_stops_all(group, slaves):
+def test_another_axis_that_slips_meanwhile_stops_all(group, slaves):
     plain = slaves[1]._sync
 
     def sync() -> None:

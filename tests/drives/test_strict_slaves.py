@@ -198,7 +198,7 @@ def test_a_slave_with_a_foreign_emergency_id(bus, slaves, setups, pacing):
 
 
 @pytest.mark.parametrize("cob_id", [0x80000082, 0x200000B5, 0x080, 0x181, 0x081])
-def test_emergencies_that_would_not_be_heard_are_refused(bus, slaves, setups, cob_id):
+def test_emergencies_that_would_not_be_received_are_refused(bus, slaves, setups, cob_id):
     """Switched off, 29 bits, the SYNC's, that of a TPDO, that of another drive."""
     put(slaves[1], (0x1014, 0), "u32", cob_id)
     with (
@@ -222,7 +222,7 @@ def test_a_node_that_stays_stopped_is_called_stopped(bus, slaves, setups):
     assert "power" not in caught.value.advice
 
 
-def test_nmt_states_are_heard_without_a_word(bus, slaves, wire):
+def test_nmt_states_are_received_without_a_message(bus, slaves, wire):
     slaves[0].nmt, slaves[0].values[0x1017, 0] = 4, 500
     slaves[1].nmt, slaves[1].values[0x1017, 0] = 5, 500
     assert nmt_states(bus, [1, 2, 3], 0.6) == {1: NmtState.STOPPED, 2: NmtState.OPERATIONAL, 3: None}

@@ -52,7 +52,7 @@ def test_the_line_of_a_key(path, line):
     assert key_lines(TEXT.replace("\n", "\r\n"))[path] == line
 
 
-def test_what_stands_in_strings_and_remarks_is_no_key():
+def test_text_in_strings_and_comments_is_no_key():
     assert ("arm", 2) not in key_lines(TEXT)
     assert not [path for path in key_lines(TEXT) if "no" in path]
 
@@ -140,7 +140,7 @@ def test_a_problem_names_line_key_and_what_to_write(old, new, said):
     assert any(line.startswith(said) for line in problems((old, new)))
 
 
-def test_what_a_table_checks_is_told_beside_what_its_keys_lack():
+def test_failed_checks_of_a_table_are_reported_beside_missing_keys():
     told = problems(('name = "a"\n', ""), ("limit = [-1, 1]", "limit = [1, -1]"), ("node = 2", "node = 1"))
     assert [re.sub(r" \(.*", "", line.partition(": ")[2]) for line in told] == [
         'name is missing: write name = "..."',
@@ -154,7 +154,7 @@ def test_what_was_put_in_to_look_further_is_not_complained_of():
     assert len(problems(("node = 1", "node = 0"), ("node = 2", "node = 128"))) == 2
 
 
-def test_one_problem_on_several_lines_is_told_once_and_ten_lines_are_the_most():
+def test_one_problem_on_several_lines_is_reported_once_and_ten_lines_are_the_most():
     told = problems((', source = "x"', ""), (', source = "x"', ""))
     assert told == ('f.toml lines 4, 8, J1, J2: ratio: source is missing: write ratio = { value = 2, source = "..." }',)
     many = "".join(f"key{number} = 1\n" for number in range(30))

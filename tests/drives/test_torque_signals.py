@@ -50,7 +50,7 @@ def test_each_sync_gives_the_three_words_of_each_drive(group, slaves):
     assert (first.missing, second.missing) == ("", "")
 
 
-def test_afterwards_it_is_off_and_nobody_listens(group, slaves):
+def test_afterwards_it_is_off_and_not_received(group, slaves):
     with TorqueSignalReader(group.bus, group.drives) as reader:
         assert [slave.values[0x1802, 1] & OFF for slave in slaves] == [0, 0]
         assert [slave.values[0x1802, 2] for slave in slaves] == [1, 1]
@@ -61,7 +61,7 @@ def test_afterwards_it_is_off_and_nobody_listens(group, slaves):
     reader.close()
 
 
-def test_a_drive_without_a_third_tpdo_says_so_and_the_other_is_heard(group, slaves):
+def test_a_drive_without_a_third_tpdo_says_so_and_the_other_is_received(group, slaves):
     for address in [address for address in slaves[0].values if address[0] in (0x1802, 0x1A02)]:
         del slaves[0].values[address]
     with TorqueSignalReader(group.bus, group.drives) as reader:

@@ -47,7 +47,7 @@ def test_help_imports_nothing_heavy():
 
 
 @pytest.mark.parametrize("name", sorted(cli.COMMANDS))
-def test_every_command_explains_itself_and_knows_v_and_q(name):
+def test_every_command_explains_itself_and_accepts_v_and_q(name):
     done = run(name, "--help")
     assert done.exit_code == 0, done.output
     if name not in ("profiles", "cell", "config", "drive", "fleet"):
@@ -209,7 +209,7 @@ def test_a_reader_that_leaves_is_no_error():
     ("before", "code"),
     [(None, 0), (StoppedByPerson("stopped by SIGTERM"), 130), (InputError("the disk is full"), 3)],
 )
-def test_an_output_that_nobody_reads_does_not_hide_how_the_command_ended(monkeypatch, before, code):
+def test_a_closed_output_does_not_hide_how_the_command_ended(monkeypatch, before, code):
     closed = []
     monkeypatch.setattr(cli.os, "dup2", lambda _null, number: closed.append(number))
 
@@ -249,7 +249,7 @@ def test_a_full_disk_is_no_defect(capsys):
     assert "free some space" in capsys.readouterr().err
 
 
-def test_a_defect_is_told_even_where_no_log_can_be_written(monkeypatch, capsys):
+def test_a_defect_is_reported_even_where_no_log_can_be_written(monkeypatch, capsys):
     def full(**_options):
         raise OSError(28, "No space left on device")
 
@@ -277,7 +277,7 @@ def test_a_signal_before_anything_moves_ends_the_program_with_its_code(name):
 
 
 @pytest.mark.slow
-def test_what_nohup_has_silenced_stays_silent():
+def test_signals_ignored_by_nohup_stay_ignored():
     program = (
         "import os, signal, sys\nfrom gateway import cli\nimport gateway.commands.console as console\n"
         "class Session(console.Session):\n"
@@ -351,7 +351,7 @@ def test_an_arm_that_was_under_power_is_reported_as_far_as_its_stop_is_confirmed
         (("xyzzy",), "No such command 'xyzzy'.\n"),
     ],
 )
-def test_a_misspelled_command_or_option_is_answered_with_what_is_alike(words, says):
+def test_a_misspelled_command_or_option_is_answered_with_similar_names(words, says):
     done = CliRunner().invoke(main, list(words))
     assert done.exit_code == 2
     assert says in done.output

@@ -239,7 +239,7 @@ def test_what_is_to_be_measured_next_keeps_the_limits_of_the_cell(table, tmp_pat
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", ["estimate", "diagnose"])
-def test_a_load_is_accepted_or_not_or_cannot_be_told(table, tmp_path, command):
+def test_a_load_is_accepted_or_not_or_undecided(table, tmp_path, command):
     """The tool weighs 4 kg; exact constants and links, so that the interval is some grams."""
     path, page = table(), tmp_path / "accept.xml"
     words = [
@@ -285,7 +285,7 @@ def test_what_is_expected_has_to_be_in_the_data(table):
         ("diagnose", 4, "kg, which no body has", "bad"),
     ],
 )
-def test_a_load_that_was_not_hung_is_asked_for(table, tmp_path, command, seed, says, status):
+def test_a_load_that_was_not_mounted_is_asked_for(table, tmp_path, command, seed, says, status):
     """Rows of the bare arm under the label of a load; noise that leaves the interval about 0, or below it."""
     out, page = tmp_path / "out.json", tmp_path / "page.html"
     path = table(

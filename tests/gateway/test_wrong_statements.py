@@ -197,7 +197,7 @@ def test_exact_is_tested_like_any_other_statement(option, tmp_path):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_joint_counted_the_other_way_is_named(command, tmp_path):
+def test_joint_counted_in_the_other_direction_is_named(command, tmp_path):
     cell = quiet_cell("joint counted in reverse")
     joint = changed_axis(cell, quiet_cell().columns)
     _, _, result = typed(cell, tmp_path, command)

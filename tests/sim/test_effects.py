@@ -131,7 +131,7 @@ def test_cable_resists_winding(plant, chain):
     np.testing.assert_allclose(difference, [0, 0, 0, 0, 0, 3.0 * Q[5]], atol=1e-9)
 
 
-def test_elastic_joint_stands_at_the_wound_up_angle(plant, chain):
+def test_elastic_joint_rests_at_the_wound_up_angle(plant, chain):
     changed = build(plant, "joint_elasticity", chain)
     tau, q = transmitted(chain, changed, Q, 0.0)
     np.testing.assert_allclose(q, Q - 1e-5 * tau * np.array([0, 0, 1, 0, 0, 0]), atol=1e-9)

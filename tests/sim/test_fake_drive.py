@@ -232,7 +232,7 @@ def test_loss_of_the_masters_heartbeat_ends_as_0x6007_says(drives, option, state
     assert struct.unpack_from("<H", emergencies[0])[0] == 0x8130
 
 
-def test_a_consumer_that_never_heard_a_heartbeat_does_not_watch(drives):
+def test_a_consumer_that_never_received_a_heartbeat_does_not_watch(drives):
     master, _ = drives
     master.configure(NODE, 8)
     master.write(NODE, 0x1016, 1, 0x7F << 16 | 20, 4)
@@ -420,7 +420,7 @@ def test_nmt_stop_silences_sdo_and_reset_restores_the_power_on_values(drives):
     assert master.number(NODE, 0x1A00, 1) == 0x60410010
 
 
-def test_heartbeat_tells_the_state_while_simulated_time_runs(drives):
+def test_heartbeat_reports_the_state_while_simulated_time_runs(drives):
     master, _ = drives
     master.write(NODE, 0x1017, 0, 50, 2)
     master.send(0x000, bytes([1, NODE]))

@@ -71,7 +71,7 @@ def test_lost_answers_are_lost_for_as_long_as_stated(rig: Rig, kind: str) -> Non
     assert [ids(rig.cycle(number)) for number in range(1, 5)] == [ALL, [0x181, 0x183], [0x181, 0x183], ALL]
 
 
-def test_late_answer_comes_before_the_next_one_of_the_same_drive(rig: Rig) -> None:
+def test_delayed_answer_comes_before_the_next_one_of_the_same_drive(rig: Rig) -> None:
     rig.wire.arm(Fault("tpdo_late", node=1, at_sync=2))
     rig.cycle(1)
     assert ids(rig.cycle(2)) == [0x182, 0x183]
@@ -153,7 +153,7 @@ def test_sdo_answers(rig: Rig) -> None:
     assert rig.answer(good) == [good]
 
 
-def test_late_sdo_answer_is_sent_by_whoever_receives(rig: Rig) -> None:
+def test_delayed_sdo_answer_is_sent_by_the_next_receive(rig: Rig) -> None:
     rig.wire.arm(Fault("sdo_late", node=2, syncs=0, delay_s=0.02))
     sent_s = time.monotonic()
     assert rig.answer(bytes(8)) == []
@@ -183,7 +183,7 @@ def test_a_burst_in_lockstep_is_as_long_as_its_syncs_stand_for(rig: Rig) -> None
     assert counts == [[1002], [], [], [4002], [2002, 3002, 5002], [6002]]
 
 
-def test_a_late_answer_is_late_by_time_where_a_time_is_given(rig: Rig) -> None:
+def test_a_delayed_answer_is_delayed_by_time_where_a_time_is_given(rig: Rig) -> None:
     rig.wire.arm(Fault("tpdo_late", node=1, at_sync=1, delay_s=0.1))
     begin_s = time.monotonic()
     assert ids(rig.cycle(1)) == [0x182, 0x183]
@@ -212,7 +212,7 @@ def test_another_master_with_a_slow_sync_keeps_to_the_clock(rig: Rig, monkeypatc
     assert came == [0x080] * 5
 
 
-def test_commands_that_reach_nobody(rig: Rig) -> None:
+def test_commands_that_reach_no_drive(rig: Rig) -> None:
     rig.wire.arm(Fault("rpdo_lost", node=2, at_sync=0, syncs=0))
     for node in NODES:
         rig.master.send(can.Message(arbitration_id=0x200 + node, data=bytes(8), is_extended_id=False))

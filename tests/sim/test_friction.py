@@ -27,7 +27,7 @@ def settle(friction: JointFriction, u: float, tau: float, omega: float = 0.0, st
 
 
 @pytest.mark.parametrize("excess", [-4.9, -1.0, 0.0, 3.0, 4.9])
-def test_inside_the_band_the_joint_stands(excess):
+def test_inside_the_band_the_joint_rests(excess):
     assert settle(gear(stiction_nm=5.0, coulomb_nm=5.0), 20.0 + excess, 20.0) == 0.0
 
 

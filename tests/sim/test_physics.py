@@ -91,7 +91,7 @@ def test_moving_torque_is_that_of_inverse_dynamics(world_of):
     np.testing.assert_allclose(world.qd_rad_s / 0.02, fall, rtol=0.02, atol=0.05)
 
 
-def test_an_arm_in_its_brakes_stands_still_and_shows_no_torque(world_of):
+def test_an_arm_in_its_brakes_rests_and_shows_no_torque(world_of):
     world = world_of("large")
     before = world.q_rad
     world.advance(500)
@@ -165,7 +165,7 @@ def test_a_payload_that_moves_is_followed(world_of):
 
 
 @pytest.mark.parametrize("name", ["large", "small"])
-def test_after_a_slow_approach_the_torque_lies_near_the_edge_of_its_side(name, arm_of, world_of):
+def test_after_a_slow_approach_the_torque_is_near_the_edge_of_its_side(name, arm_of, world_of):
     """Both sides: the edge is eta u = tau + F or u = eta (tau - F); half the sum is gravity, some asymmetry is left."""
     from sim.nominal import plant_of
 

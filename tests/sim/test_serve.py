@@ -45,7 +45,7 @@ def test_without_the_physics_it_says_what_to_install(monkeypatch):
     assert "pybullet is not installed: pip install 'servo-gateway[sim]'" in done.stderr
 
 
-def test_a_process_of_its_own_answers_hangs_loads_and_writes_the_truth(tmp_path):
+def test_a_process_of_its_own_answers_mounts_loads_and_writes_the_truth(tmp_path):
     truth = tmp_path / "truth.json"
     undeclared = tmp_path / "effects.toml"
     undeclared.write_text(
@@ -176,7 +176,7 @@ def test_faults_of_the_drive_are_there_from_the_start(fault, index, sub, expecte
         assert expected is None or value == expected
 
 
-def test_a_missing_node_is_silent_and_an_aborted_object_refused(tmp_path, channel, master_on):
+def test_a_missing_node_does_not_respond_and_an_aborted_object_refused(tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text(
         '[[fault]]\nkind = "node_missing"\nnode = 2\nsyncs = 0\n'
@@ -204,7 +204,7 @@ def test_an_axis_that_never_settles_keeps_moving(tmp_path, channel, master_on):
         assert np.ptp(counts) > 0.002 * 100 * 131072 / (2 * np.pi)
 
 
-def test_a_node_killed_in_the_run_falls_silent(tmp_path, channel, master_on):
+def test_a_node_killed_in_the_run_stops_responding(tmp_path, channel, master_on):
     scenario = tmp_path / "fault.toml"
     scenario.write_text('[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 40\nsyncs = 0\n', encoding="utf-8")
     with running(SMALL, f"virtual:{channel}", fault=scenario, pacing="lockstep") as simulation:
@@ -269,7 +269,7 @@ def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unb
     [(0.0,), (0.004,), (0.007,), (0.009,), (0.014,), (0.006, 0.006), (0.0061, 0.0049), (0.009, 0.006, 0.006)],
     ids=str,
 )
-def test_late_set_points_change_the_delay_of_a_drive_for_a_moment_only(late_s, held, channel):
+def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(late_s, held, channel):
     """By the clock: drives are locked to the SYNC; else two arms with unlike histories would pull at a common part."""
     simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
     unit = simulation.arms[0]
@@ -355,7 +355,7 @@ def test_truth_beside_an_effect_that_was_found():
     assert "1 > 1, 800 > 8, 2 > 2" in residual
 
 
-def test_the_demo_tells_both_programs_not_to_wait_for_the_clock(monkeypatch, tmp_path):
+def test_the_demo_starts_both_programs_without_waiting_for_the_clock(monkeypatch, tmp_path):
     started = []
 
     class Program:

@@ -89,7 +89,7 @@ def test_a_chain_survives_writing_and_reading(arm_of):
     np.testing.assert_allclose([b.mass_kg for b in again.bodies], [b.mass_kg for b in chain.bodies])
 
 
-def test_what_hangs_on_a_fixed_joint_belongs_to_the_link_that_carries_it(arm_of):
+def test_a_body_on_a_fixed_joint_belongs_to_the_link_that_carries_it(arm_of):
     text = write_chain(arm_of("small").chain)
     flange = """
       <link name="flange"><inertial><origin xyz="0 0 0.01"/><mass value="0.5"/>

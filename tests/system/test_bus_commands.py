@@ -45,7 +45,7 @@ def test_scan_and_check_of_a_healthy_cell(place, gateway, serve):
         ("wrong_rated", "Nm at the joint"),
     ],
 )
-def test_check_tells_every_drive_that_must_not_be_used(place, gateway, serve, kind, says):
+def test_check_reports_every_drive_that_must_not_be_used(place, gateway, serve, kind, says):
     drives = serve(fault=f'[[fault]]\nkind = "{kind}"\nnode = 3\n')
     done = gateway("check", place.cell, "--bus", drives.bus, "--json", place.folder / "check.json")
     assert done.exit_code == 7, done.output

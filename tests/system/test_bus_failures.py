@@ -12,7 +12,7 @@ SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 400\n'
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("fault", "named"), [(KILLED, "nodes 1 to 6"), (SILENT, "node 3")])
-def test_a_failure_is_told_once_and_shortly(place, gateway, serve, fast_arm, fault, named):
+def test_a_failure_is_reported_once_and_shortly(place, gateway, serve, fast_arm, fault, named):
     drives = fast_arm(serve(fault=fault))
     done = gateway("record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, "--yes", "-q")
     assert done.exit_code == 4, done.output
@@ -27,7 +27,7 @@ def test_a_failure_is_told_once_and_shortly(place, gateway, serve, fast_arm, fau
     assert drives.stand_still()
 
 
-def test_nothing_was_kept_where_nobody_agreed(place, gateway, serve):
+def test_nothing_is_kept_without_confirmation(place, gateway, serve):
     drives = serve()
     done = gateway("record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, input="n\n")
     assert done.exit_code == 130

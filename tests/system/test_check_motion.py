@@ -91,7 +91,7 @@ def test_nothing_moves_without_a_yes_or_with_a_failed_check(place, gateway, serv
         assert each.stand_still()
 
 
-def test_no_room_no_motion(place, gateway, serve):
+def test_no_space_no_motion(place, gateway, serve):
     drives = serve()
     cell = place.variant("narrow", ("position_limit_rad = [-2.8, 2.8]", "position_limit_rad = [-0.02, 0.02]"))
     done, _ = check(gateway, place, drives, "--prove-stop", "--yes", cell=cell)

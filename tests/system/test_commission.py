@@ -94,7 +94,7 @@ def test_a_job_that_broke_is_gone_on_with(place, serve, commission, fast_arm):
 
 
 @pytest.mark.slow
-def test_nobody_hangs_the_load(place, serve, commission, fast_arm):
+def test_a_load_that_is_not_mounted_ends_the_command(place, serve, commission, fast_arm):
     with_few_poses(place)
     drives = fast_arm(serve())
     code, result, _, output = commission(drives, hangs=False)

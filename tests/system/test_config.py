@@ -111,7 +111,7 @@ def test_a_dump_is_not_replaced_unasked_and_equal_drives_are_equal(config, place
     assert int(suite.get("tests") or 0) > 6 * 30
 
 
-def test_who_has_changed_what_is_told_and_exit_7_says_that_something_is(config, drives, place):
+def test_changed_objects_are_reported_and_exit_7_says_that_something_is(config, drives, place):
     """Drive 2 was changed, file 3 was changed, and both of 4, beside the defaults of a data sheet that has some."""
     sheet = place.folder / "maker.eds"
     sheet.write_text(SHEET.read_text())
@@ -230,7 +230,7 @@ def test_parameters_are_stored_only_where_that_is_asked_for(config, drives, plac
         ("6066", "0x0014", "0x10014", 3, "6066:00.*'0x10014' is not a value of its type"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused_in_one_sentence(config, place, section, old, new, code, says):
+def test_a_file_that_does_not_fit_is_refused_in_one_line(config, place, section, old, new, code, says):
     assert config("dump").exit_code == 0
     edit(place.folder / "dcf" / "2.dcf", section, old, new)
     for verb in ("diff", "apply"):
@@ -279,7 +279,7 @@ def test_what_the_drive_lacks_is_named_and_stops_a_write_before_it_begins(config
     assert store_of(drives, 1).number((0x6066, 0)) == 20
 
 
-def test_a_silent_node_is_named_and_no_file_is_written(config, drives, place):
+def test_a_node_that_does_not_respond_is_named_and_no_file_is_written(config, drives, place):
     drives.handle.simulation.arms[0].drives[2].node.unpowered = True
     done = config("dump")
     assert done.exit_code == 4, done.output

@@ -139,7 +139,7 @@ def test_a_page_leaves_with_its_command(place, serve, gateway, pages):
 
 
 @pytest.mark.slow
-def test_what_is_heard_beside_a_run_is_what_the_run_has_recorded(place, serve, gateway):
+def test_what_is_received_beside_a_run_is_what_the_run_has_recorded(place, serve, gateway):
     drives = serve()
     loaded = load_cell(place.cell)
     (config,) = loaded.cell.arm

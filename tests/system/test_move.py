@@ -98,7 +98,7 @@ def test_a_lost_drive_ends_it_in_the_brakes(place, gateway, serve):
 
 
 @pytest.mark.slow
-def test_where_another_command_cannot_begin_it_names_the_way_on_and_that_works(place, gateway, serve):
+def test_where_another_command_cannot_begin_it_names_the_next_step_and_that_works(place, gateway, serve):
     """Two posts beside the hand: room for the proof, not for a small move of joint 1."""
     drives = serve()
     posts = "".join(

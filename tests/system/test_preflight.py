@@ -115,7 +115,7 @@ def test_drives_are_given_the_limits_that_the_cell_needs_and_get_theirs_back(pla
 # ------------------------------------------------------------------------------------------------------ who sleeps
 
 
-def test_a_stopped_node_is_said_to_be_stopped_and_is_woken_by_what_the_advice_names(place, gateway, serve):
+def test_a_stopped_node_is_said_to_be_stopped_and_is_woken_by_the_recommended_command(place, gateway, serve):
     drives = serve()
     node = drives.handle.simulation.arms[0].drives[2].node
     node.state = STOPPED

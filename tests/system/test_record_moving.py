@@ -78,7 +78,7 @@ def plan(untyped, gateway):
 
 
 @pytest.mark.slow
-def test_what_motion_tells_is_what_is_there(untyped, plan, serve, gateway):
+def test_what_motion_determines_is_what_is_there(untyped, plan, serve, gateway):
     """Recorded, gone on with, estimated, diagnosed, drawn, and used: every number within its own deviations.
 
     The load goes on with the file's own plan, and the bare arm with one that has more in it.

@@ -63,7 +63,7 @@ def test_one_pose_is_refused(place, gateway):
 
 
 @pytest.mark.slow
-def test_a_joint_that_stands_outside_its_limits(place, gateway, serve):
+def test_a_joint_outside_its_limits(place, gateway, serve):
     drives = serve()
     inside = (("home_rad = [0.0", "home_rad = [0.5"), ("loading_rad = [0.0", "loading_rad = [0.5"))
     cell = place.variant("narrow", ("position_limit_rad = [-2.8, 2.8]", "position_limit_rad = [0.4, 2.8]"), *inside)

@@ -81,7 +81,7 @@ def test_one_several_and_strange_ones_are_counted_apart():
     assert out["something named that is not there"]["value"] == pytest.approx(1 / 3)
 
 
-def test_gross_visits_are_found_on_their_axis_and_good_ones_stay():
+def test_outlier_visits_are_found_on_their_axis_and_good_ones_stay():
     hit = cell(gross=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 2, 6.5)])
     beside = cell(gross=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 3, 6.5), (1, "none", 3, 5.0)])
     out = gross_figures([hit, beside])

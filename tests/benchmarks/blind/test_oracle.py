@@ -58,7 +58,7 @@ def test_what_is_wrong_or_not_known_makes_the_load_less_known():
     assert oracle.load_std(cell, cell.visits, lost)[0] > 1.5 * sharp[0]
 
 
-def test_a_mass_whose_constants_are_all_wrong_alike_is_as_unsure_as_they_are():
+def test_a_mass_whose_constants_share_one_error_is_as_uncertain_as_they_are():
     # free links, no noise to speak of: what is left is the gain of the axes that carry the mass
     cell = draw_cell(4, "base")
     exact = replace(cell.arm, links_std=np.full(24, 1e-12), gain_std=np.full(6, 0.03))
@@ -68,7 +68,7 @@ def test_a_mass_whose_constants_are_all_wrong_alike_is_as_unsure_as_they_are():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("condition", ["base", "efficiency", "all"])
-def test_the_truth_lies_where_the_oracle_says(condition):
+def test_the_truth_is_within_the_oracle_interval(condition):
     # the posterior mean of the same model, from measured half-sums, misses by what the oracle states
     misses = np.array([_miss(seed, condition) for seed in range(30)])
     assert 0.75 < np.sqrt(np.mean(misses**2)) < 1.3

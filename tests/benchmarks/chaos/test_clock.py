@@ -41,7 +41,7 @@ def test_a_command_that_is_interrupted_comes_to_rest_and_lets_go(how):
 
 
 @pytest.mark.slow
-def test_a_slow_disk_stops_the_arm_along_its_way_and_loses_nothing():
+def test_a_slow_disk_stops_the_arm_along_its_path_and_loses_nothing():
     slow = record_on_slow_disk(4.0, PERIOD_S, capacity=2, visits=8)
     assert slow.complaints == []
     assert slow.full, slow.said

@@ -76,7 +76,7 @@ def answer(off: float | None, *findings: list[str], code: int = 0) -> dict:
     return told | {"findings": list(findings), "loads": [load]}
 
 
-def test_silent_is_far_off_without_a_word():
+def test_an_unreported_error_is_far_off_without_a_message():
     warning = ["warn", "some check", "J2", "text"]
     assert silent(answer(3.1))
     assert silent(answer(0.0, code=1))

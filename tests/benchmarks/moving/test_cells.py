@@ -75,7 +75,7 @@ def test_the_oracle_needs_four_times_the_periods_for_half_the_noise(few):
     assert (noisy["load"] > once["load"]).all()
 
 
-def test_the_oracle_knows_a_mass_no_better_than_its_torque_constants(few):
+def test_the_oracle_estimates_a_mass_no_better_than_its_torque_constants(few):
     exact = replace(few, arm=replace(few.arm, gain_std=np.zeros(6)), link_std=1.0)
     rough = replace(exact, arm=replace(few.arm, gain_std=np.full(6, 0.05)))
     mass = few.arm.tool.mass_kg
@@ -184,7 +184,7 @@ def test_an_inertia_that_no_body_has_is_counted(few):
     assert figures([cell | score(truth, None)])["impossible inertias reported"]["met"]
 
 
-def test_an_arm_of_seven_axes_goes_the_same_way():
+def test_an_arm_of_seven_axes_follows_the_same_path():
     text = Path("tests/cells/seven/robot.urdf").read_text(encoding="utf-8")
     rng = np.random.default_rng(2)
     arm, stated = moving_arm(read_chain(text, "seven"), 5.0, MILD, rng)

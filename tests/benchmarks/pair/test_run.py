@@ -150,7 +150,7 @@ def test_a_force_above_twice_the_limit_stops_both_at_once() -> None:
         assert np.linalg.norm(rig.world.wrench[:3]) < 1500.0
 
 
-def test_an_arm_that_stands_elsewhere_is_refused() -> None:
+def test_an_arm_at_another_posture_is_refused() -> None:
     with pair_rig(None) as rig:
         rig.world.motors.theta[2] += 0.1
         rig.world.motors.show()

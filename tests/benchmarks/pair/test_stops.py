@@ -161,7 +161,7 @@ def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
 
 
 @pytest.mark.slow
-def test_a_part_that_is_held_elsewhere_is_felt_on_the_way_to_the_start() -> None:
+def test_a_part_that_is_held_elsewhere_is_detected_during_the_transfer_to_the_start() -> None:
     """A grasp that is 2 mm wrong, the part still held: 300 N if both arms went there."""
     with inline_rig(0) as rig:
         run = standing(rig, "B", 40.0)
@@ -176,7 +176,7 @@ def test_a_part_that_is_held_elsewhere_is_felt_on_the_way_to_the_start() -> None
 
 
 @pytest.mark.slow
-def test_an_arm_that_is_told_the_impossible_stops_both() -> None:
+def test_an_arm_with_impossible_commands_stops_both() -> None:
     with inline_rig(0) as rig:
         run = standing(rig)
         member = run.motion.stream.station.arms.members[1]

@@ -52,7 +52,7 @@ def test_what_is_kept_is_met() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CELLS[1:])
-def test_arms_without_errors_stay_below_the_limit_and_tell_their_force(name: str) -> None:
+def test_arms_without_errors_stay_below_the_limit_and_report_their_force(name: str) -> None:
     """Over PyBullet and CAN by the relation of the grasps alone: what is left are gears that wind up, and friction."""
     with inline_rig(None, cell_file=FOLDER / f"{name}.toml") as rig:
         bench = Bench(rig, constant_function(rig.cell.nominal_relation), 0)

@@ -325,7 +325,7 @@ def test_an_enabled_drive_is_refused(access, slave):
         require_at_rest([access])
 
 
-def test_everything_that_stands_against_a_write_is_told_before_it(access, generic, tmp_path):
+def test_every_obstacle_to_a_write_is_reported_before_it(access, generic, tmp_path):
     """One object that the drive lacks, one of a safety function; nothing is written."""
     lines = [(0x2000, datatypes.UNSIGNED8, ""), (0x2001, datatypes.UNSIGNED8, "")]
     text = SHEET + objects(*lines)

@@ -116,7 +116,7 @@ def test_a_trial_on_the_drive_is_a_basis(device):
     assert profile_of(device(), **TORQUE | {"torque_source": "measured with a lever"}).torque.basis == "measured"
 
 
-def test_counts_that_nobody_knows_refuse_motion(device):
+def test_unknown_counts_refuse_motion(device):
     (obstacle,) = profile_of(device(STRANGE), **TORQUE).obstacles
     assert "counts per motor revolution" in obstacle
     assert "[position]" in obstacle
@@ -132,7 +132,7 @@ def test_counts_stand_in_an_object_of_the_make(device):
         profile_of(device(text), **TORQUE, counts_object="0x3001")
 
 
-def test_a_rated_current_stands_in_an_object_of_the_make(device):
+def test_a_rated_current_is_read_from_a_manufacturer_object(device):
     text = STRANGE + "\n[203B]\nParameterName=r\nObjectType=0x7\nDataType=0x0007\nAccessType=ro\nPDOMapping=0\n"
     answers = CURRENT | {"rated_object": "0x203B", "counts_per_revolution": 4096}
     profile = profile_of(device(text), **answers)

@@ -82,7 +82,7 @@ def test_home_and_loading_are_those_of_the_cell(config, workspace):
     assert destination(named, workspace, "loading").q_rad == RIGHT
 
 
-def test_home_that_nobody_gave_is_the_middle_of_the_joint_ranges_and_said_to_be(small_cell, config, workspace):
+def test_home_that_is_not_configured_is_the_middle_of_the_joint_ranges_and_said_to_be(small_cell, config, workspace):
     nobody = config.model_copy(update={"home_rad": None})
     found = destination(nobody, workspace, "home")
     assert found.q_rad == pytest.approx([(low + high) / 2 for low, high in (a.position_limit_rad for a in config.axis)])
@@ -92,7 +92,7 @@ def test_home_that_nobody_gave_is_the_middle_of_the_joint_ranges_and_said_to_be(
         destination(nobody, wall, "home")
 
 
-def test_a_place_for_loads_that_nobody_gave_is_asked_for(config, workspace):
+def test_a_loading_posture_that_is_not_configured_is_asked_for(config, workspace):
     with pytest.raises(ConfigError, match="loading_rad is missing"):
         destination(config.model_copy(update={"loading_rad": None}), workspace, "loading")
 
@@ -109,13 +109,13 @@ def test_a_posture_where_the_arm_may_not_stand_is_refused_with_what_it_would_tou
 # ------------------------------------------------------------------------------------------------------------- ways
 
 
-def test_a_free_way_is_straight(opened, fake, workspace):
+def test_a_free_path_is_straight(opened, fake, workspace):
     plan = plan_transfer(opened(), to(TARGET))
     assert plan.steps == (MoveTo(TARGET),)
     assert remarks(plan, workspace) == ()
 
 
-def test_a_way_is_planned_anew_only_where_the_arm_stands_elsewhere_by_then(opened, fake):
+def test_a_path_is_planned_again_only_where_the_arm_has_moved_since(opened, fake):
     plan = plan_transfer(opened(), to(TARGET))
     assert transfer_from_here(opened(), to(TARGET), plan) is plan
     stand(fake, LEFT)
@@ -123,7 +123,7 @@ def test_a_way_is_planned_anew_only_where_the_arm_stands_elsewhere_by_then(opene
     assert anew.start_rad == pytest.approx(LEFT)
 
 
-def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(small_cell, opened, fake):
+def test_a_path_that_is_not_free_goes_round_and_says_what_it_would_touch(small_cell, opened, fake):
     room = post(small_cell)
     stand(fake, LEFT)
     plan = plan_transfer(opened(room=room), to(RIGHT))
@@ -137,7 +137,7 @@ def test_a_way_that_is_not_free_goes_round_and_says_what_it_would_touch(small_ce
     assert "by way of" in said
 
 
-def test_where_no_way_is_found_it_says_what_the_straight_one_meets(small_cell, opened, fake):
+def test_without_a_free_path_the_message_names_what_the_straight_one_meets(small_cell, opened, fake):
     wall = with_box(small_cell, (0.25, -0.02, -2.0), (3.0, 0.02, 3.0))
     pinned = replace(wall, lower_rad=np.array([-1.3, -0.25, 0.35, -0.1, -0.1, -0.1]))
     pinned = replace(pinned, upper_rad=np.array([1.3, -0.15, 0.45, 0.1, 0.1, 0.1]))
@@ -160,7 +160,7 @@ def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, 
     assert fake.log == ["enable", "disable"]
 
 
-def test_an_arm_inside_a_box_is_not_moved_and_the_way_out_is_named(small_cell, opened, fake):
+def test_an_arm_inside_a_box_is_not_moved_and_the_path_out_is_named(small_cell, opened, fake):
     stand(fake, (0.0, -0.2, 0.4, 0.0, 0.0, 0.0))
     room = post(small_cell)
     with pytest.raises(
@@ -206,7 +206,7 @@ def test_a_lost_drive_ends_it_as_everywhere_else(opened, fake, pacing):
 
 
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
-def test_a_person_stops_it_along_its_way(opened, fake, pacing):
+def test_a_person_stops_it_along_its_path(opened, fake, pacing):
     def asked():
         if fake.sync_index < 80:
             return None
@@ -222,7 +222,7 @@ def test_a_person_stops_it_along_its_way(opened, fake, pacing):
     assert share == pytest.approx(share.mean(), abs=1e-3), "on the line"
 
 
-def test_contact_on_the_way_stops_it(opened, fake, workspace):
+def test_contact_during_the_motion_stops_it(opened, fake, workspace):
     fake.contact_nm = {90: 1.2 * workspace.torque_nm[2]}
     with pytest.raises(LimitExceeded, match="joint 3 needs"):
         went(opened(), to(TARGET))
@@ -240,7 +240,7 @@ def test_what_goes_to_either_side_does_not_begin_outside_the_range(workspace):
     refuse_start(workspace, np.array(TARGET), "main")
 
 
-def test_the_stop_is_proven_on_the_way_inwards(workspace):
+def test_the_stop_is_proven_on_the_path_inwards(workspace):
     outside = np.array([0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.1, 0.3, 0.0])
     motion = slow_motion("main", workspace, outside, 0.5, PERIOD_S)
     assert (np.diff(motion.q_rad[:, 3]) < 0).all()

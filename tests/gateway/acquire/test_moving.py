@@ -126,7 +126,7 @@ def test_what_was_driven_is_left_out(drive, plan, store):
     assert [(period.period, period.speed) for period in store.periods] == [(2, 1.0)]
 
 
-def test_an_override_makes_the_same_way_slower(drive, store):
+def test_an_override_makes_the_same_path_slower(drive, store):
     drive(options=MoveOptions(override=0.5))
     assert {(period.speed, len(period)) for period in store.periods} == {(0.5, 400)}
 
@@ -169,7 +169,7 @@ def stop_at(row: int, fake, kind=StopKind.ALONG_PATH):
     return lambda: StopRequest(kind, cause) if fake.sync_index >= row else None
 
 
-def test_ctrl_c_in_a_period_stops_along_the_way_and_keeps_what_was_driven(drive, store, events, fake):
+def test_ctrl_c_in_a_period_stops_along_the_path_and_keeps_what_was_driven(drive, store, events, fake):
     drive()
     middle = int(store.periods[1].sync_index[100])
     fake.q_rad = fake.target_rad = np.zeros(6)
@@ -212,7 +212,7 @@ def test_a_full_disk_stops_the_arm(drive, store, fake):
     assert store.periods[0].complete
 
 
-def test_two_excitations_are_joined_by_a_planned_way(drive, workspace, store, fake):
+def test_two_excitations_are_joined_by_a_planned_transfer(drive, workspace, store, fake):
     first, second = swing(workspace, periods=1), swing(workspace, periods=1, seed=8)
     second = replace(second, name="more", start_rad=HOME_RAD + 0.2)
     drive(what=MovingPlan("main", (first, second), {}))
@@ -243,7 +243,7 @@ def test_time_left_falls_to_zero(drive, events):
     assert progress[-1] == 0.0
 
 
-def test_samples_that_do_not_tell_the_harmonics_are_refused(drive, workspace, fake):
+def test_samples_that_do_not_determine_the_harmonics_are_refused(drive, workspace, fake):
     with pytest.raises(PlanRefused, match="20 SYNCs in a period of 3 harmonics are too few, 24 are needed"):
         drive(what=MovingPlan("main", (swing(workspace, period_s=0.2),), {}))
     assert fake.log == []

@@ -43,7 +43,7 @@ def test_links_rotors_and_typed_friction(small_cell, workspace, motion, links_nm
     assert found == pytest.approx(links_nm + rotor * motion.qdd_rad_s2 + friction_nm, abs=1e-6)
 
 
-def test_friction_that_the_watch_knows_is_left_to_it(small_cell, workspace, motion, links_nm):
+def test_friction_in_the_monitor_model_is_left_to_it(small_cell, workspace, motion, links_nm):
     arm = small_cell.cell.arm[0]
     typed = axis_constants(arm, None)
     told = replace(

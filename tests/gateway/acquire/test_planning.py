@@ -138,7 +138,7 @@ def test_poses_are_feasible_apart_and_reproducible(workspace, poses):
     assert choose_poses(workspace, replace(REQUEST, seed=2), assumed_noise_nm(workspace)) != poses
 
 
-def test_too_little_room_says_why(workspace):
+def test_too_little_space_is_refused_with_the_reason(workspace):
     shut = among_boxes(workspace, np.array([[[-9.0, -9.0, -9.0], [9.0, 9.0, 9.0]]]))
     with pytest.raises(PlanRefused, match="0 of .* random postures are feasible.*100% link . in keep_out box 1"):
         choose_poses(shut, REQUEST, assumed_noise_nm(workspace))

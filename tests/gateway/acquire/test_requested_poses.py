@@ -70,7 +70,7 @@ def test_a_posture_of_the_file_keeps_its_number_and_a_new_one_gets_the_next(smal
     assert next(pose for pose in plan.poses if pose.number == 3).purpose == "validation"
 
 
-def test_what_a_result_asks_for_gets_numbers_beyond_its_own_whatever_hangs(small_cell, config, result):
+def test_what_a_result_asks_for_gets_numbers_beyond_its_own_whatever_is_mounted(small_cell, config, result):
     asked = asked_by(result(), small_cell, config)
     assert asked == Asked((FIRST, SECOND), (2, 4, 9))
     for _load in ("none", "tool"):

@@ -172,7 +172,7 @@ def test_contact_stops_by_the_drives_ramp(station, plan, fake, workspace):
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
-def test_the_state_of_the_cell_is_told_all_the_way(station, plan, fake):
+def test_the_state_of_the_cell_is_reported_throughout(station, plan, fake):
     told = []
     listening = replace(station, listeners=(told.append,))
     run_plan(listening, RunRequest(plan, "a"))
@@ -261,7 +261,7 @@ def test_an_arm_that_drops_when_its_brakes_open_is_not_moved(station, plan, fake
     assert len(fake.path) == 1
 
 
-def test_errors_on_the_way_to_safety_are_added_not_hidden(station, plan, fake):
+def test_errors_while_stopping_are_added_not_hidden(station, plan, fake):
     def broken() -> None:
         fake.log.append("quick stop")
         raise DriveFault("cannot be stopped", node=4)

@@ -153,7 +153,7 @@ def test_a_whole_file_is_gone_on_with_without_power(recorded, simulation, small_
     assert len(recording.arms[0].visits) == visits
 
 
-def test_nobody_on_the_bus(small_cell):
+def test_no_drive_on_the_bus(small_cell):
     with (
         pytest.raises((NodeMissing, SeveralFailures), match="no device answers") as refused,
         open_arm(small_cell, BusOverride(BusSpec.parse(f"virtual:{uuid.uuid4()}"))),

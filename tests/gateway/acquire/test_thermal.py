@@ -15,7 +15,7 @@ from gateway.data.rest_pose import RestPose
 POSES = tuple(RestPose(number, (0.1 * number, 0.0), "fit") for number in (1, 2, 3))
 
 
-def test_loads_forth_and_back_are_as_early_as_late() -> None:
+def test_loads_in_both_orders_have_equal_mean_times() -> None:
     blocks = blocks_of(["a", "b"], POSES, Thermal(0.0))
     assert [block.load for block in blocks] == ["a", "b", "none", "none", "b", "a"]
     for label in ("a", "b", "none"):
@@ -53,7 +53,7 @@ class Measured:
         ([5.0, 4.0, 3.5, 3.0, 2.5], 170.0, 3, "still changes by -12.5 %"),
     ],
 )
-def test_an_arm_is_warm_when_its_friction_stands_still(monkeypatch, tmp_path, bands, longest_s, rounds, words) -> None:
+def test_an_arm_is_warm_when_its_friction_is_constant(monkeypatch, tmp_path, bands, longest_s, rounds, words) -> None:
     measured = Measured(bands, 60.0)
     monkeypatch.setattr(thermal, "_bands", measured.read)
     said = warm_up(POSES, Path(tmp_path) / "run.h5", longest_s, measured.measure)

@@ -44,7 +44,7 @@ def test_examples_load(path):
     arm_robot(loaded, loaded.cell.arm[0])
 
 
-def test_an_unchanged_cell_survives_the_way_through_toml(cell):
+def test_an_unchanged_cell_survives_the_conversion_through_toml(cell):
     assert parse_cell(as_toml(cell), "cell.toml") == load_cell(EXAMPLES / "small" / "cell.toml").cell
 
 

@@ -93,7 +93,7 @@ def test_one_controlword_holds_an_axis_that_falls_within_the_first_time(rig):
     assert end - begin <= WATCH_S[0] / PERIOD_S
 
 
-def test_the_drive_is_told_to_hold_the_axis_where_it_was_measured(rig):
+def test_the_drive_is_commanded_to_hold_the_axis_where_it_was_measured(rig):
     opened, slaves = rig
     slaves[0].falls_rad_s2 = 10.0
     seen: list[int] = []
@@ -176,7 +176,7 @@ def test_an_axis_whose_torque_is_not_known_is_not_tried(rig, monkeypatch):
     assert "torque of its drive is not known" in items[3].what
 
 
-def test_where_nobody_confirms_it_the_arm_is_held_for_a_while(rig):
+def test_without_confirmation_the_arm_is_held_for_a_while(rig):
     opened, slaves = rig
     slaves[0].falls_rad_s2 = 5.0
     texts: list[str] = []

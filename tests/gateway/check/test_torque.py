@@ -95,7 +95,7 @@ def test_a_factor_between_torque_and_current_is_named(factor, severity, says):
     assert says in what
 
 
-def test_a_word_that_stands_still_is_no_measurement():
+def test_a_constant_torque_word_is_not_a_measurement():
     severity, what = only(judge(np.full(len(STEPS), 12)))
     assert severity == "fail"
     assert "1 different values" in what

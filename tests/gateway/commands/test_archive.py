@@ -197,7 +197,7 @@ def test_a_cell_that_names_a_file_outside_is_refused(stored, tmp_path):
 
 
 @pytest.mark.parametrize("cut", [0, 10, 1000, -30])
-def test_a_damaged_file_is_one_sentence(stored, tmp_path, cut):
+def test_a_damaged_file_gives_one_line(stored, tmp_path, cut):
     path = tmp_path / "a.zip"
     path.write_bytes(stored.read_bytes()[:cut])
     done = run("replay", path)

@@ -278,7 +278,7 @@ def test_a_damaged_calibration_file_stops_every_command_that_reads_the_cell(plac
     assert "cell.calibration.toml line" in " ".join(done.stderr.split())
 
 
-def test_axes_of_an_earlier_calibration_are_kept_where_the_new_one_cannot_tell(place):
+def test_axes_of_an_earlier_calibration_are_kept_where_the_new_one_cannot_determine_them(place):
     assert calibrated(place).exit_code == 0
     before = stored(place)
     assert {2, 3} <= set(before)

@@ -81,13 +81,13 @@ def test_it_goes_there_slowly_before_each_load_and_not_before_the_bare_arm(robot
     assert person.overrides == [slow, slow]
 
 
-def test_without_such_a_place_the_load_is_hung_where_the_arm_stands(robot):
+def test_without_such_a_posture_the_load_is_mounted_where_the_arm_is(robot):
     made, person = robot(None)
     made.measure_load(Block("a", (POSE,)))
     assert person.done == ["hang a", "measure"]
 
 
-def test_a_way_that_is_not_free_is_told_and_ends_nothing(small_cell, robot, fake):
+def test_a_path_that_is_not_free_is_reported_and_ends_nothing(small_cell, robot, fake):
     wall = KeepOut(min_m=(0.4, 0.15, -2.0), max_m=(3.0, 0.17, 3.0))
     config = small_cell.cell.arm[0].model_copy(update={"keep_out": (wall,)})
     walled = workspace_of(config, arm_robot(small_cell, config))
@@ -99,7 +99,7 @@ def test_a_way_that_is_not_free_is_told_and_ends_nothing(small_cell, robot, fake
     assert fake.log == []
 
 
-def test_forth_and_back_a_person_changes_what_hangs_only_where_it_changes(robot):
+def test_forth_and_back_a_person_changes_the_load_only_where_it_changes(robot):
     made, person = robot(None, thermal=Thermal(0.0))
     made.warm_up()
     for block in blocks_of(("a",), (POSE,), Thermal(0.0)):
@@ -107,7 +107,7 @@ def test_forth_and_back_a_person_changes_what_hangs_only_where_it_changes(robot)
     assert person.done == ["hang a", "measure", "hang none", "measure", "measure", "hang a", "measure"]
 
 
-def test_nobody_knows_what_hangs_when_a_job_is_gone_on_with(robot, tmp_path, monkeypatch):
+def test_a_resumed_job_asks_which_load_is_mounted(robot, tmp_path, monkeypatch):
     (tmp_path / "run.h5").touch()
     monkeypatch.setattr(_Robot, "_stored", lambda _self: None)
     made, person = robot(None, thermal=Thermal(0.0))

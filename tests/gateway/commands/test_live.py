@@ -76,7 +76,7 @@ def test_the_page_says_that_it_only_watches(cell, monkeypatch):
     assert "the process of the page has stopped" in done.output
 
 
-def test_a_silent_bus_is_watched_until_the_page_is_gone(cell, monkeypatch):
+def test_a_bus_without_traffic_is_watched_until_the_page_is_gone(cell, monkeypatch):
     """Nothing is faked but the time at which the page goes: at once."""
     from gateway.live.page import LivePage
 

@@ -59,7 +59,7 @@ def terminal():
 
 
 @pytest.mark.timeout(30)
-def test_a_terminal_that_is_frozen_makes_nobody_wait_at_any_verbosity(terminal, monkeypatch):
+def test_a_frozen_terminal_delays_no_thread_at_any_verbosity(terminal, monkeypatch):
     """A progress bar, lines and a warning of a library, into a terminal that takes a few kB, and a queue of 8 kB."""
     monkeypatch.setattr("gateway.commands.output_queue.MOST_CHARS", MOST_CHARS)
     monkeypatch.setenv("COLUMNS", "100")

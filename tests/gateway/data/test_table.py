@@ -195,7 +195,7 @@ def test_equal_duplicate_rows_count_once(tmp_path):
 
 
 @pytest.mark.parametrize("apart", [{"time_s": [0, 10, 20]}, {"dir1": [1, -1, 1]}, {"load": ["none", "a", "b"]}])
-def test_repeated_visits_are_kept_when_something_tells_them_apart(tmp_path, apart):
+def test_repeated_visits_are_kept_when_something_distinguishes_them(tmp_path, apart):
     columns = rest_rows(pose=[1, 1, 2]) | apart
     assert len(read_csv(write(tmp_path / "t.csv", columns), None)) == 3
 

@@ -81,7 +81,7 @@ def unexplained(text: str) -> list[str]:
     return out
 
 
-def test_the_scan_sees_a_number_that_nobody_explains():
+def test_the_scan_finds_an_unexplained_number():
     assert unexplained("LIMIT = 0.3\n") == ["LIMIT"]
     assert unexplained("#: Share [-] of something.\nLIMIT: Final = 0.3\n") == []
     assert unexplained("#: Both [kg].\nONE = 1e3\nOTHER = 1e3\nTHIRD = (2.0, 1)\n\nFOURTH = 5\n") == ["FOURTH"]

@@ -92,7 +92,7 @@ def test_a_moving_run_gives_the_load(arm):
     assert found.band_nm.shape == (robot.axes,)
 
 
-def test_what_the_arm_cannot_tell_is_said(arm, measured):
+def test_what_the_arm_cannot_determine_is_reported(arm, measured):
     """Postures that differ by the turn of the first axis alone give rank 3."""
     q = np.repeat(postures(arm, 1), 3, axis=0)
     q[:, 0] = (-1.0, 0.0, 1.0)

@@ -74,7 +74,7 @@ def test_intervals_hold_the_truth(arm, poses, measured, method):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_known_first_load_stands_for_the_bare_arm(arm, poses, measured, method):
+def test_a_known_first_load_replaces_the_unloaded_arm(arm, poses, measured, method):
     first = (3.0, 0.05, 0.02, -0.04)
     table = measured(arm, poses, {"first": first, "tool": TOOL})
     options = EstimateOptions(known={"first": first}, inertials="exact" if method == "posture" else "ignore")

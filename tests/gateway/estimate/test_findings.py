@@ -58,7 +58,7 @@ def test_what_lumps_with_the_load_is_named_and_nothing_else(arm):
     assert 0 < len(listed) < len(base.names)
 
 
-def test_what_a_load_leaves_open_may_be_as_large_as_a_load_nobody_knows():
+def test_moments_that_a_load_leaves_open_are_bounded_by_an_unknown_load():
     """Mass up to a load nobody knows, moments up to that 0.3 m away; what is known stays as it is."""
     known = SimpleNamespace(refused=None, covariance=np.diag([1.0, 2.0, 3.0, 4.0]), unidentifiable=())
     assert advice._with_unknown(known, 1.0) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]

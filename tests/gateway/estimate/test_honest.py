@@ -102,7 +102,7 @@ def test_an_interval_without_gains_holds_the_truth_too_seldom(arm, poses, gravit
     assert np.mean(hits) < 0.66
 
 
-def test_losses_of_a_gear_that_nobody_states_widen_the_interval_and_are_named(arm, poses, gravity, band_nm, table_of):
+def test_unstated_gear_losses_widen_the_interval_and_are_named(arm, poses, gravity, band_nm, table_of):
     nature = Nature(efficiency=0.75)
     hits = []
     for seed in range(12):
@@ -115,7 +115,7 @@ def test_losses_of_a_gear_that_nobody_states_widen_the_interval_and_are_named(ar
     assert all(hits)
 
 
-def test_an_ordinary_loss_is_not_named(arm, poses, gravity, band_nm, table_of):
+def test_a_usual_loss_is_not_named(arm, poses, gravity, band_nm, table_of):
     table = measured_by(Nature(loss=(0.05, 0.0)), gravity, poses, band_nm, table_of, np.random.default_rng(1))
     found = run(table, arm.robot, EstimateOptions())
     assert not [finding for finding in found.findings if "efficiency" in finding.what]

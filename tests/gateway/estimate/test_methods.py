@@ -83,7 +83,7 @@ def test_column_a_of_the_paper_comes_out_and_column_b_is_refused(measured_data):
 
 
 @pytest.mark.data
-def test_the_mass_of_column_a_is_told_to_be_as_right_as_a_lever_that_was_computed_from_it(measured_data):
+def test_the_mass_of_column_a_is_reported_to_be_as_right_as_a_lever_that_was_computed_from_it(measured_data):
     """`k = 168 dtau_a / (9.81 * 21 kg)` in every row, also beyond the 2.50 m that the arm reaches from axis 2."""
     table = qh165(measured_data)
     result = run(table, None, EstimateOptions(coefficient=COEFFICIENT), "coefficient")

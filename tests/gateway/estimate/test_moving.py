@@ -128,7 +128,7 @@ def test_intervals_of_four_loads_hold_the_truth_with_gains_and_losses_as_every_a
     assert np.mean(np.abs(off) < 1.96) > 0.88
 
 
-def test_a_gain_beyond_what_is_ordinary_does_not_pass_for_one():
+def test_a_gain_beyond_its_usual_range_is_not_taken_for_one():
     """A balancer that the model lacks looks like gravity of the other sign: the gain has a limit."""
     table, robot, _ = measured(1, World(coil=(20_000.0, 0.2, 0.7, 0.4)))
     gain = estimate(table, robot, EstimateOptions(inertials="prior:0.01")).nuisance["gain"]
@@ -137,7 +137,7 @@ def test_a_gain_beyond_what_is_ordinary_does_not_pass_for_one():
     assert np.abs(free.value).max() < 0.02
 
 
-def test_the_torque_constants_stated_decide_how_sure_a_mass_is():
+def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
     table, robot = several(2, {"none": None, "b": LOADS["b"]})
     sure, unsure = (
         run(table, robot, EstimateOptions(inertials="prior:0.05", gain_std=(std,) * 6)).loads[0] for std in (0.0, 0.1)

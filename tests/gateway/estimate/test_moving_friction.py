@@ -36,7 +36,7 @@ def test_columns_of_a_fall_are_of_the_axis_and_of_its_fastest():
     assert columns[2, 0, 0] == pytest.approx(first)
 
 
-def test_gains_with_errors_in_common_are_each_as_sure_as_before():
+def test_gains_with_errors_in_common_keep_each_their_uncertainty():
     std = np.array([5.0, 0.03, 0.02, 0.03, 0.04])
     mean = np.array([1.0, 0.01, 0.0, 0.02, 0.0])
     prior = alike(Prior(mean, std, np.zeros((0, 5)), np.zeros(0)), np.arange(1, 5))

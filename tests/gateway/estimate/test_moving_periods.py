@@ -104,7 +104,7 @@ def numbers(result, name):
     return np.array([getattr(one, name) for one in result.motion])
 
 
-def test_all_that_motion_tells_comes_back_without_noise(clean, robot):
+def test_all_that_motion_determines_comes_back_without_noise(clean, robot):
     result = run(table_of_periods(clean), robot, EXACT)
     load = result.loads[0]
     assert load.mass_kg == pytest.approx(MASS, rel=3e-3)
@@ -171,7 +171,7 @@ def test_a_fall_from_breakaway_of_any_shape_is_not_taken_for_coulomb_friction(cl
 
 
 @pytest.mark.slow
-def test_torques_without_stated_constants_may_all_be_off_alike(clean, robot):
+def test_torques_without_stated_constants_may_all_share_one_error(clean, robot):
     """A factor of all torques moves the mass by as much, and does not average over the axes."""
     table, rough = table_of_periods(clean, noise_nm=0.3, seed=4), replace(EXACT, inertials="prior:0.05")
     told = {std: run(table, robot, replace(rough, gain_std=std)).loads[0] for std in (None, (0.03,) * 6)}
@@ -180,7 +180,7 @@ def test_torques_without_stated_constants_may_all_be_off_alike(clean, robot):
     assert sum(told[None].budget.values()) == pytest.approx(1.0)
 
 
-def test_links_that_are_all_off_alike_are_known_by_their_masses(clean, robot):
+def test_links_that_share_one_error_are_known_by_their_masses(clean, robot):
     """A factor of every link looks like a gain of all axes: a link's ten numbers tell it once, not several times."""
     trust, options = 0.05, EstimateOptions(inertials="prior:0.05")
     columns = moving_columns(table_of_periods(clean, periods=1), robot, options, MovingSetup())
@@ -191,7 +191,7 @@ def test_links_that_are_all_off_alike_are_known_by_their_masses(clean, robot):
     assert known == pytest.approx(trust / np.sqrt(6.0 + (size**2).sum()))
 
 
-def test_a_touched_period_is_set_aside_and_changes_nothing(clean, robot):
+def test_a_touched_period_is_rejected_and_changes_nothing(clean, robot):
     table = table_of_periods(clean, 0.3, periods=4)
     touched = table.tau_nm.copy()
     rows = np.flatnonzero(np.asarray(table.run) == "tool-2")[200:260]
@@ -207,7 +207,7 @@ def test_a_touched_period_is_set_aside_and_changes_nothing(clean, robot):
     np.testing.assert_allclose(result.loads[0].com_m, plain.loads[0].com_m, atol=2e-3)
 
 
-def test_a_load_that_slips_on_the_way_is_refused(clean, robot):
+def test_a_load_that_slips_during_the_run_is_refused(clean, robot):
     table = table_of_periods(clean, 0.3, periods=5)
     late = (np.asarray(table.load) == "tool") & (table.extra["x_period"] >= 3)
     moved = table.tau_nm.copy()
@@ -219,12 +219,12 @@ def test_a_load_that_slips_on_the_way_is_refused(clean, robot):
     assert result.failed
 
 
-def test_one_period_is_said_to_tell_no_noise(clean, robot):
+def test_one_period_is_reported_to_determine_no_noise(clean, robot):
     found = estimate(table_of_periods(clean, 0.3, periods=1), robot, EXACT)
     assert any("fewer than two whole periods" in finding.what for finding in found.findings)
 
 
-def test_a_drive_that_answers_late_is_named(clean, robot):
+def test_a_drive_with_a_delay_is_named(clean, robot):
     time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
     late = DELAY.copy()
     late[2] = 0.04

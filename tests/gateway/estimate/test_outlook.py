@@ -102,7 +102,7 @@ def test_what_is_known_of_the_gains_narrows_by_the_conditional_covariance(stock)
     assert known.std_given(given)[0] < 0.8 * known.std[0]
 
 
-def test_samples_are_those_that_tell_most_per_second(stock, choice):
+def test_samples_are_the_most_informative_per_second(stock, choice):
     """Where friction hides all, the least; where the reading's own noise does, more, up to those of the cell."""
     verdict = Narrowness(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
     seconds = np.full(len(choice), 5.0)
@@ -151,7 +151,7 @@ def test_a_goal_that_the_torque_constants_hide_is_given_up_and_named(stock, choi
     assert 0 < going.ahead <= MOST_POSES - 10
 
 
-def test_of_two_poses_that_tell_the_same_the_nearer_one_is_measured(stock, choice):
+def test_of_two_equally_informative_poses_the_nearer_one_is_measured(stock, choice):
     same = Candidates(np.repeat(choice.q_rad[:1], 3, axis=0), np.repeat(choice.regressor[:1], 3, axis=0))
     verdict = Narrowness(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
     rows, samples = best_first(stock.outlook, verdict, same, np.array([6.0, 4.0, np.inf]), SAMPLING)

@@ -143,7 +143,7 @@ def swept(small_cell) -> MovingPlan:
     return make_moving_plan(small_cell, None, MovingRequest(purpose=("friction",)))
 
 
-def test_sweeps_turn_every_joint_steadily_both_ways_inside_its_limits(swept: MovingPlan, config) -> None:
+def test_sweeps_turn_every_joint_steadily_in_both_directions_inside_its_limits(swept: MovingPlan, config) -> None:
     assert [sweep.joint for sweep in swept.excitations] == [1, 2, 3, 4, 5, 6]
     for sweep in swept.excitations:
         motion, j = sweep.motion(0.004), sweep.joint - 1
@@ -183,7 +183,7 @@ def test_a_sweep_that_is_none_is_refused(swept: MovingPlan, key: str, value, sai
         excitation_of(swept.excitations[0].plain() | {key: value}, "plan.json")
 
 
-def test_an_arm_without_room_is_refused_in_words(small_cell, config) -> None:
+def test_an_arm_without_space_is_refused_with_the_reason(small_cell, config) -> None:
     weak = tuple(axis.model_copy(update={"torque_limit_nm": min(axis.torque_limit_nm, 30.0)}) for axis in config.axis)
     walled = config.model_copy(update={"max_load_kg": 10.0, "axis": weak})
     cell = small_cell.cell.model_copy(update={"arm": (walled,)})
@@ -207,7 +207,7 @@ def test_the_same_request_gives_the_same_motion(small_cell, plan: MovingPlan) ->
 
 
 @pytest.mark.parametrize("wrong", [{"period_s": 0.5}, {"period_s": 60.0}, {"periods": 1}])
-def test_a_period_that_tells_nothing_is_refused(small_cell, wrong: dict[str, Any]) -> None:
+def test_an_uninformative_period_is_refused(small_cell, wrong: dict[str, Any]) -> None:
     with pytest.raises(PlanRefused, match="period"):
         make_moving_plan(small_cell, None, replace(REQUEST, **wrong))
 

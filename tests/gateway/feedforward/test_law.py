@@ -72,7 +72,7 @@ def test_at_rest_and_with_no_motion_known_the_offset_is_gravity_over_a_loss_free
     assert velocity == [0.0] * 6
 
 
-def test_friction_turns_round_within_a_small_way_and_keeps_its_sense_at_rest(law):
+def test_friction_reverses_within_a_small_distance_and_keeps_its_sense_at_rest(law):
     forward = law.sense([0.0] * 6, [TURN_ROUND_RAD] * 6)
     assert forward == pytest.approx([1.0] * 6)
     assert law.sense(forward, [0.1] * 6) == [1.0] * 6

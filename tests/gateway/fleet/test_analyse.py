@@ -69,7 +69,7 @@ def test_robots_are_ranked_and_what_is_missing_is_not_healthy(store: Store, tmp_
     assert [each.robot for each in again.robots] == [each.robot for each in fleet.robots]
 
 
-def test_load_that_became_another_is_told(store: Store, tmp_path: Path) -> None:
+def test_a_change_of_load_is_reported(store: Store, tmp_path: Path) -> None:
     rows = checks("a", days=range(DAYS))
     changed = [row | {"mass_kg": float(str(row["mass_kg"])) + 1.0} for row in rows[150:]]
     fleet = analysed(store, tmp_path, [*rows[:150], *changed])

@@ -84,7 +84,7 @@ def test_values_stay_as_they_were(store: Store, tmp_path: Path) -> None:
     assert (load["program"], load["mass_kg"], load["outcome"]) == ("pick", rows[0]["mass_kg"], None)
 
 
-def test_months_are_told_with_their_means(store: Store, tmp_path: Path) -> None:
+def test_months_are_reported_with_their_means(store: Store, tmp_path: Path) -> None:
     rows = checks("one", days=range(4))
     ingest(store, [write_table(tmp_path / "a.csv", rows[:2])], NOW)
     ingest(store, [write_table(tmp_path / "b.csv", rows[2:])], NOW)
@@ -132,7 +132,7 @@ def test_result_that_names_no_robot_is_refused(store: Store, tmp_path: Path) -> 
     assert "does not state its robot" in said
 
 
-def test_clock_that_went_back_is_told_and_nothing_is_lost(store: Store, tmp_path: Path) -> None:
+def test_a_clock_set_back_is_reported_and_nothing_is_lost(store: Store, tmp_path: Path) -> None:
     rows = checks("one", days=[0, 1, 2, 1, 3])
     done = ingest(store, [write_table(tmp_path / "a.csv", rows)], NOW)
     assert done.added == 5
@@ -160,7 +160,7 @@ def test_recordings_of_a_clock_that_went_back_run_into_each_other(store: Store, 
 
 
 @pytest.mark.parametrize("when", ["1970-01-01T00:00:00", "2031-01-01T00:00:00"])
-def test_time_that_cannot_be_is_told(store: Store, tmp_path: Path, when: str) -> None:
+def test_an_impossible_time_is_reported(store: Store, tmp_path: Path, when: str) -> None:
     rows = checks("one", days=range(3))
     rows[1]["time_utc"] = when
     done = ingest(store, [write_table(tmp_path / "a.csv", rows)], NOW)

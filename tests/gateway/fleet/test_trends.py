@@ -102,7 +102,7 @@ def test_likelihoods_are_those_of_the_checks_without_what_is_not_known() -> None
 
 
 @pytest.mark.slow
-def test_no_drift_is_told_by_chance_more_often_than_promised() -> None:
+def test_no_drift_is_reported_by_chance_more_often_than_promised() -> None:
     """Series of noise that are looked at every three days of a year, with a threshold for one in ten."""
     rng = np.random.default_rng(7)
     told = 0
@@ -123,7 +123,7 @@ def test_threshold_is_shared_by_all_that_is_looked_at() -> None:
 
 
 @pytest.mark.parametrize("tolerance", [0.02, 0.3])
-def test_a_drift_that_is_called_detectable_is_told_in_95_of_100(tolerance: float) -> None:
+def test_a_drift_that_is_called_detectable_is_detected_in_95_of_100(tolerance: float) -> None:
     std, needed = 0.003, needed_sigmas(27)
     (drift,) = detectable(np.array([std]), np.array([tolerance]), needed)
     found = np.random.default_rng(8).normal(drift, std, 4000)
@@ -139,7 +139,7 @@ def test_a_drift_that_is_called_detectable_is_told_in_95_of_100(tolerance: float
     assert share == pytest.approx(0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / 4000))
 
 
-def test_drift_is_told_under_temperature_and_load_and_its_day_with_it() -> None:
+def test_drift_is_detected_under_temperature_and_load_and_its_day_with_it() -> None:
     rng = np.random.default_rng(4)
     day = np.arange(300)[:, None]
     warm = 25 + 8 * np.sin(2 * np.pi * day / 365) + rng.normal(0, 2, (300, 2))
@@ -167,7 +167,7 @@ def test_what_does_not_change_is_no_column() -> None:
 
 
 @pytest.mark.parametrize("count", [10, 25])
-def test_nothing_is_told_of_few_checks(count: int) -> None:
+def test_nothing_is_reported_from_few_checks(count: int) -> None:
     value = 0.1 * np.arange(count)[:, None]
     (trend,), _ = trends_of(series(value), NoiseShapes(), FIRST)
     assert np.isnan(trend.sigmas)
@@ -175,7 +175,7 @@ def test_nothing_is_told_of_few_checks(count: int) -> None:
     assert trend.found_on is None
 
 
-def test_wander_of_the_fleet_is_learnt() -> None:
+def test_random_walk_of_the_fleet_is_estimated() -> None:
     rng = np.random.default_rng(5)
     calm = noise_shapes_of([seen_likelihoods(series(rng.normal(size=(200, 6)))) for _ in range(4)])
     kept, moved = np.exp(-1 / 30), []

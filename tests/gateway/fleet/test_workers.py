@@ -137,7 +137,7 @@ if __name__ == "__main__":
         ("nobody", r"False .*: has no worker; start one \(dask worker ADDRESS\)"),
     ],
 )
-def test_cluster_that_goes_away_or_has_nobody_is_one_sentence(tmp_path: Path, cluster: str, said: str) -> None:
+def test_cluster_that_goes_away_or_has_no_worker_gives_one_line(tmp_path: Path, cluster: str, said: str) -> None:
     done = ran(tmp_path, GONE, cluster)
     assert re.fullmatch(said, done.stdout.strip()), done.stdout + done.stderr
 
@@ -191,7 +191,7 @@ if __name__ == "__main__":
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl makes the certificates")
 @pytest.mark.parametrize(("client", "said"), [("own", "[(-1, 1), (2, 2)]"), ("foreign", "refused")])
-def test_a_cluster_with_certificates_works_for_whoever_has_them(tmp_path: Path, client: str, said: str) -> None:
+def test_a_cluster_with_certificates_works_for_their_holders(tmp_path: Path, client: str, said: str) -> None:
     files = {name: _certificates(tmp_path, name) for name in ("own", "foreign")}
     done = ran(tmp_path, TLS, *files["own"], *files[client])
     assert said in done.stdout

@@ -22,7 +22,7 @@ def six(values):
     return np.repeat(np.asarray(values, dtype=float)[:, None], 6, axis=1)
 
 
-def test_an_axis_that_is_20_ms_late_is_said_to_be():
+def test_an_axis_with_20_ms_lag_is_reported():
     time_s = PERIOD_S * np.arange(1000)
     found = following(track(six(np.sin(time_s)), six(np.sin(time_s - 0.02))))
     np.testing.assert_allclose(found.lag_s, 0.02, rtol=1e-3)
@@ -30,7 +30,7 @@ def test_an_axis_that_is_20_ms_late_is_said_to_be():
     np.testing.assert_allclose(found.rms_rad, 0.02 / np.sqrt(2), rtol=0.03)
 
 
-def test_overshoot_is_what_lies_beyond_a_resting_place_in_the_direction_of_the_motion():
+def test_overshoot_is_the_motion_beyond_a_resting_place_in_the_direction_of_the_motion():
     target = np.concatenate([np.linspace(0, 1, 50), np.ones(20), np.linspace(1, 0, 50), np.zeros(20)])
     measured = target.copy()
     measured[55] += 0.03  # beyond

@@ -74,14 +74,14 @@ def test_the_trend_is_what_the_load_was_entered_wrong_by(model, motion, measured
     assert trend.values.com_m[:2] == pytest.approx(COM[:2], abs=0.01)
 
 
-def test_a_shifted_centre_of_gravity_is_told_from_a_wrong_mass(model, motion, measured):
+def test_a_shifted_centre_of_gravity_is_distinguished_from_a_wrong_mass(model, motion, measured):
     fed = assumed_load("a", MASS, COM + np.array([0.06, 0.0, 0.0]), "test")
     trend = load_trend(track(motion, measured), model, fed)
     assert trend.values.com_m[0] == pytest.approx(COM[0], abs=0.01)
     assert trend.values.mass_kg == pytest.approx(MASS, abs=max(2.0, 3 * trend.values.mass_std_kg))
 
 
-def test_a_path_that_hardly_moves_tells_nothing(model, motion, measured):
+def test_a_path_that_barely_moves_determines_nothing(model, motion, measured):
     still = tuple(part[:150] for part in motion)
     q = np.repeat(still[0][:1], 150, axis=0)
     assert load_trend(track((q, still[1], still[2]), measured[:150]), model, assumed_load("a", MASS, COM, "")) is None

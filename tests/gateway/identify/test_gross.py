@@ -83,7 +83,7 @@ def entries(gross: Gross) -> set[tuple[int, int]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("loads", [("none", "tool"), ("none",)])
-def test_gross_visits_are_found_and_sound_ones_kept(loads):
+def test_outlier_visits_are_found_and_sound_ones_kept(loads):
     there = found = wrong = sound = 0
     for seed in range(10):
         measured = Measured(seed, loads=loads)
@@ -101,7 +101,7 @@ def test_gross_visits_are_found_and_sound_ones_kept(loads):
     ["balancer_spring", "cable_torque", "torque_ripple", "joint_zero_offset", "base_tilt", "axis_coupling",
      "payload_shift", "end_stop_buffer", "bungee", "sign_reversed"],
 )  # fmt: skip
-def test_what_the_arm_itself_does_is_not_gross(effect):
+def test_effects_of_the_arm_itself_are_not_outliers(effect):
     wrong = sound = 0
     for seed in range(100, 101):
         measured = Measured(seed, effect, strength=20.0)
@@ -112,7 +112,7 @@ def test_what_the_arm_itself_does_is_not_gross(effect):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("effect", ["balancer_spring", "cable_torque", "torque_ripple"])
-def test_gross_visits_are_found_beside_an_effect(effect):
+def test_outlier_visits_are_found_beside_an_effect(effect):
     there = found = 0
     for seed in range(120, 122):
         measured = Measured(seed, effect)
@@ -139,7 +139,7 @@ def test_the_answer_moves_less_than_half_a_standard_deviation():
     assert np.quantile(moved, 0.9) < 0.5
 
 
-def test_a_table_of_gross_visits_alone_keeps_them_all_and_says_so():
+def test_a_table_of_outlier_visits_alone_keeps_them_all_and_says_so():
     for seed in range(5):
         measured = Measured(seed)
         measured.disturb(len(measured.visits), np.random.default_rng(seed))
@@ -205,7 +205,7 @@ def test_one_sided_visits_are_judged_by_their_own_scatter():
     assert wrong <= 0.01 * 20 * 144
 
 
-def test_a_table_without_noise_holds_nothing_gross():
+def test_a_table_without_noise_holds_no_outlier():
     measured = Measured(1)
     visits = [PlannedVisit(v.pose, v.load, v.time_s, v.q_rad) for v in measured.visits]
     tau = gravity_regressor(measured.robot, np.array([v.q_rad for v in visits]), (0, 0, -9.80665)) @ np.ones(24)

@@ -58,7 +58,7 @@ def test_the_derivatives_are_those_of_the_function():
     np.testing.assert_allclose(central_directions(ten), numeric.T, atol=1e-7)
 
 
-def test_moments_that_are_hardly_known_stay_open_by_name():
+def test_barely_known_moments_stay_open_by_name():
     ten = ten_of(*some_body(3))
     spread = np.full(10, 1e-8)
     spread[6] = 1.0  # Ixz

@@ -110,7 +110,7 @@ def test_has_inertials_asks_for_every_link(robot):
     ("text", "share"),
     [("exact", 0.0), ("ignore", np.inf), ("prior:0.05", 0.05), ("prior:2", 2.0), ("prior:1e-3", 1e-3)],
 )
-def test_how_far_the_robot_model_is_believed_is_read_from_a_word(text, share):
+def test_trust_in_the_robot_model_is_read_from_a_word(text, share):
     assert parse_inertials(text) == share
 
 
@@ -122,6 +122,6 @@ def test_any_other_word_is_refused(text):
         parse_inertials(text)
 
 
-def test_a_robot_model_is_believed_by_default_as_far_as_it_says_anything(robot):
+def test_a_robot_model_is_trusted_by_default_as_far_as_it_states_values(robot):
     assert default_inertials(robot) == default_inertials(without(robot, 2)) == "prior:0.05"
     assert default_inertials(replace(robot, mass_kg=np.full(6, np.nan))) == "ignore"

@@ -74,7 +74,7 @@ def test_what_the_data_do_not_determine_is_unknown_and_named():
     assert correlation[3, 3] == 1.0
 
 
-def test_a_coordinate_less_sure_than_the_arm_is_long_is_a_guess():
+def test_a_coordinate_with_an_uncertainty_above_the_arm_length_is_a_guess():
     spread, found = np.diag([1e-4, 1e-4, 1e-4, 900.0]), np.array([True, False, True, True])
     load, told = (load_from_moment("a", MOMENT, spread, np.ones(4), found, length_m) for length_m in (4.0, 1.5))
     assert load.unidentifiable == ("com_x_m",)

@@ -69,7 +69,7 @@ def test_the_prior_of_a_gain_holds_what_an_unstated_efficiency_leaves_in_the_mid
     assert abs((1 / eta + eta) / 2 - 1 - prior.gain[0]) < 2 * prior.gain_std[0]
 
 
-def test_losses_that_nobody_sees_move_nothing_and_widen():
+def test_undetectable_losses_move_nothing_and_widen():
     prior = nuisance_prior(np.array([0.02]), np.array([np.nan]), np.array([np.nan]))
     assert prior.gain.tolist() == [0.0]
     assert prior.gain_std[0] > 0.02

@@ -45,7 +45,7 @@ def test_priors_are_rows_of_unit_standard_deviation(problem):
     np.testing.assert_allclose(found.covariance, np.linalg.inv(big.T @ big), rtol=1e-8, atol=1e-12)
 
 
-def test_what_rows_cannot_tell_is_named(problem):
+def test_what_rows_cannot_determine_is_named(problem):
     design, target, std = problem
     design = np.column_stack([design, design[:, 0] + 3 * design[:, 3], np.zeros(40)])
     found = solve(design, target, 1 / std)

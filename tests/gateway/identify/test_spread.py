@@ -16,7 +16,7 @@ def test_wider_takes_the_larger_spread_of_each_and_keeps_the_correlation():
     assert both[0, 1] / np.sqrt(both[0, 0] * both[1, 1]) == pytest.approx(0.5)
 
 
-def test_blocks_see_noise_that_hangs_together():
+def test_blocks_detect_autocorrelated_noise():
     """The mean of a first order process: its variance is that of white noise times (1 + k) / (1 - k)."""
     generator, keep, count = np.random.default_rng(1), 0.9, 200_000
     series = np.zeros(count)

@@ -58,7 +58,7 @@ def test_a_flat_body_is_drawn_as_the_capsule_around_it():
     assert volume(shown_body(0, Solid(points, 0.0, capsule_around(points)))) > 0.0
 
 
-def test_a_mesh_that_is_not_there_is_said_and_a_capsule_stands_for_it(small_cell, tmp_path):
+def test_a_missing_mesh_is_reported_and_replaced_by_a_capsule(small_cell, tmp_path):
     """The page is shown all the same; what is drawn in place of the mesh is named."""
     robot = (small_cell.folder / "robot.urdf").read_text(encoding="utf-8")
     marked = robot.replace('<link name="link_3">', f'<link name="link_3">{MESH}', 1)

@@ -66,7 +66,7 @@ def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, scene):
     assert rows(rig.heard())[-1][1] == 5001
 
 
-def test_messages_that_found_no_room_come_later_and_in_order(rig, scene):
+def test_messages_beyond_the_buffer_come_later_and_in_order(rig, scene):
     rig.feed.began(scene)
     while not rig.feed.dropped:
         rig.feed.sampled(observed(1, Q_RAD))

@@ -69,7 +69,7 @@ def test_two_pages_have_two_ports(page):
         assert answer(other.address)[0] == 200
 
 
-def test_a_port_that_is_taken_is_one_sentence():
+def test_a_port_that_is_taken_gives_one_line():
     with socket.socket() as taken:
         taken.bind((HOST, 0))
         taken.listen()
@@ -90,7 +90,7 @@ def test_without_a_wish_the_next_free_port_is_taken():
         assert int(page.address.split(":")[2].split("/")[0]) > PORT + 1
 
 
-def test_nobody_else_on_the_network_reaches_it(page):
+def test_no_other_computer_on_the_network_reaches_it(page):
     """127.0.0.2 is the same computer by another of its addresses: nobody listens there."""
     port = int(page.address.split(":")[2].split("/")[0])
     with socket.socket() as elsewhere, pytest.raises(ConnectionRefusedError):

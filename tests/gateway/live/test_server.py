@@ -97,7 +97,7 @@ def test_everybody_else_is_refused_and_nothing_is_stopped(client, stopped, heade
 
 
 @pytest.mark.parametrize("origin", [HOME, f"http://localhost:{PORT}"])
-def test_the_button_is_heard_and_no_other_word_is(client, stopped, origin):
+def test_the_button_is_received_and_no_other_word(client, stopped, origin):
     with client.websocket_connect(f"{SOCKET}?token={TOKEN}", headers={"origin": origin}) as socket:
         assert json.loads(socket.receive_text())["hello"]["title"] == "servo-gateway record"
         assert "scene" in json.loads(socket.receive_text())

@@ -92,7 +92,7 @@ def test_events_progress_and_poses(show, workspace):
     assert (frame["what"], frame["left_s"]) == ("approach pose 2", 63.2)
 
 
-def test_a_stop_is_told_with_its_reason(show):
+def test_a_stop_is_reported_with_its_reason(show):
     show.take(Happened(Stopped("joint 3 is 0.12 rad off its target")))
     show.take(Ended("joint 3 is 0.12 rad off its target"))
     told = [json.loads(text) for text in show.news()]

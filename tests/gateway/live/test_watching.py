@@ -79,7 +79,7 @@ def words(rig) -> list[Heard]:
     return [each.event for each in rig.heard() if isinstance(each, Happened)]
 
 
-def test_the_page_is_told_at_first_what_is_watched(watching, rig, watched):
+def test_the_page_receives_first_what_is_watched(watching, rig, watched):
     (stage,) = rig.heard()
     assert isinstance(stage, ShownCell)
     assert [arm.name for arm in stage.arms] == [watched.name]
@@ -98,7 +98,7 @@ def test_a_sync_becomes_a_row_on_the_side_of_the_joints(watching, rig, heard, co
     assert status.tolist() == [ENABLED] * 6
 
 
-def test_a_drive_that_is_silent_is_nan_in_its_place_alone(watching, rig, heard):
+def test_a_drive_that_does_not_respond_is_nan_in_its_place_alone(watching, rig, heard):
     heard.sync(1, silent=2)
     watching.turn()
     (row,) = rows(rig)
@@ -115,7 +115,7 @@ def test_a_drive_that_is_silent_is_nan_in_its_place_alone(watching, rig, heard):
         (READY, 0.0, Phase.IN_BRAKES),
     ],
 )
-def test_what_an_arm_does_is_told_by_its_drives_and_what_they_are_told(watching, rig, heard, word, step_rad, phase):
+def test_the_state_of_an_arm_is_read_from_its_drives_and_their_commands(watching, rig, heard, word, step_rad, phase):
     for number in (1, 2, 3):
         heard.sync(number, word)
         heard.told = [number * step_rad] * 6
@@ -124,7 +124,7 @@ def test_what_an_arm_does_is_told_by_its_drives_and_what_they_are_told(watching,
     assert PHASES[int(rows(rig)[-1][3])] is phase
 
 
-def test_nothing_is_told_while_nothing_is_heard_until_that_is_news(watching, rig, heard):
+def test_without_frames_nothing_is_reported_until_that_is_news(watching, rig, heard):
     heard.sync(1)
     watching.turn()
     rig.heard()
@@ -140,7 +140,7 @@ def test_nothing_is_told_while_nothing_is_heard_until_that_is_news(watching, rig
     assert len(rows(rig)) == 1
 
 
-def test_constants_that_were_not_heard_are_named_once(watching, watched, rig, heard):
+def test_constants_that_were_not_received_are_named_once(watching, watched, rig, heard):
     heard.unknown = (1, 3)
     again = Watching((watched,), rig.feed, 0.01, lambda: rig.now_s[0])
     for number in (1, 2):
@@ -152,7 +152,7 @@ def test_constants_that_were_not_heard_are_named_once(watching, watched, rig, he
     assert "--constants" in word.text
 
 
-def test_an_emergency_is_told_with_its_node(watching, rig, heard):
+def test_an_emergency_is_reported_with_its_node(watching, rig, heard):
     heard.emergencies.append(Emergency(4, 7, 0x7305, 0x20, b"", "incremental sensor 1", "check the encoder"))
     heard.emergencies.append(Emergency(4, 8, 0x0000, 0x00, b"", "no error", ""))
     watching.turn()

@@ -41,7 +41,7 @@ def test_cylinder_ends_half_its_length_from_its_middle():
     assert capsule.radius_m == 0.05
 
 
-def test_box_lies_in_a_capsule_along_its_longest_side():
+def test_box_is_inside_a_capsule_along_its_longest_side():
     size = (0.2, 0.9, 0.4)
     capsule = capsule_of(LinkShape(POSE, Box(size), True), "r.urdf")
     corners = in_link(np.array(list(itertools.product(*[(-side / 2, side / 2) for side in size]))))
@@ -50,7 +50,7 @@ def test_box_lies_in_a_capsule_along_its_longest_side():
     assert np.linalg.norm(capsule.end_m - capsule.start_m) == pytest.approx(0.9)
 
 
-def test_mesh_lies_in_its_capsule_where_the_link_has_it(tmp_path: Path):
+def test_mesh_is_inside_its_capsule_where_the_link_has_it(tmp_path: Path):
     points = np.array([[0.0, 0, 0], [2.0, 0, 0], [2.0, 0.2, 0], [0.0, 0.2, 0.1], [1.0, 0.1, -0.1]])
     faces = ["f 1 2 3", "f 1 3 4", "f 1 2 5", "f 2 3 5", "f 3 4 5", "f 4 1 5"]
     lines = [f"v {x} {y} {z}" for x, y, z in points] + faces
@@ -76,7 +76,7 @@ def test_a_capsule_goes_with_its_points_wherever_they_are(seed: int):
     assert {tuple(np.round(end - shift, 6)) for end in (there.start_m, there.end_m)} == ends
 
 
-def test_a_capsule_about_points_far_from_the_origin_is_hardly_larger_than_they_need():
+def test_a_capsule_about_points_far_from_the_origin_is_barely_larger_than_they_need():
     """A three-cornered bar: the circle about an equilateral triangle of side a has the radius a / sqrt 3."""
     angle = np.deg2rad([90.0, 210.0, 330.0])
     corners = 0.1 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + [2.0, -3.0]

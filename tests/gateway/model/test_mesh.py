@@ -42,7 +42,7 @@ def stl(path: Path, points: np.ndarray) -> Path:
 
 
 @pytest.mark.parametrize("count", [3000, 40_000])
-def test_a_round_body_gives_way_to_one_of_few_corners_that_contains_it_and_is_hardly_larger(count: int):
+def test_a_round_body_is_replaced_by_one_of_few_corners_that_contains_it_and_is_barely_larger(count: int):
     points = turned(ball(count) * SIZE)
     corners = simple_corners(points)
     points = points[:5000]

@@ -144,7 +144,7 @@ def test_jacobian_is_axis_times_lever(robot):
     assert np.array(found) == pytest.approx(expected, abs=1e-8)
 
 
-def test_another_arm_is_told_by_its_axes(robot):
+def test_another_arm_is_recognized_by_its_axes(robot):
     placement = robot.placement.copy()
     placement[2, :3, 3] += 0.02
     apart = re.search(r"is (\d+) mm elsewhere", kinematic_difference(robot, replace(robot, placement=placement)))

@@ -22,7 +22,7 @@ def stated() -> str:
     return re.sub(r'effort="100"', lambda _: f'effort="{next(efforts)}"', urdf_of(np.random.default_rng(0)))
 
 
-def test_a_model_that_somebody_stated_holds_no_placeholder():
+def test_a_stated_model_holds_no_placeholder():
     assert list(placeholders(robot_of(stated()))) == []
 
 

@@ -30,7 +30,7 @@ def test_averaging_before_the_gear_would_leave_a_bias():
     assert naive == pytest.approx(gravity * 1.025)
 
 
-def test_negative_torque_is_driven_the_other_way_round(rest_table):
+def test_negative_torque_is_driven_in_the_other_direction(rest_table):
     eta = 0.8
     table = rest_table(load=["a"] * 2, pose=[1, 1], direction=[1, -1], tau=[-80.0 * eta, -120.0 / eta])
     visits = pair_visits(table, eta)
@@ -117,7 +117,9 @@ def one_moves(axis: int, side: int, others: int = 0) -> list[int]:
 
 @pytest.mark.parametrize("others", [0, 1])
 @pytest.mark.parametrize("poses", [[3, 3], [3, 9]])
-def test_a_sweep_of_one_joint_that_passes_an_angle_both_ways_has_both_sides_of_that_axis(rest_table, others, poses):
+def test_a_sweep_of_one_joint_that_passes_an_angle_in_both_directions_has_both_sides_of_that_axis(
+    rest_table, others, poses
+):
     eta = 0.8
     up, down = 120.0 / eta, 80.0 * eta
     tau = np.full((2, 6), 30.0)

@@ -86,11 +86,11 @@ def commands(arms: Arms, to: float = 0.0) -> list:
     return [arm.command(np.full(6, to)) for arm in arms.members]
 
 
-def test_arms_are_named_as_in_a_sentence(pair):
+def test_arms_are_joined_with_commas_and_and(pair):
     assert pair.names == "'left' and 'right'"
 
 
-def test_each_arm_says_where_it_stands_and_follows_its_own_targets(pair, drives):
+def test_each_arm_reports_its_position_and_follows_its_own_targets(pair, drives):
     drives[1].q_rad = np.full(6, 0.2)
     left, right = pair.where()
     assert (left, right) == (pytest.approx(np.zeros(6)), pytest.approx(np.full(6, 0.2)))
@@ -177,7 +177,7 @@ def test_one_arm_that_cannot_be_enabled_leaves_none_under_power(pair, drives, fa
     assert not any(each.enabled for each in drives)
 
 
-def test_who_asks_to_stop_on_the_way_up_gets_nothing_enabled(pair, drives):
+def test_a_stop_request_during_enabling_enables_nothing(pair, drives):
     with pytest.raises(StopRequested):
         pair.enable(lambda: True)
     assert [each.log[-1] for each in drives] == ["disable"] * 2
@@ -206,7 +206,7 @@ def test_a_fault_of_one_arm_stops_the_other_by_its_ramp(pair, drives, failing):
     assert [each.log[-1] for each in drives] == ["disable"] * 2
 
 
-def test_after_a_stop_nobody_is_stopped_a_second_time(pair, drives):
+def test_after_a_stop_no_arm_is_stopped_a_second_time(pair, drives):
     up(pair)
     pair.quick_stop()
     assert [each.log for each in drives] == [["enable", "quick stop"]] * 2
@@ -346,7 +346,7 @@ def test_targets_and_torque_offsets_go_through_gear_and_sign(arm, fake):
     assert np.abs(turned) == pytest.approx(np.abs(ratio * speed * 1e-3))
 
 
-def test_a_silent_drive_leaves_its_joint_without_a_number(arm, fake):
+def test_a_drive_that_does_not_respond_leaves_its_joint_without_a_number(arm, fake):
     fake.silent = {fake.sync_index + 1: 3}
     fake.enabled = True
     sample = arm.hold()
@@ -355,7 +355,7 @@ def test_a_silent_drive_leaves_its_joint_without_a_number(arm, fake):
     assert arm.hold().complete
 
 
-def test_sag_is_a_bound_at_the_joints(arm, fake):
+def test_drop_is_a_bound_at_the_joints(arm, fake):
     fake.brake_drop_rad = lambda: np.abs(fake.axes.ratio * 0.01).tolist()
     assert arm.brake_drop_rad() == pytest.approx(np.full(6, 0.01))
 

@@ -172,7 +172,7 @@ def test_no_point_of_the_arm_moves_farther_than_its_levers_say(workspace):
     assert (levers[body.link[moving] == 2, 3:] == 0).all()
 
 
-def test_a_thin_plate_between_two_postures_blocks_the_way(workspace):
+def test_a_thin_plate_between_two_postures_blocks_the_path(workspace):
     """5 mm of plate, thin links: postures 0.05 rad apart pass it by."""
     start, end = np.array([-0.5, 1.0, 0, 0, 0, 0]), np.array([0.5, 1.0, 0, 0, 0, 0])
     plate = np.array([[[0.9, 0.0105, 0.0], [1.4, 0.0155, 1.4]]])
@@ -186,7 +186,7 @@ def test_a_thin_plate_between_two_postures_blocks_the_way(workspace):
     assert free.path_clear(start[None], np.array([[-0.1, 1.0, 0, 0, 0, 0]]))[0]
 
 
-def test_ways_are_clear_exactly_where_fine_sampling_is(workspace):
+def test_paths_are_clear_exactly_where_fine_sampling_is(workspace):
     """Against 1000 samples a way, of boxes, floor, column and the arm itself; a closer way may be refused."""
     random = np.random.default_rng(5)
     boxes = np.array([[[0.3, 0.2, 0.0], [0.4, 0.5, 0.9]], [[-0.6, -0.4, 0.5], [-0.4, 0.0, 0.8]]])
@@ -211,7 +211,7 @@ def test_nothing_to_meet_is_clear(workspace):
     assert free.blocked_at(np.empty((0, 6)), np.empty((0, 6))).shape == (0,)
 
 
-def test_an_arm_that_stands_is_judged_where_it_stands(workspace):
+def test_an_arm_at_rest_is_judged_where_it_is(workspace):
     q_rad = np.zeros((1, 6))
     free = among_boxes(workspace, np.array([[[5.0, 5, 5], [6, 6, 6]]])).space
     assert np.isnan(free.blocked_at(q_rad, q_rad))[0]

@@ -311,7 +311,7 @@ def test_a_cell_without_an_input_changes_nothing(clock):
     assert with_held_input(opened(clock, None)[1], options) is options
 
 
-def test_a_cell_with_an_input_is_ready_when_it_is_held_and_heard_under_power_alone(clock):
+def test_a_cell_with_an_input_is_ready_when_it_is_held_and_received_under_power_alone(clock):
     said = []
     node, arm = opened(clock, CONFIG)
     before = MoveOptions(ready=lambda: said.append("ready"))

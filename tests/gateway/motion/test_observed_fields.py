@@ -32,7 +32,7 @@ def test_every_word_is_at_its_place():
     assert starts["motor_current_a"][3] == 1.5
 
 
-def test_the_arm_that_is_asked_for_and_nan_where_a_drive_was_silent():
+def test_the_arm_that_is_asked_for_and_nan_where_a_drive_did_not_respond():
     first, second = observed(1, np.zeros(6)), observed(1, np.ones(6), silent=2)
     both = Observed(
         (*first.samples, *second.samples),

@@ -103,7 +103,7 @@ def test_a_failed_drive_ends_what_is_seen_with_its_cause(arm, workspace, fake):
     assert seen.ends == [failed.value]
 
 
-def test_one_that_raises_is_told_no_more_and_changes_nothing(arm, workspace, fake):
+def test_an_observer_that_raises_is_notified_no_more_and_changes_nothing(arm, workspace, fake):
     broken, seen = Broken(), Seen()
     station = station_of(arm, workspace, broken, seen)
     drive(station, workspace)

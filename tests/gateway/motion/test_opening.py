@@ -82,7 +82,7 @@ class Group:
         self.aligned.append(at_s)
 
 
-def test_an_arm_asks_its_drives_by_sdo_where_they_stand_and_hears_of_their_sag():
+def test_an_arm_reads_positions_by_sdo_and_is_notified_of_a_drop():
     group = Group()
     seen = opening._GroupDrives(group)  # type: ignore[arg-type]
     assert seen.positions_rad() == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])

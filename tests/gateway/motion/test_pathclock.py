@@ -77,7 +77,7 @@ def test_a_stop_on_a_curve_stays_on_the_curve(stop_at):
     assert off.max() < 2e-4
 
 
-def test_a_way_that_leaves_nothing_to_brake_with_comes_to_rest_all_the_same():
+def test_a_path_that_leaves_no_torque_to_brake_comes_to_rest_all_the_same():
     time_s = PERIOD_S * np.arange(1, 2001)[:, None]
     turning = 2.0 * np.pi * np.arange(6) / 6.0 + 5.0 * time_s
     motion = Motion(np.sin(turning), 5.0 * np.cos(turning), -25.0 * np.sin(turning), PERIOD_S)
@@ -86,7 +86,7 @@ def test_a_way_that_leaves_nothing_to_brake_with_comes_to_rest_all_the_same():
 
 
 @pytest.mark.parametrize("share", [0.1, 0.35, 1.0])
-def test_an_override_drives_the_same_way_slower(share):
+def test_an_override_drives_the_same_path_slower(share):
     start, target = np.zeros(6), np.array([0.5, -0.3, 0.2, 0.1, 0.4, -0.5])
     motion = straight(start, target, LIMITS, PERIOD_S)
     path = driven(motion, start, None, share)

@@ -58,7 +58,7 @@ def test_a_motion_ends_with_the_brakes_on(station, workspace, fake, told):
     assert not station.options.desk.under_power
 
 
-def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_way(station, workspace, fake):
+def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_path(station, workspace, fake):
     moved = replace(station, options=asked_at(fake, 40, StopKind.ALONG_PATH))
     with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
         move(stream, workspace)
@@ -79,7 +79,7 @@ def test_an_urgent_wish_is_a_quick_stop_with_the_next_sync(station, workspace, f
     assert fake.sync_index == 40
 
 
-def test_a_wish_while_the_arm_stands_is_answered_at_once(station, fake):
+def test_a_wish_while_the_arm_is_at_rest_is_answered_at_once(station, fake):
     moved = replace(station, options=asked_at(fake, 5, StopKind.ALONG_PATH))
     with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
         stand(stream)
@@ -87,7 +87,7 @@ def test_a_wish_while_the_arm_stands_is_answered_at_once(station, fake):
     assert fake.sync_index == 5
 
 
-def test_a_wish_on_the_way_up_powers_nothing(station, fake):
+def test_a_wish_during_enabling_powers_nothing(station, fake):
     asked = []
 
     def enable(stop_requested):
@@ -117,7 +117,7 @@ def test_a_defect_while_set_points_go_out_is_a_quick_stop(station, workspace, fa
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
-def test_who_listens_is_told_after_the_arm_is_safe_and_cannot_prevent_it(station, workspace, fake):
+def test_observers_are_notified_after_the_arm_is_safe_and_cannot_prevent_it(station, workspace, fake):
     log = []
 
     def listen(state):
@@ -133,7 +133,7 @@ def test_who_listens_is_told_after_the_arm_is_safe_and_cannot_prevent_it(station
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
-def test_a_report_that_fails_stops_the_arm_along_its_way(station, workspace, fake):
+def test_a_report_that_fails_stops_the_arm_along_its_path(station, workspace, fake):
     def report(what, row, rows):
         if row > 10:
             raise BrokenPipeError(32, "Broken pipe")
@@ -156,7 +156,7 @@ def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(s
     assert done == [fake.sync_index]
 
 
-def test_a_joint_that_sinks_in_its_brake_is_told(station, fake):
+def test_a_joint_that_sinks_in_its_brake_is_reported(station, fake):
     keeper = station.state
     fake.brake_drop_rad = lambda: fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
     with powered(Stream(station)):
@@ -185,7 +185,7 @@ def test_a_stop_that_fails_without_another_error_is_raised(station, fake):
     assert not station.options.desk.under_power
 
 
-def test_a_sag_after_an_error_is_among_its_notes_with_time_and_sync(station, workspace, fake):
+def test_a_drop_after_an_error_is_among_its_notes_with_time_and_sync(station, workspace, fake):
     fake.fault_at = 30
     fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(np.full(6, 2 * BRAKE_DROP_RAD))).tolist()
     with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
@@ -225,7 +225,7 @@ def test_by_the_clock_the_scheduler_is_asked_for_while_power_is_on(station, fake
     assert log == [("real time", False), ("ordinary", False)]
 
 
-def test_a_wish_that_comes_with_the_last_sync_is_told(station, fake):
+def test_a_wish_that_comes_with_the_last_sync_is_reported(station, fake):
     wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
     asked = []
     options = MoveOptions(StopDesk(lambda: wish if asked else None))

@@ -43,14 +43,14 @@ def test_every_fault_that_is_not_fit_is_a_kind_of_the_simulator() -> None:
     assert f"({len(KINDS)} kinds)" in SAFETY
 
 
-def test_the_table_is_printed_when_asked_for_and_never_by_the_way(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_is_printed_only_when_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     runpy.run_path(reactions.__file__)
     assert capsys.readouterr().out == ""
     runpy.run_path(reactions.__file__, run_name="__main__")
     assert capsys.readouterr().out == markdown() + "\n"
 
 
-def test_each_rule_stands_in_the_table_once_with_its_reaction() -> None:
+def test_each_rule_is_in_the_table_once_with_its_reaction() -> None:
     rows = [row.split(" | ") for row in markdown().splitlines()[2:]]
     assert len(rows) == len(REACTIONS)
     found = {row[0].removeprefix("| "): row[2].removesuffix(" |") for row in rows}

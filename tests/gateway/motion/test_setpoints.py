@@ -61,7 +61,7 @@ def test_prepared_motions_bring_neither_torques_nor_a_model():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_places_on_a_way_are_close_and_hold_every_row(seed):
+def test_places_on_a_path_are_close_and_hold_every_row(seed):
     rng = np.random.default_rng(seed)
     way = rng.uniform(-1, 1, (6, 6)) * rng.uniform(0, 1, (6, 1))
     way[3] = way[2]
@@ -80,7 +80,7 @@ def test_places_on_a_way_are_close_and_hold_every_row(seed):
     assert middle == pytest.approx(np.array([(way[1] + way[2]) / 2, 0.75 * way[4] + 0.25 * way[5]]))
 
 
-def test_a_way_of_one_posture_is_that_posture():
+def test_a_path_of_one_posture_is_that_posture():
     way = np.arange(6.0)[None]
     assert path_positions(way).tolist() == [0.0]
     assert postures_at(way, np.array([0.0])) == pytest.approx(way)

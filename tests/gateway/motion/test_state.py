@@ -16,7 +16,7 @@ def test_a_state_says_since_when_and_after_a_stop_why():
     )
 
 
-def test_a_change_is_told_once():
+def test_a_change_is_reported_once():
     told = []
     keeper = StateTracker("main", told.append)
     assert keeper.state.phase in SAFE

@@ -106,7 +106,7 @@ def test_a_second_signal_after_the_stop_does_not_interrupt_what_is_being_kept():
 
 
 @pytest.mark.parametrize("number", ENDING_SIGNALS)
-def test_a_signal_that_was_inherited_as_ignored_is_heard(number):
+def test_a_signal_that_was_inherited_as_ignored_is_received(number):
     before = signal.signal(number, signal.SIG_IGN)
     try:
         with signals_ask(StopDesk()), pytest.raises(StoppedByPerson, match=number.name):
@@ -130,7 +130,7 @@ def test_a_listener_that_fails_asks_for_a_stop_and_breaks_nothing():
     assert isinstance(other.look().cause, ZeroDivisionError)
 
 
-def test_an_output_that_nobody_reads_any_more_is_a_wish_to_stop():
+def test_a_closed_output_is_a_wish_to_stop():
     ends = [os.pipe() for _ in range(2)]
     source = outputs_watched([write for _, write in ends])
     assert source() is None
@@ -168,7 +168,7 @@ def ended_by_rich() -> SystemExit:
         return error
 
 
-def test_a_listener_that_prints_to_nobody_is_a_closed_terminal():
+def test_a_listener_that_prints_to_a_closed_pipe_is_a_closed_terminal():
     desk = StopDesk()
 
     def printed(*_told):
@@ -217,7 +217,7 @@ def test_outside_the_main_thread_signals_are_left_as_they_are():
     assert seen == [before]
 
 
-def test_a_listener_that_runs_well_is_told_and_asks_for_nothing():
+def test_a_listener_that_runs_well_is_notified_and_asks_for_nothing():
     desk, told = StopDesk(), []
     guarded(lambda *words: told.append(words), desk)("a", 1)
     assert told == [("a", 1)]

@@ -52,7 +52,7 @@ def move(stream: Stream, workspace, target: np.ndarray = TARGET) -> None:
 
 
 @pytest.mark.parametrize(("seconds", "syncs"), [(0.0, 0), (0.3, 30), (0.07, 7), (0.301, 31), (0.3 + 1e-13, 30)])
-def test_it_stands_for_as_many_whole_periods_as_cover_the_time(make, fake, seconds, syncs):
+def test_it_waits_for_as_many_whole_periods_as_cover_the_time(make, fake, seconds, syncs):
     stream = make()
     heard = []
     before = fake.sync_index
@@ -74,14 +74,14 @@ def test_the_brakes_are_given_their_time_and_then_a_jump_of_torque_is_contact(ma
         stream.stand(0.2, "stand")
 
 
-def test_who_listens_is_told_four_times_a_second(make, told):
+def test_observers_are_notified_four_times_a_second(make, told):
     stream = make()
     stream.stand(2.0, "stand")
     assert [row for _, row, _ in told] == list(range(0, 200, round(REPORT_S / PERIOD_S)))
     assert {(what, rows) for what, _, rows in told} == {("stand", 200)}
 
 
-def test_set_points_begin_where_the_arm_stands_and_no_motion_is_none(make, fake, workspace):
+def test_setpoints_begin_where_the_arm_is_and_no_motion_is_none(make, fake, workspace):
     fake.q_rad = TARGET.copy()
     stream = make()
     assert stream.q_rad[0] == pytest.approx(TARGET, abs=1e-4)
@@ -103,7 +103,7 @@ def test_a_wish_says_how_urgent_it_is(make, fake, workspace, kind, urgent, movin
     assert stream.moving == (moving and urgent)
 
 
-def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_heard(make, fake, workspace):
+def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_detected(make, fake, workspace):
     """The servo lags, so that rest takes a while after the last set point."""
     lag = 0.9
     plain = fake._follow
@@ -153,7 +153,7 @@ def test_a_stop_ends_when_the_joints_stand_and_at_the_latest_after_its_time(make
     assert not stream.moving
 
 
-def test_a_joint_that_is_read_late_is_not_at_rest(make, fake, workspace):
+def test_a_joint_that_is_read_with_delay_is_not_at_rest(make, fake, workspace):
     """The servo lags, and its drive shows every position in three SYNCs."""
     wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
     stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 40 else None))
@@ -289,7 +289,7 @@ def test_a_first_motion_that_was_stopped_has_not_ended(make, fake, workspace):
     assert not stream.first_moved
 
 
-def test_the_watch_knows_the_gravity_of_where_the_arm_stands(make, fake, workspace):
+def test_the_monitor_uses_the_gravity_of_the_present_posture(make, fake, workspace):
     stream = make()
     move(stream, workspace)
     expected = stream._watches[0].modelled_torque(TARGET[None])[0]

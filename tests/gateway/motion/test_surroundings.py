@@ -33,7 +33,7 @@ def plane_of(workspace, name: str):
 
 
 @pytest.mark.parametrize("lean", [0.0, 0.4, np.pi / 2, 2.2])
-def test_the_floor_lies_across_gravity_and_everything_stays_above_it(small_cell, lean):
+def test_the_floor_is_normal_to_gravity_and_everything_stays_above_it(small_cell, lean):
     """Heights worked out here: wrist and load along the direction against gravity, less their thickness."""
     up = np.array([np.sin(lean), 0.0, np.cos(lean)])
     workspace = of(small_cell, gravity_m_s2=tuple(-9.80665 * up))
@@ -62,7 +62,7 @@ def test_a_base_that_leans_is_bolted_to_a_wall(small_cell):
     assert plane_of(of(small_cell, wall=True), "wall") is not None
 
 
-def test_below_a_base_that_hangs_a_floor_is_a_reach_away(small_cell):
+def test_below_an_inverted_base_the_floor_is_a_reach_away(small_cell):
     workspace = of(small_cell, gravity_m_s2=(0.0, 0.0, 9.81))
     assert plane_of(workspace, "floor").height_m == pytest.approx(-reach_m(workspace.robot))
     assert "inverted" in plane_of(workspace, "floor").source
@@ -88,14 +88,14 @@ def test_false_is_none_and_zero_is_a_height(small_cell):
     assert plane_of(of(small_cell, floor_m=False), "floor") is None
 
 
-def test_where_the_shoulder_lies_low_the_floor_leaves_it_room(large_cell):
+def test_a_low_shoulder_gets_space_above_the_floor(large_cell):
     """Axis 2 of this arm lies in the plane of the base's origin."""
     workspace = of(large_cell)
     radius = 0.05 * reach_m(workspace.robot)
     assert plane_of(workspace, "floor").height_m == pytest.approx(-2 * radius)
 
 
-def test_the_arm_points_along_axis_1_whichever_way_that_turns(small_cell):
+def test_the_arm_points_along_axis_1_whichever_direction_that_turns(small_cell):
     arm = small_cell.cell.arm[0]
     text = robot_text(small_cell, arm)
     joint = text.index('<joint name="joint_1"')
@@ -104,7 +104,7 @@ def test_the_arm_points_along_axis_1_whichever_way_that_turns(small_cell):
         assert outward(robot_from_text(arm, each, "robot.urdf")) == pytest.approx([0, 0, 1])
 
 
-def test_the_wrist_stays_out_of_a_column_that_nobody_drew(small_cell):
+def test_the_wrist_stays_out_of_an_assumed_column(small_cell):
     workspace = of(small_cell)
     (column,) = (part for part in workspace.space.body.parts if part.name == "column")
     top = float(column.solids[0].points_m[:, 2].max())
@@ -123,7 +123,7 @@ def test_the_wrist_stays_out_of_a_column_that_nobody_drew(small_cell):
     assert column.solids[0].points_m[:, 2].min() == pytest.approx(-0.5)
 
 
-def test_the_arm_meets_itself_on_a_way_whose_ends_are_free():
+def test_the_arm_meets_itself_on_a_path_whose_ends_are_free():
     """Seven axes, folded: joint 5 swings a long load from one side of the upper arm to the other, through it."""
     cell = load_cell(Path("tests/cells/seven/cell.toml"))
     workspace = of(cell, floor_m=False, column_radius_m=False, load_size_m=(0.1, 0.1, 0.9))
@@ -230,12 +230,12 @@ def test_distances_of_shapes_are_those_of_an_independent_library(small_cell):
     assert seen > 500
 
 
-def test_an_arm_that_stands_in_an_assumed_thing_is_told_what_to_write(small_cell):
+def test_an_arm_inside_an_assumed_body_is_refused_with_what_to_write(small_cell):
     with pytest.raises(PlanRefused, match=r"is at .*in the floor .*give arm.floor_m.*move it clear by hand"):
         inward_steps(of(small_cell), np.array([0.0, 1.8, 0.5, 0.0, 0.0, 0.0]), "main")
 
 
-def test_the_base_of_the_urdf_is_in_the_way(small_cell):
+def test_the_base_of_the_urdf_blocks_the_path(small_cell):
     arm = small_cell.cell.arm[0].model_copy(update=NOTHING)
     shape = '<link name="base_link"><collision><geometry><box size="1 1 0.2"/></geometry></collision>'
     text = robot_text(small_cell, arm).replace('<link name="base_link">', shape)

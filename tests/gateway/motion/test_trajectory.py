@@ -44,7 +44,7 @@ def test_duration_of_a_long_motion():
     assert motion.duration_s == pytest.approx(2.0 / 0.5 + 0.5 / 0.8 + 0.8 / 4.0, abs=PERIOD_S)
 
 
-def test_no_way_is_no_motion():
+def test_no_distance_is_no_motion():
     assert len(straight(np.ones(6), np.ones(6), LIMITS, PERIOD_S)) == 0
 
 
@@ -61,7 +61,7 @@ def test_an_end_that_is_no_number_is_refused(end):
         straight(np.zeros(6), np.array([0.0, 0, 0, end, 0, 0]), LIMITS, PERIOD_S)
 
 
-def test_a_joint_that_stands_does_not_limit_the_motion():
+def test_a_joint_at_rest_does_not_limit_the_motion():
     limits = MotionLimits(np.array([0.5, 1e-3, 0.5, 0.5, 0.5, 0.5]), np.full(6, 0.8), np.full(6, 4.0))
     fast = straight(np.zeros(6), np.array([2.0, 0, 0, 0, 0, 0]), limits, PERIOD_S)
     assert fast.duration_s == pytest.approx(2.0 / 0.5 + 0.5 / 0.8 + 0.8 / 4.0, abs=PERIOD_S)
@@ -70,7 +70,7 @@ def test_a_joint_that_stands_does_not_limit_the_motion():
     assert slow.duration_s == pytest.approx(20.0 + 2 * np.sqrt(0.1 / 4.0), abs=PERIOD_S)
 
 
-def test_rows_are_the_motion_at_the_syncs_and_the_last_one_stands():
+def test_rows_are_the_motion_at_the_syncs_and_the_last_one_is_at_rest():
     motion = straight(np.zeros(6), np.full(6, 0.3), LIMITS, PERIOD_S)
     path = np.vstack([np.zeros(6), motion.q_rad])
     mean = (path[1:] - path[:-1]) / PERIOD_S

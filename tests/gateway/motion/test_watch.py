@@ -105,7 +105,7 @@ def test_reversal_of_a_loaded_gear_is_no_contact(watch, workspace, extra, stops)
     assert at == (102 if stops else -1)
 
 
-def test_torque_that_swings_with_late_set_points_is_no_contact(watch, workspace):
+def test_torque_that_swings_with_delayed_setpoints_is_no_contact(watch, workspace):
     swing = 0.6 * workspace.torque_nm[3] * np.tile([1.0, -1.0, -1.0], 40)
     samples = [sample(k, ZERO, joint(4, value)) for k, value in enumerate(swing)]
     assert stream(watch, samples, [ZERO] * 120) == -1
@@ -185,7 +185,7 @@ def late(index: int, extra_s: float, torque_nm: np.ndarray = ZERO) -> ArmSample:
     return ArmSample(index, index * PERIOD_S + extra_s, ZERO, torque_nm, (ANSWER,) * 6)
 
 
-def test_one_late_sync_is_no_contact_and_a_contact_after_it_is(watch, workspace):
+def test_one_delayed_sync_is_no_contact_and_a_contact_after_it_is(watch, workspace):
     jump = joint(2, 0.5 * workspace.torque_nm[1])
     quiet = [late(k, 0.0) for k in range(60)]
     shaken = [late(60 + k, 0.02, jump if k < 10 else ZERO) for k in range(40)]
@@ -204,7 +204,7 @@ def test_a_rhythm_that_is_not_kept_stops_the_arm(watch):
 
 
 @pytest.mark.parametrize(("late", "allowed", "fine"), [(6, 2.0, True), (8, 2.0, False), (6, 0.0, False)])
-def test_by_the_clock_a_drive_may_take_its_set_points_over_late(workspace, late, allowed, fine):
+def test_in_real_time_a_drive_may_take_its_setpoints_with_delay(workspace, late, allowed, fine):
     """What a drive that buffers set points is behind is no following error."""
     period_s = 0.05
     step = workspace.following_error_rad[5] / 3.0
@@ -279,7 +279,7 @@ def test_an_arm_whose_links_are_not_known_is_not_modelled(workspace):
 
 
 @pytest.mark.parametrize(("period_s", "late_s", "counts"), [(0.01, 0.0049, False), (0.01, 0.0051, True)])
-def test_a_sync_is_late_from_half_a_period_on(workspace, period_s, late_s, counts):
+def test_a_sync_counts_as_delayed_from_half_a_period_on(workspace, period_s, late_s, counts):
     """Every third one, for longer than the rule looks at."""
     watch = Watch("main", workspace, period_s)
 
@@ -296,7 +296,7 @@ def test_a_sync_is_late_from_half_a_period_on(workspace, period_s, late_s, count
         run()
 
 
-def test_a_stuck_joint_is_named_with_what_it_was_told(watch, workspace):
+def test_a_stuck_joint_is_named_with_its_command(watch, workspace):
     def told() -> None:
         for k in range(200):
             watch.check(sample(k, ZERO), joint(4, -0.001 * k), ZERO)
@@ -309,7 +309,7 @@ def test_a_stuck_joint_is_named_with_what_it_was_told(watch, workspace):
 
 @pytest.mark.parametrize(("share", "stops"), [(0.15, True), (0.3, False)])
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_joint_has_to_go_a_fifth_of_what_it_is_told(workspace, share, stops, sign):
+def test_a_joint_has_to_go_a_fifth_of_its_command(workspace, share, stops, sign):
     """Slowly, so that no other limit is left before."""
     far = FOLLOW_RAD * 1.5
     targets = [joint(1, sign * 0.0005 * k) for k in range(int(far / 0.0005))]

@@ -147,7 +147,7 @@ def test_a_posture_that_is_no_number_is_not_feasible(workspace):
     assert not workspace.feasible(np.array([[0.0, 0.0, np.nan, 0.0, 0.0, 0.0]]))[0]
 
 
-def test_an_arm_inside_its_range_has_no_way_in(workspace):
+def test_an_arm_inside_its_range_has_no_path_in(workspace):
     assert workspace.path_into_range(np.zeros(6)) is None
 
 
@@ -170,7 +170,7 @@ def test_an_arm_far_outside_is_not_moved(workspace, beyond):
         workspace.path_into_range(q_rad)
 
 
-def test_a_box_on_the_way_in_refuses(workspace):
+def test_a_box_on_the_path_in_refuses(workspace):
     """The box lies between both ends, where the flange passes."""
     q_rad = np.array([workspace.upper_rad[0] + 0.3, 0.9, 0.0, 0.0, 0.0, 0.0])
     assert workspace.path_into_range(q_rad) is not None
@@ -186,7 +186,7 @@ def test_a_box_on_the_way_in_refuses(workspace):
         inside_a_box.path_into_range(q_rad)
 
 
-def test_the_first_bad_place_of_a_way_is_named(workspace):
+def test_the_first_bad_place_of_a_path_is_named(workspace):
     way = np.zeros((4, 6))
     way[2:, 0] = workspace.upper_rad[0] + 0.1
     refusal = workspace.refused_on(way)
@@ -200,7 +200,7 @@ def test_the_first_bad_place_of_a_way_is_named(workspace):
     assert "joint 1 outside" in workspace.why_not_path(way[3:])
 
 
-def test_a_way_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
+def test_a_path_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
     """The arm is stretched out halfway; at both ends it is not. Whichever of several ways it is."""
     way = np.array([[0.0, -1.2, 0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
     places = np.linspace(0, 1, 200)[:, None] * (way[1] - way[0]) + way[0]
@@ -262,14 +262,14 @@ def test_travel_takes_the_time_of_the_slowest_joint_and_its_ramp(workspace):
     assert found == pytest.approx([cruise[0].max() + ramp, ramp])
 
 
-def test_the_way_back_in_is_slow(workspace):
+def test_the_path_back_in_is_slow(workspace):
     speed = workspace.inward_speed_rad_s()
     assert (speed <= 0.05 + 1e-12).all()
     assert (speed <= 0.1 * workspace.speed_rad_s + 1e-12).all()
     assert ((speed == pytest.approx(0.05)) | (speed == 0.1 * workspace.speed_rad_s)).all()
 
 
-def test_a_load_without_a_centre_of_gravity_hangs_on_the_flange(small_cell):
+def test_a_load_without_a_centre_of_gravity_is_a_point_mass_at_the_flange(small_cell):
     arm = small_cell.cell.arm[0].model_copy(update={"max_load_kg": 7.0, "max_load_com_m": None})
     robot = arm_robot(small_cell, arm)
     flange = np.zeros(3) if robot.flange is None else robot.flange[:3, 3]

@@ -63,7 +63,7 @@ def axes_of(folder):
     return arm
 
 
-def test_what_nobody_said_is_assumed_and_named(folder):
+def test_what_was_not_stated_is_assumed_and_named(folder):
     done = with_answers(folder, ENOUGH, "--json", folder / "out.json")
     assert done.exit_code == 0, done.output
     arm = axes_of(folder)
@@ -123,7 +123,7 @@ def test_a_person_is_asked_for_what_cannot_be_read_and_asked_again(folder):
     assert done.stderr.count("Enter: ") <= 12
 
 
-def test_nobody_at_the_terminal_is_told_how_to_answer(folder):
+def test_without_a_terminal_the_message_says_how_to_answer(folder):
     done = new(folder, "--robot", folder / "arm.urdf", "--offline", input="")
     assert done.exit_code == 3
     assert (
@@ -197,7 +197,7 @@ def test_rows_of_different_length_are_counted(folder):
     assert "dh_a_m 2" in done.stderr
 
 
-def test_the_schema_knows_every_cell_of_the_examples(folder):
+def test_the_schema_accepts_every_cell_of_the_examples(folder):
     jsonschema = pytest.importorskip("jsonschema")
     import tomllib
 
@@ -305,7 +305,7 @@ def test_a_kept_answer_that_does_not_hold_is_asked_again(folder):
     assert axes_of(folder).axis[0].node_id == 11
 
 
-def test_a_wrong_profile_name_is_asked_again_with_what_is_alike(folder):
+def test_a_wrong_profile_name_is_asked_again_with_similar_names(folder):
     lines = ["11-16", "generic-cia403", "generic", "1:101", "", "0.12"]
     done = at_the_terminal(folder, lines)
     assert done.exit_code == 0, done.output

@@ -157,7 +157,7 @@ def test_a_gear_that_all_drives_reckon_with_is_offered():
     assert draft.answers.value(questions.GEAR_RATIO) == (50,) * 6
 
 
-def test_too_few_drives_and_nobody_to_say_which():
+def test_too_few_drives_and_no_terminal_to_ask_which():
     with pytest.raises(ConfigError, match="nodes is missing"):
         asked(Bench(six()[:5]))
 
@@ -198,7 +198,7 @@ def test_what_a_sheet_states_that_cannot_be_used_is_said(tmp_path):
     assert any("[5555]" in line and "DataType is missing" in line for line in said)
 
 
-def test_a_flange_that_nobody_turned_is_marked_as_assumed():
+def test_an_unturned_flange_is_marked_as_assumed():
     draft = asked(Bench(six()), flange_xyz_m=[0, 0, 0.1])
     turn = draft.answers.taken["flange_rpy_rad"]
     assert turn.value == (0.0, 0.0, 0.0)

@@ -146,7 +146,7 @@ def test_thirteen_torques_hold_the_same_six_numbers(thirteen, force_n):
     assert uncertainty.value.shape == (5 * 13 + 4,)
 
 
-def test_friction_of_the_axis_that_an_arm_has_more_is_told_too(thirteen):
+def test_friction_of_the_additional_axis_is_estimated_too(thirteen):
     """Joint 3 of the arm of seven rubs a quarter less than the cell says; its neighbours rub as it does."""
     extra = np.zeros((len(thirteen.path), 7))
     extra[:, 2] = -0.25 * thirteen.cell.arms[0].coulomb_nm[2] * thirteen.turns(0, 2)
@@ -184,7 +184,7 @@ def test_the_torque_of_constants_is_that_of_their_columns(which, request):
         assert told == pytest.approx(balance.columns.of(*motion)[row] @ by)
 
 
-def test_both_hands_are_told_what_holds_the_force_and_the_part(bench):
+def test_both_hands_receive_the_force_and_the_weight_of_the_part(bench):
     bench.run(pulled(bench, (30.0, 0.0, 0.0)))
     one, two = bench.balance.inputs(700)
     again = bench.balance._maps.internal(700, one, two)
@@ -192,7 +192,7 @@ def test_both_hands_are_told_what_holds_the_force_and_the_part(bench):
     assert np.linalg.norm(again[:3]) > 10.0
 
 
-def test_friction_of_another_day_is_told_by_the_part_that_both_carry(bench):
+def test_a_change_of_friction_is_estimated_from_the_shared_part(bench):
     """Joint 2 of the master rubs a quarter more than the cell says: 6.75 Nm."""
     extra = np.zeros((len(bench.path), 6))
     extra[:, 1] = 0.25 * bench.cell.arms[0].coulomb_nm[1] * bench.turns(0, 1)
@@ -205,7 +205,7 @@ def test_friction_of_another_day_is_told_by_the_part_that_both_carry(bench):
     assert after < 0.6 * before
 
 
-def test_instants_that_are_off_tell_no_inertia(bench):
+def test_wrong_instants_determine_no_inertia(bench):
     """30 us at 4 ms feign accelerations above the true ones: torques that nothing needs would be told as rotors'."""
     off_s = np.random.default_rng(1).normal(0.0, 30e-6, (len(bench.path), 1))
     uncertainty = bench.run(np.zeros((len(bench.path), 3)), off_s=off_s)
@@ -215,7 +215,7 @@ def test_instants_that_are_off_tell_no_inertia(bench):
 
 
 @pytest.mark.slow
-def test_what_a_cable_pulls_on_one_way_tells_nothing_of_the_arms(bench):
+def test_a_cable_force_in_one_direction_changes_no_constants_of_the_arms(bench):
     """20 N at the slave's hand, across the bar: once they are a passing snag, twice in a row they are there to stay."""
     free = pulled(bench, (0.0, 0.0, 0.0))
     uncertainty = ModelUncertainty(constants_of(12))
@@ -252,7 +252,7 @@ def test_friction_of_another_day_is_no_cable(bench):
         assert not bench.balance.internal_force().pulled
 
 
-def test_a_joint_that_has_not_turned_yet_is_hardly_listened_to(bench):
+def test_a_joint_that_has_not_turned_yet_has_little_weight(bench):
     """15 Nm, all of the friction of the slave's joint 3: force where the joint turns, friction where that is open."""
     row = len(bench.path) // 2
     extra = np.zeros((2, 6))
@@ -311,7 +311,7 @@ def test_hands_yield_to_a_force_at_rest_that_no_friction_explains(bench):
     assert 75.0 < force[0] < 150.0
 
 
-def test_a_sync_of_which_one_arm_tells_nothing_leaves_the_force_as_it_is(bench):
+def test_a_sync_that_one_arm_does_not_answer_leaves_the_force_as_it_is(bench):
     still = np.zeros(6)
     bench.balance.begin(ModelUncertainty(constants_of(12)))
     bench.balance.take(400, (None, Shown(still, still, still, still)), None)

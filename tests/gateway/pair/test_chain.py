@@ -69,7 +69,7 @@ def test_nothing_but_what_is_stated_is_known_at_first(pair):
     assert chain.move(wrench) == pytest.approx(wrench / STATED)
 
 
-def test_two_cycles_show_how_far_gears_give_way(pair):
+def test_two_cycles_show_the_compliance_of_gears(pair):
     hands, bases, compliance = pair
     count = len(hands[0].poses)
     needed = drawn(count, 1)
@@ -87,7 +87,7 @@ def test_two_cycles_show_how_far_gears_give_way(pair):
     assert chain.joints_rad_nm.sum() == pytest.approx(np.concatenate(gears).sum(), rel=0.3)
 
 
-def test_a_chain_as_stiff_as_stated_has_no_gears_that_give_way(pair):
+def test_a_chain_as_stiff_as_stated_has_no_compliance(pair):
     hands, bases, _ = pair
     count = len(hands[0].poses)
     needed, stiff = drawn(count, 2), np.tile(np.diag(1.0 / STATED), (count, 1, 1))

@@ -209,7 +209,7 @@ def test_measured_positions_are_learned_as_they_are(path: PairPath, bare: PairCa
     assert controller.end_cycle(complete=True).reason == "present positions are missing"
 
 
-def test_distance_error_goes_where_it_is_told(path: PairPath, bare: PairCalibration) -> None:
+def test_distance_error_goes_where_it_is_commanded(path: PairPath, bare: PairCalibration) -> None:
     row = replace(EMBODIMENTS["E5"], gains=Gains((0.08, 0.08)))
     controller = PairController(row, path, bare, first_function(path))
     controller.start_cycle()
@@ -274,7 +274,7 @@ def test_one_command_and_one_learning_step_are_fast(path: PairPath, bare: PairCa
     assert took < 0.05 * path.duration_s
 
 
-def test_summary_tells_what_was_estimated(path: PairPath, bare: PairCalibration) -> None:
+def test_summary_reports_what_was_estimated(path: PairPath, bare: PairCalibration) -> None:
     controller = controller_of("C1", path, bare)
     summary, largest = Spring(path, bare).cycle(controller)
     assert summary.force_n == pytest.approx(largest, rel=0.05)
@@ -320,7 +320,7 @@ def test_a_force_that_is_known_at_the_end_moves_the_next_cycle_against_it(
     assert moved[0] < moved[len(path) // 2]
 
 
-def test_a_force_that_is_not_told_well_is_not_learned_at_rest(path: PairPath, bare: PairCalibration) -> None:
+def test_an_uncertain_force_is_not_learned_at_rest(path: PairPath, bare: PairCalibration) -> None:
     moved = []
     for std_n in (1.0, 80.0):
         controller = controller_of("C2c", path, bare)
@@ -332,7 +332,7 @@ def test_a_force_that_is_not_told_well_is_not_learned_at_rest(path: PairPath, ba
     assert moved[1] < 0.02 * moved[0]
 
 
-def test_a_cycle_begins_where_the_slave_stands_and_learns_that(path: PairPath, bare: PairCalibration) -> None:
+def test_a_cycle_begins_where_the_slave_is_and_learns_that(path: PairPath, bare: PairCalibration) -> None:
     controller = controller_of("C2c", path, bare)
     controller.start_cycle()
     plain = commanded(controller, path)

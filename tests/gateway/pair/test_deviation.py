@@ -79,7 +79,7 @@ def test_force_inside_the_part_is_kept_by_the_command_and_torque_by_the_one_befo
     assert [each.tolist() for each in found.inputs(1)] == [(-push(20.0)).tolist(), push(20.0).tolist()]
 
 
-def test_both_arms_are_listened_to_before_the_way_begins():
+def test_both_arms_are_read_before_the_path_begins():
     found, balance, (one, two) = deviation()
     found.listen(AB)
     assert (one.calls, two.calls) == ([(0, "a", 1.0)], [(0, "b", 1.0)])
@@ -98,7 +98,7 @@ def test_a_force_above_twice_its_limit_for_longer_than_its_time_stops_both():
     assert [quiet.take(m, AB) for m in range(5)] == [""] * 5
 
 
-def test_a_force_of_one_sync_does_not_last_because_nothing_is_told_after_it():
+def test_a_force_of_one_sync_does_not_last_because_no_sample_follows_it():
     """100 N, 8 ms: three SYNCs that have told it, others between them or not."""
     found, balance, _ = deviation(50.0)
     balance.wrench = push(101.0)
@@ -113,7 +113,7 @@ def test_a_force_of_one_sync_does_not_last_because_nothing_is_told_after_it():
     ("late_s", "rows_ago", "cause"),
     [(0.0017, 4, "1.7 ms late, of 4 ms"), (0.0015, 4, "from the start"), (0.0017, 60, "from the start")],
 )
-def test_a_stop_shortly_after_a_late_sync_names_it(late_s, rows_ago, cause):
+def test_a_stop_shortly_after_a_delayed_sync_names_it(late_s, rows_ago, cause):
     """Drives take set points over half a period after a SYNC, give or take some; 0.2 s are 50 SYNCs."""
     found, balance, _ = deviation(50.0)
     balance.wrench = push(101.0)
@@ -136,7 +136,7 @@ def standing(away_rad: float) -> tuple:
     return SimpleNamespace(q_rad=np.full(6, 0.3), sync_index=0, time_s=0.0), second
 
 
-def test_a_part_that_is_held_may_not_be_squeezed_on_the_way_to_the_start():
+def test_a_part_that_is_held_may_not_be_squeezed_during_the_transfer_to_the_start():
     """50 N, 8 ms: the third SYNC in a row, and only near the start, where the weights are known."""
     found, balance, (one, _) = deviation(50.0)
     assert found.rest(standing(0.0)) == ""
@@ -149,7 +149,7 @@ def test_a_part_that_is_held_may_not_be_squeezed_on_the_way_to_the_start():
     assert "check the grasp" in why
 
 
-def test_what_friction_may_feign_stops_nobody_on_the_way_to_the_start():
+def test_a_force_within_friction_stops_no_arm_during_the_transfer_to_the_start():
     """60 N that are only known to 10 N, 95 %."""
     found, balance, _ = deviation(50.0)
     balance.wrench, balance.covariance = push(60.0), np.diag([5.1**2] * 6)
@@ -222,13 +222,13 @@ def test_distances_that_stay_away_stop_along_the_path(values):
     assert f"node 21 on bus 'b': no distances for 3 cycles, {says}" in trouble.why
 
 
-def test_a_sensor_out_of_range_counts_even_if_another_one_is_silent():
+def test_a_sensor_out_of_range_counts_even_if_another_one_does_not_respond():
     trouble = watch().take(told(None, 0.02, 0.005))
     assert trouble is not None
     assert trouble.urgent
 
 
-def test_what_distances_say_is_told_in_the_slaves_base_and_kept_by_the_command():
+def test_the_deviation_from_distances_is_expressed_in_the_slaves_base_and_kept_by_the_command():
     slave = np.arange(ROWS * 16.0).reshape(ROWS, 4, 4)
     seen = watch()
     found = DeviationFromDistance(seen, slave)

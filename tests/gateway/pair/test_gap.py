@@ -39,7 +39,7 @@ def answers(change_m: np.ndarray, syncs: int = SENSOR_MISMATCH_SYNCS + 1) -> lis
     return [found.take(GAP_M + change_m, hands(SHIFT_M)) for _ in range(syncs)]
 
 
-def test_sensors_that_follow_the_hands_are_believed_wherever_these_are():
+def test_sensors_that_follow_the_hands_are_accepted_wherever_these_are():
     noise = 2e-5 * np.array([1.0, -1.0, 1.0, -1.0, 1.0, -1.0])
     assert answers(-BEAM @ SHIFT_M + noise, 9) == [""] * 9
 
@@ -55,7 +55,7 @@ def test_two_sensors_that_are_swapped_are_named(one, other):
 
 
 @pytest.mark.parametrize(("factor", "moved"), [(0.0, "0.00"), (-1.0, "-1.00")])
-def test_a_sensor_that_stands_still_or_goes_the_wrong_way_is_named(factor, moved):
+def test_a_sensor_that_is_constant_or_inverted_is_named(factor, moved):
     change = -BEAM @ SHIFT_M
     change[1] *= factor
     why = answers(change)[-1]

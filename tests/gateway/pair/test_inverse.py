@@ -163,7 +163,7 @@ def test_of_all_postures_that_reach_a_pose_the_one_nearest_to_the_start_is_taken
             assert np.linalg.norm(other - seven.start_rad) > np.linalg.norm(q - seven.start_rad)
 
 
-def test_a_pose_has_one_posture_whichever_way_it_was_come_to(seven: PairArm, commands: np.ndarray) -> None:
+def test_a_pose_has_one_posture_whatever_the_approach(seven: PairArm, commands: np.ndarray) -> None:
     there = path_joint_angles(seven.chain, commands, seven.start_rad)[0]
     back = path_joint_angles(seven.chain, commands[::-1], there[-1] + 0.2 * unseen(seven, there[-1]))[0]
     assert back[::-1] == pytest.approx(there, abs=1e-5)

@@ -37,7 +37,7 @@ def sample(arm, index: int, late_s: float = 0.0, speed_rad_s=SPEED_RAD_S) -> Arm
     return ArmSample(index, at_s, q, torque, (object(),) * 6)  # type: ignore[arg-type]
 
 
-def test_late_syncs_feign_no_torque(arm, external):
+def test_delayed_syncs_cause_no_torque_error(arm, external):
     """With the period in place of the instants an acceleration of 10 rad/s2 would be seen, some 500 Nm."""
     late_s = np.random.default_rng(7).uniform(0.0, 0.0004, ROWS)
     seen = [external.update(index, sample(arm, index, late_s[index])) for index in range(10, ROWS)]
@@ -47,7 +47,7 @@ def test_late_syncs_feign_no_torque(arm, external):
     assert seen[-1].acceleration_rad_s2 == pytest.approx(np.zeros(6), abs=1e-6)
 
 
-def test_syncs_that_follow_too_soon_tell_nothing(arm, external):
+def test_syncs_that_follow_too_soon_give_no_rate(arm, external):
     for index in range(10, 20):
         assert (external.update(index, sample(arm, index)) is None) == (index < 12)
     assert external.update(20, sample(arm, 20, 0.0039)) is not None
@@ -62,7 +62,7 @@ def test_a_sample_that_is_not_whole_takes_its_neighbours_with_it(arm, external):
     assert [external.update(index, sample(arm, index)) is None for index in (21, 22, 23)] == [True, True, False]
 
 
-def test_an_arm_that_stands_on_the_way_needs_its_weight_alone_and_may_rub_either_way(arm, external):
+def test_an_arm_at_rest_needs_gravity_torque_alone_with_friction_of_either_sign(arm, external):
     still = np.zeros(6)
     for index in range(60, 64):
         seen = external.update(index, sample(arm, 60, (index - 60) * DT_S, still), 0.0)
@@ -72,7 +72,7 @@ def test_an_arm_that_stands_on_the_way_needs_its_weight_alone_and_may_rub_either
     assert seen.external_nm == pytest.approx(-row, abs=1e-6)
 
 
-def test_a_joint_that_slows_down_rubs_as_before_until_it_has_turned_round(arm, external):
+def test_friction_of_a_joint_that_slows_down_keeps_its_sign_until_it_reverses(arm, external):
     for index in range(10, 40):
         external.update(index, sample(arm, index))
     slow = 0.01 * SPEED_RAD_S

@@ -157,7 +157,7 @@ def test_forgetting_keeps_a_share_of_the_first_function(path: PairPath, cell: Pa
     assert largest[-1] / largest[0] == pytest.approx(forgetting.bias(1.0), abs=0.02)
 
 
-def test_phase_lead_finds_the_error_of_a_late_correction(path: PairPath, cell: PairCalibration) -> None:
+def test_phase_lead_finds_the_error_of_a_delayed_correction(path: PairPath, cell: PairCalibration) -> None:
     late, wanted = 5, true_commands(path, cell)
     after = []
     for lead in (0, late):
@@ -267,7 +267,7 @@ def test_of_the_force_that_was_left_the_stated_share_is_learned(path: PairPath, 
     assert third == pytest.approx(0.09 * first, abs=2e-6)
 
 
-def test_what_is_hardly_known_stays_near_the_first_function(path: PairPath, cell: PairCalibration) -> None:
+def test_barely_known_values_stay_near_the_first_function(path: PairPath, cell: PairCalibration) -> None:
     """Half believed at the end of the path: what is learned settles at half of what is told there."""
     points, trust = path.uniform(9), np.ones(len(path))
     trust[-1] = 0.5

@@ -193,7 +193,7 @@ def test_the_best_point_comes_first_and_turning_counts(path: PairPath) -> None:
     assert refined(path, turned, refined_count=3) == [0, 50, COUNT - 1]
 
 
-def test_added_points_stay_apart_in_time_and_way(path: PairPath) -> None:
+def test_added_points_stay_apart_in_time_and_distance(path: PairPath) -> None:
     wanted = relations(path, bump(60, 1e-3, 3.0))
     chosen = np.array(refined(path, wanted, apart_s=0.03, apart_m=0.01))
     assert len(chosen) > 4

@@ -32,7 +32,7 @@ def distance_cell():
     return load_pair(EXAMPLE / "distance.toml", pacing="lockstep")
 
 
-def test_a_controller_knows_what_the_cell_says_of_part_and_chain(pair, distance_cell):
+def test_a_controller_uses_the_cells_part_and_chain(pair, distance_cell):
     found, stiffness = calibration_of(pair.cell), pair.cell.config.force.stiffness
     assert found.part_mass_kg == pair.cell.config.part_mass_kg
     assert np.diag(found.chain_stiffness).tolist() == [stiffness.straight] * 3 + [stiffness.turned] * 3
@@ -64,7 +64,7 @@ def test_a_posture_that_is_not_allowed_is_named_with_its_command(pair):
 
 
 @pytest.mark.parametrize("away_rad", [0.005, 0.08])
-def test_both_arms_come_slowly_and_at_the_same_time_to_where_a_way_begins(pair, away_rad):
+def test_both_arms_come_slowly_and_at_the_same_time_to_the_start_of_a_path(pair, away_rad):
     pair.part.stiffness = (0.0, 0.0)
     stream = Stream(pair.link.station(pair.cell, MoveOptions()))
     motion = PairMotion(pair.cell, stream)
@@ -100,7 +100,7 @@ def test_with_a_common_part_nothing_is_added_to_the_torque(pair):
     assert PairMotion(pair.cell, stream).offsets((np.zeros(6), np.zeros(6))) is None
 
 
-def test_a_passage_holds_the_nominal_joints_of_both_arms_and_their_rates(pair):
+def test_a_prepared_trajectory_holds_the_nominal_joints_of_both_arms_and_their_rates(pair):
     stream = Stream(pair.link.station(pair.cell, MoveOptions()))
     path = pair.cell.path(1.0)
     seeds = tuple(arm.start_rad for arm in pair.cell.arms)

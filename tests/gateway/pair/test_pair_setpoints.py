@@ -210,7 +210,7 @@ def test_each_arm_gives_back_its_own_lag_whatever_its_axes_are(pair, deviation):
     assert second == pytest.approx(2.5 - 0.5 * 0.02 * speed[7:])
 
 
-def test_a_way_begins_where_the_arms_are_and_fades_in(pair, deviation):
+def test_a_path_begins_where_the_arms_are_and_fades_in(pair, deviation):
     pair.q_rad = (np.full(6, 5.0), np.full(6, -3.0))
     way, _ = along(pair, deviation, fading=4)
     for row in range(6):
@@ -285,7 +285,7 @@ def test_a_gap_is_closed_at_rest_at_the_first_command(pair, deviation):
     assert (deviation.listened, len(pair.seen), deviation.taken) == (1, 1, [])
 
 
-def test_closing_that_is_broken_off_dies_away_and_who_watches_hears_every_sync(pair, deviation):
+def test_closing_that_is_broken_off_dies_away_and_observers_receive_every_sync(pair, deviation):
     asked, heard = [], []
     settling = Settling(
         pair,  # type: ignore[arg-type]

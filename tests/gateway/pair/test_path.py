@@ -18,7 +18,7 @@ def circle(count: int = 501, radius: float = 0.3) -> np.ndarray:
     return poses
 
 
-def test_way_of_a_half_circle_counts_moving_and_turning() -> None:
+def test_length_of_a_half_circle_counts_moving_and_turning() -> None:
     assert arc_length(circle(), 0.25)[-1] == pytest.approx(np.pi * np.hypot(0.3, 0.25), rel=1e-5)
 
 
@@ -69,7 +69,7 @@ def test_uniform_learning_points() -> None:
         path.uniform(1)
 
 
-def test_nearest_command_of_equal_ways_is_the_first() -> None:
+def test_nearest_command_of_equal_distances_is_the_first() -> None:
     poses = np.concatenate([circle(), np.tile(circle()[-1:], (10, 1, 1))])
     path = PathProgram(poses, 0.004).at_speed(1.0, 0.004)
     assert path.nearest([path.length_m])[0] == 500

@@ -37,11 +37,11 @@ def test_a_joint_that_stops_keeps_its_offset_until_its_targets_turn_round() -> N
     assert back[-1] == pytest.approx(-COULOMB, rel=1e-3)
 
 
-def test_friction_of_a_joint_that_has_not_moved_may_act_either_way():
+def test_friction_of_a_joint_that_has_not_moved_may_have_either_sign():
     assert Presliding(2, 0.004).turned.tolist() == [0.0, 0.0]
 
 
-def test_friction_turns_round_over_the_way_and_not_with_speed():
+def test_friction_reverses_over_distance_and_not_with_speed():
     """Dahl: 1 - 2 exp(-d / 5e-5) after turning round."""
     joint = Presliding(3, 0.004)
     joint.move(np.array([1e-2, -1e-2, 0.0]))
@@ -54,7 +54,7 @@ def test_friction_turns_round_over_the_way_and_not_with_speed():
     assert joint.turned[2] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_half_the_friction_of_a_joint_that_stands_is_doubtful():
+def test_half_the_friction_of_a_joint_at_rest_is_uncertain():
     """Within a tenth of a second, whatever the SYNC; one that creeps on holds it all, one of little keeps that."""
     for dt_s in (0.001, 0.004):
         joint = Presliding(3, dt_s)

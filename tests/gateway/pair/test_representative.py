@@ -22,7 +22,7 @@ def test_weights_fall_with_age() -> None:
     assert representative(values, "weighted")[0] == pytest.approx(expected)
 
 
-def test_mode_ignores_what_lies_apart_and_needs_five() -> None:
+def test_mode_ignores_outliers_and_needs_five() -> None:
     values = np.array([[0.10, 9.0], [0.11, 0.2], [0.10, 0.21], [5.0, 0.2], [-3.0, -7.0]])
     assert np.allclose(representative(values, "mode"), [0.10, 0.2], atol=0.01)
     assert np.allclose(representative(values[:4], "mode"), np.median(values[:4], axis=0))

@@ -48,7 +48,7 @@ def driven(lag_s: float, tau_s: float, lost: frozenset[int] = frozenset(), rows:
     ("lag_s", "tau_s", "expected_s"),
     [(0.01, 0.03, 0.02), (0.02, 0.1, 0.08), (0.03, 0.01, 0.0), (0.01, 0.8, LONGEST_CATCHING_UP_S)],
 )
-def test_how_fast_servos_catch_up_is_seen_on_the_way(lag_s, tau_s, expected_s):
+def test_how_fast_servos_catch_up_is_estimated_in_motion(lag_s, tau_s, expected_s):
     assert driven(lag_s, tau_s).catching_up_s == pytest.approx(expected_s, abs=0.1 * expected_s + 5e-4)
 
 
@@ -57,7 +57,7 @@ def test_a_sample_with_a_gap_is_left_out():
 
 
 @pytest.mark.parametrize("rows", [0, 1, 2])
-def test_a_way_that_has_shown_nothing_is_given_back_at_once(rows):
+def test_a_path_without_information_is_given_back_at_once(rows):
     assert driven(0.01, 0.03, rows=rows).catching_up_s == 0.0
 
 
@@ -89,7 +89,7 @@ def test_as_much_is_given_back_as_time_has_slowed_down(share):
     assert back == pytest.approx((1.0 - share) * 0.02 * SPEED, abs=1e-9)
 
 
-def test_a_way_that_goes_faster_further_on_lags_more_there():
+def test_a_path_that_goes_faster_further_on_lags_more_there():
     lag = steady(SPEED)
     lag.slow_down(0.0)
     for _ in range(200):
@@ -153,7 +153,7 @@ def heard(noise_rad: float = 0.0) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("noise_rad", "share"), [(0.0, 0.02), (2e-5, 0.05)])
-def test_each_joints_law_is_told_by_targets_and_encoders(noise_rad, share):
+def test_each_joints_law_is_estimated_from_targets_and_encoders(noise_rad, share):
     told = heard(noise_rad)
     assert told[:, 0] == pytest.approx(LAGS, rel=share)
     assert told[:, 1] == pytest.approx(TAUS, rel=2 * share)
@@ -170,7 +170,7 @@ def test_a_joint_that_has_not_moved_or_is_too_noisy_is_not_known():
     assert np.flatnonzero(np.isnan(law.each_s).any(axis=1)).tolist() == [3, 5]
 
 
-def test_targets_that_are_made_alike_leave_the_joints_together():
+def test_targets_with_equal_lag_leave_the_joints_together():
     """All go the same way; what they lag unlike each other is a twentieth of what it was."""
     share = np.linspace(0.0, 1.0, 500)[:, None]
     way = np.tile(0.6 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2), (1, 12))
@@ -183,7 +183,7 @@ def test_targets_that_are_made_alike_leave_the_joints_together():
     assert sent[-1] == pytest.approx(way[-1], abs=1e-12)
 
 
-def test_what_is_not_believed_is_left_alone():
+def test_a_rejected_estimate_changes_nothing():
     laws = np.stack([LAGS, TAUS], axis=1)
     laws[1] = np.nan
     laws[4] = (0.02, 0.01)

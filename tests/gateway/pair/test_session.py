@@ -200,7 +200,7 @@ def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, 
 
 
 @pytest.mark.slow
-def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_way_back(pair, store, monkeypatch):
+def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_path_back(pair, store, monkeypatch):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
     row = embodiment_of(pair.cell, "C2c")
     assert function_back(store, row) is None
@@ -220,7 +220,7 @@ def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_way_back(pair
     assert function_back(store, embodiment_of(pair.cell, "B")) is None
 
 
-def test_a_part_that_is_gripped_elsewhere_stops_both_before_the_way_begins(pair, store):
+def test_a_part_that_is_gripped_elsewhere_stops_both_before_the_path_begins(pair, store):
     with pytest.raises(PairStopped, match=r"during the approach to the start, above 2\.5 N: .* check the grasp"):
         run(pair, store, "A", force_limit_n=5.0)
     assert [drives.log for drives in pair.drives] == [["enable", "disable"]] * 2
@@ -240,7 +240,7 @@ def test_a_fault_of_one_arm_ends_the_run_and_what_was_run_is_kept(pair, store, f
 
 
 @pytest.mark.slow
-def test_a_person_who_stops_a_run_is_heard(pair, store):
+def test_a_stop_request_ends_a_run(pair, store):
     desk = StopDesk()
 
     def told(_cycle):
@@ -398,7 +398,7 @@ def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, s
 
 
 @pytest.mark.slow
-def test_the_way_back_learns_for_itself_unless_learning_is_off(pair, store):
+def test_the_path_back_learns_for_itself_unless_learning_is_off(pair, store):
     """Both ways have the same part between the hands; what one learns does not come from the other."""
     row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))
     most = {}

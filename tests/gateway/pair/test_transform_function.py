@@ -27,7 +27,7 @@ def smooth(count: int) -> TransformFunction:
     return TransformFunction(s_m, rng.normal(size=(count, 3)), turn)
 
 
-def test_half_way_between_two_knots() -> None:
+def test_midway_between_two_knots() -> None:
     function = TransformFunction([0.0, 1.0], np.zeros((2, 3)), [rz(30), rz(30) @ rx(20)])
     assert np.allclose(function.at(0.5)[:3, :3], rz(30) @ rx(10), atol=1e-15)
 

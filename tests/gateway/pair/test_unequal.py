@@ -23,7 +23,7 @@ AWAY = np.array([9.6e-4, -6.0e-4, 7.2e-4, 1.8e-3, -1.2e-3, 9.6e-4])
 
 
 @pytest.mark.parametrize("name", CELLS)
-def test_a_cell_of_arms_that_are_not_alike_is_loaded_and_its_path_planned(name: str) -> None:
+def test_a_cell_of_different_arms_is_loaded_and_its_path_planned(name: str) -> None:
     cell = load_pair(FOLDER / f"{name}.toml")
     first, second = cell.arms
     assert (first.axes, second.axes) == CELLS[name]
@@ -50,7 +50,7 @@ def pair(request: pytest.FixtureRequest) -> Iterator[Together]:
 
 
 @pytest.mark.slow
-def test_a_relation_that_nobody_stated_is_taught_and_driven(pair: Together, tmp_path: Path) -> None:
+def test_an_unstated_relation_is_taught_and_driven(pair: Together, tmp_path: Path) -> None:
     """Taught to what 5 N and 1.5 Nm are on this part; the way and the way back under it stay far below the limit."""
     store = PairStore(pair.cell, tmp_path)
     options = PairMotionOptions(speed=1.0, force_limit_n=1e4)

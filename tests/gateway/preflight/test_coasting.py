@@ -65,7 +65,7 @@ def test_other_quick_stop_options(option, severity):
 
 
 @pytest.mark.parametrize("name", ["shutdown_option", "disable_operation_option"])
-def test_power_cut_on_disabling_is_told_since_standstill_comes_before_it(name):
+def test_power_cut_on_disabling_is_reported_since_standstill_comes_before_it(name):
     (found,) = [item for item in items(**{name: 0}) if f"({name})" in item.where]
     assert found.severity == "info"
     assert "standstill" in found.what
@@ -89,7 +89,7 @@ def test_the_ramp_that_the_quick_stop_option_names_is_judged():
     assert severities("quick_stop_deceleration", quick_stop_option=3, quick_stop_deceleration=1) == []
 
 
-def test_a_ramp_in_an_unknown_unit_is_told():
+def test_a_ramp_in_an_unknown_unit_is_reported():
     start, end = PROFILE.text.index("[velocity]"), PROFILE.text.index("[position]")
     text = PROFILE.text[:start] + PROFILE.text[end:]
     text = text[: text.index("[feedforward]")] + text[text.index("[state_machine]") :]

@@ -32,7 +32,7 @@ def test_a_value_of_ours_counts_as_before_and_any_other_as_it_is(serial, found, 
     assert readings[0x6072, 0] == found
 
 
-def test_the_first_failing_item_is_told_and_the_others_are_counted():
+def test_the_first_failing_item_is_reported_and_the_others_are_counted():
     items = [Finding(kind, f"J{number}", "is wrong", "do this") for number, kind in enumerate(("ok", "fail", "fail"))]
     require_passed(items[:1], "nothing has moved")
     with pytest.raises(FindingFailed, match=r"^nothing has moved: J1: is wrong; do this \(and 1 more\)$"):

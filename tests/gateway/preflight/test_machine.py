@@ -41,7 +41,7 @@ def test_every_period_is_measured_from_the_start_so_that_lateness_does_not_add_u
     assert late == pytest.approx([0.001] * 75)
 
 
-def test_a_loop_that_is_held_up_for_longer_than_a_period_is_late_at_the_periods_it_missed():
+def test_a_loop_stalled_for_longer_than_a_period_is_delayed_at_the_periods_it_missed():
     clock = Clock(0.0)
     calls = iter(range(1000))
     late = measure_lateness(
@@ -96,13 +96,13 @@ def test_frame_times_of_the_kernel_are_those_of_socketcan():
         (RealTimeStatus(True, False, "memory is not locked"), "info", "not locked"),
     ],
 )
-def test_what_the_system_allows_is_told(status, severity, says):
+def test_what_the_system_allows_is_reported(status, severity, says):
     item = judge_realtime(status)
     assert item.severity == severity
     assert says in item.what
     assert bool(item.advice) == (severity != "ok")
 
 
-def test_what_the_system_allows_is_told_of_this_process():
+def test_what_the_system_allows_is_reported_of_this_process():
     status = available()
     assert bool(status.why) != (status.fifo and status.locked)

@@ -133,7 +133,7 @@ def test_the_state_is_apart_from_the_settings_since_enabling_refuses_it_in_words
     assert [item.where.split(" (")[1] for item in worst(judge_settings(axis(), found))] == ["polarity)"]
 
 
-def test_modes_that_are_not_told_are_no_failure():
+def test_unreported_modes_are_no_failure():
     assert not worst(judge_axis(axis(), readings(supported_modes=None)))
 
 
@@ -210,7 +210,7 @@ def test_identity_against_the_profile():
     assert "firmware 2.3" in judge_identity(axis(), identity())[-1].what
 
 
-def test_where_the_joint_stands():
+def test_position_of_the_joint():
     # q = p / N: 1.5 rad at the joint is 150 rad at the motor
     counts = round(150 / (2 * math.pi) * COUNTS)
     assert not worst(judge_limits(axis(), arm(), readings(position=counts)))
@@ -218,7 +218,7 @@ def test_where_the_joint_stands():
     assert "3.000 rad" in outside[0].what
 
 
-def test_where_the_joint_stands_with_sign_and_offset():
+def test_position_of_the_joint_with_sign_and_offset():
     config = arm(position_sign=-1, zero_offset_rad=0.25)
     counts = round(100 / (2 * math.pi) * COUNTS)
     item = judge_limits(axis(config), config, readings(position=counts))[0]

@@ -25,7 +25,7 @@ def test_a_bar_is_cut_by_the_shares():
     assert {name: width / whole for name, width in drawn.items()} == pytest.approx(BUDGET, abs=1e-3)
 
 
-def test_numbers_stand_inside_where_there_is_room_alone():
+def test_numbers_are_inside_only_where_there_is_space():
     picture = budget_figure(Result("r", (LOAD,)))
     assert re.findall(r">(\d+ %)</text>", picture) == ["64 %", "32 %"]
     assert "torque constants 64 %, links 4 %, friction 0 %, drift of the torque readings 0 %, zero errors" in picture
@@ -63,7 +63,7 @@ def test_nuisances_carry_their_unit_and_interval():
     ]
 
 
-def test_the_page_lists_what_was_set_aside():
+def test_the_page_lists_rejected_visits():
     entries = (
         SetAside("a", "tool", 2, 5.25, pose=3, reason="as if a brake had held"),
         SetAside("b", "none", 1, NAN, from_s=1.0, to_s=2.5, reason="far off"),

@@ -37,7 +37,7 @@ def test_points_and_centre_of_gravity_stand_where_pinocchio_puts_them(arms):
         assert len(entry.points_m) == 7
 
 
-def test_a_pose_is_drawn_once_with_the_load_that_hung_on_it_last(arms):
+def test_a_pose_is_drawn_once_with_the_load_that_was_mounted_last(arms):
     q_rad = np.zeros((6, 6))
     measured = rows(q_rad, ["none", "a", "b", "none", "a", "none"], [1, 1, 1, 2, 2, 3])
     entries = drawn_poses(arms[0], measured, [LoadResult("a", 1.0)], ["fit", "fit", "fresh", "fit", "fit", "fit"])

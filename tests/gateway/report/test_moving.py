@@ -26,7 +26,7 @@ def moving():
     return moving_result()
 
 
-def test_the_inertia_stands_in_a_table_with_its_principal_values(moving):
+def test_the_inertia_is_in_a_table_with_its_principal_values(moving):
     shown = inertia_view(moving.loads[0])
     assert shown.frame == "link_6"
     assert shown.parts[0] == ("Ixx", "2.04", "0.12")
@@ -87,7 +87,7 @@ def test_axes_of_which_friction_or_its_spread_is_not_known(moving):
     assert friction_views(replace(told, rows=None, motion=(replace(second, speed_rad_s=NAN),))) == []
 
 
-def test_the_table_of_the_axes_has_dashes_where_nothing_is_told():
+def test_the_table_of_the_axes_has_dashes_where_nothing_is_estimated():
     rows = dict(axis_rows((AxisMotion(2, rotor_inertia_kg_m2=305.0, rotor_inertia_std_kg_m2=6.0),), 3))
     assert rows == {"rotor inertia [kg m2]": ["\N{EN DASH}", "305 ± 12", "\N{EN DASH}"]}
     assert axis_rows((), 6) == []

@@ -63,7 +63,7 @@ def test_a_bare_result_of_the_contract_is_enough(full_result):
     assert "None" not in page
 
 
-def test_hardly_anything_is_enough():
+def test_a_nearly_empty_result_is_enough():
     page = render(read({"schema": 1, "robot": "r", "loads": []}))
     assert "Unloaded arm" in page
     assert "None" not in page

@@ -47,7 +47,7 @@ def test_the_error_is_against_what_was_due_at_the_sync_and_the_speed_is_of_the_j
     assert np.isnan(curves.speed_rad_s[200:210, 1]).all()
 
 
-def test_after_a_sync_without_sample_the_error_is_not_told(box):
+def test_after_a_sync_without_sample_the_error_is_not_shown(box):
     kept = np.delete(np.arange(SYNCS), 300)
     arm = replace(box.arms[0], values={name: values[kept] for name, values in box.arms[0].values.items()})
     curves = curves_of(arm, box.time_s[kept] - box.time_s[-1], box.sync_index[kept])

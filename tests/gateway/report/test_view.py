@@ -15,7 +15,7 @@ def read(body):
     return from_json(json.dumps(body))
 
 
-def test_the_first_screen_answers_what_how_sure_how_good_and_what_was_wrong(result):
+def test_the_first_screen_answers_what_how_accurate_how_good_and_what_was_wrong(result):
     shown = view(read(result))
     assert shown.headline == (
         "25.03 ± 0.22 kg (95 %) of load “tool” and 71.22 ± 0.31 kg (95 %) of load “tool+part” on the flange"
@@ -60,7 +60,7 @@ def test_without_a_flange_the_centre_of_gravity_is_in_link_6(result):
         (None, "without a diagnosis", "open"),
     ],
 )
-def test_every_verdict_has_its_sentence(result, verdict, says, status):
+def test_every_verdict_has_its_text(result, verdict, says, status):
     result["verdict"] = verdict
     result["effects"].append({"name": "base_tilt", "joints": []})
     shown = view(read(result))
@@ -73,7 +73,7 @@ def test_undecided_without_effects_says_there_is_too_little_data(result):
     assert "too little data" in view(read(result)).verdict
 
 
-def test_undecided_names_what_cannot_be_told_apart(result):
+def test_undecided_names_what_cannot_be_distinguished(result):
     result["verdict"] = "undecided"
     result["effects"].append({"name": "base_tilt", "joints": []})
     assert "between a balancer spring on J2 and a tilted base" in view(read(result)).verdict
@@ -96,7 +96,7 @@ def test_an_axis_that_was_not_measured_stays_unknown(result):
     assert "worst axis, J5" in shown.quality
 
 
-def test_a_load_that_may_not_hang_is_asked_for_and_never_green(result):
+def test_a_load_that_may_not_be_mounted_is_asked_for_and_never_green(result):
     result |= {"verdict": "none_needed", "effects": [], "loads": [result["loads"][0]]}
     result["loads"][0] |= {"mass_kg": 0.004, "mass_std_kg": 0.006}
     shown = view(read(result))
@@ -108,7 +108,7 @@ def test_a_load_that_may_not_hang_is_asked_for_and_never_green(result):
 
 
 @pytest.mark.parametrize(("tolerance", "status", "says"), [(0.3, "good", "pass"), (0.2, "open", "cannot tell")])
-def test_what_the_data_cannot_tell_is_amber(result, tolerance, status, says):
+def test_what_the_data_cannot_determine_is_amber(result, tolerance, status, says):
     """25.03 kg, known to 0.216 kg."""
     judged = accepted(read(result), [Expected("tool", 25.0, tolerance)], ())
     shown = view(judged)

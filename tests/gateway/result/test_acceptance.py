@@ -99,7 +99,7 @@ def test_reach_and_moment_count_from_the_flange():
     assert moment.half_width == pytest.approx(1.96 * math.hypot(*parts))
 
 
-def test_reach_cannot_be_told_without_the_flange():
+def test_reach_cannot_be_judged_without_the_flange():
     judged = accepted(replace(RESULT, data=None), (), [Rating("reach", 0.06, "p. 1"), Rating("mass", 10.0, "p. 1")])
     assert [row.outcome for row in judged.acceptance] == ["cannot tell", "pass"]
 
@@ -107,7 +107,7 @@ def test_reach_cannot_be_told_without_the_flange():
 @pytest.mark.parametrize(
     ("mass_kg", "asked"), [(0.0, True), (-0.09, True), (0.099, True), (0.101, False), (-0.2, False)]
 )
-def test_an_interval_that_holds_nothing_asks_whether_the_load_was_hung(mass_kg, asked):
+def test_an_interval_that_includes_zero_asks_whether_the_load_was_mounted(mass_kg, asked):
     found = not_hung([replace(LOAD, mass_kg=mass_kg)])
     assert [finding.severity for finding in found] == ["fail"] * asked
     assert all(

@@ -69,7 +69,7 @@ def test_a_significant_difference_is_a_change():
     assert [key for key, outcome in rows.items() if outcome == "changed"] == [("load tool", "mass")]
 
 
-def test_a_difference_inside_a_wide_uncertainty_cannot_be_told():
+def test_a_difference_inside_a_wide_uncertainty_is_undecided():
     assert verdict(result(mass=(5.0, 0.5)), result(mass=(5.3, 0.5)))[0] == "cannot tell"
 
 

@@ -337,7 +337,7 @@ def test_two_loads_of_one_label_are_not_exported(fmt):
 
 
 @pytest.mark.parametrize("fmt", EXPORT_FORMATS)
-def test_labels_that_look_alike_once_they_are_printable_are_not_exported(fmt):
+def test_labels_that_are_equal_once_they_are_printable_are_not_exported(fmt):
     body = holding([LOAD | {"label": "tool\x1ba"}, LOAD | {"label": "tool a", "mass_kg": 3.0}])
     with pytest.raises(DataUnusable, match="cannot be told apart"):
         export(body, fmt)

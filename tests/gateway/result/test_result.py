@@ -173,7 +173,7 @@ ANY_JSON = st.recursive(
 
 
 @given(ANY_JSON)
-def test_whatever_stands_in_the_file_only_input_error_comes_out(value):
+def test_any_content_of_the_file_raises_input_error_only(value):
     data = {"schema": 1, "robot": "r", "loads": value, "before": value, "rows": value}
     with contextlib.suppress(InputError):
         from_json(json.dumps(data))

@@ -60,7 +60,7 @@ def _lossless(friction: Friction, declared: np.ndarray) -> Friction:
     )
 
 
-def test_without_anything_ordinary_the_half_sums_are_gravity():
+def test_without_nuisances_the_half_sums_are_gravity():
     cell = draw_cell(5, "base")
     friction = _lossless(cell.arm.friction, np.ones(6))
     arm = replace(cell.arm, friction=friction, gain=np.zeros(6), cogging_nm=np.zeros((6, 4)), backlash_rad=np.zeros(6))
@@ -123,7 +123,7 @@ def test_stops_scatter_as_the_floor_says():
 
 
 @pytest.mark.slow
-def test_gross_visits_lie_off_by_bands_and_are_told():
+def test_outlier_visits_are_off_by_bands_and_reported():
     share, sizes = [], []
     for seed in range(60):
         cell = draw_cell(seed, "gross")

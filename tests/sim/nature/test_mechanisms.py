@@ -77,7 +77,7 @@ def test_a_force_on_the_wrist_turns_the_joints_as_virtual_work_says(cell):
         assert torque[axis] == pytest.approx((tips[0] - tips[1]) @ force[0] / 2e-6, abs=1e-6)
 
 
-def test_a_gear_that_winds_up_stands_in_equilibrium(cell):
+def test_a_gear_that_winds_up_is_in_equilibrium(cell):
     arm = replace(cell.arm, backlash_rad=np.zeros(6))
     rows = rows_of(cell.visits)
     build, (_, most) = NAMED["stiffening_gear"](arm, rows, np.random.default_rng(2))
@@ -120,7 +120,7 @@ def test_what_links_load_or_nuisances_take_over_has_no_strength(cell):
     assert np.sqrt(np.mean(taken.left(bias)[:, 4] ** 2)) < whole
 
 
-def test_an_effect_beside_another_of_the_same_curve_cannot_be_told(cell):
+def test_an_effect_beside_another_of_the_same_curve_cannot_be_distinguished(cell):
     # gears without losses: an offset shows in the half-sums alone
     ones = np.ones(6)
     friction = replace(cell.arm.friction, driving=ones, driven=ones, declared_efficiency=ones)

@@ -108,7 +108,7 @@ def test_a_load_adds_its_weight_and_its_inertia_about_the_axis(arm, motion):
     np.testing.assert_allclose((loaded - bare)[turning], (rigid + more)[turning], atol=1e-6)
 
 
-def test_a_gear_takes_its_share_from_whoever_drives(arm, motion):
+def test_a_gear_takes_its_share_from_the_driving_side(arm, motion):
     lossy = replace(arm, friction=replace(arm.friction, declared_efficiency=np.full(1, 0.8)))
     behind, _ = reported_nm(arm, motion, "tool", 0.0, np.random.default_rng(0))
     motor, _ = reported_nm(lossy, motion, "tool", 0.0, np.random.default_rng(0))

@@ -84,7 +84,7 @@ def test_at_rest_the_motors_carry_what_the_arms_weigh(world_of: Worlds) -> None:
     assert np.linalg.norm(light.wrench[:3]) < 1.0
 
 
-def test_an_axis_follows_late_by_its_time_constant(world_of: Worlds) -> None:
+def test_an_axis_lags_by_its_time_constant(world_of: Worlds) -> None:
     world = world_of()
     power(world)
     world.open_grippers()
@@ -239,7 +239,7 @@ def test_an_axis_without_torque_falls_and_one_without_brake_sinks(world_of: Worl
     assert axis.position_rad - standing == pytest.approx(-math.copysign(0.001, load), rel=0.05)
 
 
-def test_an_axis_that_has_too_little_torque_says_so_and_sags(world_of: Worlds) -> None:
+def test_an_axis_that_has_too_little_torque_reports_it_and_drops(world_of: Worlds) -> None:
     world = world_of()
     world.open_grippers()
     power(world)
@@ -360,7 +360,7 @@ def test_grippers_that_hold_nothing_are_refused_in_words(
     assert why in said[0]
 
 
-def test_a_load_cannot_be_hung_on_a_pair(simulation_of: Callable[..., Simulation]) -> None:
+def test_a_load_cannot_be_mounted_on_a_pair(simulation_of: Callable[..., Simulation]) -> None:
     simulation, said = simulation_of(CELL), []
     _obey(simulation, iter(["payload none"]), said.append)  # type: ignore[arg-type]
     assert "holds the workpiece" in said[0]
@@ -408,7 +408,9 @@ def test_a_bus_that_is_held_up_holds_the_plant(world_of: Worlds) -> None:
         assert world.time_s == pytest.approx(0.0040, abs=1e-6)
 
 
-def test_silence_does_not_let_more_time_pass_than_was_silent(simulation_of: Callable[..., Simulation]) -> None:
+def test_a_bus_without_traffic_lets_no_more_time_pass_than_it_was_quiet(
+    simulation_of: Callable[..., Simulation],
+) -> None:
     """A frame that comes while a thread waits for its turn is still answered at the instant at which it came."""
     server = simulation_of(CELL, pacing="real").servers[0]
     began_s = server._real_at_s

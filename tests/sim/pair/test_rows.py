@@ -168,7 +168,7 @@ def test_errors_are_drawn_about_each_arm_s_own_rows() -> None:
 
 
 @pytest.mark.parametrize("plant", ["bullet", "light"])
-def test_a_late_sync_of_the_slave_keeps_its_joints_back_and_leaves_the_master_s_seventh_alone(plant: str) -> None:
+def test_a_delayed_sync_of_the_slave_keeps_its_joints_back_and_leaves_the_master_s_seventh_alone(plant: str) -> None:
     """Arms that hold no part, all joints at 0.1 rad/s: 1 ms is 0.1 mrad, from the eighth joint on."""
     places = []
     for skew_s in (0.0, 1e-3):
@@ -205,7 +205,7 @@ def test_each_arm_of_thirteen_joints_reads_its_own(thirteen: TwoArms) -> None:
 
 
 @pytest.mark.parametrize("file", ["large-small.toml", "seven-six.toml", "seven-seven.toml"])
-def test_the_plant_for_the_clock_stands_as_the_other_one_does(file: str) -> None:
+def test_the_plant_for_real_time_rests_as_the_other_one_does(file: str) -> None:
     light, small = world_of(file, 2, "light"), world_of(file, 2)
     assert light.q == pytest.approx(small.q, abs=1e-9)
     light.close()

@@ -30,7 +30,7 @@ def world() -> Iterator[PairWorld]:
     made.close()
 
 
-def test_every_link_stands_where_the_table_has_it(world: PairWorld) -> None:
+def test_every_link_is_where_the_table_has_it(world: PairWorld) -> None:
     for arm, truth in enumerate(world.arms):
         q = world.q[6 * arm : 6 * arm + 6]
         wanted = truth.geometry.base @ frames(truth.geometry, q)
@@ -92,7 +92,7 @@ def test_a_rigid_part_is_stable_at_the_usual_step() -> None:
     made.close()
 
 
-def test_one_arm_alone_goes_on_when_the_other_bus_is_silent(world: PairWorld) -> None:
+def test_one_arm_alone_goes_on_when_the_other_bus_does_not_respond(world: PairWorld) -> None:
     for axis in world.motors.axes:
         axis.release()
     for _ in range(3):

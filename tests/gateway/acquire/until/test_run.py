@@ -144,7 +144,7 @@ def test_the_same_visits_lead_to_the_same_decision(finished, search, rows):
     assert "2 poses: mass " in narrowed(one)
 
 
-def test_a_fault_on_the_way_ends_it_in_the_brakes_and_keeps_the_visits(small_cell, workspace, search, rows):
+def test_a_fault_during_a_transfer_ends_it_in_the_brakes_and_keeps_the_visits(small_cell, workspace, search, rows):
     drives, arm = fake_arm(small_cell, workspace)
     drives.fault_at = 500
     store = MemoryStore()

@@ -20,14 +20,14 @@ def told(box, words):
     return [(each.time_s, each.nodes) for each in story(box) if words in each.what]
 
 
-def test_frames_are_told_in_the_time_of_the_run(box):
+def test_frames_are_reported_in_the_time_of_the_run(box):
     times_s = frame_times_s(box)
     syncs_s = times_s[box.frames["can_id"] == 0x80]
     assert syncs_s[:-3] == pytest.approx(box.time_s - box.time_s[-1], abs=1e-5)
     assert syncs_s[-3:] == pytest.approx([0.01, 0.02, 0.03], abs=1e-5)
 
 
-def test_frames_of_before_the_samples_are_told_by_the_wall_clock(box):
+def test_frames_before_the_samples_are_reported_by_the_wall_clock(box):
     early = replace(box, wall_s=box.wall_s[100:], time_s=box.time_s[100:], sync_index=box.sync_index[100:])
     first_s = frame_times_s(early)[0]
     assert first_s == pytest.approx(-PERIOD_S * 299 - SLOW * PERIOD_S * 100, abs=1e-5)
@@ -35,13 +35,13 @@ def test_frames_of_before_the_samples_are_told_by_the_wall_clock(box):
     assert frame_times_s(nothing)[-1] == 0.0
 
 
-def test_every_change_of_a_drive_is_told_once_for_all_that_change_alike(box):
+def test_every_change_of_state_is_reported_once_for_all_drives_that_share_it(box):
     assert told(box, "OPERATION ENABLED > SWITCH ON DISABLED") == [(pytest.approx(0.01, abs=1e-5), (1, 2, 3, 6))]
     assert told(box, "OPERATION ENABLED > FAULT") == [(pytest.approx(0.01, abs=1e-5), (FAULTED,))]
     assert told(box, "controlword 0x0000 after 0x000F") == [(pytest.approx(0.01, abs=1e-5), (1, 2, 3, 4, 6))]
 
 
-def test_silence_begins_with_the_last_answer(box):
+def test_loss_of_answers_begins_with_the_last_answer(box):
     assert told(box, "last answer to a SYNC") == [(pytest.approx(-1.0, abs=1e-5), (SILENT,))]
     (span,) = state_spans(box, SILENT)
     assert span.state is State.OPERATION_ENABLED
@@ -67,7 +67,7 @@ def test_what_drives_and_master_say_besides_is_in_words(box):
     assert told(box, "NMT boot-up") == [(pytest.approx(0.03, abs=1e-5), (6,))]
 
 
-def test_a_heartbeat_that_stops_is_told_and_one_that_goes_on_is_not(box):
+def test_a_heartbeat_that_stops_is_reported_and_one_that_goes_on_is_not(box):
     beats = np.zeros(40, FRAME_TYPE)
     beats["time_s"], beats["length"] = box.wall_s[::10], 1
     beats["data"][:, 0], beats["can_id"] = 5, 0x701
@@ -77,7 +77,7 @@ def test_a_heartbeat_that_stops_is_told_and_one_that_goes_on_is_not(box):
     assert told(heard, "last heartbeat") == [(pytest.approx(0.1 * 19 - 3.99, abs=1e-5), (2,))]
 
 
-def test_an_error_frame_is_told(box):
+def test_an_error_frame_is_reported(box):
     frames = box.frames.copy()
     frames["flags"][-1] |= ERROR
     assert len(told(replace(box, frames=frames), "error frame")) == 1

@@ -154,7 +154,7 @@ def test_parts_that_are_still_kept_are_left_alone(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", '{"arms": 3}'])
-def test_parts_of_nobody_knows_whom_are_removed(tmp_path, text):
+def test_parts_of_an_unknown_owner_are_removed(tmp_path, text):
     run = tmp_path / "run.h5"
     left_by_killed(run)
     (folder_of(run) / HEADER).write_text(text)
@@ -222,7 +222,7 @@ def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path):
     assert "cannot be written" in keeper.close("a stop")
 
 
-def test_the_loop_never_waits_for_a_process_that_stands_still(tmp_path):
+def test_the_loop_never_waits_for_a_stopped_process(tmp_path):
     keeper = BoxKeeper(header(tmp_path / "run.h5"))
     os.kill(keeper._process.pid, signal.SIGSTOP)
     try:
@@ -236,7 +236,7 @@ def test_the_loop_never_waits_for_a_process_that_stands_still(tmp_path):
     assert (np.diff(box.sync_index) == 1).all()
 
 
-def test_a_process_that_is_late_goes_on_and_its_box_comes(tmp_path, monkeypatch):
+def test_a_delayed_process_goes_on_and_its_box_comes(tmp_path, monkeypatch):
     monkeypatch.setattr("gateway.data.blackbox.recorder.CLOSING_S", 0.05)
     keeper = BoxKeeper(header(tmp_path / "run.h5"))
     keeper.wait_until_kept()

@@ -96,7 +96,7 @@ def test_the_file_is_the_one_of_the_writer(queue, tmp_path, header):
     assert queue.path.read_bytes() == writer.path.read_bytes()
 
 
-def test_what_is_told_is_on_disk_and_in_order(tmp_path, header):
+def test_reported_periods_are_on_disk_and_in_order(tmp_path, header):
     queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
     told = []
     for each in visits(4):
@@ -128,7 +128,7 @@ def test_a_recording_is_gone_on_with(tmp_path, header):
     assert (np.diff([each.time_s[0] for each in stored]) > 0).all()
 
 
-def test_a_disk_that_hangs_fills_the_queue_and_nothing_waits(tmp_path, header):
+def test_a_blocked_disk_fills_the_queue_and_nothing_waits(tmp_path, header):
     """More than a pipe holds is taken in while nothing at all is written."""
     gate = tmp_path / "gate"
     queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, 4, partial(write_behind, gate))
@@ -180,7 +180,7 @@ def test_nothing_measured_leaves_no_file(queue):
     assert not queue.path.exists()
 
 
-def test_a_full_disk_is_told_and_the_file_before_stays(queue):
+def test_a_full_disk_is_reported_and_the_file_before_stays(queue):
     queue.add("main", visit(1, -1))
     until(queue, lambda: not queue.waiting)
     before = queue.path.read_bytes()
@@ -278,7 +278,7 @@ def test_signals_to_everybody_do_not_end_the_process(queue):
     assert queue.failed is None
 
 
-def test_a_process_that_is_killed_is_replaced_once_the_arm_stands(tmp_path, header):
+def test_a_process_that_is_killed_is_replaced_once_the_arm_is_at_rest(tmp_path, header):
     gate = tmp_path / "gate"
     gate.touch()
     queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_behind, gate))
@@ -357,7 +357,7 @@ def _script(path: Path, body: str) -> list[str]:
     return [sys.executable, "-c", textwrap.dedent(head) + textwrap.dedent(body)]
 
 
-def test_a_killed_master_loses_nothing_it_had_told(tmp_path):
+def test_a_killed_master_loses_nothing_it_had_reported(tmp_path):
     path = tmp_path / "run.h5"
     body = """
         import time

@@ -59,7 +59,7 @@ def test_a_hold_out_does_not_make_the_load_surer():
 
 
 @pytest.mark.slow
-def test_what_fits_but_does_not_foretell_is_not_named():
+def test_what_fits_but_does_not_predict_is_not_named():
     first, last, robot = parted(7, World(load_friction={1: 0.25}), duration_s=30.0)
     last.tau_nm[:, 1] += 1e3
     result = diagnose(first, robot, DiagnoseOptions(inertials="ignore", holdout=last))
@@ -83,7 +83,7 @@ def test_figures_come_with_an_interval_and_say_what_they_are_of():
 
 
 @pytest.mark.slow
-def test_loads_that_hang_in_one_run_each_are_given_by_both():
+def test_loads_mounted_in_one_run_each_are_estimated_from_both():
     """Six runs and more: held out whole, each took its load with it."""
     loads = {"none": None, "again": None} | {f"l{k}": (2.0 + k, 0.02, -0.01, 0.05 + 0.01 * k) for k in range(4)}
     table, robot = several(3, loads)
@@ -133,7 +133,7 @@ def test_what_every_arm_has_is_no_effect(seed):
     assert (np.abs(np.array(gain.value) - truth) < 3.0 * np.array(gain.std)).all()
 
 
-def test_no_gain_and_no_loss_goes_beyond_what_is_ordinary_unless_it_is_an_effect():
+def test_no_gain_and_no_loss_goes_beyond_its_usual_range_unless_it_is_an_effect():
     """A scale of 0.75 and a loss of 0.3 stay at two standard deviations; as effects in the model they are found."""
     table, robot, _ = measured(1, World(gain={1: 0.75}, load_friction={2: 0.3}))
     plain = problem(table, robot)
@@ -201,7 +201,7 @@ def test_a_decay_inside_its_grid_has_a_spread_that_the_friction_shares():
     assert abs(decay - 0.15 * np.abs(table.qd_rad_s[:, 2]).max()) < 2.0 * effect.std["stribeck_velocity_rad_s"]
 
 
-def test_what_lies_at_an_edge_is_said_in_words():
+def test_an_estimate_at_the_edge_of_its_range_is_reported():
     effect = EffectResult("velocity_friction", (3,), {"stribeck_nm": 1.0}, {"stribeck_nm": float("nan")})
     (finding,) = edge_findings([effect])
     assert finding.where == "J3"

@@ -89,7 +89,7 @@ def test_tx40_motor_6_turns_with_joint_5():
 
 
 @pytest.mark.slow
-def test_tx40_parts_of_the_run_foretell_each_other():
+def test_tx40_parts_of_the_run_predict_each_other():
     table, robot = load("tx40", "run_1_first")
     first, last = table.take(table.time_s < 3.6), table.take(table.time_s > 3.8)
     result = diagnose_motion(first, robot, DiagnoseOptions(holdout=last))

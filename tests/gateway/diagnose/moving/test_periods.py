@@ -107,7 +107,7 @@ def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robo
 
 
 @pytest.mark.slow
-def test_what_repeats_and_has_no_name_is_told(clean: tuple[Table, Robot, np.ndarray]) -> None:
+def test_an_unexplained_repeating_torque_is_reported(clean: tuple[Table, Robot, np.ndarray]) -> None:
     table, robot, _ = bare_and_loaded(5, World(strange={2: 0.3}))
     result = diagnose(table, robot, DiagnoseOptions())
     assert result.verdict in ("unexplained", "improved")

@@ -14,7 +14,7 @@ def held(residual):
     return Held(residual, np.ones(residual.shape, dtype=bool))
 
 
-def test_the_interval_holds_the_ratio_of_the_processes_although_rows_hang_together():
+def test_the_interval_holds_the_ratio_of_the_processes_although_rows_are_autocorrelated():
     """Two residuals of RMS 1 and 0.8 that hang together over 0.1 s at 25 Hz, and in part with each other."""
     inside = 0
     for seed in range(200):

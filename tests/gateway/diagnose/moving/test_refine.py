@@ -10,7 +10,7 @@ from gateway.model.effects.balancer_spring import CoilBalancer
 
 
 @pytest.mark.parametrize("told", [0.0, 3.0, 1e6])
-def test_a_shape_lies_between_its_prior_and_what_the_rows_say(monkeypatch, told):
+def test_a_shape_is_between_its_prior_and_what_the_rows_say(monkeypatch, told):
     """Rows with the weight w about 0.8 rad and a prior of 0.4 rad about 0: w s^2 / (1 + w s^2) of the way."""
     term, wanted = CoilBalancer(phase_rad=0.0), np.array([0.8, 0.2])
 

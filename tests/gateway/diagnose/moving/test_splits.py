@@ -35,7 +35,7 @@ def whole(motion, splits):
     }
 
 
-def test_a_load_that_hangs_in_one_run_alone_is_seen_by_every_choice(robot):
+def test_a_load_mounted_in_one_run_alone_is_seen_by_every_choice(robot):
     motion = runs(robot, ["none", "a", "b", "c", "d", "e", "f"])
     splits = choosing(motion, 6, BARE)
     for train, _ in splits:

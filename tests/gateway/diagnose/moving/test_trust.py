@@ -33,7 +33,7 @@ def test_a_good_drawing_is_trusted_and_a_bad_one_is_not(cad_error, least, most):
 
 
 @pytest.mark.slow
-def test_what_the_user_says_of_the_drawing_stands():
+def test_the_users_statement_on_the_drawing_is_kept():
     table, robot, _ = measured(3, World(), duration_s=20.0, cad_error=0.25)
     for said, trust in (("prior:0.03", 0.03), ("ignore", float("inf"))):
         assert trust_of(diagnose(table, robot, DiagnoseOptions(inertials=said, only=frozenset({"base_tilt"})))) == trust

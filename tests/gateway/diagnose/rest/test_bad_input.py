@@ -42,7 +42,7 @@ def test_constants_that_are_known_exactly_are_taken_at_their_word(healthy):
     assert 0.0 < std < 0.02 * mass
 
 
-def test_constants_that_are_hardly_known_are_refused_with_the_reason(healthy):
+def test_barely_known_constants_are_refused_with_the_reason(healthy):
     bench, table, _ = healthy
     with pytest.raises(ConfigError, match=r"known to 50 % says nothing of a mass.*--known"):
         diagnose(table, bench.robot, replace(bench.options, gain_std=(0.03,) * 5 + (0.5,)))
@@ -66,7 +66,7 @@ def gross(table: Table, bench: Bench, entries: list[tuple[int, int]], bands: flo
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 6])
-def test_gross_visits_are_set_aside_listed_and_hardly_move_the_answer(seed):
+def test_outlier_visits_are_rejected_listed_and_barely_change_the_answer(seed):
     bench = Bench(seed, [])
     table = bench.both()
     sound = diagnose(table, bench.robot, bench.options)
@@ -91,14 +91,14 @@ def test_gross_visits_are_set_aside_listed_and_hardly_move_the_answer(seed):
 
 
 @pytest.mark.slow
-def test_an_effect_is_named_beside_gross_visits():
+def test_an_effect_is_named_beside_outlier_visits():
     bench = Bench(4, [effect("base_tilt", [], tilt_x_rad=0.05, tilt_y_rad=0.03)])
     result = diagnose(gross(bench.both(), bench, [(6, 1)]), bench.robot, bench.options)
     assert found(result) == [("base_tilt", ())]
     assert [(aside.pose, aside.joint) for aside in result.set_aside] == [(6, 2)]
 
 
-def test_where_every_visit_is_gross_none_is_set_aside_and_that_is_said(healthy):
+def test_where_every_visit_is_an_outlier_none_is_rejected_and_that_is_reported(healthy):
     bench, table, sound = healthy
     rng = np.random.default_rng(0)
     push = rng.uniform(4.0, 10.0, table.tau_nm.shape) * rng.choice([-1.0, 1.0], table.tau_nm.shape)
@@ -174,7 +174,7 @@ def test_a_run_of_a_tenth_of_the_others_changes_no_answer():
     assert mass_of(both)[1] == pytest.approx(std, rel=0.15)
 
 
-def test_a_load_of_one_run_alone_is_told_with_its_own_doubt():
+def test_a_load_of_one_run_alone_is_reported_with_its_own_uncertainty():
     """Two loads, one measured in each of two runs, the second at four poses only."""
     bench = Bench(3, [], poses=10)
     tool = bench.arm.loads["tool"]

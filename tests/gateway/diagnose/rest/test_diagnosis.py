@@ -126,7 +126,7 @@ def test_three_poses_are_not():
 
 
 @pytest.mark.slow
-def test_rivals_are_named_with_poses_that_tell_them_apart():
+def test_rivals_are_named_with_poses_that_distinguish_them():
     """A cable whose axis was turned by little and far from its neutral angle looks like an offset; wide angles tell."""
     seed, half_rad = 3, 0.10
     at_rad = float(Bench(seed, [], poses=5).poses[0, 4])
@@ -251,7 +251,7 @@ def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
 
 
 @pytest.mark.slow
-def test_fresh_poses_are_judged_first_and_then_tell_the_load_too():
+def test_fresh_poses_are_judged_first_and_then_used_for_the_load_too():
     bench = Bench(1, [])
     table = bench.both()
     alone = diagnose(table, bench.robot, bench.options)
@@ -264,7 +264,7 @@ def test_fresh_poses_are_judged_first_and_then_tell_the_load_too():
 
 
 @pytest.mark.slow
-def test_sweeps_of_single_joints_tell_the_band_of_the_joints_that_moved():
+def test_sweeps_of_single_joints_determine_the_band_of_the_joints_that_moved():
     """Each of axes 2 to 6 passes six angles up and down again, numbered on, while the others stand still."""
     bench, tables = Bench(1, []), []
     for load in ("none", "tool"):

@@ -52,7 +52,7 @@ def test_the_density_of_a_fit_is_that_of_its_distributions(problem, fits):
     assert found.mode - plain.mode == pytest.approx(density(problem, found) - density(problem, plain), abs=1e-6)
 
 
-def test_the_evidence_is_the_density_less_the_room_that_the_parameters_had(problem, fits):
+def test_the_evidence_is_the_density_less_the_volume_of_the_priors(problem, fits):
     """Laplace: half the logarithm of the information, and the widths of the priors."""
     for found in fits:
         # the information of a step is that of the noise before it
@@ -121,7 +121,7 @@ def one_sweep(bench: Bench) -> Table:
 
 
 @pytest.mark.parametrize("made", [undirected, one_sweep], ids=["no side", "one axis"])
-def test_a_band_that_no_side_tells_stays_out_of_the_fit(made):
+def test_a_band_that_no_approach_determines_stays_out_of_the_fit(made):
     """The middle of both sides bends at the band: free to follow that alone, it would never settle."""
     bench = Bench(3, [])
     problem = problem_of(bench, made(bench))
@@ -132,7 +132,7 @@ def test_a_band_that_no_side_tells_stays_out_of_the_fit(made):
 
 
 @pytest.mark.parametrize("made", [Bench.both, undirected, one_sweep], ids=["both sides", "no side", "one axis"])
-def test_what_is_left_out_is_foretold_by_a_fit_without_it_whatever_columns_are_empty(made):
+def test_held_out_rows_are_predicted_by_a_fit_without_them_whatever_columns_are_empty(made):
     """Bands without a side and links on a vertical axis have empty columns, sweeps have dependent ones."""
     bench = Bench(3, [])
     problem = problem_of(bench, made(bench))

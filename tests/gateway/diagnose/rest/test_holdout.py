@@ -62,7 +62,7 @@ def hypotheses(seed: int) -> list[Linear]:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_pose_is_foretold_with_its_density(seed):
+def test_a_pose_is_predicted_with_its_density(seed):
     for linear in hypotheses(seed):
         residual, density = foretold_poses(PROBLEM, linear.fit)
         assert left_out(PROBLEM, linear.fit) == pytest.approx(residual)
@@ -171,7 +171,7 @@ def test_what_is_reported_unseen_is_what_the_others_choose(monkeypatch):
     ],
     ids=lambda value: value["name"] if isinstance(value, dict) else "",
 )
-def test_what_is_beyond_the_ordinary_is_compared_with_what_every_arm_has(hidden, axis):
+def test_an_effect_is_compared_with_the_nuisance_parameters(hidden, axis):
     """Compared with an ordinary parameter that may stretch as far, an effect would be worth nothing."""
     bench = Bench(4, [hidden])
     result = diagnose(bench.both(), bench.robot, bench.options)

@@ -101,7 +101,7 @@ HEALTHY = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "axis", "hidden"), HEALTHY)
-def test_a_table_in_which_one_axis_moves_tells_of_no_mistake(seed, axis, hidden):
+def test_a_table_in_which_one_axis_moves_shows_no_mistake(seed, axis, hidden):
     bench = Bench(seed, hidden)
     read = undirected(single_joint_sweep(bench, axis))
     result = diagnose(read, bench.robot, bench.options)

@@ -127,7 +127,7 @@ def test_each_kind_does_what_it_is_called():
     assert foretold(problem, links, loads, band, nuisance) == pytest.approx(expected)
 
 
-def test_a_gear_of_one_efficiency_leaves_what_the_ordinary_column_says():
+def test_a_gear_of_one_efficiency_leaves_what_the_nuisance_column_says():
     """Motor over joint torque by efficiency, driving and driven back, with no formula of the model."""
     eta, torque, band = 0.9, np.linspace(-80.0, 80.0, 9), 5.0
     sides = [torque + band, torque - band]

@@ -74,7 +74,7 @@ def refitted(weighted, right, poses, prior=0) -> np.ndarray:
     return out
 
 
-def test_a_pose_that_is_left_out_is_foretold_by_the_others(fitted):
+def test_a_held_out_pose_is_predicted_by_the_others(fitted):
     problem, fit, weighted, right = fitted
     expected = fit.noise.std[problem.group] * refitted(weighted, right, problem.rows.pose)
     assert left_out(problem, fit) == pytest.approx(expected)

@@ -35,7 +35,7 @@ def swinging(seed: int, poses: int, axis: int, order: float, floors: float = 5.0
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("seed", "axis", "order"), [(2100, 5, 287.2), (2102, 1, 57.1)])
-def test_ripple_is_named_with_its_order_where_the_angles_tell_it(seed, axis, order):
+def test_ripple_is_named_with_its_order_where_the_angles_determine_it(seed, axis, order):
     bench = swinging(seed, 18, axis, order)
     result = diagnose(bench.both(), bench.robot, bench.options)
     assert found(result) == [("torque_ripple", (axis + 1,))]
@@ -51,7 +51,7 @@ def test_ripple_is_named_with_its_order_where_the_angles_tell_it(seed, axis, ord
 
 @pytest.mark.slow
 @pytest.mark.parametrize("poses", [8])
-def test_where_any_order_would_do_none_is_named_and_the_reason_is_told(poses):
+def test_where_any_order_would_do_none_is_named_and_the_reason_is_reported(poses):
     bench = swinging(2101, poses, 3, 163.9)
     result = diagnose(bench.both(), bench.robot, bench.options)
     assert result.verdict == "unexplained"
@@ -83,7 +83,7 @@ def left_of_axis(bench: Bench, axis: int):
 
 
 @pytest.mark.slow
-def test_random_torque_by_pose_is_believed_as_seldom_as_stated():
+def test_random_torque_by_pose_is_named_as_seldom_as_stated():
     """A torque that comes back with the pose and has no order at all, on axis 3 of arms at eighteen poses."""
     chances = []
     for seed in range(40):
@@ -110,7 +110,7 @@ def test_too_few_angles_and_little_that_is_left_are_not_asked():
     assert swing.term.per_revolution == pytest.approx(57.1, abs=0.7)
 
 
-def test_equally_spaced_angles_say_which_orders_they_cannot_tell_apart():
+def test_equally_spaced_angles_report_the_orders_they_cannot_distinguish():
     """At angles a step apart, orders that differ by whole turns per step are the same."""
     bench = swinging(2102, 18, 2, 57.1)
     step = 0.1

@@ -105,7 +105,7 @@ def test_the_size_of_an_axis_makes_no_difference(rows):
 
 
 @pytest.mark.parametrize("axes", [[2], list(range(AXES))], ids=["one axis", "every axis"])
-def test_the_size_that_is_told_is_seen_four_times_in_five(rows, axes):
+def test_the_reported_size_is_detected_four_times_in_five(rows, axes):
     size = Power(rows.test).size_seen(axes)
     rng = np.random.default_rng(11)
     noise = rows.left(rng.standard_normal((len(rows.group), 1000)))
@@ -228,7 +228,7 @@ def test_four_fresh_poses_see_a_doubled_residual(known_by):
     assert caught(list(range(6)), known_by=known_by) > 0.98
 
 
-def test_what_fresh_poses_would_have_seen_is_told():
+def test_the_size_that_fresh_poses_would_detect_is_reported():
     """A structure of that RMS on the half sums of one axis, in floors, four times in five."""
     rng = np.random.default_rng(6)
     size = fresh_seen(np.array([4, 0, 8]))

@@ -136,7 +136,7 @@ def test_shapes_that_are_open_widen_the_stiffness_of_a_first_harmonic():
     assert narrow["stiffness_n_m"] < 0.01 * wide["stiffness_n_m"]
 
 
-def test_a_motor_that_turns_with_another_joint_rubs_on_both(motion, modelled):
+def test_a_motor_that_turns_with_another_joint_has_friction_on_both(motion, modelled):
     i, j, c = 4, 5, 0.7
     speed = motion.qd_rad_s[:, j] + c * motion.qd_rad_s[:, i]
     own = np.column_stack([np.sign(speed), speed, motion.qdd_rad_s2[:, j] + c * motion.qdd_rad_s2[:, i]])
