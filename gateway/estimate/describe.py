@@ -136,17 +136,18 @@ def bare_of(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptio
     """Base gravity parameters of the bare arm, if rows and priors determine all of them."""
     base = rest_base(robot, options.gravity_m_s2)
     rank, axes = base.rank, robot.axes
+    # columns of effects come behind those that every hypothesis has
     directions = np.zeros((rank + 2 * axes, len(fit.scale)))
     directions[:rank, problem.link_part] = base.combination
     if not sure(problem, fit, directions[:rank]).all():
         return None
     measured = np.flatnonzero(problem.use_sum.any(axis=0))
-    directions[rank + measured] = problem.gain_directions[measured]
+    directions[rank + measured, : problem.n_common] = problem.gain_directions[measured]
     bias = problem.nuisance_part.start + KINDS.index("bias") * axes
     directions[rank + axes + measured, bias + measured] = 1.0
     wide = widening(problem, fit, directions)
     covariance = directions @ fit.covariance @ directions.T * np.outer(wide, wide)
-    value = directions @ fit.common
+    value = directions[:, : problem.n_common] @ fit.common
     value[rank:][~directions[rank:].any(axis=1)] = np.nan
     return Bare(
         robot=robot.name,

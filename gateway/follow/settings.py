@@ -87,7 +87,9 @@ def feed_model(
     """
     gravity = np.array(arm.gravity_m_s2)
     drawn = drawn_parameters(robot, arm)
-    links = None if result.bare is None else corrected_parameters(robot, result.bare, gravity)
+    # with effects, the links are those of a model that has them
+    alone = result.bare is None or bool(result.effects)
+    links = None if result.bare is None or alone else corrected_parameters(robot, result.bare, gravity)
     source = "robot model" if links is None else "robot model, corrected to the torque that was identified bare"
     axes, sources = axis_terms(arm, profiles, result, identified, fed=fed)
     return FeedModel(

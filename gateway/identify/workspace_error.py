@@ -13,14 +13,17 @@ A decision is made by that probability (JCGM 106:2012, 8.3: guarded acceptance a
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.identify.stated_effects import Stated
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
+from gateway.model.rest import Model, neutral
 from gateway.model.robot import Robot
+from gateway.model.visits import Gears, visits_at
 from gateway.result.result import Bare, LoadResult
 
 Floats = NDArray[np.float64]
@@ -53,11 +56,20 @@ class EnteredLoad:
     bare : Bare
     load : LoadResult
         With mass and centre of gravity in the last link.
+    effects : tuple of (Term, array)
+        Effects of the result with their parameters.
+    gears : Gears or None
+        Needed with effects; None = no losses.
+    band_nm : array of shape (N,) or None
+        Friction band, for effects of friction; None = 0.
     """
 
     robot: Robot
     bare: Bare
     load: LoadResult
+    effects: tuple[Stated, ...] = ()
+    gears: Gears | None = None
+    band_nm: Floats | None = None
 
     def parameters(self) -> Floats:
         """[m, hx, hy, hz] (4 N,) of every link, of those combinations that rest determines, the load in the last."""
@@ -69,8 +81,22 @@ class EnteredLoad:
     def torque(self, q_rad: Floats, gravity_m_s2: Floats | None = None) -> Floats:
         """Torque (n, N) [Nm] that is measured at rest if the load is right."""
         gravity = np.array(self.bare.gravity_m_s2) if gravity_m_s2 is None else gravity_m_s2
+        if self.effects:
+            return self._with_effects(q_rad, gravity)
         rows = gravity_regressor(self.robot, q_rad, gravity) @ self.parameters()
         return self.factor() * rows + np.nan_to_num(np.array(self.bare.offset_nm))
+
+    def _with_effects(self, q_rad: Floats, gravity_m_s2: Floats) -> Floats:
+        axes = self.robot.axes
+        rows = visits_at(q_rad, self.gears or Gears.of(None, axes))
+        setting = neutral(len(q_rad), axes)
+        bias_nm = np.nan_to_num(np.array(self.bare.offset_nm))
+        setting = replace(setting, gain=setting.gain * self.factor(), bias_nm=bias_nm)
+        for term, theta in self.effects:
+            setting = term.apply(setting, theta, rows)
+        links, band_nm = self.parameters(), np.zeros(axes) if self.band_nm is None else np.nan_to_num(self.band_nm)
+        model = Model(self.robot, rows, gravity_m_s2)
+        return model.predict(setting, links, np.zeros((len(q_rad), 4)), band_nm).sum_nm
 
     def factor(self) -> Floats:
         """Measured over true torque (N,)."""

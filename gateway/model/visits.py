@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from gateway.data.labels import BARE_LABEL
 from gateway.data.rows import Table
 
 Floats = NDArray[np.float64]
@@ -158,6 +159,29 @@ class Visits:
         """The visits with these entries (n, N) as if they had not been measured."""
         sums, halves = (np.where(entries, np.nan, values) for values in (self.sum_nm, self.difference_nm))
         return replace(self, sum_nm=sums, difference_nm=halves)
+
+
+def visits_at(q_rad: Floats, gears: Gears) -> Visits:
+    """Visits of postures (n, N) from both sides under no load, one after the other, with nothing measured."""
+    n, axes = q_rad.shape
+    unknown = np.full((n, axes), np.nan)
+    return Visits(
+        load=np.full(n, BARE_LABEL),
+        pose=np.arange(n) + 1,
+        run=np.full(n, "next"),
+        time_s=np.arange(n, dtype=float),
+        q_rad=q_rad,
+        sum_nm=np.zeros((n, axes)),
+        difference_nm=np.zeros((n, axes)),
+        side=np.zeros((n, axes)),
+        two_sided=np.ones(n, dtype=bool),
+        sample_std_nm=unknown,
+        temperature_c=unknown,
+        gear_nm=np.zeros((n, axes)),
+        wind_up_rad=unknown,
+        where=np.full(n, "next"),
+        gears=gears,
+    )
 
 
 _OF_VISITS: Final = tuple(field.name for field in fields(Visits) if field.name != "gears")

@@ -333,9 +333,13 @@ def read_bare(path: Path) -> Bare:
     Raises
     ------
     InputError
-        Unreadable, or the result holds none.
+        Unreadable, or the result holds none, or effects beside it.
     """
-    bare = read_result(path).bare
+    result = read_result(path)
+    bare = result.bare
+    if result.effects:
+        names = ", ".join(dict.fromkeys(effect.name for effect in result.effects))
+        raise InputError(f"{path}: its bare identification has effects beside it ({names}), which --bare does not use")
     if bare is None:
         raise InputError(f"{path}: holds no bare identification; estimate bare rows with --json and name that file")
     if not all(np.isfinite(part).all() for part in (bare.value, bare.gravity_m_s2, bare.covariance, bare.combination)):

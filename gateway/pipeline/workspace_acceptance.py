@@ -13,6 +13,7 @@ from gateway.cell.config import ArmConfig
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate.posture import refuse_other_bare
+from gateway.identify.stated_effects import stated_terms
 from gateway.identify.workspace_error import (
     GUARD,
     WRONG_DECISION,
@@ -23,7 +24,7 @@ from gateway.identify.workspace_error import (
 )
 from gateway.model.kinematics import flange_frames, joint_axes_origins
 from gateway.model.robot import reach_m
-from gateway.model.visits import SAME_POSE_RAD, Visits, pair_visits
+from gateway.model.visits import SAME_POSE_RAD, Gears, Visits, pair_visits
 from gateway.pipeline.inputs import AnalysisInputs
 from gateway.result.result import Result
 
@@ -55,15 +56,17 @@ def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> En
     wrong = about.load_bounds.violation(load.mass_kg, load.com_m or ())
     if wrong:
         raise InputError(f"load '{load.label}': {wrong}")
-    if result.effects:
+    if result.verdict == "undecided" and result.effects:
         names = ", ".join(sorted({effect.name for effect in result.effects}))
-        raise DataUnusable(f"the result holds effects ({names}), which the acceptance does not predict: {_AGAIN}")
+        raise DataUnusable(f"the result does not decide between the effects {names}: measure the poses under `next`")
     if result.bare is None:
         raise DataUnusable(f"the result holds no identification of the unloaded arm: {_AGAIN}")
     refuse_other_bare(result.bare, about.model, about.gravity_m_s2)
     if not all(map(math.isfinite, result.noise_floor_nm)) or len(result.noise_floor_nm) != about.model.axes:
         raise DataUnusable(f"the result states no noise floor of some axis: {_AGAIN}, each pose from both sides")
-    return EnteredLoad(about.model, result.bare, load)
+    gears = Gears.of(about.efficiency, about.model.axes, about.coupling)
+    effects = stated_terms(result.effects, gears, about.model.axes)
+    return EnteredLoad(about.model, result.bare, load, effects, gears, np.array(result.friction_band_nm, dtype=float))
 
 
 def parse_tolerance(text: str, arm: ArmConfig) -> Floats:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.robot import Robot
 from gateway.model.unnamed import UNNAMED
-from gateway.model.visits import Visits, joined
+from gateway.model.visits import Visits, joined, visits_at
 from gateway.result.result import NextMeasurement
 
 Floats = NDArray[np.float64]
@@ -98,24 +99,13 @@ def imagined(rows: Visits, poses_rad: Floats) -> Visits:
     n = len(poses_rad)
     loaded = [label for label in rows.load.tolist() if label != BARE_LABEL]
     label = loaded[-1] if loaded else BARE_LABEL
-    unknown = np.full((n, rows.axes), np.nan)
     last = int(np.argmax(rows.time_s))
-    return Visits(
+    return replace(
+        visits_at(poses_rad, rows.gears),
         load=np.full(n, label),
         pose=np.arange(n) + int(rows.pose.max()) + 1,
-        run=np.full(n, "next"),
         time_s=rows.time_s[last] + STEP_S * (1.0 + np.zeros(n)),
-        q_rad=poses_rad,
-        sum_nm=np.zeros((n, rows.axes)),
-        difference_nm=np.zeros((n, rows.axes)),
-        side=np.zeros((n, rows.axes)),
-        two_sided=np.ones(n, dtype=bool),
-        sample_std_nm=unknown,
         temperature_c=np.repeat(rows.temperature_c[last : last + 1], n, axis=0),
-        gear_nm=np.zeros((n, rows.axes)),
-        wind_up_rad=unknown,
-        where=np.full(n, "next"),
-        gears=rows.gears,
     )
 
 

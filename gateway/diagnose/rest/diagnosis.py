@@ -47,6 +47,7 @@ from gateway.diagnose.rest.structure import structure_seen_nm
 from gateway.diagnose.rest.thresholds import REST
 from gateway.errors import DataUnusable
 from gateway.estimate import to_result
+from gateway.estimate.describe import bare_of
 from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
 from gateway.identify.aside import Aside, gross_aside
@@ -66,7 +67,7 @@ from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.model.visits import Visits, joined, pair_visits
-from gateway.result.result import Finding, FitSummary, HoldoutKind, LoadResult, Result, Verdict
+from gateway.result.result import Finding, FitSummary, HoldoutKind, Result, Verdict
 
 Floats = NDArray[np.float64]
 
@@ -293,10 +294,6 @@ class RestDiagnosis:
         result = self._as_estimated(rows, settled)
         return replace(result, verdict="unexplained", findings=(*read.aside.findings, *result.findings))
 
-    def _from_all(self, held: Unseen, seen: Fit, by_shape: Floats) -> tuple[LoadResult, ...]:
-        """Loads of the same hypothesis on fitted and fresh visits together."""
-        return loads_of(held.problem, fit(held.problem, seen.terms, seen.noise, seen), self.robot, by_shape)
-
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
         settled = found.settled
@@ -326,15 +323,19 @@ class RestDiagnosis:
         before = self._before(decision, judge, found, bool(by_direction))
         by_shape = spread_by_shape(decision.after, search.alike(decision.after))
         after = summary(problem, decision.after, judge, self.robot, by_shape)
+        last_problem, last = problem, decision.after
         if held is not None and kind == "fresh" and not findings:
-            # what the proof has confirmed is told by all visits, those of the proof included
-            after = replace(after, loads=self._from_all(held, decision.after, by_shape))
+            # what the proof has confirmed is estimated from all visits, those of the proof included
+            last_problem, last = held.problem, fit(held.problem, last.terms, last.noise, last)
+            after = replace(after, loads=loads_of(last_problem, last, self.robot, by_shape))
             if decision.after is decision.before and not found.mistakes:
                 before = replace(before, loads=after.loads)
+        bare = None if found.mistakes else bare_of(last_problem, last, self.robot, self.as_estimate)
         if not effects and not found.mistakes and decision.after is decision.before:
             judged, tested = (problem, settled) if held is None or kind != "fresh" else (held.problem, None)
             estimated = self._as_estimated(judged.rows, tested)
             before, after = replace(before, loads=estimated.loads), replace(after, loads=estimated.loads)
+            bare = estimated.bare
             findings += [each for each in estimated.findings if each.severity == "fail" and each.check != REFUSED]
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
@@ -372,6 +373,7 @@ class RestDiagnosis:
                 "structure_p": decision.structure_p,
                 "inertials": self.knowledge.inertials,
             },
+            bare=bare,
             rows=rows,
             data=drawn,
         )

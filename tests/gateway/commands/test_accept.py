@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
@@ -19,7 +20,7 @@ from gateway.data.table import write_csv
 from gateway.identify.workspace_error import EnteredLoad, ErrorFamily, fewest_poses, inferred_error, resolution
 from gateway.model.robot import robot_from_urdf
 from gateway.pipeline.workspace_acceptance import flange_equivalent
-from gateway.result.result import LoadResult, read_result, to_json
+from gateway.result.result import EffectResult, LoadResult, read_result, to_json
 from tests.arms import peer_of
 from tests.support.rigs.tables import make_table
 
@@ -158,11 +159,11 @@ def changed_result(identified, **changes):
 
 
 def test_what_cannot_be_predicted_is_refused_before_anything_moves(accept, identified):
-    from gateway.result.result import EffectResult
-
     for changes, code, says in (
         ({"bare": None}, 6, "unloaded arm"),
         ({"effects": (EffectResult("balancer_spring", (2,)),)}, 6, "balancer_spring"),
+        ({"effects": (EffectResult("thermal_drift", (2,), {"per_s": 1e-4}),)}, 6, "thermal_drift"),
+        ({"effects": (CABLE,), "verdict": "undecided"}, 6, "does not decide"),
         ({"loads": (LoadResult("tool", refused="contradicts itself"),)}, 6, "contradicts itself"),
         ({"loads": ()}, 3, "--label"),
         ({"noise_floor_nm": (float("nan"),) * 6}, 6, "noise floor"),
@@ -173,6 +174,56 @@ def test_what_cannot_be_predicted_is_refused_before_anything_moves(accept, ident
     assert accept("--label", "other").exit_code == 3
     beyond = accept(result=heavier(read_result(identified / "result.json"), 1000.0))
     assert beyond.exit_code == 3, beyond.output
+
+
+CABLE = EffectResult("cable_torque", (5,), {"stiffness_nm_rad": 30.0, "neutral_rad": 0.3, "harmonic": 1.0})
+
+
+def cable(q, share=1.0):
+    out = np.zeros_like(q)
+    out[:, 4] = share * 30.0 * np.sin(q[:, 4] - 0.3)
+    return out
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(1.0, "pass"), (0.0, "fail"), (1.6, "fail")])
+def test_the_torque_of_an_effect_of_the_result_is_predicted(accept, identified, tmp_path, share, outcome):
+    """The cable of the result is there, was taken off, or pulls harder."""
+    content = rows("tool", TOOL, UNSEEN, 2000.0, 7, lambda q: cable(q, share))
+    result = changed_result(identified, effects=(CABLE,), verdict="improved")
+    done = accept("--json", tmp_path / "a.json", content=content, result=result)
+    assert done.exit_code == (0 if outcome == "pass" else 7), done.output
+    answer = json.loads((tmp_path / "a.json").read_text())
+    assert answer["outcome"] == outcome
+    assert outcome == "pass" or answer["likeliest_error"] == "spring or cable on J5"
+
+
+@pytest.mark.slow
+def test_a_load_diagnosed_beside_a_cable_passes(tmp_path):
+    """diagnose names the cable and states the unloaded arm without it."""
+    for name in ("cell.toml", "robot.urdf"):
+        text = (SMALL / name).read_text(encoding="utf-8")
+        # the rows are those of gears without losses
+        text = re.sub(r"gear_efficiency = \{ value = [\d.]+", "gear_efficiency = { value = 1.0", text)
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    poses = np.random.default_rng(4).uniform(-LIMIT, LIMIT, (14, 6))
+    seen = [rows("none", None, poses, error=cable), rows("tool", TOOL, poses, start_s=600.0, error=cable)]
+    write_csv(concatenate(seen), tmp_path / "seen.csv")
+    write_csv(rows("tool", TOOL, UNSEEN, 2000.0, 7, cable), tmp_path / "unseen.csv")
+    cell, result = tmp_path / "cell.toml", tmp_path / "result.json"
+    done = CliRunner().invoke(
+        main, ["diagnose", str(tmp_path / "seen.csv"), "--cell", str(cell), "--json", str(result)]
+    )
+    assert done.exit_code == 0, done.output
+    assert [effect.name for effect in read_result(result).effects] == ["cable_torque"]
+    words = ["accept", str(cell), "--load", str(result), "--from", str(tmp_path / "unseen.csv")]
+    done = CliRunner().invoke(main, [*words, "--tolerance", TOLERANCE, "--json", str(tmp_path / "a.json")])
+    assert done.exit_code == 0, done.output
+    worst = np.abs([pose["residual_nm"] for pose in json.loads((tmp_path / "a.json").read_text())["poses"]]).max(axis=0)
+    assert (worst < 0.1 * 0.03 * torque_limits()).all()
+    later = ["estimate", str(tmp_path / "unseen.csv"), "--cell", str(cell), "--bare", str(result)]
+    refused = CliRunner().invoke(main, later)
+    assert refused.exit_code == 3
+    assert "cable_torque" in refused.output
 
 
 def test_the_force_at_the_flange_gives_its_own_torque():
