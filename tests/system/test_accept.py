@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 
+import numpy as np
 import pytest
 
 from gateway.data.recording.reader import read
+from sim.serve import running
+from tests.support.rigs.proofs import keep_proof_of_stop
 
 pytestmark = pytest.mark.system
 
@@ -48,6 +51,28 @@ def test_a_right_load_passes_and_a_wrong_one_fails(place, serve, gateway, fast_a
     assert done.exit_code == 7, done.output
     answer = json.loads((place.folder / "b.json").read_text())
     assert (answer["outcome"], answer["likeliest_error"]) == ("fail", "load")
+
+
+@pytest.mark.slow
+@pytest.mark.xdist_group("by-the-clock")
+def test_a_right_load_passes_in_real_time(place, serve, gateway, fast_arm, tmp_path_factory):
+    """The drives run in a process of their own over UDP; the result is that of a run in lockstep."""
+    load = identified(place, gateway, fast_arm(serve()))
+    cell = place.variant("real", ('pacing = "lockstep"', 'pacing = "real"'))
+    out = place.folder / "accepted"
+    with running(cell, payload=place.payload) as drives:
+        drives.mount("load")
+        keep_proof_of_stop(cell, drives.bus, tmp_path_factory)
+        words = ["accept", cell, "--load", load, "--tolerance", "5%", "--bus", drives.bus, "--out", out, "--yes"]
+        done = gateway(*words, "--json", place.folder / "a.json")
+    assert done.exit_code == 0, done.output
+    answer = json.loads((place.folder / "a.json").read_text())
+    assert (answer["outcome"], answer["load"]) == ("pass", "load")
+    recording = read(out / "accept.h5")
+    assert recording.exit_status == "success"
+    # the clock of the computer, not the next answer: SYNCs are a period apart
+    times = np.concatenate([np.diff(visit.time_s) for visit in recording.arms[0].visits])
+    assert np.median(times) == pytest.approx(recording.cell.bus["a"].sync_period_s, rel=0.05)
 
 
 def test_a_tolerance_within_the_noise_is_refused_before_anything_moves(place, serve, gateway, identified_by_table):
