@@ -45,7 +45,7 @@ _SILENT: Final = 2
 #: An axis is at rest when its motor has stayed within so many revolutions for so long [s]: a braked axis shakes while
 #: others are stopped.
 _STILL_REVOLUTIONS: Final = 0.003
-_STILL_S: Final = 0.05
+STILL_S: Final = 0.05
 #: The same as a share of what the motor travelled in that time at its largest speed: less with a low gear ratio.
 _STILL_SHARE: Final = 0.2
 #: Rounding of a sum of SYNC periods [s].
@@ -159,7 +159,7 @@ class _Axis:
         elif self.left_s is None:
             self.left_s = time_s
         still_s = time_s - max(self._moving_s, self.left_s or 0.0)
-        self._stood |= self.left_s is not None and still_s >= _STILL_S - _TIME_TOLERANCE_S
+        self._stood |= self.left_s is not None and still_s >= STILL_S - _TIME_TOLERANCE_S
 
     def _look_whether_still(self, time_s: float, count: int) -> None:
         """Note when the motor last left the range within which it counts as standing, `_moving_s`."""
@@ -168,7 +168,7 @@ class _Axis:
         elif time_s > self._seen_s:
             self._fastest_per_s = max(self._fastest_per_s, abs(count - self._counts[-1]) / (time_s - self._seen_s))
         self._low, self._high = min(self._low, count), max(self._high, count)
-        if self._high - self._low > max(1.0, min(self._allowed, _STILL_SHARE * _STILL_S * self._fastest_per_s)):
+        if self._high - self._low > max(1.0, min(self._allowed, _STILL_SHARE * STILL_S * self._fastest_per_s)):
             self._low = self._high = count
             self._moving_s = time_s
         self._seen_s = time_s

@@ -21,19 +21,23 @@ from drives.cia402 import QUICK_STOP, State, decode_state
 from drives.errors import ConfigurationRefused, DriveError
 from drives.heartbeat import MASTER_NODE_ID
 from drives.objects import OBJECTS
+from drives.proof import STILL_S, StopTrace
 from drives.values import DriveReading
 from gateway.check.brakes import AskSupport, try_brakes
 from gateway.check.proofs import keep_proof
-from gateway.check.stop import prove_stop, reset_provoked, stopped_slowly
+from gateway.check.stop import motion_station, prove_stop, reset_provoked, stopped_slowly
 from gateway.drivetest.estimates import not_measured
 from gateway.drivetest.frames import FrameRecord
 from gateway.drivetest.services import EMCY, STATES
 from gateway.drivetest.sheet import DriveSheet
 from gateway.drivetest.standstill import PositionTrack, Standstill, first_after
+from gateway.drivetest.torque_age import NAME as AGE
+from gateway.drivetest.torque_age import modulated, torque_age
 from gateway.errors import FindingFailed, LimitExceeded, PlanRefused
 from gateway.motion.observer import Observed, Scene
 from gateway.motion.opening import OpenArm
-from gateway.motion.stream import MoveOptions
+from gateway.motion.power import powered
+from gateway.motion.stream import MoveOptions, Stream
 from gateway.result.drive_test import TimingFigure
 
 #: 0x6007: reaction of the drive to the lost heartbeat, a fault.
@@ -148,6 +152,7 @@ class PoweredTests:
         return [
             ("heartbeat withheld, then quick stop, in slow motions", self._stops),
             ("heartbeat withheld again: fault reaction", self._fault_reaction),
+            ("slow motion of each axis: age of the torque word", self._torque_age),
             ("brakes", self._brakes),
         ]
 
@@ -183,7 +188,7 @@ class PoweredTests:
         """State why a figure is missing."""
         for sheet in self._sheets:
             names = {figure.name for figure in sheet.figures}
-            for name in (LOSS, QUICK_TIME, QUICK_ANGLE, FAULT_TIME, BRAKE):
+            for name in (LOSS, QUICK_TIME, QUICK_ANGLE, FAULT_TIME, AGE, BRAKE):
                 if name not in names:
                     unit = "rad" if name.endswith("_rad") else "s"
                     sheet.figures.append(not_measured(name, self._stopped_by, unit))
@@ -199,6 +204,7 @@ class PoweredTests:
             raise
         keep_proof(self._proof, self._opened, proof)
         self._evaluate_stops(len(self._motion.runs))
+        self._by_sdo(LOSS, self._sheets, proof.traces, since_fault=False)
         self._drops_rad.append(self._opened.arm.brake_drop_rad())
         for item in proof.items:
             for sheet in self._sheets:
@@ -268,7 +274,7 @@ class PoweredTests:
         self, sheet: DriveSheet, name: str, track: PositionTrack, begin_s: tuple[float, float], method: str
     ) -> Standstill | None:
         """Add the time from an event, known between two bounds, until rest."""
-        rest = track.until_rest(begin_s[1])
+        rest = track.until_rest(begin_s[1]) if track.at_s[-3] > begin_s[1] else None
         if rest is None:
             sheet.figures.append(not_measured(name, f"{method}: it did not come to rest"))
             return None
@@ -277,6 +283,18 @@ class PoweredTests:
         text = f"{method}; resolution: SYNC period of {1000 * self._period_s:g} ms"
         sheet.figures.append(TimingFigure(name, (low + high) / 2.0, (low, high), "s", 1, text))
         return rest
+
+    def _by_sdo(self, name: str, sheets: Sequence[DriveSheet], traces: Sequence[StopTrace], since_fault: bool) -> None:
+        """Bounds for drives that left NMT state OPERATIONAL (0x1029): their positions were read by SDO."""
+        for sheet in sheets:
+            trace = traces[sheet.number]
+            if sheet.figure(name) is not None or trace.left_s is None or not trace.stood:
+                continue
+            sheet.figures = [figure for figure in sheet.figures if figure.name != name]
+            high = trace.rest_s + STILL_S + self._period_s - (trace.enabled_s if since_fault else 0.0)
+            low = 0.0 if since_fault else trace.enabled_s
+            method = "heartbeat withheld in a slow motion; the drive leaves OPERATIONAL: positions were read by SDO"
+            sheet.figures.append(TimingFigure(name, (low + high) / 2.0, (low, high), "s", 1, method))
 
     # -- fault reaction ----------------------------------------------------------------------------------------------
 
@@ -289,10 +307,13 @@ class PoweredTests:
                 ready.append(sheet)
             except (ConfigurationRefused, DriveError) as error:
                 sheet.figures.append(not_measured(FAULT_TIME, f"0x6007 = 1: {error}"))
-        number, left = len(self._motion.runs), dict[int, str]()
+        number, left, traces = len(self._motion.runs), dict[int, str](), tuple[StopTrace, ...]()
         try:
             if ready:
-                stopped_slowly(self._opened, self._options, self._opened.group.withhold_heartbeat, goes_on=True)
+                test, _ = stopped_slowly(
+                    self._opened, self._options, self._opened.group.withhold_heartbeat, goes_on=True
+                )
+                traces = test.traces()
         finally:
             if ready:
                 left = reset_provoked(self._opened)
@@ -300,6 +321,7 @@ class PoweredTests:
                 self._abort_connection(sheet, sheet.drive.setup.profile.heartbeat.abort_connection)
         if ready:
             self._each_run(number, partial(self._fault_time, left=left, ready=ready))
+            self._by_sdo(FAULT_TIME, ready, traces, since_fault=True)
         self._drops_rad.append(self._opened.arm.brake_drop_rad())
 
     def _abort_connection(self, sheet: DriveSheet, option: int) -> None:
@@ -332,6 +354,30 @@ class PoweredTests:
             "heartbeat withheld with 0x6007 = 1; from the emergency message, or the SYNCs around the fault, to rest"
         )
         self._timed(sheet, FAULT_TIME, track, begin_s, method)
+
+    # -- torque ------------------------------------------------------------------------------------------------------
+
+    def _torque_age(self) -> None:
+        """Move each tested axis slowly, forth and back."""
+        opened, period_s = self._opened, self._period_s
+        moved: list[tuple[DriveSheet, slice]] = []
+        with powered(Stream(motion_station(opened, self._options))) as stream:
+            stream.take_over()
+            run = self._motion.runs[-1]
+            for sheet in self._sheets:
+                started = len(run.time_s)
+                try:
+                    motions = modulated(opened.workspace, stream.q_rad[0], sheet.number, period_s)
+                except PlanRefused as error:
+                    sheet.figures.append(not_measured(AGE, str(error)))
+                    continue
+                for motion in motions:
+                    stream.move([motion], f"move {sheet.axis} slowly")
+                moved.append((sheet, slice(started, len(run.time_s))))
+        for sheet, rows in moved:
+            known = zip(run.time_s[rows], (row[sheet.number] for row in run.rows[rows]), strict=True)
+            seen = [(at_s, each.position_count, each.torque_word) for at_s, each in known if each is not None]
+            sheet.figures.append(torque_age(np.array(seen, dtype=float).reshape(-1, 3), period_s))
 
     # -- brakes ------------------------------------------------------------------------------------------------------
 
