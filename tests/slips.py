@@ -82,7 +82,7 @@ def at(row_number: int, column: str, value: str) -> Callable[[int, Row], Row]:
 CONTRADICT = r"load tool: refused: its rows contradict each other: "
 BEYOND = r"refused: \S+ kg is beyond 33\.75 kg"
 NEGATIVE = r"refused: the data ask for a mass of -"
-SMALL = r"t\.csv: the torques are [\d.]+ % of what the weight of the links needs: are they in kNm, of the motors"
+SMALL = r"t\.csv: the torques are [\d.]+ % of the gravity torque of the links: they may be in kNm, of the motors"
 REVERSED = "torque sign is reversed"
 #: Name, commands, exit code, what is said, table.
 TABLES: list[tuple[str, Sequence[str], int, str, Make]] = [
@@ -134,7 +134,7 @@ KNOWN = [
     ("in words", "tool=five,0,0,0", "expected LABEL=MASS,X,Y,Z"),
     ("without end", "tool=inf,0,0,0", "expected LABEL=MASS,X,Y,Z"),
     ("with decimal commas", "tool=5,2;0,02;0,03;0,11", "expected LABEL=MASS,X,Y,Z"),
-    ("in the flange without a flange", "tool=5,flange=0,0,0.1", "the flange is not: give --cell"),
+    ("in the flange without a flange", "tool=5,flange=0,0,0.1", "the flange is not known: give --cell"),
     ("in a frame of a controller", "tool=5,tcp=0,0,0.1", "frame 'tcp' is not known: write link_6= or flange="),
     ("of the unloaded arm", "none=5,0,0,0.1", "is the unloaded arm: name the load that is known"),
     ("without a label", "=5,0,0,0.1", "expected LABEL=MASS,X,Y,Z"),

@@ -73,8 +73,6 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
     error.
 
     Errors of the black box become notes of the error that ended the run. They do not stop the arm.
-
-    Errors of the box itself become notes of the error that ended the run; they do not end it.
     """
     recorder = BoxKeeper(header)
     watch, bus = BlackBoxWatch(recorder, opened.config.name), opened.group.bus

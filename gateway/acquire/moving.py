@@ -64,8 +64,6 @@ def record_moving(
 
     If the operator requests a stop through the desk of `options`, the arm stops and the measured periods are kept.
 
-    A person who asks the desk of `options` for a stop stops the arm; the periods that were driven are kept.
-
     Raises
     ------
     InputError

@@ -108,8 +108,6 @@ def check_pass(arm: str, one: Pass, axes: int) -> None:
 
     `check_moving_plan` checks the limits of the arm.
 
-    Whether the arm may drive it is `check_moving_plan`'s part.
-
     Raises
     ------
     PlanRefused

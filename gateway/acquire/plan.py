@@ -2,9 +2,6 @@
 
 Every pose is approached slowly in both directions: from a small positive offset of all joints (last motion negative),
 then from the negative offset (last motion positive). After each approach the arm settles and is sampled.
-
-Every pose is approached slowly from both sides: from a small positive offset of all joints (last motion negative), then
-from the negative offset (last motion positive). Each side settles and is sampled on its own.
 """
 
 from __future__ import annotations
@@ -151,8 +148,6 @@ def plan_poses(
     """Plan over all poses from an arbitrary start; also return the poses that no checked path reaches.
 
     Paths may pass known postures (k, N) in addition to random ones.
-
-    Paths may lead over known postures (k, N), beside random ones.
     """
     route = _route(workspace, poses, None, settings.approach_offset_rad, known_rad)
     steps = tuple(_steps(route.legs, settings, {}))
@@ -176,8 +171,6 @@ def plan_from(plan: Plan, workspace: Workspace, start_rad: np.ndarray, done: Seq
     """Order the poses from the present posture, without the completed visits.
 
     An arm outside its joint range first moves slowly back into it.
-
-    An arm outside its joint range moves back into it first, slowly.
 
     Parameters
     ----------
@@ -227,8 +220,6 @@ def plan_to(
     """Plan a motion without measurements from the present posture to another one.
 
     An arm outside its joint range first moves slowly back into it.
-
-    An arm outside its joint range moves back into it first, slowly.
 
     Parameters
     ----------

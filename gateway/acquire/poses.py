@@ -6,11 +6,6 @@ matrix determinant lemma evaluates all candidates at once.
 
 Similar poses share their friction error and add less information. Poses therefore keep a distance, and a small weight
 on the information about the links spreads them.
-
-Measured without and with the load, a pose adds L' W L / 2 to the information on [m, h]. L are the load's columns of all
-axes, W the inverse variances. Greedy choice, then exchange until nothing improves. The determinant lemma evaluates
-all candidates at once, which a fit per candidate cannot. Similar poses share their friction and add less information:
-poses keep a distance, and a small weight on the information about the links spreads them.
 """
 
 from __future__ import annotations

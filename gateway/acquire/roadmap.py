@@ -2,9 +2,6 @@
 
 Segments are checked only where the current shortest path uses them (lazy probabilistic roadmap; Bohlin and Kavraki,
 Path planning using lazy PRM, 2000).
-
-Pieces are checked only where the shortest path so far leads over them (lazy probabilistic roadmap; Bohlin and Kavraki,
-Path planning using lazy PRM, 2000).
 """
 
 from __future__ import annotations

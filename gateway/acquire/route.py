@@ -113,8 +113,6 @@ def _paths(
     """Return the travel times (exits, entries), infinite without a path, and the via points.
 
     Paths pass known postures (k, N) and random ones; more are drawn while a pose is not reachable.
-
-    Paths lead over known postures (k, N) and random ones, of which more are drawn while a pose is not reached.
     """
     known, counts = over
     cost = workspace.travel_time(exits[:, None], entries[None])

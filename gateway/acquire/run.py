@@ -364,8 +364,6 @@ def with_half_sums(arm: Arm, first: Visit, second: Visit) -> Visit:
     downward).
 
     Each torque is converted to the joint with the gear efficiency of its own direction (driving or back-driven).
-
-    Each side is taken to the joint with the gear efficiency of its own direction (driving or driven back).
     """
     torque = [
         arm.axes.joint_torque_by_direction(visit.motor_torque_nm.mean(axis=0), visit.direction)

@@ -134,8 +134,6 @@ def record(
 
     If the operator requests a stop through the desk of `options`, the arm stops and the measured visits are kept.
 
-    A person who asks the desk of `options` for a stop stops the arm; what was measured is kept.
-
     Raises
     ------
     InputError

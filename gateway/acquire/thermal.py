@@ -2,9 +2,6 @@
 
 Loads are measured in forward and reverse order, with the unloaded arm twice in the middle: a, bare, bare, a. A drift
 that is linear in time then has the same mean under every load and cancels in the differences.
-
-Loads are measured forth and back, the unloaded arm twice in the middle: a, bare, bare, a. What drifts evenly in time is
-then the same on average under every load and cancels in their differences.
 """
 
 from __future__ import annotations

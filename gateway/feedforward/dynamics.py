@@ -1,8 +1,8 @@
-"""Inverse dynamics of one instant in plain floats: recursive Newton-Euler, fast enough for every SYNC.
+"""Inverse dynamics of one instant with plain floats: recursive Newton-Euler, fast enough for every SYNC.
 
-Each link's frame is turned so that its joint turns about z: the step from link to link is then a constant matrix and a
-plane rotation. Inertia is taken about the joint's origin, so that no centre of mass is travelled to (Luh, Walker and
-Paul, 1980; Featherstone, Rigid Body Dynamics Algorithms, 5.3).
+Each link's frame is rotated so that its joint axis is z: the transform from link to link is then a constant matrix and
+a rotation in a plane. Inertia is taken about the origin of the joint frame, so that no shift to the centre of mass is
+needed (Luh, Walker and Paul, 1980; Featherstone, Rigid Body Dynamics Algorithms, 5.3).
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ PER_LINK = 10
 
 
 class ArmDynamics:
-    """Torque of an arm with given inertial parameters.
+    """Inverse dynamics of an arm with given inertial parameters.
 
     Parameters
     ----------
     robot : Robot
-        Its geometry; the inertials are those of `parameters`.
+        Geometry of the arm; the inertials are those of `parameters`.
     parameters : array of shape (10 N,)
         Per link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] in kg, kg m and kg m2.
         About the origin and in the frame of the link. A load is part of the last link.
@@ -36,7 +36,7 @@ class ArmDynamics:
     Raises
     ------
     ValueError
-        A parameter that is not finite.
+        A parameter is not finite.
     """
 
     __slots__ = ("_fall", "_links")
@@ -50,11 +50,11 @@ class ArmDynamics:
 
     @property
     def axes(self) -> int:
-        """How many axes the arm has."""
+        """Number of axes of the arm."""
         return len(self._links)
 
     def torque(self, q: Sequence[float], qd: Sequence[float], qdd: Sequence[float]) -> list[float]:
-        """Actuator torque, positive in +q, of one instant.
+        """Return the actuator torque of one instant, positive in +q.
 
         Parameters
         ----------
@@ -64,7 +64,7 @@ class ArmDynamics:
         Returns
         -------
         list of floats, one per axis
-            Nm; rotors, friction and gear losses are not in it.
+            Torque [Nm] without rotors, friction and gear losses.
         """
         wx = wy = wz = ux = uy = uz = 0.0  # angular velocity and acceleration
         ax, ay, az = self._fall  # acceleration of the origin less gravity
@@ -102,7 +102,7 @@ class ArmDynamics:
         return self._backward(handed)
 
     def _backward(self, handed: list[tuple[float, ...]]) -> list[float]:
-        """Sum the wrenches from the last link to the first; the torque is what each axis feels of its own."""
+        """Sum the wrenches from the last link to the first; the torque is the component about each axis."""
         out = [0.0] * len(handed)
         fx = fy = fz = nx = ny = nz = 0.0
         links = self._links
@@ -128,7 +128,9 @@ class ArmDynamics:
 
 
 def _link_constants(robot: Robot, phi: Floats, number: int) -> tuple[float, ...]:
-    """Rotation (9, row by row) and origin (3) in the frame before, mass, first moment (3), inertia (6); axis on z."""
+    """Return rotation (9, row by row), origin (3), mass, first moment (3) and inertia (6) of a link; joint axis on
+    z.
+    """
     turn = _turn_to_z(robot.axis[number])
     before = np.eye(3) if number == 0 else _turn_to_z(robot.axis[number - 1])
     rotation = before.T @ robot.placement[number, :3, :3] @ turn
@@ -141,7 +143,7 @@ def _link_constants(robot: Robot, phi: Floats, number: int) -> tuple[float, ...]
 
 
 def _turn_to_z(axis: Floats) -> Floats:
-    """Rotation (3, 3) whose third column is `axis`."""
+    """Return a rotation (3, 3) whose third column is `axis`."""
     if axis[0] == axis[1] == 0.0 and axis[2] > 0.0:
         return np.eye(3)
     other = np.eye(3)[int(np.argmin(np.abs(axis)))]

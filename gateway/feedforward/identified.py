@@ -1,8 +1,8 @@
-"""What is known of the drive train of every axis: identified in motion, else typed in the cell file.
+"""Friction and rotor inertia of every axis: identified in motion, else stated in the cell file.
 
-The cell names a sealed result of this cell and arm (`identified` of `[[arm]]`). What it holds of friction and rotor
-inertia is taken before what was typed, each with its file and date as source. What it does not hold, or not well
-enough, falls back to what was typed, and that is said. A number that no typing error explains is refused.
+The cell file names a sealed result of this cell and arm (`identified` of `[[arm]]`). Its friction and rotor inertia
+replace the stated values, each with file and date as source. A value that is missing or too uncertain falls back to the
+stated one, with a note. A contradiction beyond a factor of `REFUSED_FACTOR` is refused.
 """
 
 from __future__ import annotations
@@ -22,16 +22,17 @@ from gateway.result.numerals import with_interval
 from gateway.result.result import AxisMotion, Result, read_result
 from gateway.result.values import NAN
 
-#: An identified constant that differs from the typed one by this factor is said; by `REFUSED_FACTOR`, with its whole
+#: An identified constant that differs from the stated one by this factor is reported; by `REFUSED_FACTOR`, with its
+#: whole
 #: interval, it is refused: friction doubles from warm to cold, and a datasheet's rotor may lack gear and brake.
 SAID_FACTOR, REFUSED_FACTOR = 2.0, 5.0
-#: Half of the 95 % interval over the value: beyond this a constant is not known well enough to be used.
+#: Largest ratio of the half width of the 95 % interval to the value at which a constant is used.
 LARGEST_HALF = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A constant of an axis and where it comes from: identified in motion, or typed."""
+    """Constant of an axis with its source: identified in motion, or stated."""
 
     value: float
     source: str
@@ -40,19 +41,18 @@ class Known:
 
 @dataclass(frozen=True, slots=True)
 class AxisConstants:
-    """Drive train of one axis, at the gear output; None where neither identified nor typed.
+    """Drive train constants of one axis, at the gear output; None where neither identified nor stated.
 
     Attributes
     ----------
     rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : Known or None
     load_friction : float
-        Part of the torque at the gear output that is lost beside what the stated gear efficiency says; 0 = none
+        Share of the torque at the gear output that is lost in addition to the stated gear efficiency; 0 = not
         identified.
     breakaway_nm, stribeck_rad_s : float
-        Friction at the onset of motion, and the speed over which it falls to `coulomb_nm`; NaN where no Stribeck curve
-        was identified.
+        Breakaway friction, and the speed over which it falls to `coulomb_nm`; NaN without an identified Stribeck curve.
     notes : tuple of str
-        What was identified and is not used, or differs from what was typed.
+        Notes on identified values that are not used, or that differ from the stated ones.
     """
 
     rotor_kg_m2: Known | None = None
@@ -66,13 +66,13 @@ class AxisConstants:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identified:
-    """A result whose friction and rotor inertia are used.
+    """Result whose friction and rotor inertia are used.
 
     Attributes
     ----------
     result : Result
     where : str
-        Its file.
+        File of the result.
     """
 
     result: Result
@@ -80,18 +80,18 @@ class Identified:
 
     @property
     def source(self) -> str:
-        """File and date, as the pages show them."""
+        """File and date, as shown in reports."""
         return sourced("identified", self.result, self.where)
 
 
 def read_identified(loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> Identified | None:
-    """What the cell says was identified of an arm; None where it names no file.
+    """Return the identification that the cell file names for an arm; None if it names no file.
 
     Raises
     ------
     InputError
-        The file cannot be read, was edited, is not sealed, is of another robot, cell or arm, or holds neither friction
-        nor rotor inertia.
+        The file cannot be read, was edited, has no checksum, is of another robot, cell or arm, or holds neither
+        friction nor rotor inertia.
     """
     if arm.identified is None:
         return None
@@ -101,17 +101,17 @@ def read_identified(loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> Identif
         raise InputError(f"{path}: has no checksum, so its origin is not verified; estimate again")
     about = result.data or Drawn()
     if about.cell is None or about.arm is None:
-        raise InputError(f"{path}: does not say of which cell and arm it is: estimate its recording again with --cell")
+        raise InputError(f"{path}: names no cell and arm: estimate its recording again with --cell")
     elsewhere = other_origin(result, loaded, arm, robot)
     if elsewhere:
         raise InputError(
-            f"{path}: was identified on {elsewhere}: friction and rotors of another arm are no use here; correct"
+            f"{path}: was identified on {elsewhere}: friction and rotors of another arm cannot be used; correct"
             f" `identified` of arm '{arm.name}', or identify this one"
         )
     if not result.motion:
         raise InputError(
             f"{path}: holds neither friction nor rotor inertia, which need a motion: servo-gateway record CELL"
-            " --moving, then estimate; or leave `identified` out"
+            " --moving, then estimate; or remove `identified` from the cell file"
         )
     return checked(result, str(path), len(arm.axis))
 
@@ -122,7 +122,7 @@ def checked(result: Result, where: str, axes: int) -> Identified:
     Raises
     ------
     InputError
-        A joint twice, or one that the arm does not have.
+        A joint appears twice, or does not exist on the arm.
     """
     joints = [axis.joint for axis in result.motion]
     wrong = [joint for joint in joints if not 1 <= joint <= axes or joints.count(joint) > 1]
@@ -134,7 +134,7 @@ def checked(result: Result, where: str, axes: int) -> Identified:
 
 
 def with_identified(loaded: LoadedCell, arm: str, path: Path | None) -> LoadedCell:
-    """The same cell with another file of what was identified of one arm; None = as it is."""
+    """Return the cell with another identification file for one arm; None = unchanged."""
     if path is None:
         return loaded
     cell = loaded.cell
@@ -145,7 +145,7 @@ def with_identified(loaded: LoadedCell, arm: str, path: Path | None) -> LoadedCe
 
 
 def axis_constants(arm: ArmConfig, identified: Identified | None) -> tuple[AxisConstants, ...]:
-    """Constants of every axis.
+    """Return the constants of every axis.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def axis_constants(arm: ArmConfig, identified: Identified | None) -> tuple[AxisC
     Raises
     ------
     InputError
-        A constant contradicts the typed one, or is negative beyond its interval; every such constant is named.
+        A constant contradicts the stated one, or is significantly negative; every such constant is named.
     """
     held = {} if identified is None else {axis.joint: axis for axis in identified.result.motion}
     found = [
@@ -164,86 +164,86 @@ def axis_constants(arm: ArmConfig, identified: Identified | None) -> tuple[AxisC
     wrong = [what for _, several in found for what in several]
     if wrong and identified is not None:
         raise InputError(
-            f"{identified.where}: " + "; ".join(wrong) + "; correct the cell file (at the joint, that is times the gear"
-            " ratio squared for a rotor), or identify again"
+            f"{identified.where}: " + "; ".join(wrong) + "; correct the cell file (values at the joint: a rotor"
+            " inertia is multiplied by the gear ratio squared), or identify again"
         )
     return tuple(constants for constants, _ in found)
 
 
 class _Axis:
-    """One axis: what was typed, what was identified, and the source that the latter gets."""
+    """Stated and identified values of one axis, and the source of the identified ones."""
 
-    def __init__(self, typed: AxisConfig, held: AxisMotion | None, identified: Identified | None) -> None:
-        self._typed, self._identified = typed, held
+    def __init__(self, stated: AxisConfig, held: AxisMotion | None, identified: Identified | None) -> None:
+        self._stated, self._identified = stated, held
         self._source = "" if identified is None else identified.source
         self._notes: list[str] = []
         self._wrong: list[str] = []
 
     def constants(self, joint: str) -> tuple[AxisConstants, list[str]]:
-        """What is used of an axis, and what contradicts."""
-        typed, held = self._typed, self._identified or AxisMotion(0)
+        """Return the constants to use for the axis, and the contradictions."""
+        stated, held = self._stated, self._identified or AxisMotion(0)
         rotor = self._one(
             "rotor inertia",
-            typed.rotor_inertia_kg_m2,
+            stated.rotor_inertia_kg_m2,
             (held.rotor_inertia_kg_m2, held.rotor_inertia_std_kg_m2, "kg m2"),
         )
-        coulomb = self._one("Coulomb friction", typed.coulomb_nm, (held.coulomb_nm, held.coulomb_std_nm, "Nm"))
+        coulomb = self._one("Coulomb friction", stated.coulomb_nm, (held.coulomb_nm, held.coulomb_std_nm, "Nm"))
         viscous = self._one(
             "viscous friction",
-            typed.viscous_nm_s_rad,
+            stated.viscous_nm_s_rad,
             (held.viscous_nm_s_rad, held.viscous_std_nm_s_rad, "Nm s/rad"),
         )
         breakaway, stribeck, lost = NAN, NAN, 0.0
-        if coulomb is not None and coulomb.identified:  # one curve: its parts are not mixed with typed ones
+        if coulomb is not None and coulomb.identified:  # one curve: its parts are not mixed with stated ones
             breakaway, stribeck = self._onset(coulomb.value, held)
             lost = self._lost(held)
         constants = AxisConstants(rotor, coulomb, viscous, lost, breakaway, stribeck, tuple(self._notes))
         return constants, [f"{joint} {what}" for what in self._wrong]
 
-    def _one(self, name: str, typed: SourcedNumber | None, said: tuple[float, float, str]) -> Known | None:
-        fallback = None if typed is None else Known(typed.value, typed.source)
+    def _one(self, name: str, stated: SourcedNumber | None, said: tuple[float, float, str]) -> Known | None:
+        fallback = None if stated is None else Known(stated.value, stated.source)
         value, std, unit = said
         if self._identified is None:
             return fallback
         half = half_width(std)
         number = f"{with_interval(value, std)} {unit}"
-        instead = "the typed one is used" if typed is not None else "it is left out"
+        instead = "the stated value is used" if stated is not None else "the term is left out"
         if not math.isfinite(value):
             self._notes.append(f"{name} was not identified: {instead}")
             return fallback
         if value < -(half if math.isfinite(half) else 0.0):
-            self._wrong.append(f"{name} is negative ({number}), which no axis has")
+            self._wrong.append(f"{name} is negative ({number}), which is not possible")
             return fallback
         if not half <= LARGEST_HALF * max(value, 0.0):
-            self._notes.append(f"{name} is not known well enough ({number}): {instead}")
+            self._notes.append(f"the uncertainty of {name} is too large ({number}): {instead}")
             return fallback
-        if typed is not None:
-            self._compare(name, typed.value, (value, half), number)
+        if stated is not None:
+            self._compare(name, stated.value, (value, half), number)
         return Known(value, self._source, identified=True)
 
-    def _compare(self, name: str, typed: float, said: tuple[float, float], number: str) -> None:
+    def _compare(self, name: str, stated: float, said: tuple[float, float], number: str) -> None:
         value, half = said
         low, high = value - half, value + half
-        if low > REFUSED_FACTOR * typed or high < typed / REFUSED_FACTOR:
-            self._wrong.append(f"{name}: {number} was identified and {typed:g} typed, one of the two is wrong")
-        elif not typed / SAID_FACTOR <= value <= SAID_FACTOR * typed:
-            self._notes.append(f"{name}: {number} was identified and is used, {typed:g} is typed")
+        if low > REFUSED_FACTOR * stated or high < stated / REFUSED_FACTOR:
+            self._wrong.append(f"{name}: {number} was identified, but {stated:g} is stated; one of the two is wrong")
+        elif not stated / SAID_FACTOR <= value <= SAID_FACTOR * stated:
+            self._notes.append(f"{name}: {number} was identified and is used; {stated:g} is stated")
 
     def _onset(self, coulomb_nm: float, held: AxisMotion) -> tuple[float, float]:
-        """Breakaway torque and Stribeck speed, NaN where they are not known."""
+        """Return breakaway torque and Stribeck speed; NaN where not known."""
         known = math.isfinite(held.breakaway_nm) and half_width(held.breakaway_std_nm) <= held.breakaway_nm
         if not known or held.breakaway_nm <= coulomb_nm or not held.stribeck_rad_s > 0.0:
             return NAN, NAN
         return held.breakaway_nm, held.stribeck_rad_s
 
     def _lost(self, held: AxisMotion) -> float:
-        """Load friction beyond its own standard error, else 0."""
+        """Return the load friction if it exceeds its standard error, else 0."""
         half = half_width(held.load_friction_std)
         return held.load_friction if math.isfinite(held.load_friction) and held.load_friction > half else 0.0
 
 
 def notes_of(notes: Sequence[Sequence[str]]) -> Iterator[tuple[str, str]]:
-    """Joints and what has to be said of them, from the notes of every axis; the same words of several joints once."""
+    """Return the notes of all axes as pairs of joints and text; equal texts of several joints are merged."""
     said: dict[str, list[str]] = {}
     for joint, axis in enumerate(notes, start=1):
         for note in axis:

@@ -32,27 +32,27 @@ TURN_ROUND_RAD = 2e-5
 
 @dataclass(frozen=True, slots=True)
 class AxisTerms:
-    """Drive train of one axis.
+    """Drive train terms of one axis.
 
     Attributes
     ----------
     ratio : float
-        N, negative where the gear turns the sense round.
+        N, negative if the gear reverses the direction.
     position_sign, torque_sign : float
     efficiency : float
         eta in (0, 1].
     rotor_kg_m2 : float
-        At the gear output; 0 where it is left out, which `gateway.feedforward.terms` says.
+        At the gear output; 0 if left out, which `gateway.feedforward.terms` reports.
     coulomb_nm, viscous_nm_s_rad : float
-        At the gear output; 0 where they are left out.
+        At the gear output; 0 if left out.
     velocity_share : float
         Part of the commanded velocity that the drive feeds forward itself.
     limit_nm : float
         Largest torque offset, motor side.
     load_friction : float
-        Part of the torque at the gear output that is lost beside the efficiency.
+        Share of the torque at the gear output that is lost in addition to the efficiency.
     onset_nm, stribeck_rad_s : float
-        By how much friction at the onset of motion exceeds Coulomb friction, and the speed over which that falls off.
+        Breakaway friction minus Coulomb friction, and the speed over which it decays.
     """
 
     ratio: float
@@ -70,7 +70,7 @@ class AxisTerms:
 
 
 class FeedforwardLaw:
-    """Both offsets of every axis.
+    """Velocity and torque offset of every axis.
 
     Parameters
     ----------
@@ -126,14 +126,14 @@ class FeedforwardLaw:
         return [max(-1.0, min(1.0, old + step / TURN_ROUND_RAD)) for old, step in zip(before, moved, strict=True)]
 
     def offsets(self, q: PerAxis, qd: PerAxis, qdd: PerAxis, sense: PerAxis) -> tuple[PerAxis, PerAxis]:
-        """Velocity offsets [rad/s] and torque offsets [Nm] (N,) each, motor side, not limited.
+        """Return velocity offsets [rad/s] and torque offsets [Nm], (N,) each, motor side, without limiting.
 
         Parameters
         ----------
         q, qd, qdd : lists of floats, one per axis
             Commanded joint positions [rad], velocities [rad/s], accelerations [rad/s2].
         sense : list of floats, one per axis
-            Of friction and gear losses, see `sense`.
+            Direction of friction and gear losses, see `sense`.
         """
         torque = self._dynamics.torque(q, qd, qdd)
         rates, gains = qd, qdd
@@ -153,7 +153,9 @@ class FeedforwardLaw:
         return [factor * rate for factor, rate in zip(self._velocity, rates, strict=True)], out
 
     def excess(self, torque_nm: Sequence[float]) -> tuple[int, float] | None:
-        """Axis (from 0) and offset [Nm] of the one that is furthest beyond its limit; None = all are within."""
+        """Return the axis (from 0) furthest beyond its limit and its offset [Nm]; None if all are within their
+        limits.
+        """
         shares = [abs(value) / limit for value, limit in zip(torque_nm, self._limits, strict=True)]
         worst = max(range(len(shares)), key=shares.__getitem__)
         return (worst, torque_nm[worst]) if not shares[worst] <= 1.0 or math.isnan(shares[worst]) else None

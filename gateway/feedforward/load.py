@@ -1,7 +1,8 @@
-"""The load that the feedforward reckons with: identified, or the most the arm may carry.
+"""Load in the feedforward: the identified load, or the largest load that the arm may carry.
 
-Rest poses reveal mass and centre of gravity, not the load's own inertia (JP3698770B2 neglects it): motion does. Where
-the result brings none, or not all of it, it is taken as that of a solid cube of `CUBE_DENSITY_KG_M3` and said so.
+Measurements at rest identify mass and centre of gravity, not the load's own inertia (JP3698770B2 neglects it);
+measurements in motion do. Where the result does not hold the complete inertia, that of a solid cube of
+`CUBE_DENSITY_KG_M3` is assumed and reported.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ FRAME = "link_6"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeedLoad:
-    """A rigid body on the last link.
+    """Load as a rigid body on the last link.
 
     Attributes
     ----------
@@ -56,55 +57,55 @@ class FeedLoad:
 
     @property
     def parameters(self) -> Floats:
-        """[m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,) about the origin of the last link."""
+        """Inertial parameters [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz] (10,) about the origin of the last link."""
         return body_parameters(self.mass_kg, self.com_m, self.inertia_kg_m2)
 
     def scaled(self, factor: float) -> FeedLoad:
-        """The same body, `factor` times as heavy."""
+        """Return the same body with its mass multiplied by `factor`."""
         inertia = factor * self.inertia_kg_m2
         return replace(self, mass_kg=factor * self.mass_kg, inertia_kg_m2=inertia, source=f"{factor:g} x {self.source}")
 
 
 def cube_inertia(mass_kg: float, density_kg_m3: float = CUBE_DENSITY_KG_M3) -> Floats:
-    """Inertia (3, 3) [kg m2] of a solid cube about its centre: m a^2 / 6 with a^3 = m / density."""
+    """Return the inertia (3, 3) [kg m2] of a solid cube about its centre: m a^2 / 6 with a^3 = m / density."""
     side_m = (mass_kg / density_kg_m3) ** (1.0 / 3.0)
     return np.eye(3) * (mass_kg * side_m**2 / 6.0)
 
 
 def assumed_load(label: str, mass_kg: float, com_m: Floats, source: str) -> FeedLoad:
-    """A load of which mass and centre of gravity are given and the shape is not."""
+    """Return a load with known mass and centre of gravity and an assumed shape."""
     about = f"assumed: solid cube of {CUBE_DENSITY_KG_M3:g} kg/m3"
     return FeedLoad(label, mass_kg, np.asarray(com_m, dtype=float), cube_inertia(mass_kg), source, about)
 
 
 def identified_load(result: Result, label: str | None, where: str, bounds: LoadBounds = NO_ARM) -> FeedLoad:
-    """The identified load of a result.
+    """Return the identified load of a result.
 
     Parameters
     ----------
     result : Result
     label : str or None
-        Which one, if the result holds several.
+        Label of the load, if the result holds several.
     where : str
         Name of the file, for messages.
     bounds : LoadBounds
-        Of the arm that it is fed to.
+        Bounds of the arm that carries the load.
 
     Raises
     ------
     ConfigError
         No such label, or several loads and no label.
     DataUnusable
-        No load was identified, it was refused, it is beyond what the arm can hold, or mass or centre of gravity could
-        not be identified.
+        No load was identified, it was refused, it exceeds the capacity of the arm, or mass or centre of gravity is
+        missing.
     InputError
-        It is given in another frame than link 6.
+        The load is given in another frame than link 6.
     """
     chosen = _chosen(result, label, where)
     if chosen.frame != FRAME:
         raise InputError(f"{where}: load '{chosen.label}' is given in frame '{chosen.frame}', {FRAME} is needed")
     if chosen.refused:
-        raise DataUnusable(f"{where}: load '{chosen.label}' was refused, there is nothing to feed: {chosen.refused}")
+        raise DataUnusable(f"{where}: load '{chosen.label}' was refused and cannot be used: {chosen.refused}")
     com = np.array(chosen.com_m or (np.nan,) * 3)
     if not np.isfinite([chosen.mass_kg, *com]).all() or chosen.mass_kg <= 0:
         missing = ", ".join(chosen.unidentifiable) or "mass or centre of gravity"
@@ -123,19 +124,19 @@ def identified_load(result: Result, label: str | None, where: str, bounds: LoadB
 
 
 def _with_own_inertia(load: FeedLoad, chosen: LoadResult, source: str) -> FeedLoad:
-    """The load with the inertia that was identified, where all of it was and a body can have it."""
+    """Return the load with the identified inertia, if it is complete and physically possible."""
     if chosen.inertia_kg_m2 is None:
         return load
     if not np.isfinite(chosen.inertia_kg_m2).all():
-        return replace(load, inertia_source=f"{load.inertia_source}, since motion identified only a part of it")
+        return replace(load, inertia_source=f"{load.inertia_source}, because the inertia was only partly identified")
     inertia = tensor_of(chosen.inertia_kg_m2)
     if not has_a_body(inertia):
-        return replace(load, inertia_source=f"{load.inertia_source}, since no body has the one in {source}")
+        return replace(load, inertia_source=f"{load.inertia_source}, because that in {source} is physically impossible")
     return replace(load, inertia_kg_m2=inertia, inertia_source=source)
 
 
 def sourced(what: str, result: Result, where: str) -> str:
-    """`identified, result.json of 2026-11-22 20:31 UTC`."""
+    """Return a source text such as `identified, result.json of 2026-11-22 20:31 UTC`."""
     created = None if result.data is None else result.data.created
     return f"{what}, {Path(where).name}" + (f" of {created}" if created else "")
 
@@ -146,7 +147,7 @@ def _chosen(result: Result, label: str | None, where: str) -> LoadResult:
     known = ", ".join(load.label for load in result.loads)
     named = [load for load in result.loads if label in (None, load.label)]
     if not named:
-        raise ConfigError(f"{where}: load '{label}' is not in it; it holds {known}")
+        raise ConfigError(f"{where}: holds no load '{label}'; it holds {known}")
     if label is None and len(result.loads) > 1:
         raise ConfigError(f"{where}: holds several loads ({known}); name one with --label")
     return named[0]
@@ -158,18 +159,18 @@ def check_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
     Raises
     ------
     InputError
-        It was identified elsewhere; says where.
+        The result is of another robot, cell or arm; the message names it.
     """
     elsewhere = other_origin(result, loaded, arm, robot)
     if elsewhere:
         raise InputError(
-            f"{where}: was identified on {elsewhere}: the load of another arm is in another frame; identify it on "
-            "this one"
+            f"{where}: was identified on {elsewhere}: the load of another arm is in another frame; identify the load"
+            " on this arm"
         )
 
 
 def other_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> str:
-    """In which a result was made elsewhere: "cell 'a', not on 'b'"; empty where nothing says so."""
+    """Return a text such as "cell 'a', not on 'b'" if a result is of another robot, cell or arm; else an empty text."""
     about = result.data or Drawn()
     for what, have, want in (
         ("robot", result.robot, robot.name),
@@ -182,12 +183,12 @@ def other_origin(result: Result, loaded: LoadedCell, arm: ArmConfig, robot: Robo
 
 
 def rated_load(arm: ArmConfig, robot: Robot) -> FeedLoad:
-    """The most the arm may carry: the load that a controller assumes when none is entered.
+    """Return the largest load that the arm may carry: controllers assume it when no load is entered.
 
     Raises
     ------
     ConfigError
-        The cell file says neither rated_load_kg nor max_load_kg.
+        The cell file states neither rated_load_kg nor max_load_kg.
     """
     flange = np.zeros(3) if robot.flange is None else robot.flange[:3, 3]
     if arm.rated_load_kg is not None:

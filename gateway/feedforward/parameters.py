@@ -1,4 +1,4 @@
-"""Inertial parameters of the arm for the feedforward: CAD values, corrected by the identification at rest."""
+"""Inertial parameters of the arm for the feedforward: CAD values, corrected by an identification at rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gateway.model.robot import Robot
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
-#: Least corrected link mass, as a share of the CAD mass: below it the identification contradicts the robot model.
+#: Smallest corrected link mass, as a share of the CAD mass: below it the identification contradicts the robot model.
 LEAST_SHARE = 0.3
 
 
@@ -26,7 +26,7 @@ def drawn_parameters(robot: Robot, arm: ArmConfig) -> Floats:
     """
     if arm.inertials == "ignore":
         raise ConfigError(
-            f"arm '{arm.name}': inertials = \"ignore\" leaves the links unknown, and feedforward needs them; give "
+            f"arm '{arm.name}': inertials = \"ignore\" makes the links unknown, but feedforward needs them; give "
             'inertials = "prior:0.05" if the robot model holds plausible ones'
         )
     values = link_values(robot)
@@ -40,7 +40,7 @@ def drawn_parameters(robot: Robot, arm: ArmConfig) -> Floats:
 
 
 def corrected_parameters(robot: Robot, bare: Bare, gravity_m_s2: Floats) -> Floats | None:
-    """Return the CAD parameters (10 N,), changed least so that the arm holds the torque identified without a load.
+    """Return the CAD parameters (10 N,) with the smallest change that reproduces the identified torque without a load.
 
     The sum of squares of the changes over mass (and over mass times link length, for first moments) is minimal. The
     inertia of each link about its own centre of mass is kept.

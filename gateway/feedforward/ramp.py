@@ -1,13 +1,13 @@
-"""Gain of the offsets over time: eased in, eased out, zero at once when the drives are not in OPERATION ENABLED."""
+"""Ramp of the offsets over time: up, down, and zero at once when a drive leaves OPERATION ENABLED."""
 
 from __future__ import annotations
 
-#: So that a whole number of steps is not made one longer by rounding.
+#: Tolerance so that rounding does not add a step.
 _ROUNDING = 1e-9
 
 
 class Ramp:
-    """A gain between 0 and 1, stepped once per SYNC.
+    """Gain between 0 and 1, updated once per SYNC.
 
     Parameters
     ----------
@@ -19,9 +19,9 @@ class Ramp:
     Attributes
     ----------
     gain : float
-        What the offsets are multiplied by.
+        Factor of the offsets.
     reason : str or None
-        Why the offsets were cut off; they stay zero then.
+        Reason why the offsets were switched off for good.
     """
 
     __slots__ = ("_quicker", "_share", "_step", "_wanted", "gain", "reason")
@@ -35,25 +35,25 @@ class Ramp:
         self.reason: str | None = None
 
     def rise(self) -> None:
-        """From now on towards 1."""
+        """Begin to raise the gain to 1."""
         self._wanted, self._quicker = 1.0, 1.0
 
     def fall(self, quicker: float = 1.0) -> None:
-        """From now on towards 0, in so much less time than the duration."""
+        """Begin to lower the gain to 0, faster than the duration by a factor."""
         self._wanted, self._quicker = 0.0, quicker
 
     @property
     def resting(self) -> bool:
-        """Whether the gain is where it is wanted."""
+        """Return True if the gain has reached its target."""
         return self._share == self._wanted
 
     def cut(self, reason: str) -> None:
-        """Zero at once, for good."""
+        """Set the gain to zero at once and for good."""
         self._share = self._wanted = self.gain = 0.0
         self.reason = self.reason or reason
 
     def step(self, *, enabled: bool) -> float:
-        """Gain of the next SYNC.
+        """Return the gain of the next SYNC.
 
         Parameters
         ----------

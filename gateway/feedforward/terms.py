@@ -1,4 +1,4 @@
-"""Terms of the offsets, axis by axis, each with its source; a term that is left out is reported."""
+"""Terms of the offsets for every axis, each with its source; a term that is left out is reported."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from gateway.feedforward.law import AxisTerms
 from gateway.result.follow import AxisSources
 from gateway.result.result import Result
 
-#: Share of the axis' torque limit that a torque offset may take.
+#: Largest torque offset, as a share of the torque limit of the axis.
 LIMIT_SHARE = 1.0
-LEFT_OUT = "not included: not given"
+LEFT_OUT = "not included: no value"
 
 
 def axis_terms(
@@ -28,24 +28,24 @@ def axis_terms(
     *,
     fed: bool = True,
 ) -> tuple[tuple[AxisTerms, ...], tuple[AxisSources, ...]]:
-    """Terms of every axis: what was identified in motion, else the cell's, else for friction the rest poses' band.
+    """Return the terms of every axis: identified in motion, else from the cell file, else friction from the rest poses.
 
     Parameters
     ----------
     arm : ArmConfig
     profiles : sequence of DriveProfile, one per axis
     result : Result or None
-        Its friction band stands for Coulomb friction that was neither identified nor typed.
+        Its friction band replaces Coulomb friction that was neither identified nor stated.
     identified : Identified, optional
     fed : bool
-        The torque is sent to the drives, not only computed.
+        True if the offsets are sent to the drives, not only computed.
 
     Raises
     ------
     ConfigError
-        `fed`, and a profile without the objects; every such axis is named.
+        `fed` is set and a profile lacks the objects; every such axis is named.
     InputError
-        What was identified contradicts what was typed.
+        An identified value contradicts the stated one.
     """
     without = [
         f"axis {number} (node {axis.node_id}, {profile.name})"
@@ -54,8 +54,8 @@ def axis_terms(
     ]
     if without:
         raise ConfigError(
-            f"arm '{arm.name}': the profile of {', '.join(without)} has no [feedforward]: it is not known that "
-            "the drive takes 0x60B1 and 0x60B2, and how; see docs/how-to/drive-profiles.md"
+            f"arm '{arm.name}': the profile of {', '.join(without)} has no table [feedforward]: it is not known"
+            " whether the drive supports 0x60B1 and 0x60B2; see docs/how-to/drive-profiles.md"
         )
     known = axis_constants(arm, identified)
     pairs = [
@@ -94,11 +94,11 @@ def _axis(
     )
     lost, shape = axis.gear_efficiency.source, ""
     if known.load_friction:
-        lost = f"{lost}; {100 * known.load_friction:.2g} % of the torque beside it, {coulomb.source}"
+        lost = f"{lost}; {100 * known.load_friction:.2g} % of the torque in addition, {coulomb.source}"
     if np.isfinite(known.breakaway_nm):
         onset_nm = known.breakaway_nm - coulomb.value
         terms = replace(terms, onset_nm=onset_nm, stribeck_rad_s=known.stribeck_rad_s)
-        shape = f", with {known.breakaway_nm:.4g} Nm at the onset of motion"
+        shape = f", with {known.breakaway_nm:.4g} Nm breakaway torque"
     sources = AxisSources(
         gear_losses=lost,
         rotor_inertia=rotor.source,

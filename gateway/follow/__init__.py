@@ -1,1 +1,1 @@
-"""A path driven without and with feedforward, and what the following error says about it."""
+"""Drive a path without and with feedforward, and compare the following errors."""

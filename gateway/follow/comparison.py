@@ -1,4 +1,4 @@
-"""What a comparison of the settings says: figures, findings, and what the pictures are drawn of."""
+"""Evaluate a comparison of feedforward settings: figures, findings, and data for the pictures."""
 
 from __future__ import annotations
 
@@ -35,19 +35,19 @@ from gateway.result.result import Finding
 from gateway.result.values import matrix, numbers
 
 Floats = NDArray[np.float64]
-#: Points of a curve, dots of a cloud.
+#: Number of points of a curve, and of dots of a scatter plot.
 CURVE_POINTS, CLOUD_POINTS = 360, 260
-#: The trend counts as real from this many standard deviations, and matters from these shares on.
+#: Significance of a trend in standard deviations, and shares of the load from which it is reported.
 SIGMAS = 3.0
 NOTED_SHARE, FAILED_SHARE = 0.07, 0.10
-#: An axis counts as worse than without feedforward beyond this.
+#: Ratio of errors above which an axis counts as worse than without feedforward.
 WORSE_RAD = 2e-5
-#: Axes of which torque and trend are drawn: those on which the load weighs most.
+#: Number of axes drawn with torque and trend: those with the largest load torque.
 DRAWN_AXES = 2
 
 
 def result_of(job: Comparison) -> FollowResult:
-    """A comparison as it is handed over."""
+    """Return a comparison as a result."""
     prepared, path = job.prepared, job.prepared.path
     loads = {setting.name: None if setting.load is None else _load(setting.load) for setting in prepared.settings}
     settings = tuple(following(track, loads[track.setting]) for track in job.tracks)
@@ -103,7 +103,13 @@ def findings(job: Comparison, peak: Mapping[str, Floats]) -> tuple[Finding, ...]
     found = [*_load_finding(job), *_worse(peak), *_missing(job.prepared.model)]
     if left := _left_out(job.tracks):
         total = sum(len(track.target_rad) for track in job.tracks)
-        found.append(Finding("info", "bus", f"{left} of {total} SYNCs are left out: unanswered, delayed or repeated"))
+        found.append(
+            Finding(
+                "info",
+                "bus",
+                f"{left} of {total} SYNCs are left out because an answer was missing, delayed or repeated",
+            )
+        )
     order = ("fail", "warn", "info")
     return tuple(sorted(found, key=lambda item: order.index(item.severity)))
 
@@ -119,12 +125,12 @@ def _load_finding(job: Comparison) -> list[Finding]:
     trend = job.trend.values
     asked = (1.0 + trend.scale) * fed.mass_kg
     said = (
-        f"{with_interval(trend.scale, trend.scale_std, 100)} % of its torque ({SAID}) is left in the residual: the "
-        f"torque corresponds to {asked:.2f} kg, {fed.mass_kg:.2f} kg was fed"
+        f"{with_interval(trend.scale, trend.scale_std, 100)} % of its torque ({SAID}) remains in the residual: the"
+        f" torque corresponds to {asked:.2f} kg, the feedforward used {fed.mass_kg:.2f} kg"
     )
     proven = abs(trend.scale) > SIGMAS * trend.scale_std
     if not proven or abs(trend.scale) < NOTED_SHARE:
-        return [Finding("info", where, f"the torque agrees with the load that was fed ({said})")]
+        return [Finding("info", where, f"the torque agrees with the load in the feedforward ({said})")]
     severity = "fail" if abs(trend.scale) >= FAILED_SHARE else "warn"
     advice = "the mounted load is not the identified one: identify it again, or mount the identified load"
     return [Finding(severity, where, said, advice)]
@@ -157,7 +163,7 @@ def _missing(model: FeedModel) -> list[Finding]:
             Finding(
                 "info",
                 ", ".join(f"J{axis}" for axis in axes),
-                f"{name} is not in the offset: it is neither identified nor typed",
+                f"{name} is not in the offset: it is neither identified nor stated",
                 f"identify it (record --moving, estimate), or give {keys[name]} of these axes in the cell file",
             )
             for name, axes in lacking.items()
@@ -202,14 +208,14 @@ def _cloud(trend: Trend, axis: int) -> TrendCloud:
 
 
 def _spread_over(count: int, most: int) -> NDArray[np.int_]:
-    """Not more than `most` of `count` rows, evenly."""
+    """Return at most `most` of `count` row indices, evenly spaced."""
     return np.linspace(0, count - 1, min(most, count)).astype(int)
 
 
 def _chosen(track: Track) -> NDArray[np.int_]:
-    """Rows of a curve: of every short stretch the row with the largest error of any axis, and the peak of every axis.
+    """Return the rows of a curve: the largest error of any axis in every short segment, and the peak of every axis.
 
-    Errors are compared in units of their axis's peak; the peaks of the table are in the curve too.
+    Errors are compared in units of the peak of their axis; the peaks of the table are in the curve too.
     """
     error = np.abs(np.nan_to_num(track.error_rad))
     size = (error / np.maximum(error.max(axis=0), 1e-12)).max(axis=1)

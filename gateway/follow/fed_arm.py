@@ -1,8 +1,8 @@
-"""An arm with velocity and torque offsets beside every target, and the record of the motion.
+"""Arm with velocity and torque offsets added to every target, and the record of the motion.
 
-A target that goes out with SYNC n is reached one period later: the drive moves evenly from the target before to this
-one. The offsets are those of the middle of that segment: mean position, difference quotient as velocity. The
-acceleration is the change of velocity from the segment before to the segment after.
+A target sent with SYNC n is reached one period later: the drive moves uniformly from the previous target to this one.
+The offsets are those of the middle of that segment: mean position, difference quotient as velocity. The acceleration is
+the change of velocity from the previous segment to the next one.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ NOTHING = [0.0] * 6
 
 
 class FedRow(list[DriveCommand]):
-    """Targets of one SYNC with the motion they belong to: position, velocity and acceleration between two targets."""
+    """Targets of one SYNC with their motion: position, velocity and acceleration between two targets."""
 
     __slots__ = ("q_rad", "state")
 
@@ -37,22 +37,22 @@ class FedRow(list[DriveCommand]):
 
 
 class FedArm(Arm):
-    """An arm with feedforward.
+    """Arm with feedforward offsets.
 
     Parameters
     ----------
     arm : Arm
-        Whose drives were set up with feedforward.
+        Arm whose drives are configured for feedforward.
     period_s : float
         SYNC period.
     ramp_s : float
-        Time in which the offsets are eased in or out.
+        Duration of the ramp of the offsets.
 
     Attributes
     ----------
     ramp : Ramp
     recorder : Recorder or None
-        Takes every SYNC while it is set.
+        Records every SYNC while it is set.
     """
 
     def __init__(self, arm: Arm, period_s: float, ramp_s: float) -> None:
@@ -67,52 +67,52 @@ class FedArm(Arm):
         self._sense = list(NOTHING)
 
     def use(self, law: FeedforwardLaw | None) -> None:
-        """Take another law; only while no offset is given, so before the arm is moved to where it is to be fed."""
+        """Use another feedforward law; only while all offsets are zero."""
         if self.ramp.gain:
-            raise ValueError("the offsets must be eased out before another law is used")
+            raise ValueError("the offsets must be ramped down before another law is used")
         self._law = law
 
     def enable(self, stop_requested: Callable[[], bool] = lambda: False) -> ArmSample:
-        """Power the drives; no offset is given yet."""
+        """Power the drives with zero offsets."""
         sample = super().enable(stop_requested)
         self._last, self._rate = sample.q_rad, np.zeros(6)
         self._see(sample)
         return sample
 
     def disable(self) -> None:
-        """Brakes on, power off; the drives' frames carry no offset from now on."""
+        """Apply the brakes and disable the drives; offsets are zero from now on."""
         self._enabled = False
         super().disable()
 
     def quick_stop(self) -> None:
-        """Stop by the drives' own ramp, without offsets from the first frame."""
+        """Stop with the quick stop ramps of the drives, with zero offsets from the first frame."""
         self.ramp.cut("the arm was stopped")
         super().quick_stop()
 
     def command(
         self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None
     ) -> FedRow:
-        """Targets (6,) with their motion, from the target that went out last to this one, and on to the one ahead.
+        """Return the targets (6,) with their motion, from the last sent target over this one to the next.
 
         Raises
         ------
         ValueError
-            An offset beside the feedforward.
+            Another offset is requested in addition to the feedforward.
         """
         if offset_nm is not None:
-            raise ValueError("an arm that is fed forward takes no other offset")
+            raise ValueError("an arm with feedforward accepts no other torque offset")
         rate = (q_rad - self._last) / self._period_s
         after = np.zeros(6) if ahead_rad is None else (ahead_rad - q_rad) / self._period_s
         state = (0.5 * (self._last + q_rad), rate, (after - self._rate) / (2.0 * self._period_s))
         return FedRow(self.axes.motor_position(q_rad).tolist(), q_rad, state)
 
     def exchange(self, commands: Sequence[DriveCommand]) -> ArmSample:
-        """One SYNC with targets of `commands` and their offsets.
+        """Exchange one SYNC with targets of `commands` and their offsets.
 
         Raises
         ------
         LimitExceeded
-            A torque offset beyond its limit: no frame was sent, and no offset is given any more.
+            A torque offset exceeds its limit: no frame was sent, and the offsets are switched off.
         """
         if not isinstance(commands, FedRow):
             return self._see(super().exchange(commands))
@@ -125,7 +125,7 @@ class FedArm(Arm):
         return sample
 
     def hold(self) -> ArmSample:
-        """One SYNC at the last target; gravity goes on being carried."""
+        """Exchange one SYNC with the last target; gravity remains compensated."""
         still = np.zeros(6)
         motor = self.axes.motor_position(self._last).tolist()
         return self.exchange(FedRow(motor, self._last, (self._last, still, still)))
@@ -149,7 +149,7 @@ class FedArm(Arm):
             self.ramp.cut("a torque offset has reached its limit")
             axis, value = excess
             raise LimitExceeded(
-                f"arm '{self.name}', axis {axis + 1}: the feedforward asks for {value:.2f} Nm at the motor, its "
+                f"arm '{self.name}', axis {axis + 1}: the feedforward requires {value:.2f} Nm at the motor, its "
                 f"limit is {self._law.limits_nm[axis]:.2f} Nm: stopped, offsets zero; check load and torque_limit_nm",
                 joint=axis + 1,
             )
@@ -161,7 +161,7 @@ class FedArm(Arm):
         ]
 
     def _see(self, sample: ArmSample) -> ArmSample:
-        """Note whether the drives are in OPERATION ENABLED; one that did not answer was seen before."""
+        """Note whether the drives are in OPERATION ENABLED; a missing answer leaves the last known state."""
         states = [decode_state(reading.statusword) for reading in sample.readings if reading is not None]
         self._enabled = all(state is State.OPERATION_ENABLED for state in states)
         return sample

@@ -1,4 +1,4 @@
-"""The whole job of `servo-gateway follow`: files in, checked, driven, compared."""
+"""Job of `servo-gateway follow`: read and check the files, drive the path, compare."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from gateway.result.result import Result, read_result
 
 @dataclass(frozen=True, slots=True)
 class FollowRequest:
-    """What to follow and with which load.
+    """Path to follow, and the load in the feedforward.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class FollowRequest:
     load : Path or None
         Result JSON of `estimate`, `diagnose` or `commission`.
     label : str or None
-        Which load of the result.
+        Label of the load in the result.
     """
 
     path: Path
@@ -44,7 +44,7 @@ class FollowRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
-    """Everything that can be checked without a bus is checked.
+    """Job after all checks that need no bus.
 
     Attributes
     ----------
@@ -67,13 +67,13 @@ class Prepared:
 
     @property
     def duration_s(self) -> float:
-        """Time of all passes of the path; without the transfer motions between them."""
+        """Time of all passes of the path, without the transfer motions between them."""
         return len(self.settings) * self.path.duration_s
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """What was driven: `tracks` belong to the settings one by one."""
+    """Recorded passes; `tracks` correspond to the settings one by one."""
 
     prepared: Prepared
     tracks: tuple[Track, ...]
@@ -81,18 +81,17 @@ class Comparison:
 
 
 def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepared:
-    """Read and check path, load, cell and profiles; nothing is opened and nothing moves.
+    """Read and check path, load, cell and profiles; no bus is opened and nothing moves.
 
     Raises
     ------
     ConfigError
-        A profile without the objects, links that are not known, no rated load.
+        A profile lacks the objects, a link is unknown, or there is no rated load.
     InputError
-        A file that cannot be used, a load of another robot, cell, arm or frame, or constants that contradict.
+        A file cannot be used, a load is of another robot, cell, arm or frame, or constants contradict each other.
     DataUnusable
-        No identified load.
-    PlanRefused
-        The path leaves the workspace, or takes an offset to its limit.
+        The result holds no identified load. PlanRefused
+        The path leaves the workspace, or an offset reaches its limit.
     """
     robot = arm_robot(loaded, arm)
     profiles = [setup.profile for setup in axis_setups(loaded, arm)]
@@ -121,7 +120,7 @@ def _result(request: FollowRequest) -> tuple[Result, str]:
 
 
 def drive(opened: OpenArm, prepared: Prepared, progress: Progress, options: MoveOptions | None = None) -> Comparison:
-    """Drive the path under every setting and compare.
+    """Drive the path with every setting and compare.
 
     Raises
     ------

@@ -33,15 +33,15 @@ from gateway.motion.workspace import Workspace
 COLUMNS = tuple(f"q{axis}_rad" for axis in range(1, 7))
 SAME_RAD = 1e-9
 LEAST_TIMED = 4
-#: Largest file and longest path that are taken.
+#: Largest file and longest path that are accepted.
 MOST_BYTES = 4_000_000
 LONGEST_S = 600.0
 MOST_WAYPOINTS = 1000
-#: Rows of a timed path that are closer have no speed between them.
+#: Smallest time between two rows of a timed path [s].
 LEAST_STEP_S = 1e-4
-#: No joint turns further.
+#: Largest joint angle [rad].
 FARTHEST_RAD = 1e4
-#: What a limit may be exceeded by through rounding.
+#: Tolerance of limits for rounding, relative.
 ROUNDING = 1e-6
 
 Six = tuple[float, float, float, float, float, float]
@@ -51,7 +51,7 @@ Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 class _Waypoints(Strict):
     name: str | None = None
     waypoints_rad: tuple[Six, ...] = Field(
-        min_length=2, max_length=MOST_WAYPOINTS, description="places that the arm goes through, six angles each"
+        min_length=2, max_length=MOST_WAYPOINTS, description="waypoints of the arm, six joint angles each"
     )
     speed_share: Share = 1.0
     dwell_s: float = Field(default=0.4, ge=0, le=10)
@@ -60,20 +60,20 @@ class _Waypoints(Strict):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowPath:
-    """A path as setpoints.
+    """Path as setpoints.
 
     Attributes
     ----------
     name : str
     start_rad : array of shape (6,)
     motions : tuple of Motion
-        Each begins where the one before ends, and ends at rest.
+        Each begins at the end of the previous one, and ends at rest.
     dwell_s : float
         Rest after each motion.
     period_s : float
         SYNC period.
     limits : MotionLimits or None
-        Of straight motions; None = the file gives the times.
+        Limits of straight motions; None = the file contains the times.
     """
 
     name: str
@@ -95,18 +95,18 @@ class FollowPath:
 
 
 def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
-    """Read a path and turn it into setpoints; nothing is checked against the workspace but its rates.
+    """Read a path and convert it to setpoints; only its rates are checked.
 
     Raises
     ------
     InputError
-        The file cannot be read or is none; file and place are named.
+        The file cannot be read or is not a path; file and line are named.
     PlanRefused
         A timed path that exceeds a limit of speed, acceleration or jerk.
     """
     try:
         if file.stat().st_size > MOST_BYTES:
-            raise InputError(f"{file}: is larger than any path")
+            raise InputError(f"{file}: is too large for a path file")
         text = "" if file.suffix.lower() == ".csv" else file.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(f"{file}: cannot be read: {error}") from error
@@ -116,7 +116,7 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
         if times is not None:
             return _timed(file.stem, times, points, workspace, period_s)
         if len(points) > MOST_WAYPOINTS:
-            raise InputError(f"{file}: holds {len(points)} waypoints, {MOST_WAYPOINTS} are the most")
+            raise InputError(f"{file}: holds {len(points)} waypoints, the limit is {MOST_WAYPOINTS}")
         given = _Waypoints(waypoints_rad=tuple(tuple(row) for row in points.tolist()))
     else:
         given = _read_toml(text, file)
@@ -162,7 +162,7 @@ def _waypoints(name: str, read: _Waypoints, workspace: Workspace, period_s: floa
     pairs = _distinct(points)
     back = _distinct(np.vstack([points[-1:], points[:1]])) if read.repeat > 1 else []
     if not pairs:
-        raise InputError(f"{where}: all waypoints are the same place")
+        raise InputError(f"{where}: all waypoints are the same posture")
     rests_s = read.dwell_s * (read.repeat * len(pairs) + (read.repeat - 1) * len(back))
     least_s = read.repeat * _least_s(pairs, limits, period_s) + (read.repeat - 1) * _least_s(back, limits, period_s)
     if not rests_s + least_s <= LONGEST_S:
@@ -176,15 +176,15 @@ def _waypoints(name: str, read: _Waypoints, workspace: Workspace, period_s: floa
 
 
 def _distinct(points: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Neighbours of the waypoints (n, 6) [rad] that are not the same place."""
+    """Return the waypoints (n, 6) [rad] without successive duplicates."""
     pairs = zip(points[:-1], points[1:], strict=True)
     return [(start, end) for start, end in pairs if np.abs(end - start).max() > SAME_RAD]
 
 
 def _least_s(pairs: Sequence[tuple[np.ndarray, np.ndarray]], limits: MotionLimits, period_s: float) -> float:
-    """Time below which no motions from rest to rest exist, known before any of them is sampled.
+    """Return a lower bound of the time of motions from rest to rest, before any is sampled.
 
-    Of a distance d: d / v, 2 sqrt(d / a), (32 d / j)^(1/3), each with the other two limits left out.
+    For a distance d: d / v, 2 sqrt(d / a), (32 d / j)^(1/3), each with the other two limits left out.
     """
     total_s = 0.0
     for start, end in pairs:
@@ -220,12 +220,12 @@ def _timed(name: str, times: np.ndarray, points: np.ndarray, workspace: Workspac
 
 
 def check_path(path: FollowPath, workspace: Workspace) -> None:
-    """Refuse a path that leaves the workspace anywhere.
+    """Refuse a path that leaves the workspace.
 
     Raises
     ------
     PlanRefused
-        A joint limit, a keep-out box or the holding torque; the first place is named.
+        A joint limit, a keep-out box or the holding torque is violated; the first position is named.
     """
     begun_s, before = 0.0, path.start_rad
     for motion in path.motions:

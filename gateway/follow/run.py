@@ -1,4 +1,4 @@
-"""Drive a path under each setting, one after the other, and leave the arm in its brakes whatever happens."""
+"""Drive a path with each setting, one after the other; the brakes are on afterwards, also after an error."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from gateway.motion.stream import MoveOptions, Station, Stream
 from gateway.motion.trajectory import straight
 from gateway.motion.workspace import Workspace
 
-#: Time in which the offsets are eased in and out, at rest.
+#: Duration of the ramps of the offsets, at rest [s].
 RAMP_S = 0.8
-#: How many times quicker they are eased out once a person has stopped the arm: its brakes wait for that.
+#: Factor by which the ramp down is faster after a requested stop: the brakes wait for it.
 STOPPED_QUICKER = 2.0
-#: Rest with the offsets on: the drives' integral parts give back what the offsets now carry.
+#: Rest with the offsets on [s]: the integral parts of the drives' controllers adapt.
 SETTLE_S = 1.0
-#: Rest after the path, still recorded.
+#: Recorded rest after the path [s].
 REST_S = 0.3
-#: Length of the last segment to the start, the same under every setting and with the offsets on: friction and the
+#: Length of the last segment to the start [rad], equal for all settings and with the offsets on: friction and the
 #: drives' integral parts then have the state of a motion, not of the ramp of the offsets.
 LEAD_RAD = 0.06
 
-#: Called with the present step and the share of the whole that is done.
+#: Called with the present step and the completed share of the run.
 Progress = Callable[[str, float], None]
 
 
@@ -48,7 +48,7 @@ class FollowStation:
     Attributes
     ----------
     arm : Arm
-        Connected, set up with feedforward, not enabled.
+        Connected, configured with feedforward, not enabled.
     workspace : Workspace
     progress : Progress
     options : MoveOptions
@@ -63,18 +63,18 @@ class FollowStation:
 
 
 def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]) -> tuple[Track, ...]:
-    """One pass of the path per setting; on return, and after any error, the brakes are on and the offsets zero.
+    """Drive one pass of the path per setting; after return or an error, the brakes are on and the offsets are zero.
 
     Raises
     ------
     PlanRefused
-        The path leaves the workspace, or no checked path leads to its start; nothing was enabled.
+        The path leaves the workspace, or no checked path leads to its start; no drive was enabled.
     LimitExceeded
-        A limit was left, or an offset reached its limit; the arm was stopped.
+        A limit was exceeded, or an offset reached its limit; the arm was stopped.
     DriveError
         Bus or drive failed; the arm was stopped.
     KeyboardInterrupt
-        A stop was asked for; the arm was stopped.
+        A stop was requested; the arm was stopped.
     """
     check_path(path, station.workspace)
     lead = _lead(station.workspace, path.start_rad)
@@ -87,13 +87,15 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
 
 
 def _lead(workspace: Workspace, start_rad: np.ndarray) -> np.ndarray:
-    """Start of the last short segment to the start: above it on every joint where that is allowed, else the start."""
+    """Return the start of the last short segment to the path's start: above it on every joint if allowed, else the
+    start.
+    """
     above = start_rad + LEAD_RAD
     return above if workspace.path_clear(above[None], start_rad[None])[0] else start_rad
 
 
 class _Run:
-    """One enabled arm and where it is in the job."""
+    """Run with one enabled arm, and its progress."""
 
     def __init__(self, station: FollowStation, path: FollowPath) -> None:
         self._path = path
@@ -116,7 +118,9 @@ class _Run:
 
     @contextmanager
     def under_power(self) -> Generator[None]:
-        """Enable, hold until the drives carry what the brakes carried; offsets are zero when this is left."""
+        """Enable the arm and hold until the drives have taken over the torque of the brakes; offsets are zero on
+        exit.
+        """
         try:
             with powered(Stream(self._station)) as self._stream:
                 self._stream.take_over()
@@ -129,12 +133,12 @@ class _Run:
             self._arm.ramp.cut("the run has ended")
 
     def _ease_out(self, failure: BaseException) -> None:
-        """Say in which state the offsets were; where the arm has come to rest along its path, ease them out."""
+        """Report the state of the offsets at a stop; ramp them down if the arm came to rest along its path."""
         ramp = self._arm.ramp
         self._arm.recorder = None
         if not ramp.gain:
             return
-        when = "while the offsets were being eased" if not ramp.resting else "with the offsets on"
+        when = "during the ramp of the offsets" if not ramp.resting else "with the offsets on"
         failure.add_note(f"stopped {when} (at {100 * ramp.gain:.0f} %): they were brought to zero")
         if isinstance(failure, Exception) or self._stream.moving or self._stream.urgent:
             return
@@ -143,10 +147,10 @@ class _Run:
             while not ramp.resting:
                 self._arm.hold()
         except DriveError as error:
-            failure.add_note(f"while easing the offsets out: {error}")
+            failure.add_note(f"while ramping the offsets down: {error}")
 
     def drive(self, setting: Setting, points: Sequence[np.ndarray], number: int) -> Track:
-        """One pass: near the start without offsets, ease in, to the start, path, ease out."""
+        """Drive one pass: move near the start, ramp the offsets up, move to the start, follow the path, ramp down."""
         begun_s = number * self._path.duration_s
         self._pass = (setting.name, begun_s)
         self._arm.use(setting.law)

@@ -1,4 +1,6 @@
-"""The three settings of a pass: without feedforward, with the maximum load, with the identified load."""
+"""The three settings of a comparison: no feedforward, feedforward with the maximum load, and with the identified
+load.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setting:
-    """One setting of the feedforward; `law` and `load` are None without feedforward."""
+    """Setting of the feedforward; `law` and `load` are None without feedforward."""
 
     name: str
     law: FeedforwardLaw | None
@@ -59,7 +61,7 @@ class FeedModel:
     coupling: Floats
 
     def law(self, load: FeedLoad) -> FeedforwardLaw:
-        """Offsets for the arm with a load."""
+        """Return the feedforward law of the arm with a load."""
         parameters = self.links.copy()
         parameters[50:] += load.parameters
         return FeedforwardLaw(ArmDynamics(self.robot, parameters, self.gravity_m_s2), self.axes, self.coupling)
@@ -74,23 +76,24 @@ def feed_model(
     *,
     fed: bool = True,
 ) -> FeedModel:
-    """Model of an arm: the drawing's links, corrected by the bare identification of the result where there is one.
+    """Return the model of an arm: links of the robot model, corrected by the result's identification of the unloaded
+    arm.
 
-    `fed` is false where the torque is only computed: the drives then need no objects for offsets.
+    `fed` is False if the offsets are only computed: the drives then need no objects for them.
 
     Raises
     ------
     ConfigError
-        Links that are not known, or a profile without the objects.
+        A link is unknown, or a profile lacks the objects.
     InputError
-        What was identified contradicts what was typed.
+        An identified value contradicts the stated one.
     """
     gravity = np.array(arm.gravity_m_s2)
     drawn = drawn_parameters(robot, arm)
     # with effects, the links are those of a model that has them
     alone = result.bare is None or bool(result.effects)
     links = None if result.bare is None or alone else corrected_parameters(robot, result.bare, gravity)
-    source = "robot model" if links is None else "robot model, corrected to the torque that was identified bare"
+    source = "robot model" if links is None else "robot model, corrected by the identification of the unloaded arm"
     axes, sources = axis_terms(arm, profiles, result, identified, fed=fed)
     return FeedModel(
         robot=robot,
@@ -104,12 +107,12 @@ def feed_model(
 
 
 def three_settings(arm: ArmConfig, model: FeedModel, identified: FeedLoad) -> tuple[Setting, ...]:
-    """Off, maximum load, identified load.
+    """Return the settings: off, maximum load, identified load.
 
     Raises
     ------
     ConfigError
-        The cell does not say what the maximum is.
+        The cell file states no maximum load.
     """
     most = rated_load(arm, model.robot)
     return (
@@ -120,7 +123,7 @@ def three_settings(arm: ArmConfig, model: FeedModel, identified: FeedLoad) -> tu
 
 
 def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> None:
-    """Refuse a path that takes a torque offset to its limit under any setting; nothing has moved then.
+    """Refuse a path that takes a torque offset to its limit with any setting, before anything moves.
 
     Raises
     ------
@@ -145,8 +148,8 @@ def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> No
                     axis, value = excess
                     raise PlanRefused(
                         f"arm '{arm}', axis {axis + 1}, setting '{setting.name}', "
-                        f"{begun_s + row * path.period_s:.2f} s into path '{path.name}': the feedforward asks for "
-                        f"{value:.2f} Nm at the motor, its limit is {law.limits_nm[axis]:.2f} Nm; nothing has moved: "
+                        f"{begun_s + row * path.period_s:.2f} s into path '{path.name}': the feedforward requires"
+                        f" {value:.2f} Nm at the motor, its limit is {law.limits_nm[axis]:.2f} Nm; nothing has moved: "
                         "slow the path down, or correct load and torque_limit_nm"
                     )
             begun_s += motion.duration_s + path.dwell_s

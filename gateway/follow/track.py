@@ -1,4 +1,4 @@
-"""What was commanded, measured and fed, SYNC by SYNC, and how well the arm followed: pure numbers."""
+"""Recorded pass of a path (commands, measurements, offsets per SYNC), and the figures of its following error."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
-#: After a SYNC that was not answered in full, as many rows are left out: answers may be delayed by one SYNC.
+#: Rows that are left out after an incompletely answered SYNC: answers may be delayed by one SYNC.
 DOUBTFUL_ROWS = 2
 #: Motion of the target between two SYNCs [rad] beyond which six unchanged readings count as old.
 STALE_MOTION_RAD = 1e-3
-#: Speed of the target below which an axis counts as standing [rad/s].
+#: Speed of the target below which an axis counts as at rest [rad/s].
 STILL_RAD_S = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Track:
-    """One pass of the path.
+    """Record of one pass of the path.
 
     Attributes
     ----------
     setting : str
     period_s : float
     target_rad, measured_rad : arrays of shape (n, 6)
-        Setpoint and position of each joint at a SYNC. NaN where a drive did not answer, in the rows right after that,
-        and where all six readings are repeated although the arm moves.
+        Setpoint and position of each joint at a SYNC. NaN if a drive did not answer, in the next rows after that, and
+        if all six readings are unchanged although the arm moves.
     torque_nm : array of shape (n, 6)
-        Measured, motor side.
+        Measured torque, motor side.
     velocity_offset_rad_s, torque_offset_nm : arrays of shape (n, 6)
-        What was fed, motor side.
+        Offsets sent to the drives, motor side.
     computing_s : array of shape (n,)
-        Time that both offsets of six axes took; 0 where none were computed.
+        Computing time of all offsets; 0 if none were computed.
     """
 
     setting: str
@@ -51,7 +51,7 @@ class Track:
 
     @property
     def time_s(self) -> Floats:
-        """Time of every row (n,)."""
+        """Time (n,) of every sample."""
         return np.arange(len(self.target_rad), dtype=float) * self.period_s
 
     @property
@@ -74,7 +74,7 @@ class Track:
 
 @dataclass(slots=True)
 class Recorder:
-    """Collects a track while the arm moves; one `fed` before each `add`."""
+    """Recorder of a track; call `fed` once before each `add`."""
 
     setting: str
     period_s: float
@@ -82,16 +82,16 @@ class Recorder:
     _fed: list[tuple[list[float], list[float], float]] = field(default_factory=list)
 
     def fed(self, velocity_rad_s: list[float], torque_nm: list[float], computing_s: float) -> None:
-        """What goes out with the next SYNC."""
+        """Store what is sent with the next SYNC."""
         self._fed.append((velocity_rad_s, torque_nm, computing_s))
 
     def add(self, target_rad: Floats, sample: ArmSample) -> None:
-        """What came back: the target that the drives had reached by then, and the readings."""
+        """Store the answer: the target that the drives had reached by then, and the readings."""
         torque = [float("nan") if reading is None else reading.torque_nm for reading in sample.readings]
         self._rows.append((target_rad, sample.q_rad, torque))
 
     def track(self) -> Track:
-        """All of it."""
+        """Return the recorded track."""
         count = len(self._rows)
         fed = self._fed[:count]
         target, measured, torque = (
@@ -104,7 +104,7 @@ class Recorder:
 
 
 def _doubtful(target: Floats, measured: Floats) -> NDArray[np.bool_]:
-    """Rows (n,) whose reading is missing, may be delayed, or is an old one."""
+    """Return a mask (n,) of rows whose reading is missing, may be delayed, or is an old one."""
     missing: NDArray[np.bool_] = np.asarray(~np.isfinite(measured).all(axis=1))
     out = missing.copy()
     for step in range(1, DOUBTFUL_ROWS + 1):
@@ -115,18 +115,16 @@ def _doubtful(target: Floats, measured: Floats) -> NDArray[np.bool_]:
 
 
 def following(track: Track, load: FedLoad | None = None) -> FollowedSetting:
-    """Figures of one pass.
+    """Return the figures of one pass.
 
     Parameters
     ----------
     track : Track
     load : FedLoad, optional
-        That was fed.
-
-    Raises
+        Load in the feedforward. Raises
     ------
     ValueError
-        No complete row.
+        No row is complete.
     """
     error = track.error_rad
     known: NDArray[np.bool_] = np.asarray(np.isfinite(error).all(axis=1))
@@ -147,7 +145,7 @@ def following(track: Track, load: FedLoad | None = None) -> FollowedSetting:
 
 
 def _overshoot(track: Track, known: NDArray[np.bool_]) -> Floats:
-    """Beyond the place in the direction of the motion that led there, over every rest that follows a motion."""
+    """Return the overshoot: largest position beyond the target in the direction of the last motion, over all rests."""
     sense = np.sign(np.diff(track.target_rad, axis=0, prepend=track.target_rad[:1]))
     rows = np.arange(len(sense))[:, None]
     last = np.maximum.accumulate(np.where(sense != 0, rows, 0), axis=0)

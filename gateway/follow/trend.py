@@ -1,9 +1,9 @@
 """Check of the load in the feedforward: the torque residual regressed on the columns of the load.
 
     T = (u - J theta'') eta^(+-1)                                   measured torque behind the gear
-    r = T - tau(arm + load) - friction                              residual of the model that was fed
-    r = s Y_load phi_load + nuisance                                trend: the load is (1 + s) times as heavy as entered
-    r = Y_load [dm, dh] + nuisance                                  the same, mass and first moment apart
+    r = T - tau(arm + load) - friction                              residual of the feedforward model r = s Y_load
+    phi_load + nuisance                                trend: the load is (1 + s) times as heavy as entered r = Y_load
+    [dm, dh] + nuisance                                  the same, mass and first moment apart
 
 Nuisance per axis: offset, Coulomb and viscous friction, a part in proportion to the transmitted torque (error of the
 gear losses), and a part in proportion to the axis' own acceleration. Friction changes sign with the direction of
@@ -33,27 +33,28 @@ from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
 
-#: Speed below which friction has no clear sense [rad/s].
+#: Speed below which the direction of friction is uncertain [rad/s].
 SLOW_RAD_S = 0.02
-#: Blocks of time that are left out one by one.
+#: Number of time blocks of the jackknife.
 BLOCKS = 24
 LEAST_ROWS = 200
 #: Relative size of a singular value below which the rows do not determine its direction.
 TOLERANCE = 1e-3
-#: Share of an undetermined direction in a parameter from which on the parameter is not identifiable.
+#: Share of an undetermined direction in a parameter above which the parameter is not identifiable.
 OPEN_SHARE = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trend:
-    """Load by the torque of a pass, compared with the load that was fed.
+    """Load estimated from the torque of a pass, compared with the load in the feedforward.
 
     Attributes
     ----------
     values : FedTrend
         NaN where the path does not determine a value.
     load_nm, residual_nm : arrays of shape (n, 6)
-        Torque of the load as fed, and the residual less the nuisance; NaN where an axis does not move.
+        Torque of the load in the feedforward, and the residual without the nuisance terms; NaN if an axis does not
+        move.
     """
 
     values: FedTrend
@@ -69,12 +70,10 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     track : Track
     model : FeedModel
     load : FeedLoad
-        The load that was fed.
-
-    Returns
+        Load in the feedforward. Returns
     -------
     Trend or None
-        None where too few rows move.
+        None if too few rows move.
     """
     q, rate, acceleration = track.target_rad, track.velocity_rad_s, track.acceleration_rad_s2
     columns = regressor(model.robot, q, rate, acceleration, model.gravity_m_s2)
@@ -113,7 +112,7 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
 def _behind_gears(
     track: Track, model: FeedModel, motion: tuple[Floats, Floats], carried: Floats
 ) -> tuple[Floats, Floats]:
-    """Measured torque behind the gears and friction as fed (n, 6) [Nm], of velocity, acceleration and torque there."""
+    """Return measured torque behind the gears, and modelled friction (n, 6) [Nm]."""
     rates, accelerations = motion
     ratio = np.array([axis.torque_sign * axis.ratio for axis in model.axes])
     rotor = np.array([axis.rotor_kg_m2 for axis in model.axes])
@@ -158,7 +157,7 @@ class _Problem:
         return known * found.value[:count], known * std, found.residual.reshape(self._used.shape)
 
     def _left_out(self, found: Solution, rows: int) -> Floats:
-        """Return by how much the solution with all rows differs from that without one block of time (BLOCKS, p)."""
+        """Return the change of the solution when each block of time is left out (BLOCKS, p)."""
         block = np.repeat(np.arange(rows) * BLOCKS // rows, self._used.shape[1])
         basis, left = found.orthogonal, found.residual * self._weight.ravel()
         parts = [(basis[block == number], left[block == number]) for number in range(BLOCKS)]
@@ -171,7 +170,7 @@ def _flat(columns: Floats) -> Floats:
 
 
 def _as_load(load: FeedLoad, change: Floats, std: Floats) -> tuple[float, float, Floats, Floats]:
-    """Mass and centre of gravity of the load as fed plus a change of [mass, first moment]."""
+    """Return mass and centre of gravity of the load in the feedforward plus a change of [mass, first moment]."""
     mass = load.mass_kg + change[0]
     com = (load.mass_kg * load.com_m + change[1:]) / mass
     spread = np.sqrt(std[1:] ** 2 + (com * std[0]) ** 2) / abs(mass)

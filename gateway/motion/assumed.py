@@ -18,8 +18,6 @@ def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
     """Return the assumed standard deviation (N,) [Nm] of a joint torque after friction compensation.
 
     It is a share of the torque limit, the same for both approach directions at rest and for motion.
-
-    A share of the torque limit, at rest from both sides and in motion alike.
     """
     return BAND_SHARE * LEFT_SHARE * workspace.torque_nm
 

@@ -93,8 +93,6 @@ class Body:
 
         A point moves by at most the sum of these levers times the joint rotations. A rotation does not move a ball
         about its centre.
-
-        No point moves farther than these times the joints' turns; a ball about a point turns into itself.
         """
         steps = np.linalg.norm(robot.placement[:, :3, 3], axis=1)
         lever = np.zeros((len(self.link), robot.axes))

@@ -6,13 +6,6 @@ bound; any other segment is halved (conservative advancement, Mirtich 1996, sect
 
 Distances are computed between the capsules around the bodies, all at once. The distance of the bodies themselves (FCL)
 is computed only where the capsules do not decide.
-
-A path is proven clear, not sampled. Between two postures no point of a body moves farther relative to another than the
-joint steps times its levers. A segment is therefore clear if the distances at its ends exceed that bound in sum; any
-other segment is halved (conservative advancement, Mirtich 1996, section 2.3).
-
-Distances are taken between the capsules around the bodies, all at once, and between the bodies themselves (FCL) only
-where that does not settle it.
 """
 
 from __future__ import annotations

@@ -2,9 +2,6 @@
 
 The model lacks the load, and friction and rotors that were not identified. The difference between measured and modelled
 torque is therefore compared with its own recent mean: the load changes it slowly, contact changes it at once.
-
-The model lacks the load, and friction and rotors that were not identified. The difference between measured and modelled
-torque is therefore compared with its own recent mean: the load changes it slowly, contact changes it at once.
 """
 
 from __future__ import annotations

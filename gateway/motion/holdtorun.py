@@ -57,8 +57,6 @@ class HeldKey:
 
         Without a repeat within `FIRST_REPEAT_S` the key counts as released.
 
-        Where no repeat comes within `FIRST_REPEAT_S` the key counts as released.
-
         Raises
         ------
         PlanRefused
@@ -107,9 +105,6 @@ class HeldKey:
 
 class HeldInput:
     """Digital input that has to be held; a source of stop requests.
-
-    It is read by SDO repeatedly, without waiting. It counts as released when the last request answered as held was sent
-    more than `RELEASED_S` ago.
 
     It is read by SDO repeatedly, without waiting. It counts as released when the last request answered as held was sent
     more than `RELEASED_S` ago.

@@ -172,8 +172,6 @@ def _limit_torques(
     """Limit the torque of each drive to the largest that the arm can need, if links, load and ramps are known.
 
     A motion may accelerate harder than the quick stop decelerates: the larger of both counts.
-
-    A motion may accelerate harder than the quick stop brakes: the larger of both counts.
     """
     ramp = quick_stop_rad_s2(config, [setup.profile for setup in group.setups], found.readings)
     hardest = None if ramp is None else np.maximum(ramp, workspace.acceleration_rad_s2)

@@ -2,9 +2,6 @@
 
 Contact detection compares measured with modelled torque. The motion is taken from the setpoints; the servo lag and the
 load are not modelled.
-
-Used by contact detection, which compares measured with modelled torque. The motion is taken from the setpoints; the
-servo lag and the load are not modelled.
 """
 
 from __future__ import annotations

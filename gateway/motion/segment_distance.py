@@ -14,9 +14,6 @@ def segment_box_distance(start_m: Floats, end_m: Floats, low_m: Floats, high_m: 
     The squared distance along the segment is convex and piecewise quadratic between its intersections with the planes
     of the box. Its slope is piecewise linear, so that the minimum is found without iteration.
 
-    The squared distance along the segment is convex and quadratic between the points at which the segment crosses a
-    plane of the box: its slope is linear there, so that its zero is found without iteration.
-
     Parameters
     ----------
     start_m, end_m, low_m, high_m : arrays of shape (m, 3)
@@ -50,9 +47,6 @@ def segment_segment_distance(first_m: Floats, other_m: Floats) -> Floats:
 
     Ericson, Real-Time Collision Detection, 2005, section 5.1.9: nearest points of the two lines, each clamped to its
     segment in turn.
-
-    Ericson, Real-Time Collision Detection, 2005, section 5.1.9: the nearest places of the two lines, each brought back
-    into its segment in turn.
 
     Parameters
     ----------

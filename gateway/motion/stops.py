@@ -168,8 +168,6 @@ def output_closed(error: BaseException) -> bool:
     """Return True if an error means that the output is closed.
 
     The rich library ends the program by SystemExit in that case.
-
-    What prints for us (rich) ends the program by SystemExit in that case.
     """
     if isinstance(error, SystemExit):
         return isinstance(error.__context__, BrokenPipeError)

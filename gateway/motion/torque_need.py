@@ -83,8 +83,6 @@ def dry_friction_nm(arm: ArmConfig, known: Sequence[AxisConstants]) -> Floats:
     """Return the dry friction (N,) [Nm] of the joints: the largest known value, including breakaway.
 
     Without any value the assumed friction band is used.
-
-    Where nothing is known the assumed friction band is used.
     """
     return np.array([_dry_nm(*both) for both in zip(known, arm.axis, strict=True)])
 

@@ -94,8 +94,6 @@ class Watch:
 
         Gravity is taken at these setpoints. Inertia of identified rotors and links is that of earlier setpoints,
         because joints lag.
-
-        Gravity there, and rotors and links, where they were identified, of the setpoints before, because joints lag.
         """
         gravity_nm = self.modelled_torque(q_rad[None])[0]
         return gravity_nm if self._own is None else gravity_nm + self._own.inertia_nm

@@ -177,8 +177,6 @@ class Workspace:
 
         Collisions and joint limits are checked along the whole path, the holding torque at points `PATH_STEP_RAD`
         apart.
-
-        What may touch and joint limits all along; the holding torque at points `PATH_STEP_RAD` apart.
         """
         clear = ~(self._out_of_range(start_rad) | self._out_of_range(end_rad))
         if self.links is not None:
@@ -208,8 +206,6 @@ class Workspace:
 
         Collisions and joint limits are checked along the whole path, the holding torque at points `PATH_STEP_RAD`
         apart.
-
-        What may touch and joint limits are checked all along, the holding torque at points `PATH_STEP_RAD` apart.
         """
         broken = ~np.isfinite(path_rad).all(axis=1)
         if broken.any():
@@ -245,8 +241,6 @@ class Workspace:
         """Return the nearest posture (N,) inside the joint range for an arm outside it; None if the arm is inside.
 
         Joints outside move to `INWARD_MARGIN_RAD` inside, the others do not move. The straight path is checked.
-
-        Joints outside move in, by `INWARD_MARGIN_RAD`, the others stay; the straight path there is checked.
 
         Raises
         ------

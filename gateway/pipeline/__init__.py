@@ -1,1 +1,1 @@
-"""From files to an estimate or a diagnosis, and to the result that is handed over."""
+"""Steps from data files to an estimate or a diagnosis, and to the complete result file."""

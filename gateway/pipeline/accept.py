@@ -1,4 +1,4 @@
-"""Loads held against what a person expects of them, and against what the cell says the arm is rated for."""
+"""Compare the loads of a result with the operator's expectation and with the ratings of the cell file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.result.result import Result
 
 
 def ratings(arm: ArmConfig | None) -> tuple[Rating, ...]:
-    """What the cell says that the arm is rated for; nothing without a cell."""
+    """Return the ratings of the cell file (load, reach, moment); empty without a cell file."""
     if arm is None:
         return ()
     said = {
@@ -29,17 +29,17 @@ def ratings(arm: ArmConfig | None) -> tuple[Rating, ...]:
 
 
 def check_against_data(expected: Sequence[Expected], tables: Iterable[Table], about: AnalysisInputs) -> None:
-    """Make sure that the data hold every load that something is expected of.
+    """Refuse an expectation for a load that is not in the data.
 
     Raises
     ------
     InputError
-        Names the label.
+        The data lack a load; the message names its label.
     """
     present = [str(label) for table in tables for label in table.load]
     check_expected(expected, unknown_labels(present, about.known))
 
 
 def accept(result: Result, expected: Sequence[Expected], arm: ArmConfig | None) -> Result:
-    """A completed result with its loads held against expectation and rating."""
+    """Return the result with its loads compared with expectation and rating."""
     return accepted(result, expected, ratings(arm))

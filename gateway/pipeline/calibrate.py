@@ -1,7 +1,7 @@
-"""Torque constants of an arm from rest poses without a load and under a weighed one.
+"""Calibrate torque constants from rest poses without a load and under a weighed load.
 
-All gains in one step (Gautier and Briot 2011): the weighed load sets the scale of every axis that carries it. The link
-masses of the robot model are not used, so that a wrong one changes nothing.
+All gains are estimated in one step (Gautier and Briot 2011): the weighed load sets the scale of every axis that carries
+it. The link masses of the robot model are not used, so that a wrong mass has no influence.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """Answer of a calibration: every measured axis, what is stored, and what is reported."""
+    """Result of a calibration: every measured axis, the constants to store, and the findings."""
 
     axes: tuple[AxisCalibration, ...]
     stored: ArmCalibration
@@ -65,27 +65,27 @@ def calibrate(
     now: datetime,
     postures: Callable[[], Floats | None],
 ) -> Calibration:
-    """Estimate the torque constants.
+    """Estimate the torque constants of an arm.
 
     Parameters
     ----------
     table : Table
-        Rows by the constants of the cell file.
+        Samples converted with the constants of the cell file.
     about : AnalysisInputs
-        Of a request with `calibrated` False.
+        Inputs of a request with `calibrated` False.
     weight : Weight
     data : sequence of str
         Names of the files.
     now : datetime
     postures : callable
-        Postures (k, N) that may be proposed; None = those of the table.
+        Returns the postures (k, N) that may be proposed; None = those of the table.
 
     Raises
     ------
     InputError
-        No row carries the load.
+        No sample was measured with the load.
     DataUnusable
-        No unloaded rows, one posture only, rows that contradict each other, or no axis carries the load.
+        No samples of the unloaded arm, only one posture, contradictory samples, or no axis carries the load.
     """
     robot, arm = about.model, about.arm
     if arm is None:
@@ -133,7 +133,9 @@ def calibrate(
 
 def _best(axes: Sequence[AxisCalibration]) -> str:
     least = min(axes, key=lambda axis: axis.std / axis.stated_std)
-    return f"J{least.joint} is measured best, to {100 * least.std:.2g} %; use a heavier load or more poses"
+    return (
+        f"the smallest standard deviation is {100 * least.std:.2g} % (J{least.joint}); use a heavier load or more poses"
+    )
 
 
 def _axes(

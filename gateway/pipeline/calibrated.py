@@ -1,4 +1,4 @@
-"""The constants of a calibration file as an analysis uses them: where they hold, how well, and what is reported."""
+"""Apply a calibration file in an analysis: check where its constants are valid, convert them, report them."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _AGAIN: Final = "calibrate again (servo-gateway calibrate CELL --known LABEL=MAS
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibrated:
-    """What the calibrations of an arm say of N axes.
+    """Calibrated torque constants of an arm with N axes.
 
     Attributes
     ----------
     scale : array of shape (N,)
-        True torque over the torque by the constants of the cell file; 1 where nothing holds.
+        True torque divided by the torque with the constants of the cell file; 1 without a valid calibration.
     std : array of shape (N,)
-        Relative standard deviation; NaN where nothing holds.
+        Relative standard deviation; NaN without a valid calibration.
     findings : tuple of Finding
-    provenance : mapping of "J1" to entries by name, of the axes where a calibration holds
+    provenance : mapping of "J1" to entries by name, for the axes with a valid calibration
     """
 
     scale: np.ndarray
@@ -41,12 +41,14 @@ class Calibrated:
     provenance: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 
     def gain_std(self, stated: Sequence[float]) -> tuple[float, ...]:
-        """Relative standard deviations (N,) of the torque constants; those stated where nothing was measured."""
+        """Return the relative standard deviations (N,) of the torque constants; the stated ones where not
+        calibrated.
+        """
         return tuple(np.where(np.isfinite(self.std), self.std, stated).tolist())
 
 
 def serial_numbers(recordings: Sequence[Recording], arm: str) -> dict[int, int]:
-    """Serial number of the drive of each joint, where one is reported."""
+    """Return the serial number of the drive of each joint, where one is reported."""
     parts = [part for recording in recordings if (part := recording.arm(arm)) is not None]
     return {
         drive.joint: drive.serial_number
@@ -57,16 +59,16 @@ def serial_numbers(recordings: Sequence[Recording], arm: str) -> dict[int, int]:
 
 
 def calibrated(text: str, where: str, arm: ArmConfig, serials: Mapping[int, int], now: datetime) -> Calibrated | None:
-    """Apply the text of a calibration file to an arm; None where it holds nothing of it.
+    """Apply the text of a calibration file to an arm; None if it holds no calibration of this arm.
 
     Parameters
     ----------
     text : str
     where : str
-        The file, for messages.
+        Name of the file, for messages.
     arm : ArmConfig
     serials : mapping of joint to serial number
-        Of the drives that measured; empty where none is known.
+        Serial numbers of the drives that measured; empty where not known.
     now : datetime
 
     Raises
@@ -96,16 +98,16 @@ def calibrated(text: str, where: str, arm: ArmConfig, serials: Mapping[int, int]
 
 
 def _refused(axis: CalibratedAxis, stated: AxisConfig, serial: int | None) -> str:
-    """Why a stored constant does not belong to an axis; empty where it does."""
+    """Return the reason why a stored constant does not belong to an axis; empty if it does."""
     if serial and axis.serial_number and serial != axis.serial_number:
-        return f"it belongs to the drive with serial number {axis.serial_number}, this one has {serial}"
+        return f"it belongs to the drive with serial number {axis.serial_number}, the present drive has {serial}"
     for name, was, now in (
         ("torque_constant_nm_per_a", axis.stated_nm_per_a, stated.torque_constant_nm_per_a.value),
         ("gear_ratio", axis.stated_gear_ratio, stated.gear_ratio.value),
         ("gear_efficiency", axis.stated_gear_efficiency, stated.gear_efficiency.value),
     ):
         if not np.isclose(was, now, rtol=1e-6):
-            return f"the cell file states {name} {now:g}, it was {was:g} then"
+            return f"the cell file now states {name} {now:g}, but stated {was:g} at the calibration"
     return ""
 
 
@@ -117,11 +119,11 @@ def _entries(run: ArmCalibration, axis: CalibratedAxis) -> Iterator[tuple[str, d
 
 
 def _named(used: Mapping[int, tuple[ArmCalibration, CalibratedAxis]], now: datetime) -> Iterator[Finding]:
-    """Report each calibration that is used, and which of them are old."""
+    """Report each calibration that is used, and those that are old."""
     for run in dict.fromkeys(run for run, _ in used.values()):
         axes = [(joint, axis) for joint, (other, axis) in used.items() if other == run]
         each = ", ".join(f"J{joint} {axis.torque_scale:.4f} ± {axis.std_percent / 100:.4f}" for joint, axis in axes)
-        what = f"torque constants {run.source}, used as true over stated (standard deviation): {each}"
+        what = f"torque constants {run.source}; factors applied to the stated constants (standard deviation): {each}"
         yield Finding("info", "calibration", what)
         if now - run.measured > OLD:
             days = (now - run.measured).days

@@ -1,4 +1,4 @@
-"""What is compared before a calibration is stored: the load, the stated constants, the last calibration."""
+"""Checks before a calibration is stored: load, stated constants, and previous calibration."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
-#: Largest standard deviation of a measured constant that is stored, over the stated one.
+#: Largest ratio of measured to stated standard deviation at which a constant is stored.
 LARGEST_SHARE: Final = 0.5
-#: Stated standard deviation below which a constant is treated as known that well: `exact` is a statement as well.
+#: Smallest stated standard deviation that is assumed: `exact` is only a statement.
 _STATED_STD: Final = 0.01
-#: Prior of every gain, at least: what the cell file states must not enter what is measured.
+#: Smallest prior standard deviation of every gain: the stated constant must not influence the measured one.
 PRIOR_STD: Final = 0.05
-#: Standard deviations from which two statements contradict each other.
+#: Difference in standard deviations from which two statements contradict each other.
 CONFLICT: Final = 3.5
-#: Visits of a pose that is proposed, and variances of a visit in the difference of one to the mean of two.
+#: Visits of a proposed pose, and variance of the difference between one visit and the mean of two, in visit variances.
 _VISITS, _VARIANCES = 3, 1.5
-#: Torque of the load over its largest on any axis, below which gravity does not turn an axis.
+#: Torque of the load relative to its largest on any axis, below which gravity does not act on an axis.
 _NO_TORQUE: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Weight:
-    """The weighed load: label, mass [kg], centre of gravity [m] in the last link, None = not known."""
+    """Weighed load: label, mass [kg], centre of gravity [m] in the last link (None = not known)."""
 
     label: str
     mass_kg: float
@@ -46,22 +46,24 @@ class Weight:
 
     @staticmethod
     def of(label: str, about: AnalysisInputs) -> Weight:
-        """The load of that label among those that are known.
+        """Return the known load with a label.
 
         Raises
         ------
         ConfigError
-            Its mass is 0.
+            The mass of the load is 0.
         """
         mass_kg, *com_m = about.known.get(label, (about.masses.get(label, 0.0),))
         if not mass_kg > 0.0:
-            raise ConfigError(f"--known {label}={mass_kg:g}: a load of 0 kg calibrates nothing; state the weighed mass")
+            raise ConfigError(
+                f"--known {label}={mass_kg:g}: a load of 0 kg cannot calibrate an axis; state the weighed mass"
+            )
         return Weight(label, mass_kg, (com_m[0], com_m[1], com_m[2]) if com_m else None)
 
 
 @dataclass(frozen=True, slots=True)
 class AxisCalibration:
-    """What the data say of the torque constant of one axis.
+    """Calibrated torque constant of one axis.
 
     Attributes
     ----------
@@ -87,17 +89,17 @@ class AxisCalibration:
 
 
 def stated_std(about: AnalysisInputs, axes: int) -> Floats:
-    """Relative standard deviations (N,) that a measured constant is compared with."""
+    """Return the relative standard deviations (N,) of the stated constants."""
     return np.maximum(gain_stds(about.gain_std, axes), _STATED_STD)
 
 
 def expected_std(load_nm: Floats, noise_nm: Floats) -> Floats:
-    """Standard deviation (N,) of a gain that a load known in mass and centre promises.
+    """Return the expected standard deviation (N,) of a gain from a load with known mass and centre of gravity.
 
     Parameters
     ----------
     load_nm : array of shape (n, N)
-        Torque of the load at each pose; the unloaded arm is measured before and after it.
+        Torque of the load at each pose; the unloaded arm is measured before and after.
     noise_nm : array of shape (N,)
         Standard deviation of a visit.
     """
@@ -106,24 +108,25 @@ def expected_std(load_nm: Floats, noise_nm: Floats) -> Floats:
 
 
 def load_torque(robot: Robot, q_rad: Floats, gravity_m_s2: Sequence[float], moment: Floats) -> Floats:
-    """Torque (n, N) [Nm] of a load [m, h] (4,) at postures (n, N)."""
+    """Return the torque (n, N) [Nm] of a load [m, h] (4,) at postures (n, N)."""
     return np.asarray(gravity_regressor(robot, q_rad, gravity_m_s2)[:, :, -4:] @ moment, dtype=float)
 
 
 def carried_by_none(load_nm: Floats, noise_nm: Floats, stated: Floats) -> str:
-    """Why poses cannot calibrate any axis; empty where one of them is expected to be calibrated."""
+    """Return the reason why poses cannot calibrate any axis; empty if at least one axis can be calibrated."""
     if (expected_std(load_nm, noise_nm) <= LARGEST_SHARE * stated).any():
         return ""
     largest = np.abs(load_nm).max(axis=0)
     at = int(np.argmax(largest / noise_nm))
     return (
-        f"no axis carries the load: it turns J{at + 1} by {largest[at]:.3g} Nm at most, where a visit is uncertain by"
-        f" {noise_nm[at]:.3g} Nm; use a heavier load, or poses with the arm stretched out"
+        f"no axis carries enough of the load: on J{at + 1} its torque is at most {largest[at]:.3g} Nm, and the"
+        f" standard deviation of a visit is {noise_nm[at]:.3g} Nm; use a heavier load, or poses with the arm"
+        " stretched out"
     )
 
 
 def mass_finding(visits: Visits, robot: Robot, options: EstimateOptions, weight: Weight) -> Iterator[Finding]:
-    """Compare the stated mass with the one by the constants of the cell: a wrong load must not become a constant."""
+    """Compare the stated mass with the mass estimated with the stated constants, so that a wrong load is detected."""
     free = replace(options, known={}, masses={})
     load = next(each for each in estimate_joint(visits, robot, free).loads if each.label == weight.label)
     if load.refused:
@@ -133,8 +136,8 @@ def mass_finding(visits: Visits, robot: Robot, options: EstimateOptions, weight:
         yield Finding(
             "fail",
             f"load {weight.label}",
-            f"stated as {weight.mass_kg:.4g} kg, and {load.mass_kg:.4g} kg with a standard deviation of"
-            f" {load.mass_std_kg:.2g} kg by the constants of the cell file",
+            f"stated as {weight.mass_kg:.4g} kg, but estimated as {load.mass_kg:.4g} kg with a standard deviation of"
+            f" {load.mass_std_kg:.2g} kg with the constants of the cell file",
             f"the stated mass or the constants are wrong by a common factor of {factor:.3g}, and the"
             " data cannot determine which: weigh the mass, check that this load was mounted, its unit (kg), and the"
             " constants (rms or peak, ratio); if all are right, --force stores the calibration",
@@ -166,7 +169,7 @@ def stated_findings(axes: Sequence[AxisCalibration]) -> Iterator[Finding]:
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """Where a load could be measured."""
+    """Postures where a load can be measured."""
 
     robot: Robot
     gravity_m_s2: Sequence[float]
@@ -174,7 +177,7 @@ class Places:
     postures: Callable[[], Floats | None]
 
     def torque(self) -> tuple[Floats, Floats]:
-        """Postures (k, N), and the torque (k, N) of the load there; none where no posture is known."""
+        """Return the postures (k, N) and the torque (k, N) of the load there; empty without known postures."""
         q_rad = self.postures()
         q_rad = np.zeros((0, self.robot.axes)) if q_rad is None else q_rad
         return q_rad, load_torque(self.robot, q_rad, self.gravity_m_s2, self.moment)
@@ -183,7 +186,7 @@ class Places:
 def unknown_axes(
     axes: Sequence[AxisCalibration], noise_nm: Floats, weight: Weight, places: Places
 ) -> Iterator[Finding]:
-    """Report each axis that is not calibrated, with the pose or the load that would calibrate it."""
+    """Report each axis that is not calibrated, with the pose or load that would calibrate it."""
     unknown = [axis for axis in axes if not axis.is_known]
     if not unknown:
         return
@@ -192,23 +195,26 @@ def unknown_axes(
     for axis in unknown:
         at = axis.joint - 1
         what = (
-            f"cannot tell the torque constant: {100 * axis.std:.2g} %, stated to {100 * axis.stated_std:.2g} %;"
-            f" the load turns this axis by {axis.load_nm:.3g} Nm at most"
+            f"the torque constant is not identifiable: its standard deviation is {100 * axis.std:.2g} %, that of the"
+            f" stated one {100 * axis.stated_std:.2g} %; the torque of the load on this axis is at most"
+            f" {axis.load_nm:.3g} Nm"
         )
         own = np.abs(torque[:, at])
         best = float(own.max(initial=0.0))
         if not len(own) or best <= _NO_TORQUE * largest:
-            advice = "gravity does not turn this axis in any pose, so its constant has no part in a mass at rest"
+            advice = (
+                "gravity causes no torque on this axis in any pose: its torque constant has no effect on a mass at rest"
+            )
             yield Finding("info", f"J{axis.joint}", what, advice if len(own) else "")
             continue
         reached = expected_std(np.full((_VISITS, 1), best), noise_nm[at : at + 1])[0]
         wanted = LARGEST_SHARE * axis.stated_std
         at_pose = ", ".join(f"{angle:.2f}" for angle in q_rad[int(own.argmax())])
-        advice = f"measure poses such as [{at_pose}] rad, where it turns it by {best:.3g} Nm"
+        advice = f"measure poses such as [{at_pose}] rad, where the torque of the load is {best:.3g} Nm"
         if reached > wanted:
             information = (wanted**-2 - PRIOR_STD**-2) * _VARIANCES / _VISITS
             needed_kg = weight.mass_kg * float(noise_nm[at]) * np.sqrt(max(information, 0.0)) / best
-            advice += f", with a load of {needed_kg:.3g} kg or more, or a longer one"
+            advice += f", with a load of {needed_kg:.3g} kg or more, or with a longer lever"
         yield Finding("info", f"J{axis.joint}", what, advice)
 
 
@@ -231,8 +237,9 @@ def contradictions(
             yield Finding(
                 "fail",
                 f"J{axis.joint}",
-                f"true over stated torque is {axis.torque_scale:.4f} (standard deviation {axis.std_percent:.2g} %), the"
+                f"the ratio of true to stated torque is {axis.torque_scale:.4f} (standard deviation"
+                f" {axis.std_percent:.2g} %), the"
                 f" calibration of {run.measured:%Y-%m-%d} says {old.torque_scale:.4f} ({old.std_percent:.2g} %): they"
                 f" differ by {apart:.1f} standard deviations",
-                "check the mass, what was mounted and the drive; --force replaces the stored calibration",
+                "check the mass, the mounted load and the drive; --force replaces the stored calibration",
             )

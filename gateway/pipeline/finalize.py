@@ -1,4 +1,4 @@
-"""The result as it is handed over: what the report draws and where every constant comes from, added to the numbers."""
+"""Complete a result for its file: add what the report draws and the source of every constant."""
 
 from __future__ import annotations
 
@@ -28,25 +28,24 @@ from gateway.result.result import Finding, LoadResult, Result
 def finalize(
     result: Result, about: AnalysisInputs, table: Table, paths: Sequence[Path], operator: str | None = None
 ) -> Result:
-    """Add what a reader of the result file needs beside the numbers.
+    """Add the context that a reader of the result file needs in addition to the numbers.
 
     Parameters
     ----------
     result : Result
         Of an estimation or a diagnosis.
     about : AnalysisInputs
-        What it was told.
-    table : Table
-        All rows that were read.
+        Inputs of the estimation. table : Table
+        All samples that were read.
     paths : sequence of Path
         The data files.
     operator : str, optional
-        Who measured.
+        Name of the operator.
 
     Returns
     -------
     Result
-        With what the report names and draws, and the provenance of every constant.
+        Result with the data for the report and the provenance of every constant.
     """
     result = _without_incredible(result, about)
     drawn = Drawn() if result.data is None else result.data
@@ -77,7 +76,7 @@ def finalize(
 
 
 def _temperatures(table: Table) -> tuple[tuple[float, float], ...]:
-    """Lowest and highest temperature of every axis [deg C]; empty where none is recorded."""
+    """Return the lowest and highest temperature of every axis [deg C]; empty if none is recorded."""
     recorded = np.isfinite(table.temperature_c)
     if not recorded.any():
         return ()
@@ -88,7 +87,7 @@ def _temperatures(table: Table) -> tuple[tuple[float, float], ...]:
 
 
 def _without_incredible(result: Result, about: AnalysisInputs) -> Result:
-    """The result with every load refused that lies significantly beyond what the arm can carry."""
+    """Refuse every load that is significantly beyond the capacity of the arm."""
 
     def held(load: LoadResult) -> LoadResult:
         wrong = about.load_bounds.violation(
@@ -109,9 +108,9 @@ def _without_incredible(result: Result, about: AnalysisInputs) -> Result:
 
 
 def _corrected(about: AnalysisInputs) -> list[Finding]:
-    """Constants that were corrected since the recording."""
+    """Report the constants that were corrected since the recording."""
     return [
-        Finding("info", f"J{each.joint}", f"{each.what}: worked out anew with the cell's", "")
+        Finding("info", f"J{each.joint}", f"{each.what}: recomputed with the constants of the cell file", "")
         for each in about.corrections
     ]
 
@@ -127,7 +126,7 @@ def _roles(result: Result) -> tuple[str, ...]:
 
 
 def _drives(about: AnalysisInputs) -> tuple[DriveOrigin, ...]:
-    """Drives of the first recording: a later one of other drives has been refused."""
+    """Return the drives of the first recording; later recordings with other drives are refused before."""
     recorded = _recorded_arm(about.recordings, None if about.arm is None else about.arm.name)
     return drives_of(recorded[0][1].identities) if recorded else ()
 
@@ -149,7 +148,7 @@ def _recorded_arm(recordings: Sequence[Recording], name: str | None) -> list[tup
 
 
 def _bus(recordings: Sequence[Recording], name: str | None) -> tuple[dict[str, str | int | float | None], ...]:
-    """A line per recorded arm: the counters of the bus during its last run."""
+    """Return one line per recorded arm: the bus counters of its last run."""
     lines: list[dict[str, str | int | float | None]] = []
     for recording, arm in _recorded_arm(recordings, name):
         statistics = arm.bus_statistics
@@ -180,7 +179,7 @@ def _rounded(value: float | None, scale: float) -> float | None:
 
 
 def _provenance(about: AnalysisInputs) -> dict[str, Any]:
-    """Constants of the cell; of the recording where the drives were asked."""
+    """Return the source of every constant: the cell file, or the recording where the drives were read."""
     if about.arm is None:
         return {}
     recorded = _recorded_arm(about.recordings, about.arm.name)

@@ -1,4 +1,4 @@
-"""What `estimate` and `diagnose` know besides the rows: robot, gravity, gears, known loads, a stored bare arm."""
+"""Collect the inputs of `estimate` and `diagnose`: robot, gravity, gears, known loads, stored unloaded arm, samples."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ from gateway.pipeline.torque_size import refuse_small_torques
 from gateway.result.result import Bare, Finding, read_result
 
 VALIDATION = "x_validation"
-#: Change of the torque readings of a warm arm over the usual one: of half a kelvin instead of 10 K.
+#: Ratio of the torque drift of a warm arm to the usual drift: half a kelvin instead of 10 K.
 WARM_CHANGE: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class ModelRequest:
-    """MODEL of the command line.
+    """Options of the command line that define the model.
 
     Attributes
     ----------
@@ -53,9 +53,9 @@ class ModelRequest:
     arm : str or None
         Name of the arm, if the cell has several.
     gain_std : float or None
-        Relative standard deviation of every torque constant, instead of what the cell says of each.
+        Relative standard deviation of every torque constant, instead of those of the cell file.
     tip : str or None
-        Last link of the arm in its URDF, instead of the cell's.
+        Last link of the arm in its URDF, instead of that of the cell file.
     is_warm : bool
         The arm was warm: its torque readings change by less than usual.
     calibrated : bool
@@ -76,32 +76,32 @@ class ModelRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnalysisInputs:
-    """Everything an analysis is told besides the rows.
+    """Inputs of an analysis in addition to the samples.
 
     Attributes
     ----------
     robot : Robot or None
-        None where neither option nor recording names one.
+        None if neither an option nor a recording names one.
     gravity_m_s2 : tuple of 3 floats
     efficiency, gear_ratio : arrays of shape (N,)
-        Efficiency 1 where no cell says otherwise (the table's torque is then taken as it stands), ratio NaN.
+        Without a cell: efficiency 1 (the torque of the table is used unchanged), ratio NaN.
     inertials : str or None
     known : mapping of label to (mass [kg], x, y, z [m] in the last link)
-    masses : mapping of label to mass [kg], of loads whose centre is not known
+    masses : mapping of label to mass [kg], of loads with unknown centre of gravity
     bare : Bare or None
     arm : ArmConfig or None
-        Of the cell, where there is one.
+        Arm of the cell file, if there is one.
     loaded : LoadedCell or None
     recordings : tuple of Recording
-        Of that arm, converted with the constants that hold.
+        Recordings of that arm, converted with the valid constants.
     corrections : tuple of Correction
         Constants that were corrected since a recording was made.
     gain_std : tuple of N floats, or None
-        Relative standard deviations of the torque constants; None where nobody says any.
+        Relative standard deviations of the torque constants; None if not stated.
     assumed : tuple of Finding
-        What was assumed of the statements, such as the frame of a known load.
+        Assumptions about the inputs, such as the frame of a known load.
     change : float
-        Factor on the usual change of the torque readings between runs and while the arm warms up.
+        Factor on the usual drift of the torque readings between runs and during warm-up.
     calibrated : Calibrated or None
         Torque constants of the calibration file, which `read_rows` applies.
     """
@@ -125,51 +125,52 @@ class AnalysisInputs:
 
     @property
     def measured_gain(self) -> tuple[bool, ...]:
-        """Axes (N,) whose torque constant a calibration states; empty where there is none."""
+        """Mask (N,) of the axes with a calibrated torque constant; empty without a calibration."""
         return () if self.calibrated is None else tuple(np.isfinite(self.calibrated.std).tolist())
 
     @property
     def coupling(self) -> np.ndarray | None:
-        """How gear outputs act on the joints (N, N), as of `gateway.model.visits.Gears`; None = one to one."""
+        """Coupling matrix (N, N) of gear outputs and joints, see `gateway.model.visits.Gears`; None = one to one."""
         coupled = None if self.arm is None else self.arm.coupling
         return None if coupled is None else np.array(coupled, dtype=float)
 
     @property
     def load_bounds(self) -> LoadBounds:
-        """The largest load that is credible on this arm."""
+        """Largest credible load of this arm."""
         return load_bounds(self.robot, self.arm, trusts_masses=self.inertials != "ignore")
 
     @property
     def model(self) -> Robot:
-        """The robot.
+        """Robot model.
 
         Raises
         ------
         ConfigError
-            Nobody has named one.
+            Neither an option nor a recording names a robot.
         """
         if self.robot is None:
             raise ConfigError(
-                "which robot? give --cell CELL or --robot R.urdf, or a recording (.h5), which carries its own"
+                "no robot model: give --cell CELL or --robot R.urdf, or a recording (.h5), which contains its robot"
+                " model"
             )
         return self.robot
 
 
 def collect_inputs(request: ModelRequest, paths: Sequence[Path]) -> AnalysisInputs:
-    """Collect what the options and the recordings among the data say, and bind the recordings to their arm.
+    """Collect the inputs from the options and the recordings among the data files.
 
     Raises
     ------
     ConfigError
-        A robot or cell file that cannot be used, or several arms and none was named.
+        A robot or cell file cannot be used, or there are several arms and none was named.
     InputError
-        A recording or a stored bare identification that cannot be used, or that was made with another arm.
+        A recording or a stored identification of the unloaded arm cannot be used, or was made with another arm.
     """
     return inputs_from_recordings(request, tuple(read(path) for path in paths if is_recording(path)))
 
 
 def inputs_from_recordings(request: ModelRequest, read_ones: Sequence[Recording]) -> AnalysisInputs:
-    """As `collect_inputs`, of recordings that are read already."""
+    """Collect the inputs from the options and recordings that are already read; see `collect_inputs`."""
     loaded = None if request.cell is None else load_cell(request.cell)
     arm, robot = _arm_and_robot(request, loaded, read_ones)
     bound = () if arm is None else _bound(read_ones, arm, robot, loaded)
@@ -208,7 +209,7 @@ def inputs_from_recordings(request: ModelRequest, read_ones: Sequence[Recording]
 def _calibrated(
     request: ModelRequest, loaded: LoadedCell | None, arm: ArmConfig | None, recordings: Sequence[Recording]
 ) -> Calibrated | None:
-    """The calibration beside the cell file; without a cell file the one that the first recording was made with."""
+    """Return the calibration next to the cell file; without a cell file that of the first recording."""
     if arm is None or not request.calibrated:
         return None
     where = f"{recordings[0].path}: @calibration" if request.cell is None else str(calibration_path(request.cell))
@@ -223,7 +224,7 @@ def _gain_std(
     profile: Callable[[str], DriveProfile],
     measured: Calibrated | None,
 ) -> tuple[float, ...] | None:
-    """As asked for, else as calibrated, else of the cell's constants or of the drive's where it reports torque."""
+    """Return the standard deviations of the torque constants: requested, else calibrated, else stated."""
     if request.gain_std is not None:
         return (request.gain_std,) * axes
     if arm is None:
@@ -233,7 +234,7 @@ def _gain_std(
 
 
 def constants_std(arm: ArmConfig, profile: Callable[[str], DriveProfile]) -> tuple[float, ...]:
-    """Relative standard deviations of the torque constants of an arm, or of what its drives use instead."""
+    """Return the relative standard deviations of the torque constants, or of the torque that the drives report."""
     return tuple(_constant_std(axis, profile) for axis in arm.axis)
 
 
@@ -243,7 +244,7 @@ def _constant_std(axis: AxisConfig, profile: Callable[[str], DriveProfile]) -> f
         try:
             used = profile(axis.profile).needs_torque_constant
         except ProfileError:
-            # a table needs no drive profile; its torque was worked out elsewhere, with this constant
+            # a table needs no drive profile; its torque was computed before, with this constant
             used = True
         if not used:
             return REPORTED_STD_PERCENT / 100.0
@@ -251,12 +252,12 @@ def _constant_std(axis: AxisConfig, profile: Callable[[str], DriveProfile]) -> f
 
 
 def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Callable[[str], DriveProfile]:
-    """Drive profiles by name: as they were recorded, else the cell's own, else those of the package.
+    """Return a function from name to drive profile: recorded, else next to the cell file, else of the package.
 
     Raises
     ------
     ProfileError
-        When called: unreadable, or not there.
+        When called: the profile is unreadable or missing.
     """
     texts = recordings[0].profiles if recordings else {}
     folder = loaded.folder if loaded is not None else Path()
@@ -273,14 +274,14 @@ def profile_of(recordings: Sequence[Recording], loaded: LoadedCell | None) -> Ca
 def _bound(
     recordings: Sequence[Recording], arm: ArmConfig, robot: Robot | None, loaded: LoadedCell | None
 ) -> list[Bound]:
-    """Recordings under the given cell, else under that of the first; what another arm has measured is refused."""
+    """Bind recordings to the cell file, else to the cell of the first one; refuse recordings of another arm."""
     bound: list[Bound] = []
     for recording in recordings:
         bound.append(bind(recording, recordings[0].cell if loaded is None else loaded.cell, arm))
         if loaded is None and bound[-1].corrections:
             raise InputError(
                 f"{recording.path}: {bound[-1].corrections[0]}: {recordings[0].path.name} was recorded with another"
-                " constant; say by --cell which of them hold"
+                " constant; name the cell file with the valid constants by --cell"
             )
         _refuse_other_kinematics(recording, arm, robot)
     refuse_other_drives(recordings, arm.name)
@@ -295,8 +296,8 @@ def _refuse_other_kinematics(recording: Recording, arm: ArmConfig, robot: Robot 
     difference = kinematic_difference(recorded, robot)
     if difference:
         raise InputError(
-            f"{recording.path}: was recorded with robot '{recorded.name}'; in robot '{robot.name}', {difference}; name"
-            " the cell or the robot that it was made with"
+            f"{recording.path}: was recorded with robot '{recorded.name}', and in robot '{robot.name}', {difference};"
+            " name the cell or robot of the recording"
         )
 
 
@@ -316,39 +317,47 @@ def _arm_and_robot(
 
 
 def _urdf(request: ModelRequest) -> Robot | None:
-    """The robot that is named by its file."""
+    """Return the robot of the --robot option."""
     if request.robot is None:
         return None
     return robot_from_urdf(read_urdf(request.robot), str(request.robot), request.tip)
 
 
 def _ended(arm: ArmConfig, tip: str | None) -> ArmConfig:
-    """The arm with another last link."""
+    """Return the arm with another last link."""
     return arm if tip is None else arm.model_copy(update={"tip": tip})
 
 
 def read_bare(path: Path) -> Bare:
-    """The bare identification that an earlier result holds.
+    """Return the identification of the unloaded arm that an earlier result holds.
 
     Raises
     ------
     InputError
-        Unreadable, or the result holds none, or effects beside it.
+        The file is unreadable, holds no such identification, or holds effects as well.
     """
     result = read_result(path)
     bare = result.bare
     if result.effects:
         names = ", ".join(dict.fromkeys(effect.name for effect in result.effects))
-        raise InputError(f"{path}: its bare identification has effects beside it ({names}), which --bare does not use")
+        raise InputError(
+            f"{path}: its identification of the unloaded arm includes effects ({names}), which --bare cannot use"
+        )
     if bare is None:
-        raise InputError(f"{path}: holds no bare identification; estimate bare rows with --json and name that file")
+        raise InputError(
+            f"{path}: holds no identification of the unloaded arm; estimate samples of the unloaded arm with --json"
+            " and name that file"
+        )
     if not all(np.isfinite(part).all() for part in (bare.value, bare.gravity_m_s2, bare.covariance, bare.combination)):
-        raise InputError(f"{path}: the bare identification lacks numbers; estimate the bare rows again")
+        raise InputError(
+            f"{path}: the identification of the unloaded arm lacks numbers; estimate the samples of the unloaded arm"
+            " again"
+        )
     return bare
 
 
 def _refuse_other_scale(path: Path, axes: int, measured: Calibrated | None) -> None:
-    """Refuse a stored bare identification that was made with other calibrated torque constants: its torque differs.
+    """Refuse a stored identification of the unloaded arm with other calibrated torque constants.
 
     Raises
     ------
@@ -363,17 +372,18 @@ def _refuse_other_scale(path: Path, axes: int, measured: Calibrated | None) -> N
         if not np.isclose(was, now, rtol=1e-6):
             raise InputError(
                 f"{path}: the unloaded arm was identified with a torque of J{joint} scaled by {was:.4g}, the"
-                f" calibration in use says {now:.4g}; estimate the unloaded rows again with the same --cell"
+                f" calibration in use says {now:.4g}; estimate the samples of the unloaded arm again with the same"
+                " --cell"
             )
 
 
 def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:
-    """Rows of all data files, the files that `collect_inputs` was called with.
+    """Read the samples of all data files, the same files as for `collect_inputs`.
 
     Raises
     ------
     InputError
-        A file that cannot be used, rows of another number of axes than the robot has, or torques in another unit.
+        A file cannot be used, its number of axes differs from that of the robot, or its torques are in another unit.
     """
     axes = None if about.loaded is None or about.arm is None else AxisConversion.from_arm(about.arm)
     table = read_data(paths, about.recordings, axes)
@@ -381,8 +391,8 @@ def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:
         table = table.with_torque_scaled(about.calibrated.scale)
     if about.robot is not None and table.axes != about.robot.axes:
         raise InputError(
-            f"{table.file[0]}: the data are of {table.axes} axes, robot '{about.robot.name}' has {about.robot.axes};"
-            f" name the robot that was measured{or_another_tip(about.robot, table.axes)}"
+            f"{table.file[0]}: the data have {table.axes} axes, but robot '{about.robot.name}' has"
+            f" {about.robot.axes}; name the measured robot{or_another_tip(about.robot, table.axes)}"
         )
     if about.robot is not None and about.inertials != "ignore":
         refuse_small_torques(table, about.robot, about.gravity_m_s2)
@@ -390,7 +400,7 @@ def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:
 
 
 def estimate_options(about: AnalysisInputs) -> EstimateOptions:
-    """Options of an estimation."""
+    """Return the options of an estimation."""
     inertials = about.inertials or ("ignore" if about.robot is None else default_inertials(about.robot))
     return EstimateOptions(
         inertials=inertials,
@@ -407,7 +417,7 @@ def estimate_options(about: AnalysisInputs) -> EstimateOptions:
 
 
 def diagnose_arguments(about: AnalysisInputs) -> dict[str, Any]:
-    """What a diagnosis is told, from what is known beside the rows."""
+    """Return the arguments of a diagnosis."""
     return {
         "inertials": about.inertials,
         "known": about.known,
@@ -424,7 +434,7 @@ def diagnose_arguments(about: AnalysisInputs) -> dict[str, Any]:
 
 
 def split_validation(table: Table) -> tuple[Table, Table | None]:
-    """Rows to fit from, and the visits of validation poses, which no fit shall see; None where there are none."""
+    """Split the table into fitted samples and visits of validation poses; None without validation poses."""
     marks = table.extra.get(VALIDATION)
     if marks is None:
         return table, None

@@ -1,4 +1,6 @@
-"""Loads that a person states as known: mass, and centre of gravity in the last link or in the flange, or no centre."""
+"""Known loads stated by the operator: mass, and centre of gravity in the frame of the last link or flange, or
+unknown.
+"""
 
 from __future__ import annotations
 
@@ -24,9 +26,9 @@ Load = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class KnownLoad:
-    """A load as stated: mass [kg], centre of gravity [m] (None = not known), and its frame.
+    """Known load: mass [kg], centre of gravity [m] (None = not known), and its frame (None = last link).
 
-    Frame None = not named, the last link is meant.
+    A frame that is not named is reported by `unnamed_frame`.
     """
 
     mass_kg: float
@@ -35,12 +37,12 @@ class KnownLoad:
 
 
 def parse_known(text: str) -> tuple[str, KnownLoad]:
-    """Read `LABEL=MASS`, `LABEL=MASS,X,Y,Z` or `LABEL=MASS,FRAME=X,Y,Z`.
+    """Parse `LABEL=MASS`, `LABEL=MASS,X,Y,Z` or `LABEL=MASS,FRAME=X,Y,Z`.
 
     Raises
     ------
     InputError
-        Not of that form, a mass that is negative, or 0 without a centre, or a centre that can only be in millimetres.
+        Wrong form, a negative mass, mass 0 without a centre, or a centre that can only be in millimetres.
     """
     label, equals, rest = text.partition("=")
     first, comma, after = rest.partition(",")
@@ -57,7 +59,7 @@ def parse_known(text: str) -> tuple[str, KnownLoad]:
         raise InputError(f"{OPTION} {text}: '{BARE_LABEL}' is the unloaded arm: name the load that is known")
     if not comma:
         if values[0] == 0:
-            raise InputError(f"{OPTION} {text}: a load of 0 kg says nothing; the unloaded arm is load 'none'")
+            raise InputError(f"{OPTION} {text}: a load of 0 kg is not allowed; the unloaded arm is load 'none'")
         return label, KnownLoad(values[0])
     mass, *(x, y, z) = values
     far = max(map(abs, (x, y, z)))
@@ -71,14 +73,14 @@ def parse_known(text: str) -> tuple[str, KnownLoad]:
 
 
 def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: LoadBounds) -> Load | float:
-    """Return (mass [kg], x, y, z [m] in the last link) of a load that is known; its mass alone without a centre.
+    """Return (mass [kg], x, y, z [m] in the last link) of a known load; its mass alone without a centre.
 
     Raises
     ------
     ConfigError
-        It is stated in the flange, and the flange is not known.
+        The centre is stated in the flange frame, but the flange is not known.
     InputError
-        Its frame is neither the last link nor the flange, or it is beyond what the arm can hold.
+        The frame is neither the last link nor the flange, or the load is beyond the capacity of the arm.
     """
     wrong = bounds.violation(known.mass_kg, known.com_m or ())
     if wrong:
@@ -92,7 +94,8 @@ def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: Load
         raise InputError(f"{OPTION} {label}: frame '{known.frame}' is not known: write {last}= or {FLANGE}= before X")
     if robot is None or robot.flange is None:
         raise ConfigError(
-            f"{OPTION} {label}: the centre is stated in the flange, and the flange is not: give --cell CELL with"
+            f"{OPTION} {label}: the centre of gravity is stated in the flange frame, but the flange is not known:"
+            " give --cell CELL with"
             f" flange_xyz_m and flange_rpy_rad, or state the centre as {last}=X,Y,Z"
         )
     x, y, z = (robot.flange[:3, :3] @ known.com_m + robot.flange[:3, 3]).tolist()
@@ -102,14 +105,14 @@ def in_last_link(label: str, known: KnownLoad, robot: Robot | None, bounds: Load
 def with_and_without_centre(
     stated: Mapping[str, KnownLoad], robot: Robot | None, bounds: LoadBounds
 ) -> tuple[dict[str, Load], dict[str, float]]:
-    """Return the loads that are known, and the masses of those whose centre is not; errors as `in_last_link`."""
+    """Return the known loads, and the masses of those with unknown centre; errors as in `in_last_link`."""
     loads = {label: in_last_link(label, known, robot, bounds) for label, known in stated.items()}
     known = {label: load for label, load in loads.items() if isinstance(load, tuple)}
     return known, {label: load for label, load in loads.items() if not isinstance(load, tuple)}
 
 
 def unnamed_frame(label: str, known: KnownLoad, robot: Robot | None) -> Finding | None:
-    """Report the frame that was taken where none was named and it matters: the flange is not the last link's frame."""
+    """Report the assumed frame of a known load if none was named and flange and last link differ."""
     if (
         known.com_m is None
         or known.frame is not None

@@ -1,4 +1,6 @@
-"""Whether an entered load predicts the torque at unseen poses: what it is judged by, and the answer as plain values."""
+"""Acceptance test of an entered load over the workspace: predict the torque at unseen poses, and judge the
+difference.
+"""
 
 from __future__ import annotations
 
@@ -36,14 +38,14 @@ _AGAIN: Final = "measure the unloaded arm and the load in one run, and estimate 
 
 
 def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> EnteredLoad:
-    """Return what a result predicts of an arm with one of its loads.
+    """Return the prediction model of a result: the arm with one of its loads.
 
     Raises
     ------
     InputError
-        Another arm, no such load, several and none is named, or a load that no such arm can hold.
+        The result is of another arm, lacks the load, has several loads and none is named, or the load is too heavy.
     DataUnusable
-        The load is not complete, or the unloaded arm was not identified, or not by the model used here.
+        The load is incomplete, or the unloaded arm was not identified with the model used here.
     """
     loads = {load.label: load for load in result.loads}
     if label is None and len(loads) != 1:
@@ -52,7 +54,9 @@ def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> En
     if load is None:
         raise InputError(f"load '{label}' is not in the result; it holds {', '.join(loads) or 'none'}")
     if load.refused or not all(map(math.isfinite, (load.mass_kg, *(load.com_m or (math.nan,))))):
-        raise DataUnusable(f"load '{load.label}' is not complete: {load.refused or ', '.join(load.unidentifiable)}")
+        raise DataUnusable(
+            f"load '{load.label}' is not completely identified: {load.refused or ', '.join(load.unidentifiable)}"
+        )
     wrong = about.load_bounds.violation(load.mass_kg, load.com_m or ())
     if wrong:
         raise InputError(f"load '{load.label}': {wrong}")
@@ -63,14 +67,16 @@ def entered_load(result: Result, label: str | None, about: AnalysisInputs) -> En
         raise DataUnusable(f"the result holds no identification of the unloaded arm: {_AGAIN}")
     refuse_other_bare(result.bare, about.model, about.gravity_m_s2)
     if not all(map(math.isfinite, result.noise_floor_nm)) or len(result.noise_floor_nm) != about.model.axes:
-        raise DataUnusable(f"the result states no noise floor of some axis: {_AGAIN}, each pose from both sides")
+        raise DataUnusable(
+            f"the result states no noise floor for every axis: {_AGAIN}, and approach each pose in both directions"
+        )
     gears = Gears.of(about.efficiency, about.model.axes, about.coupling)
     effects = stated_terms(result.effects, gears, about.model.axes)
     return EnteredLoad(about.model, result.bare, load, effects, gears, np.array(result.friction_band_nm, dtype=float))
 
 
 def parse_tolerance(text: str, arm: ArmConfig) -> Floats:
-    """Tolerance (N,) [Nm] of `P%` of each torque limit, or of one number an axis [Nm].
+    """Return the tolerance (N,) [Nm] of `P%` of each torque limit, or of one number per axis [Nm].
 
     Raises
     ------
@@ -91,13 +97,13 @@ def parse_tolerance(text: str, arm: ArmConfig) -> Floats:
 
 
 def unseen(result: Result, q_rad: Floats) -> NDArray[np.bool_]:
-    """Which postures (n, N) are none of those that the result was computed from: (n,)."""
+    """Return a mask (n,) of the postures (n, N) that are not among those of the result."""
     seen = seen_postures(result, q_rad.shape[1])
     return np.abs(q_rad[:, None] - seen[None]).max(axis=2).min(axis=1, initial=np.inf) >= SAME_POSE_RAD
 
 
 def seen_postures(result: Result, axes: int) -> Floats:
-    """Postures (k, N) [rad] that a result was computed from."""
+    """Return the postures (k, N) [rad] that a result was computed from."""
     return np.array([] if result.rows is None else result.rows.q_rad, dtype=float).reshape(-1, axes)
 
 
@@ -109,7 +115,7 @@ def accepted_over(
     tolerance_nm: Floats,
     postures_rad: Floats,
 ) -> dict[str, Any]:
-    """Return the answer: outcome with the probability of a wrong decision, residual by pose, map.
+    """Return the outcome with the probability of a wrong decision, the residuals by pose, and the map.
 
     Parameters
     ----------
@@ -117,10 +123,10 @@ def accepted_over(
     entered : EnteredLoad
     about : AnalysisInputs
     table : Table
-        Rows of unseen poses under the load.
+        Samples of unseen poses under the load.
     tolerance_nm : array of shape (N,)
     postures_rad : array of shape (m, N)
-        That stand for the workspace.
+        Postures that represent the workspace.
 
     Raises
     ------
@@ -131,7 +137,9 @@ def accepted_over(
     visits = pair_visits(table.take((table.load == label) & ~table.moving), about.efficiency, about.coupling)
     visits = visits.take(unseen(result, visits.q_rad))
     if not len(visits) or not np.isfinite(visits.sum_nm).all():
-        raise DataUnusable(f"the data hold no unseen pose under load '{label}' with the torque of every axis")
+        raise DataUnusable(
+            f"the data hold no unseen pose under load '{label}' with the torque of every axis; measure one"
+        )
     q_rad = np.vstack([postures_rad, visits.q_rad])
     residual_nm = visits.sum_nm - entered.torque(visits.q_rad)
     noise = np.array(result.noise_floor_nm) / tolerance_nm
@@ -156,7 +164,7 @@ def accepted_over(
 
 
 def _poses(entered: EnteredLoad, visits: Visits, residual_nm: Floats) -> list[Mapping[str, Any]]:
-    """Residual of each pose, and the force and moment at the flange that it is equivalent to."""
+    """Return the residual of each pose, and the equivalent force and moment at the flange."""
     force_n, moment_nm = flange_equivalent(entered, visits.q_rad, residual_nm)
     places = flange_frames(entered.robot, visits.q_rad)[:, :3, 3]
     return [
@@ -173,9 +181,10 @@ def _poses(entered: EnteredLoad, visits: Visits, residual_nm: Floats) -> list[Ma
 
 
 def flange_equivalent(entered: EnteredLoad, q_rad: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:
-    """Force (n,) [N] and moment (n,) [Nm] at the flange that cause a torque (n, N): least squares of `J' w = tau`.
+    """Return the force (n,) [N] and moment (n,) [Nm] at the flange that cause a torque (n, N): least squares of `J' w =
+    tau`.
 
-    Near a singular posture the part of the torque that no moderate force explains is left out.
+    Near a singular posture, the part of the torque that no moderate force explains is left out.
     """
     axes, origins = joint_axes_origins(entered.robot, q_rad)
     place = flange_frames(entered.robot, q_rad)[:, None, :3, 3]
@@ -187,7 +196,7 @@ def flange_equivalent(entered: EnteredLoad, q_rad: Floats, torque_nm: Floats) ->
 
 
 def _map(entered: EnteredLoad, q_rad: Floats, found: WorkspaceError) -> list[Mapping[str, Any]]:
-    """Place of the flange, error and guard band over the tolerance on the worst axis, of every posture."""
+    """Return flange position, error and guard band relative to the tolerance on the worst axis, for every posture."""
     places = flange_frames(entered.robot, q_rad)[:, :3, 3]
     worst = np.argmax(np.abs(found.mean) + GUARD * found.std, axis=1)
     rows = np.arange(len(q_rad))

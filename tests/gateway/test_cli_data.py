@@ -311,7 +311,7 @@ def test_a_joint_beyond_the_data_is_refused_with_the_tip_to_type_and_fixed_with_
     seven.write_text(text.replace("</robot>", more), encoding="utf-8")
     for command in ("estimate", "diagnose"):
         complains(
-            run(command, path, "--robot", seven), 3, "data are of 6 axes", "where j7 is not an axis", "--tip link_6"
+            run(command, path, "--robot", seven), 3, "data have 6 axes", "where j7 is not an axis", "--tip link_6"
         )
     done = run("estimate", path, "--robot", seven, "--tip", "link_6", "--json", "-")
     assert done.exit_code == 0, done.output

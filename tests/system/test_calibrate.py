@@ -58,7 +58,7 @@ def test_the_guided_calibration_and_the_load_that_is_measured_with_it(place, ser
 
 @pytest.mark.parametrize(
     ("known", "message"),
-    [("load=0.02,0,0,0", "no axis carries the load"), ("load=11", "beyond the rated load of 10 kg")],
+    [("load=0.02,0,0,0", "no axis carries enough of the load"), ("load=11", "beyond the rated load of 10 kg")],
 )
 def test_a_load_that_calibrates_nothing_is_refused_before_anything_moves(place, serve, guided, known, message):
     drives = serve()

@@ -2,8 +2,6 @@
 
 Pure functions: inputs are the visits and the present posture, the output is a decision with a checked plan. The run
 executes it.
-
-Pure: visits and the posture of the arm in, a decision with a checked plan out. The run executes the decision.
 """
 
 from __future__ import annotations

@@ -102,11 +102,19 @@ def test_a_cell_that_names_no_result_keeps_what_is_typed(large, qh165):
         (
             {"rotor_inertia_kg_m2": float("nan")},
             "rotor_kg_m2",
-            "rotor inertia was not identified: the typed one is used",
+            "rotor inertia was not identified: the stated value is used",
         ),
-        ({"rotor_inertia_std_kg_m2": 200.0}, "rotor_kg_m2", "not known well enough (290 ± 390 kg m2): the typed one"),
-        ({"rotor_inertia_std_kg_m2": float("nan")}, "rotor_kg_m2", "not known well enough"),
-        ({"viscous_nm_s_rad": float("nan")}, "viscous_nm_s_rad", "viscous friction was not identified: it is left out"),
+        (
+            {"rotor_inertia_std_kg_m2": 200.0},
+            "rotor_kg_m2",
+            "is too large (290 ± 390 kg m2): the stated value",
+        ),
+        ({"rotor_inertia_std_kg_m2": float("nan")}, "rotor_kg_m2", "is too large"),
+        (
+            {"viscous_nm_s_rad": float("nan")},
+            "viscous_nm_s_rad",
+            "viscous friction was not identified: the term is left out",
+        ),
     ],
 )
 def test_what_is_missing_or_poorly_known_falls_back_and_is_said(cell, qh165, changes, key, words):
@@ -129,8 +137,8 @@ def test_typed_friction_is_not_mixed_with_parts_of_an_identified_curve(cell, qh1
     ("changes", "cell_says", "words"),
     [
         ({"coulomb_nm": -20.0}, {}, "J2 Coulomb friction is negative"),
-        ({"rotor_inertia_kg_m2": 0.0069, "rotor_inertia_std_kg_m2": 0.0001}, {}, "J2 rotor inertia: .* 305 typed"),
-        ({}, {"viscous_nm_s_rad": typed(9.0)}, "J2 viscous friction: .* 9 typed"),
+        ({"rotor_inertia_kg_m2": 0.0069, "rotor_inertia_std_kg_m2": 0.0001}, {}, "J2 rotor inertia: .* 305 is stated"),
+        ({}, {"viscous_nm_s_rad": typed(9.0)}, "J2 viscous friction: .* 9 is stated"),
     ],
 )
 def test_what_contradicts_is_refused(cell, qh165, changes, cell_says, words):
@@ -143,7 +151,7 @@ def test_what_contradicts_is_refused(cell, qh165, changes, cell_says, words):
 def test_what_differs_by_more_than_twice_is_used_and_said(cell, qh165):
     known = constants(cell(told(AXIS_2)), qh165, {"viscous_nm_s_rad": typed(40.0)})[1]
     assert known.viscous_nm_s_rad.value == 90.0
-    assert known.notes == ("viscous friction: 90.0 ± 3.9 Nm s/rad was identified and is used, 40 is typed",)
+    assert known.notes == ("viscous friction: 90.0 ± 3.9 Nm s/rad was identified and is used; 40 is stated",)
 
 
 @pytest.mark.parametrize(
@@ -152,7 +160,7 @@ def test_what_differs_by_more_than_twice_is_used_and_said(cell, qh165):
         (told(AXIS_2, robot="kr300"), "robot 'kr300', not on 'qh165'"),
         (told(AXIS_2, data=Drawn(cell="large", arm="left")), "arm 'left', not on 'main'"),
         (told(AXIS_2, data=Drawn(cell="small", arm="main")), "cell 'small', not on 'large'"),
-        (told(AXIS_2, data=None), "does not say of which cell and arm"),
+        (told(AXIS_2, data=None), "names no cell and arm"),
         (told(), "record CELL --moving"),
         (told(AXIS_2, AXIS_2), "joint 2 is given twice"),
         (told(AXIS_2, replace(AXIS_2, joint=7)), "joint 7"),
@@ -197,10 +205,10 @@ def test_the_offsets_take_it_and_the_rest_poses_only_where_nothing_else_is_known
     assert (axes[1].coulomb_nm, axes[1].viscous_nm_s_rad, axes[1].rotor_kg_m2) == (95.0, 90.0, 290.0)
     assert (axes[1].onset_nm, axes[1].stribeck_rad_s, axes[1].load_friction) == (15.0, 0.02, 0.03)
     assert sources[1].missing == ()
-    assert sources[1].coulomb == f"{SOURCE}, with 110 Nm at the onset of motion"
+    assert sources[1].coulomb == f"{SOURCE}, with 110 Nm breakaway torque"
     assert (sources[1].rotor_inertia, sources[1].viscous) == (SOURCE, SOURCE)
     assert (axes[1].efficiency, axes[0].efficiency) == (0.8, 0.8)
-    assert sources[1].gear_losses == f"assumed; 3 % of the torque beside it, {SOURCE}"
+    assert sources[1].gear_losses == f"assumed; 3 % of the torque in addition, {SOURCE}"
     assert sources[0].gear_losses == "assumed"
     assert (axes[0].coulomb_nm, axes[0].onset_nm) == (78.0, 0.0)
     assert sources[0].coulomb == "friction band of the rest poses"
@@ -233,9 +241,9 @@ def test_the_identified_inertia_of_a_load_moves_the_arm_as_pinocchio_says(large,
 @pytest.mark.parametrize(
     ("inertia", "words"),
     [
-        ((2.0, 3.0, float("nan"), 0.0, 0.0, 0.0), "identified only a part"),
-        ((0.5, 0.5, 1.5, 0.0, 0.0, 0.0), "no body has"),
-        ((-0.5, 0.5, 1.5, 0.0, 0.0, 0.0), "no body has"),
+        ((2.0, 3.0, float("nan"), 0.0, 0.0, 0.0), "only partly identified"),
+        ((0.5, 0.5, 1.5, 0.0, 0.0, 0.0), "is physically impossible"),
+        ((-0.5, 0.5, 1.5, 0.0, 0.0, 0.0), "is physically impossible"),
     ],
 )
 def test_an_inertia_that_is_not_whole_or_of_no_body_is_assumed_and_said_so(inertia, words):

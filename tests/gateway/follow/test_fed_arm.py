@@ -107,14 +107,14 @@ def test_a_stop_by_the_drives_ramp_takes_no_offset_with_it(fed, perfect):
 
 def test_another_law_is_refused_while_offsets_are_fed(fed, law):
     ramped(fed)
-    with pytest.raises(ValueError, match="eased out"):
+    with pytest.raises(ValueError, match="ramped down"):
         fed.use(law)
 
 
 def test_an_offset_at_its_limit_is_not_sent(fed, feed, perfect):
     fed.use(feed.law(assumed_load("heavy", 900.0, [0.0, 0.0, 0.3], "test")))
     fed.ramp.rise()
-    with pytest.raises(LimitExceeded, match=r"axis \d: the feedforward asks for .* Nm at the motor, its limit"):
+    with pytest.raises(LimitExceeded, match=r"axis \d: the feedforward requires .* Nm at the motor, its limit"):
         [fed.hold() for _ in range(20)]
     limits = fed._law.limits_nm
     for told in perfect.told:
@@ -162,7 +162,7 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
         follow(station(arm, workspace, stop), path, [Setting("identified", law, None)])
     note = stopped.value.__notes__[0]
     assert "brought to zero" in note
-    assert ("while the offsets were being eased" in note) == (gain < 1.0)
+    assert ("during the ramp of the offsets" in note) == (gain < 1.0)
     assert offsets(perfect.told[-1]) == ([0.0] * 6, [0.0] * 6)
     fed = np.abs([told[1].torque_offset_nm for told in perfect.told])
     still = np.flatnonzero(np.diff(fed) >= 0.0)[-1]

@@ -99,7 +99,7 @@ TIMED = "time_s,q1_rad,q2_rad,q3_rad,q4_rad,q5_rad,q6_rad\n"
         ("p.toml", "waypoints_rad = [[0,0,0,0,0,0]]", InputError, "waypoints_rad"),
         ("p.toml", "waypoints_rad = [[0,0,0,0,0], [0,0,0,0,0.1]]", InputError, "waypoints_rad"),
         ("p.toml", "waypoints_rad = [[0,0,0,0,0,0], [0,0,0,0,0,nan]]", InputError, "waypoints_rad"),
-        ("p.toml", "waypoints_rad = [[0,0,0,0,0,0], [0,0,0,0,0,0]]", InputError, "same place"),
+        ("p.toml", "waypoints_rad = [[0,0,0,0,0,0], [0,0,0,0,0,0]]", InputError, "same posture"),
         ("p.toml", "waypoints_rad = [[0,0,0,0,0,0], [0,0,0,0,0,1]]\nspeed = 2", InputError, "speed"),
         ("p.toml", "waypoints_rad = [[0,0", InputError, "not valid TOML"),
         ("p.csv", "q1_rad,q2_rad\n0,0\n", InputError, "column q3_rad is missing"),

@@ -51,7 +51,7 @@ def run(cell, result, *more):
         (replace(RESULT, robot="kr300"), 3, "identified on robot 'kr300'"),
         (replace(RESULT, data=Drawn(cell="small")), 3, "identified on cell 'small'"),
         (replace(RESULT, loads=(replace(LOAD, frame="flange"),)), 3, "frame 'flange'"),
-        (replace(RESULT, loads=(replace(LOAD, mass_kg=800.0),)), 5, "the feedforward asks for"),
+        (replace(RESULT, loads=(replace(LOAD, mass_kg=800.0),)), 5, "the feedforward requires"),
     ],
 )
 def test_a_load_that_may_not_be_fed_is_refused(cell, result, code, words):

@@ -70,7 +70,7 @@ def test_recording_under_its_own_cell(cell_at, record):
 
 def test_recording_of_another_robot_is_refused(cell_at, record):
     path, other = record(cell_at("own")), cell_at("other", robot="large")
-    with pytest.raises(InputError, match=r"run.h5: was recorded with robot .*; in robot .*, axis \d is \d+ mm elsewh"):
+    with pytest.raises(InputError, match=r"run.h5: was recorded .* and in robot .*, axis \d is \d+ mm elsewh"):
         collect_inputs(ModelRequest(cell=other), [path])
     with pytest.raises(InputError, match="is .* mm elsewhere"):
         collect_inputs(ModelRequest(robot=EXAMPLES / "large" / "robot.urdf"), [path])
@@ -122,8 +122,8 @@ def test_corrected_constants_are_used_and_named(cell_at, record):
     ]
     said = [(finding.where, finding.what) for finding in finalize(Result("small"), about, after, [path]).findings]
     assert said == [
-        ("J1", "gear_ratio 121, recorded with 120: worked out anew with the cell's"),
-        ("J1", "zero_offset_rad 0.1, recorded with 0: worked out anew with the cell's"),
+        ("J1", "gear_ratio 121, recorded with 120: recomputed with the constants of the cell file"),
+        ("J1", "zero_offset_rad 0.1, recorded with 0: recomputed with the constants of the cell file"),
     ]
 
 
@@ -234,7 +234,7 @@ def test_a_table_of_another_number_of_axes_than_the_robot_is_refused_by_both(tmp
     path = tmp_path / "six.csv"
     path.write_text(TABLE.replace("i2_a", "tau2_nm"))
     about = collect_inputs(ModelRequest(robot=four.folder / "robot.urdf"), [path])
-    with pytest.raises(InputError, match=r"six.csv: the data are of 6 axes, robot 'pallet4' has 4"):
+    with pytest.raises(InputError, match=r"six.csv: the data have 6 axes, but robot 'pallet4' has 4"):
         read_rows([path], about)
     with pytest.raises(InputError, match=r"six.csv:1: columns of 6 axes, and the arm of the cell has 4"):
         read_rows([path], collect_inputs(ModelRequest(cell=four.folder / "cell.toml"), [path]))

@@ -41,7 +41,7 @@ def test_a_mass_without_a_centre(robot):
         {"a": 2.0},
     )
     assert unnamed_frame("a", known("a=2"), robot) is None
-    with pytest.raises(InputError, match="a load of 0 kg says nothing"):
+    with pytest.raises(InputError, match="a load of 0 kg is not allowed"):
         parse_known("a=0")
     with pytest.raises(InputError, match=r"grams\? that is 9 kg"):
         with_and_without_centre({"a": known("a=9000")}, robot, NO_ARM)
