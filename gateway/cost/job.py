@@ -14,16 +14,16 @@ from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.cost.moves import standard_moves
 from gateway.cost.timing import TimedSegment, fastest_line, line_path, stretched, timed_path
 from gateway.cost.torque import JointPath, PathTorque
-from gateway.errors import PlanRefused
-from gateway.feedforward.identified import checked, notes_of, read_identified
-from gateway.feedforward.load import FeedLoad, check_origin, identified_load, rated_load
+from gateway.errors import DataUnusable, PlanRefused
+from gateway.feedforward.identified import notes_of
+from gateway.feedforward.load import FeedLoad, rated_load
+from gateway.follow.job import loaded_model
 from gateway.follow.path import FollowPath, check_path, read_path
-from gateway.follow.settings import FeedModel, feed_model
-from gateway.model.arm_model import arm_robot
-from gateway.model.load_bounds import load_bounds
-from gateway.motion.opening import axis_setups
+from gateway.follow.settings import FeedModel
+from gateway.identify.stated_effects import OF_PARTS, Stated, stated_terms
+from gateway.model.visits import Gears
 from gateway.motion.workspace import Workspace, workspace_of
-from gateway.result.result import LoadResult, Result, read_result
+from gateway.result.result import LoadResult, Result
 
 Floats = NDArray[np.float64]
 UNLOADED, RATED, ENTERED = "no load", "rated load", "entered load"
@@ -110,10 +110,11 @@ class _Station:
     model: FeedModel
     load: FeedLoad
     variants: tuple[FeedLoad, ...]
-    period_s: float
+    stated: tuple[Stated, ...]
+    left_out: tuple[str, ...]
 
     def torque(self, path: JointPath, load: FeedLoad | None) -> PathTorque:
-        return PathTorque(path, self.model, load, self.arm.load_acceleration_m_s2)
+        return PathTorque(path, self.model, load, self.arm.load_acceleration_m_s2, self.stated)
 
 
 def cost_of(
@@ -132,19 +133,11 @@ def cost_of(
     PlanRefused
         The path leaves the workspace, or the torque does not suffice to move the load along it.
     """
-    robot = arm_robot(loaded, arm)
-    result, where = read_result(load_file), str(load_file)
-    check_origin(result, loaded, arm, robot, where)
-    load = identified_load(result, label, where, load_bounds(robot, arm))
-    identified = read_identified(loaded, arm, robot)
-    if identified is None and result.motion:
-        identified = checked(result, where, robot.axes)
-    profiles = [setup.profile for setup in axis_setups(loaded, arm)]
-    model = feed_model(arm, robot, profiles, result, identified, fed=False)
-    workspace, period_s = workspace_of(arm, robot), loaded.cell.bus[arm.bus].sync_period_s
-    paths, left_out = _paths(workspace, arm, path_file, period_s)
+    result, load, model = loaded_model(loaded, arm, load_file, label, fed=False)
+    period_s = loaded.cell.bus[arm.bus].sync_period_s
+    paths, left_out = _paths(workspace_of(arm, model.robot), arm, path_file, period_s)
     stated = next(each for each in result.loads if each.label == load.label)
-    station = _Station(arm, model, load, _variants(load, stated), period_s)
+    station = _Station(arm, model, load, _variants(load, stated), *_effects(result, len(arm.axis)))
     return LoadCost(
         cell=loaded.cell.name,
         arm=arm.name,
@@ -152,8 +145,22 @@ def cost_of(
         mass_kg=load.mass_kg,
         mass_std_kg=load.mass_std_kg,
         moves=tuple(MoveCost(path.name, tuple(_settings(station, path))) for path in paths),
-        remarks=(*left_out, *_remarks(station, result)),
+        remarks=(*left_out, *_remarks(station)),
     )
+
+
+def _effects(result: Result, axes: int) -> tuple[tuple[Stated, ...], tuple[str, ...]]:
+    """Effects of parts that the arm has, and names of those that are not in the torque."""
+    used: list[Stated] = []
+    left_out: list[str] = []
+    for effect in result.effects:
+        try:
+            if effect.name not in OF_PARTS or result.verdict == "undecided":
+                raise DataUnusable(effect.name)
+            used += stated_terms([effect], Gears.of(None, axes), axes)
+        except DataUnusable:
+            left_out.append(effect.name)
+    return tuple(used), tuple(dict.fromkeys(left_out))
 
 
 def _paths(
@@ -241,7 +248,7 @@ def _setting(
     )
 
 
-def _remarks(station: _Station, result: Result) -> Iterator[str]:
+def _remarks(station: _Station) -> Iterator[str]:
     """What the figures do not contain, and limits that are not confirmed."""
     sources = station.model.sources
     for joints, note in notes_of([axis.notes for axis in sources]):
@@ -253,7 +260,6 @@ def _remarks(station: _Station, result: Result) -> Iterator[str]:
         yield f"{', '.join(assumed)}: torque_limit_nm is assumed; confirm it before relying on the reserve"
     if not station.variants:
         yield f"load '{station.load.label}': its uncertainty is incomplete, so the reserve has no interval"
-    if result.effects:
-        names = ", ".join(dict.fromkeys(effect.name for effect in result.effects))
-        yield f"effects of the result are not in the torque: {names}"
+    if station.left_out:
+        yield f"effects of the result that are not in the torque: {', '.join(station.left_out)}"
     yield f"inertia of the load: {station.load.inertia_source}"

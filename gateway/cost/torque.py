@@ -20,7 +20,9 @@ from gateway.excite.limits import States, point_acceleration_m_s2
 from gateway.feedforward.law import AxisTerms
 from gateway.feedforward.load import FeedLoad
 from gateway.follow.settings import FeedModel
+from gateway.identify.stated_effects import Stated, with_stated
 from gateway.model.regressor import regressor
+from gateway.model.visits import Gears
 
 Floats = NDArray[np.float64]
 
@@ -63,18 +65,28 @@ class PathTorque:
         None = unloaded arm.
     load_limit_m_s2 : float or None
         Largest acceleration of the load's centre of gravity.
+    stated : tuple of (Term, array)
+        Springs, cables and bodies on links that a result states.
     """
 
     def __init__(
-        self, path: JointPath, model: FeedModel, load: FeedLoad | None, load_limit_m_s2: float | None = None
+        self,
+        path: JointPath,
+        model: FeedModel,
+        load: FeedLoad | None,
+        load_limit_m_s2: float | None = None,
+        stated: tuple[Stated, ...] = (),
     ) -> None:
         self._path, self._model = path, model
+        parts = with_stated(stated, path.q_rad, Gears.of(None, path.q_rad.shape[1]))
         parameters = model.links.copy()
+        # a body on a link is stated by mass and first moment; its own inertia is not known
+        parameters.reshape(-1, 10)[:, :4] += parts.link_extra.reshape(-1, 4)
         if load is not None:
             parameters[-10:] += load.parameters
         still, no_gravity = np.zeros_like(path.q_rad), np.zeros(3)
         robot = model.robot
-        self._gravity = regressor(robot, path.q_rad, still, still, model.gravity_m_s2) @ parameters
+        self._gravity = regressor(robot, path.q_rad, still, still, model.gravity_m_s2) @ parameters - parts.passive_nm
         self._by_acceleration = regressor(robot, path.q_rad, still, path.by_s, no_gravity) @ parameters
         self._by_speed2 = regressor(robot, path.q_rad, path.by_s, path.by_s2, no_gravity) @ parameters
         self._limit_m_s2 = None if load is None else load_limit_m_s2

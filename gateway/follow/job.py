@@ -8,7 +8,7 @@ from pathlib import Path
 from gateway.cell.config import ArmConfig, LoadedCell
 from gateway.errors import DataUnusable
 from gateway.feedforward.identified import checked, read_identified
-from gateway.feedforward.load import check_origin, identified_load
+from gateway.feedforward.load import FeedLoad, check_origin, identified_load
 from gateway.follow.path import FollowPath, check_path, read_path
 from gateway.follow.run import FollowStation, Progress, follow
 from gateway.follow.settings import FeedModel, Setting, check_offsets, feed_model, three_settings
@@ -93,30 +93,33 @@ def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepa
         The result holds no identified load. PlanRefused
         The path leaves the workspace, or an offset reaches its limit.
     """
-    robot = arm_robot(loaded, arm)
-    profiles = [setup.profile for setup in axis_setups(loaded, arm)]
-    result, where = _result(request)
-    check_origin(result, loaded, arm, robot, where)
-    load = identified_load(result, request.label, where, load_bounds(robot, arm))
-    identified = read_identified(loaded, arm, robot)
-    if identified is None and result.motion:
-        identified = checked(result, where, robot.axes)
-    model = feed_model(arm, robot, profiles, result, identified)
+    _, load, model = loaded_model(loaded, arm, request.load, request.label)
     settings = three_settings(arm, model, load)
-    workspace = workspace_of(arm, robot)
+    workspace = workspace_of(arm, model.robot)
     path = read_path(request.path, workspace, loaded.cell.bus[arm.bus].sync_period_s)
     check_path(path, workspace)
     check_offsets(path, settings, arm.name)
     return Prepared(loaded, arm, workspace, path, str(request.path), model, settings)
 
 
-def _result(request: FollowRequest) -> tuple[Result, str]:
-    if request.load is None:
+def loaded_model(
+    loaded: LoadedCell, arm: ArmConfig, load_file: Path | None, label: str | None, *, fed: bool = True
+) -> tuple[Result, FeedLoad, FeedModel]:
+    """Result, its load, and the model of the arm; `fed` as in `feed_model`; raises as `prepare`."""
+    if load_file is None:
         raise DataUnusable(
             "no identified load: give --load RESULT.json, as `servo-gateway estimate DATA --json RESULT.json` or "
             "`commission` writes it for this cell"
         )
-    return read_result(request.load), str(request.load)
+    robot = arm_robot(loaded, arm)
+    profiles = [setup.profile for setup in axis_setups(loaded, arm)]
+    result, where = read_result(load_file), str(load_file)
+    check_origin(result, loaded, arm, robot, where)
+    load = identified_load(result, label, where, load_bounds(robot, arm))
+    identified = read_identified(loaded, arm, robot)
+    if identified is None and result.motion:
+        identified = checked(result, where, robot.axes)
+    return result, load, feed_model(arm, robot, profiles, result, identified, fed=fed)
 
 
 def drive(opened: OpenArm, prepared: Prepared, progress: Progress, options: MoveOptions | None = None) -> Comparison:

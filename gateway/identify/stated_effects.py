@@ -17,6 +17,7 @@ from gateway.errors import DataUnusable
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.effects.torque_ripple import TorqueRipple
+from gateway.model.rest import AlteredModel, neutral
 from gateway.model.term import Term
 from gateway.model.visits import Gears, visits_at
 from gateway.result.result import EffectResult
@@ -41,6 +42,8 @@ LASTING: Final = frozenset(
 )
 #: Effects whose torque at rest is a part of the unloaded arm's own offsets.
 IN_OFFSETS: Final = frozenset(("static_friction",))
+#: Effects of parts that the arm has: a spring, a cable, a body on a link.
+OF_PARTS: Final = frozenset(("balancer_spring", "cable_torque", "link_mass"))
 #: Largest relative deviation of what is reported from what is stated.
 SAME: Final = 1e-6
 
@@ -70,6 +73,15 @@ def stated_terms(effects: Iterable[EffectResult], gears: Gears, axes: int) -> tu
             )
         found.append(solved)
     return tuple(found)
+
+
+def with_stated(stated: Iterable[Stated], q_rad: Floats, gears: Gears) -> AlteredModel:
+    """Return the setting at postures (n, N) in which these effects act and nothing else."""
+    rows = visits_at(q_rad, gears)
+    setting = neutral(*q_rad.shape)
+    for term, theta in stated:
+        setting = term.apply(setting, theta, rows)
+    return setting
 
 
 def _solutions(effect: EffectResult, gears: Gears, axes: int) -> Iterator[Stated]:

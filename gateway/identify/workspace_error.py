@@ -19,9 +19,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.stated_effects import Stated
+from gateway.identify.stated_effects import Stated, with_stated
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
-from gateway.model.rest import Model, neutral
+from gateway.model.rest import Model
 from gateway.model.robot import Robot
 from gateway.model.visits import Gears, visits_at
 from gateway.result.result import Bare, LoadResult
@@ -88,14 +88,12 @@ class EnteredLoad:
 
     def _with_effects(self, q_rad: Floats, gravity_m_s2: Floats) -> Floats:
         axes = self.robot.axes
-        rows = visits_at(q_rad, self.gears or Gears.of(None, axes))
-        setting = neutral(len(q_rad), axes)
+        gears = self.gears or Gears.of(None, axes)
+        setting = with_stated(self.effects, q_rad, gears)
         bias_nm = np.nan_to_num(np.array(self.bare.offset_nm))
-        setting = replace(setting, gain=setting.gain * self.factor(), bias_nm=bias_nm)
-        for term, theta in self.effects:
-            setting = term.apply(setting, theta, rows)
+        setting = replace(setting, gain=setting.gain * self.factor(), bias_nm=setting.bias_nm + bias_nm)
         links, band_nm = self.parameters(), np.zeros(axes) if self.band_nm is None else np.nan_to_num(self.band_nm)
-        model = Model(self.robot, rows, gravity_m_s2)
+        model = Model(self.robot, visits_at(q_rad, gears), gravity_m_s2)
         return model.predict(setting, links, np.zeros((len(q_rad), 4)), band_nm).sum_nm
 
     def factor(self) -> Floats:

@@ -14,8 +14,10 @@ from gateway.cost.timing import line_path
 from gateway.cost.torque import PathTorque, TimeLaw
 from gateway.feedforward.load import assumed_load
 from gateway.follow.settings import feed_model
+from gateway.identify.stated_effects import stated_terms
 from gateway.model.arm_model import arm_robot
-from gateway.result.result import Result
+from gateway.model.visits import Gears
+from gateway.result.result import EffectResult, Result
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "large" / "cell.toml"
 START, END = np.array([0.2, -0.3, 0.4, 0.1, -0.5, 0.3]), np.array([-0.4, 0.5, -0.2, 0.6, 0.4, -0.6])
@@ -48,6 +50,25 @@ def test_motor_torque_is_that_of_the_feedforward(model, coupled):
         expected = [torque * axis.ratio * axis.torque_sign for torque, axis in zip(motor, model.axes, strict=True)]
         # straight lines between 61 postures
         assert found[row] == pytest.approx(expected, rel=2e-3, abs=1.0)
+
+
+def test_a_balancer_of_the_result_takes_its_torque_off_the_motor(model):
+    """Closed form of a coil between base and link 2, from the stated numbers."""
+    known = {"stiffness_n_m": 9e4, "free_length_m": 0.3, "phase_rad": 0.2, "lever_ratio": 0.6, "reach_m": 0.728}
+    stated = stated_terms([EffectResult("balancer_spring", (2,), known)], Gears.of(None, 6), 6)
+    path = line_path(START, END)
+    # without losses the motor torque is the rigid one and friction
+    axes = tuple(replace(axis, efficiency=1.0) for axis in model.axes)
+    lossless = replace(model, axes=axes)
+    pulled = PathTorque(path, lossless, LOAD, None, stated).motor_nm(LAW) - PathTorque(path, lossless, LOAD).motor_nm(
+        LAW
+    )
+    angle = START[1] + LAW.s * (END - START)[1] - 0.2
+    product = 0.6 * 0.728**2 / 2.0
+    length = np.sqrt(0.728**2 - 2.0 * product * np.cos(angle))
+    expected = 9e4 * (length - 0.3) * product * np.sin(angle) / length
+    assert pulled[:, 1] == pytest.approx(expected, rel=2e-3, abs=1.0)
+    assert np.abs(np.delete(pulled, 1, axis=1)).max() == 0.0
 
 
 def test_acceleration_of_the_load_is_that_of_its_centre_along_the_path(model):
