@@ -34,6 +34,7 @@ from gateway.drivetest.standstill import PositionTrack, Standstill, first_after
 from gateway.drivetest.torque_age import NAME as AGE
 from gateway.drivetest.torque_age import modulated, torque_age
 from gateway.errors import FindingFailed, LimitExceeded, PlanRefused
+from gateway.motion.drive_limits import quick_stop_rad_s2
 from gateway.motion.observer import Observed, Scene
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
@@ -44,6 +45,9 @@ from gateway.result.drive_test import TimingFigure
 _FAULT_OPTION: Final = 1
 #: Error code of a lost heartbeat (CiA 301, table 26).
 _HEARTBEAT_ERROR: Final = 0x8130
+#: A stop may last this many times the duration of the ramp in the drive, and longer by this [s] and two SYNCs.
+RAMP_FACTOR: Final = 2.0
+RAMP_MARGIN_S: Final = 0.05
 LOSS, QUICK_TIME, QUICK_ANGLE = "heartbeat_loss_to_standstill_s", "quick_stop_time_s", "quick_stop_angle_rad"
 FAULT_TIME, BRAKE = "fault_reaction_time_s", "brake_drop_rad"
 
@@ -145,6 +149,7 @@ class PoweredTests:
         self._drops_rad: list[np.ndarray] = []
         self._stopped_by = "not measured"
         self.error: Exception | None = None
+        self._ramp_rad_s2 = quick_stop_rad_s2(opened.config, opened.profiles, opened.readings)
         options.observers.add(self._motion)
 
     def phases(self) -> list[tuple[str, Callable[[], None]]]:
@@ -280,9 +285,23 @@ class PoweredTests:
             return None
         slip_s = self._record.resolution_s
         low, high = max(0.0, rest.low_s - slip_s), rest.high_s + begin_s[1] - begin_s[0] + slip_s
+        if name in (QUICK_TIME, FAULT_TIME):
+            self._compare_with_ramp(sheet, name, low, rest.speed_per_s * self._joint_per_count(sheet))
         text = f"{method}; resolution: SYNC period of {1000 * self._period_s:g} ms"
         sheet.figures.append(TimingFigure(name, (low + high) / 2.0, (low, high), "s", 1, text))
         return rest
+
+    def _compare_with_ramp(self, sheet: DriveSheet, name: str, low_s: float, speed_rad_s: float) -> None:
+        """Compare a stop with the ramp that the drive holds (0x6085)."""
+        if self._ramp_rad_s2 is None:
+            return
+        stated_s = speed_rad_s / float(self._ramp_rad_s2[sheet.number])
+        if low_s > RAMP_FACTOR * stated_s + 2.0 * self._period_s + RAMP_MARGIN_S:
+            what = "quick stop" if name == QUICK_TIME else "fault reaction"
+            sheet.findings.append(
+                f"{what} lasts at least {1000 * low_s:.0f} ms, its ramp 0x6085 states {1000 * stated_s:.0f} ms; check "
+                "0x605A, 0x605E, 0x6085 and the tuning of the drive"
+            )
 
     def _by_sdo(self, name: str, sheets: Sequence[DriveSheet], traces: Sequence[StopTrace], since_fault: bool) -> None:
         """Bounds for drives that left NMT state OPERATIONAL (0x1029): their positions were read by SDO."""

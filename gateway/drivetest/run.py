@@ -7,6 +7,7 @@ from pathlib import Path
 
 from gateway.check.brakes import AskSupport
 from gateway.drivetest.frames import FrameRecord
+from gateway.drivetest.judge import judge
 from gateway.drivetest.powered import PoweredTests
 from gateway.drivetest.sheet import DriveSheet
 from gateway.drivetest.unpowered import run_unpowered
@@ -67,6 +68,8 @@ class DriveTestRun:
             powered = PoweredTests(self._opened, self._sheets, record, options, proof, ask)
             powered.run(self._say, self.write)
             self.error = powered.error
+            judge(self._sheets, self._opened.group.timing.period_s)
+            self.write()
 
 
 def axes_named(names: Sequence[str], count: int) -> frozenset[int]:
