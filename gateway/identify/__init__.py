@@ -1,1 +1,1 @@
-"""What every identification needs, once: priors of the links, loads and bare arms, columns of moving runs."""
+"""Common parts of all identifications: priors of links, loads and unloaded arms, and columns of moving runs."""

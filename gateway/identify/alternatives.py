@@ -1,4 +1,4 @@
-"""Statements about an arm that may be wrong although nothing contradicts them: their share of the uncertainty.
+"""Contribution of possibly wrong statements to the uncertainty of a load, although no measurement contradicts them.
 
 Each alternative is a wider prior, or a further disturbance: zero errors of the joints, a hose or cable that comes with
 the load, friction that a load makes lopsided. The answer is averaged over the alternatives by their posterior
@@ -25,7 +25,7 @@ from gateway.model.robot import Robot, link_lengths_m
 
 Floats = NDArray[np.float64]
 
-#: Relative standard deviations of link masses that are tried, and of torque constants; factors on changes of gain.
+#: Alternatives that are tried: relative standard deviations of link masses, of torque constants, factors on gain changes.
 LINK_SPREADS: Final = (0.02, 0.05, 0.1, 0.2, 0.4)
 _GAINS: Final = (0.01, 0.03, 0.06, 0.12)
 _CHANGES: Final = (3.0, 8.0)
@@ -35,17 +35,17 @@ LINK_SCALE: Final = 0.2
 _ZEROS_RAD: Final = (0.002, 0.01)
 #: Standard deviations of a hose's weight on each link over that of the load, and of its torque over the axis's own.
 _CABLES: Final = (0.01, 0.04)
-#: Probability beforehand of each alternative over that of what is stated.
+#: Prior odds of each alternative against the statement.
 _PRIOR_ODDS: Final = 0.1
 
 
 def wider_links(inertials: str) -> list[float]:
-    """Relative standard deviations of link masses that are tried beside the stated one."""
+    """Return the relative standard deviations of link masses that are tried beside the stated one."""
     return [wider for wider in LINK_SPREADS if wider > 1.5 * parse_inertials(inertials)]
 
 
 def wider_statements(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
-    """The knowledge with one group of statements trusted less."""
+    """Return copies of the knowledge in which one group of statements has a wider prior."""
     for wider in wider_links(knowledge.inertials):
         yield replace(knowledge, inertials=f"prior:{wider:g}")
     std = gain_stds(knowledge.gain_std, robot.axes)
@@ -58,14 +58,14 @@ def wider_statements(robot: Robot, knowledge: Knowledge) -> Iterator[Knowledge]:
 
 
 def wider_std(problem: RestProblem, robot: Robot, knowledge: Knowledge) -> Floats:
-    """Standard deviations (p,) of the priors of a problem, had it been built with this knowledge."""
+    """Return the prior standard deviations (p,) that a problem would have with this knowledge."""
     nuisance = nuisance_of(problem.rows, knowledge, replace(problem.nuisance.changes, factor=knowledge.change))
     _, link_std = open_link_prior(robot, knowledge.inertials)
     return replace(problem, link_std=link_std, nuisance=nuisance).common_std
 
 
 def spread_of_loads(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> dict[str, Floats]:
-    """Covariance (labels, 4, 4) of [m, h] by source that the alternatives add to that of the fit."""
+    """Return by source the covariance (labels, 4, 4) of [m, h] that the alternatives add to that of the fit."""
     zeros, cable = _zero_columns(problem, fit), _cable_columns(robot, problem, fit)
     line = LinearisedFit.of(problem, fit, np.hstack([zeros, cable]))
     std, none = problem.common_std, np.zeros(zeros.shape[1] + cable.shape[1])
@@ -100,20 +100,20 @@ def spread_of_loads(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Kno
 
 
 def _widening(covariance: Floats) -> Floats:
-    """The part of a difference of covariances (k, 4, 4) that widens: an alternative never narrows the answer."""
+    """Return the positive part of differences of covariances (k, 4, 4): an alternative never narrows the answer."""
     size, vectors = np.linalg.eigh(covariance)
     return (vectors * np.maximum(size, 0.0)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
 
 
 def _zero_columns(problem: RestProblem, fit: Fit) -> Floats:
-    """Derivatives (rows, N) of the readings by the zero of each joint."""
+    """Derivatives (rows, N) of the readings by the zero position of each joint."""
     theta = np.zeros(1)
     terms = [JointZeroOffset(axis) for axis in range(problem.axes)]
     return np.hstack([term_columns(problem, fit, fit.noise, term, theta) for term in terms])
 
 
 def _cable_columns(robot: Robot, problem: RestProblem, fit: Fit) -> Floats:
-    """Readings (rows, k) of what may come with a load: its weight on each link, and a constant torque on each axis.
+    """Readings (rows, k) of effects that may come with a load: its weight on each link, and a constant torque per axis.
 
     Per unit of the largest load's mass, and of each axis's torque.
     """

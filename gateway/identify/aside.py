@@ -1,4 +1,4 @@
-"""Gross torques of rest visits set aside, and what the reader is told of them."""
+"""Outliers of rest visits that no fit uses, and their entries and findings in the result."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from gateway.result.result import Finding, SetAside
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aside:
-    """Gross torques that are in no fit: where they stand (n, N), as the result lists them, and what to say of them."""
+    """Rejected torques of rest visits: mask (n, N), entries of the result, and findings."""
 
     mask: NDArray[np.bool_]
     entries: tuple[SetAside, ...] = ()
     findings: tuple[Finding, ...] = ()
 
     def among(self, first: int) -> tuple[SetAside, ...]:
-        """The entries of visits from the `first` on."""
+        """Return the rejected torques of the visits from `first` on."""
         visits = np.argwhere(self.mask)[:, 0]
         return tuple(entry for entry, visit in zip(self.entries, visits, strict=True) if visit >= first)
 
 
 def gross_aside(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> Aside:
-    """Gross torques of rest visits, from the visits alone."""
+    """Find the outliers of rest visits from the visits alone."""
     gross = find_gross(visits, gravity_regressor(robot, visits.q_rad, gravity_m_s2))
     entries = set_aside(gross, visits.run.tolist(), visits.load.tolist(), visits.pose.tolist())
     return Aside(gross.mask(visits.sum_nm.shape), entries, gross_findings(gross, entries))
 
 
 def without_gross(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> tuple[Visits, Aside]:
-    """The visits with gross torques unmeasured, and what was set aside."""
+    """Return the visits with outliers marked as not measured, and the outliers."""
     aside = gross_aside(visits, robot, gravity_m_s2)
     return visits.unmeasured(aside.mask), aside

@@ -1,4 +1,4 @@
-"""Where the variance of an estimate comes from: the torque constants, the links, the friction, the noise."""
+"""Variance of an estimate by source: torque constants, links, friction, drift, noise."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Names = NDArray[np.str_]
 CONSTANTS: Final = "constants"
 LINKS: Final = "links"
 FRICTION: Final = "friction"
-#: Of gains that change between runs and while the arm warms up.
+#: Source: gains that change between runs and while the arm warms up.
 DRIFT: Final = "drift"
-#: Of zero errors of the joints, and of a hose or cable that comes with the load.
+#: Sources: zero errors of the joints; a hose or cable that comes with the load.
 ZEROS: Final = "zeros"
 CABLE: Final = "cable"
-#: Of what no prior accounts for, too.
+#: Source: measured rows, and everything without a prior.
 NOISE: Final = "noise"
 #: Keys of a budget.
 SOURCES: Final = (CONSTANTS, LINKS, FRICTION, DRIFT, NOISE)
@@ -31,7 +31,7 @@ SOURCES: Final = (CONSTANTS, LINKS, FRICTION, DRIFT, NOISE)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sources:
-    """What each row and each prior of a weighted problem stands for.
+    """Source of the uncertainty of each row and each prior of a weighted problem.
 
     Attributes
     ----------
@@ -51,7 +51,7 @@ class Sources:
 def budget_of(
     design: ByGroup, weight: Floats, prior: Prior, covariance: Floats, direction: Floats, sources: Sources
 ) -> Mapping[str, float]:
-    """Share of the variance of `direction @ x` by source, sum 1, whatever the order.
+    """Return the share of the variance of `direction @ x` by source, with sum 1.
 
     The estimate is linear in the measured rows and in the prior's means, each of variance 1 once weighted. The variance
     is the sum of the squares of its coefficients, `|direction C A^T W|^2 + |direction C P^T|^2`, and every row and
@@ -91,7 +91,7 @@ def budget_of(
 
 
 def budget_by_priors(lead: Floats, precision: Floats, sources: Mapping[str, Ints], variance: float) -> dict[str, float]:
-    """Share of a variance by source, sum 1, where all knowledge but the noise stands in priors of parameters.
+    """Return the share of a variance by source, with sum 1, if all uncertainty except noise is in priors.
 
     `NOISE` is what the priors leave. With covariance `C` and prior precision `L` the variance `a C a` of `a x` is
     `a C A C a + a C L C a`, the first from the rows and the second from the priors, one term for each parameter.

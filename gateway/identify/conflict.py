@@ -34,7 +34,7 @@ from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
-#: Between a label and a run: in no label that a table may have.
+#: Separator of label and run; labels of a table do not contain it.
 _APART: Final = "\x1f"
 #: Groups that can be in conflict, one after the other.
 _ROUNDS: Final = 3
@@ -42,7 +42,7 @@ _ROUNDS: Final = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SettledKnowledge:
-    """Knowledge that the data do not contradict, the fit with it, and what was contradicted.
+    """Knowledge after the tests, the fit with it, and the contradicted statements.
 
     `stated` is the problem and the fit with the knowledge as it was stated; `spread` (labels, 4, 4) by source is what
     statements that are not contradicted may still be wrong by, as a covariance of [m, h].
@@ -88,12 +88,14 @@ def settle(
 
 
 def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:
-    """Whether what was widened then differs from what is stated: rounding of rows without noise alone may favour it."""
+    """Return whether the widened parameters differ significantly from the statements; guards against rounding in
+    noise-free rows.
+    """
     return all(away > CONFLICT.shown for away, _ in _contradicted(robot, problem, fit, stated, wider))
 
 
 def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Knowledge | None:
-    """The knowledge with the group widened that the data contradict most; None where they contradict none."""
+    """Return the knowledge with the most contradicted group widened; None where no group is contradicted."""
     line = LinearisedFit.of(problem, fit)
     stated = line.evidence(problem.common_std)
     best, found = CONFLICT.log_odds, None
@@ -123,12 +125,12 @@ def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Kn
 
 
 def _unloaded(problem: RestProblem, knowledge: Knowledge) -> bool:
-    """Whether the arm was measured under a load that is known, or none."""
+    """Return whether the arm was measured unloaded or under a known load."""
     return knowledge.bare is not None or bool((problem.member.sum(axis=1) == 0).any())
 
 
 def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, tuple[Finding, ...]]:
-    """The knowledge without link masses that an exporter filled in, and what is reported of it."""
+    """Return the knowledge without placeholder link masses of an exporter, and the findings on them."""
     why, advice = mass_placeholder(robot), "state the masses of the data sheet in the URDF"
     if knowledge.inertials == "ignore":
         return knowledge, ()
@@ -141,7 +143,9 @@ def without_placeholder(robot: Robot, knowledge: Knowledge) -> tuple[Knowledge, 
 
 
 def dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
-    """The wider knowledge, without links that need more than three times their stated spread."""
+    """Return the wider knowledge, with links ignored if they need more than three times their stated standard
+    deviation.
+    """
     trust, needed = parse_inertials(stated.inertials), parse_inertials(wider.inertials)
     if needed > CONFLICT.dropped * max(trust, LINK_SPREADS[0]):
         return replace(wider, inertials="ignore")
@@ -151,8 +155,8 @@ def dropped(stated: Knowledge, wider: Knowledge) -> Knowledge:
 def _contradicted(
     robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
 ) -> Iterator[tuple[float, Finding]]:
-    """What of the stated knowledge the measurement contradicts, by the settled fit: each with the standard deviations
-    by which it differs, and with the numbers of both.
+    """Report the contradicted statements by the settled fit, each with its difference in standard deviations and both
+    values.
     """
     for label in stated.weighed:
         if label not in settled.weighed:
@@ -168,7 +172,7 @@ def _contradicted(
 def _links_contradicted(
     robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, settled: Knowledge
 ) -> tuple[float, Finding]:
-    """The axis on which the torque of the unloaded arm differs most from what the URDF's masses give."""
+    """Report the axis on which the torque of the unloaded arm differs most from the torque of the URDF's masses."""
     mean, _ = open_link_prior(robot, stated.inertials)
     rows, own = problem.model.nominal, problem.link_part
     expected = rows @ mean
@@ -203,7 +207,7 @@ def links_finding(axis: int, torque_nm: tuple[float, float, float], where: str, 
 
 
 def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> tuple[float, Finding]:
-    """The axes whose torque constants differ most from what is stated."""
+    """Report the axes whose torque constants differ most from the statements."""
     gain, std = _functions(fit, problem.gain_directions)
     away = np.where(problem.use_sum.any(axis=0), np.abs(gain) / np.hypot(stated, std), 0.0)
     axes = np.flatnonzero(away > CONFLICT.shown) if (away > CONFLICT.shown).any() else np.array([np.argmax(away)])
@@ -224,7 +228,7 @@ def _gains_contradicted(problem: RestProblem, fit: Fit, stated: Floats) -> tuple
 
 
 def _gains_changed(problem: RestProblem, fit: Fit, stated: float) -> tuple[float, Finding]:
-    """The axis and the time between which its reading changed most."""
+    """Report the axis with the largest change of its torque reading, and the visits between which it changed."""
     rows = problem.rows
     order = np.argsort(rows.time_s, kind="stable") if np.isfinite(rows.time_s).all() else np.arange(len(rows))
     gains = problem.gains_at(rows.take(order))
@@ -246,14 +250,16 @@ def _gains_changed(problem: RestProblem, fit: Fit, stated: float) -> tuple[float
 
 
 def _functions(fit: Fit, directions: Floats) -> tuple[Floats, Floats]:
-    """Value and standard deviation (k,) of linear functions (k, n_common) of what every hypothesis has."""
+    """Values and standard deviations (k,) of linear functions (k, n_common) of the common parameters."""
     own = fit.covariance[: directions.shape[1], : directions.shape[1]]
     variance = np.einsum("ki,ij,kj->k", directions, own, directions)
     return directions @ fit.common, np.sqrt(np.maximum(variance, 0.0))
 
 
 def two_bodies(robot: Robot, rows: Visits, knowledge: Knowledge) -> Mapping[str, str]:
-    """Labels under which two runs carry different bodies, each with why: 4 degrees of freedom of [m, h]."""
+    """Return labels under which two runs carry different bodies, each with the reason; test with 4 degrees of freedom
+    of [m, h].
+    """
     out: dict[str, str] = {}
     names = {load: tuple(dict.fromkeys(rows.run[rows.load == load].tolist())) for load in np.unique(rows.load).tolist()}
     for label, runs in names.items():

@@ -11,9 +11,9 @@ Floats = NDArray[np.float64]
 
 #: Rows below which no correlation is estimated.
 _FEWEST: Final = 8
-#: Correlation [-] at which its sum ends: beyond, it is that of few independent rows.
+#: Correlation [-] below which the sum ends: smaller values are those of few independent rows.
 _FADED: Final = 0.05
-#: Longest lag [rows], and as a share of the rows: beyond, few pairs are left.
+#: Longest lag [rows], and as a share of the rows; longer lags have too few pairs.
 _LONGEST, _LONGEST_SHARE = 2000, 0.25
 
 

@@ -1,4 +1,4 @@
-"""How far each rest visit lies off what the others say, axis by axis (`methods.md` 9).
+"""Deviation of each rest visit from the prediction of the other visits, by axis (`methods.md` 9).
 
 What every visit of a pose shows is an effect of the arm: springs, cables and ripple drop out of the contrasts between
 visits of one pose, and of those of two loads the load is fitted. Visits that no other one repeats are held against a
@@ -23,39 +23,39 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class GrossLimits:
-    """What counts as gross. Origin: simulated arms of seeds 0 to 199, with and without effects, gross visits added."""
+    """Limits of an outlier. Origin: simulated arms of seeds 0 to 199, with and without effects and outliers."""
 
-    #: Robust standard deviations that an entry lies off at least.
+    #: Least deviation of an outlier, in robust standard deviations.
     scales: float = 7.0
-    #: The same for visits of a pose that no other visit repeats: smooth effects are in their scatter.
+    #: The same for a pose that is visited once: the scatter contains smooth effects.
     scales_alone: float = 9.0
-    #: Friction bands that half a sum lies off at least, half a difference at least.
+    #: Least deviation in friction bands: of a half-sum, of a half-difference.
     sum_bands: float = 0.7
     difference_bands: float = 0.7
-    #: The same of half a sum that no other visit of its pose checks.
+    #: The same of a half-sum without another visit of its pose.
     alone_bands: float = 1.5
-    #: Share of the axis's torque below which nothing is gross, where neither friction nor noise is known.
+    #: Share of the axis torque below which nothing is an outlier, if friction and noise are unknown.
     torque_share: float = 2e-3
-    #: Share of the visits of an axis that may be set aside: more of them are no accident.
+    #: Largest share of the visits of an axis that may be rejected.
     most: float = 0.1
-    #: Visits one after the other of one load: so many of them are a change, not an accident.
+    #: Number of consecutive visits of one load that count as a change instead of outliers.
     in_a_row: int = 3
-    #: Rows of an axis below which nothing is judged.
+    #: Least number of rows of an axis for a decision.
     least_rows: int = 5
-    #: Scatter of both halves over the friction band from which on every visit of an axis is disturbed.
+    #: Scatter of both halves over the friction band above which all visits of an axis count as disturbed.
     disturbed_bands: float = 1.0
-    #: Share of the axes that may be so before nothing at all is set aside.
+    #: Share of disturbed axes above which nothing is rejected.
     disturbed_axes: float = 0.5
 
 
 LIMITS: Final = GrossLimits()
-#: Prior of the gains in the contrasts, relative: wide enough for any that is ordinary.
+#: Relative prior standard deviation of the gains in the contrasts: wide enough for usual errors.
 _GAIN_STD: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Deviations:
-    """Deviations (n, N) of half sums and half differences, which are gross, and the scatter (N,) of both halves.
+    """Deviations (n, N) of half-sums and half-differences, mask of outliers, and scatter (N,) of both halves.
 
     Into the scatter goes what no effect of the arm can be, the contrasts within poses and the half differences.
     """
@@ -67,7 +67,7 @@ class Deviations:
 
 
 def least_scale(visits: Visits, limits: GrossLimits) -> Floats:
-    """Scale (N,) below which no scatter is believed."""
+    """Smallest scale (N,) that is accepted as a scatter."""
     count = np.maximum(np.isfinite(visits.sum_nm).sum(axis=0), 1)
     size = np.sqrt(np.nansum(visits.sum_nm**2, axis=0) / count)
     sampled = column_medians(visits.sample_std_nm)
@@ -75,7 +75,7 @@ def least_scale(visits: Visits, limits: GrossLimits) -> Floats:
 
 
 def poses_of(q_rad: Floats) -> list[Ints]:
-    """Visits of the same angles, in the order given; lists of one included."""
+    """Groups of visits with equal joint angles, in the order given; groups may have one visit."""
     left, out = np.arange(len(q_rad)), []
     while len(left):
         near = np.abs(q_rad[left] - q_rad[left[0]]).max(axis=1) < SAME_POSE_RAD
@@ -91,7 +91,7 @@ def bands(visits: Visits) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseContrasts:
-    """Pairs of visits of one pose: visits `one` and `other` (k,), and the gravity rows (k, N, 4 N) of the first."""
+    """Pairs of visits of one pose: visits `one` and `other` (k,), and gravity rows (k, N, 4 N) of the first."""
 
     one: Ints
     other: Ints
@@ -99,7 +99,7 @@ class PoseContrasts:
 
 
 def contrasts_of(visits: Visits, regressor: Floats) -> PoseContrasts:
-    """Pairs of visits of one pose: two visits make one, more of them a ring in the order of time."""
+    """Return the pairs of visits of one pose: one pair of two visits, a ring in time order of more."""
     one: list[int] = []
     other: list[int] = []
     for group in poses_of(visits.q_rad):
@@ -121,7 +121,7 @@ def deviations(
     model, residual, scale = _whole_fit(visits, regressor, without, least)
     differences = _difference_off(visits.difference_nm, np.abs(model), without, least)
     known = np.where(np.isfinite(differences.scale), differences.scale, 0.0)
-    # both halves of a visit carry the same noise: a scatter of half sums that is smaller is luck
+    # both halves of a visit have the same noise: a smaller scatter of the half-sums is chance
     least = np.maximum(least, known)
     band = np.nan_to_num(bands(visits))
     repeated = _contrast_off(visits, pairs, without, residual, least, limits)
@@ -137,7 +137,7 @@ def deviations(
 
 
 def _whole_fit(visits: Visits, regressor: Floats, without: Mask, least: Floats) -> tuple[Floats, Floats, Floats]:
-    """Model (n, N), residual (n, N) and scale (N,) of a robust fit of links, loads, constants and sides."""
+    """Fit links, loads, constants and sides robustly; return model (n, N), residual (n, N) and scale (N,)."""
     use = np.isfinite(visits.sum_nm)
     visit, axis = np.nonzero(use)
     rows = regressor[visit, axis]
@@ -153,7 +153,7 @@ def _whole_fit(visits: Visits, regressor: Floats, without: Mask, least: Floats) 
 
 
 def _load_columns(rows: Floats, load: NDArray[np.str_]) -> list[Floats]:
-    """Columns of each load but the first: that one lumps with the last link."""
+    """Columns of each load except the first, which is not separable from the last link."""
     return [rows[:, -4:] * (load == label)[:, None] for label in dict.fromkeys(load.tolist())][1:]
 
 
@@ -168,7 +168,7 @@ class _Repeated:
 def _contrast_off(
     visits: Visits, contrasts: PoseContrasts, without: Mask, residual: Floats, least: Floats, limits: GrossLimits
 ) -> _Repeated:
-    """Half sums that lie off the other visits of their pose, whatever the pose itself shows."""
+    """Return the deviation of each half-sum from the other visits of its pose, without any model of the pose."""
     shape = visits.sum_nm.shape
     one, other = contrasts.one, contrasts.other
     use = np.isfinite(visits.sum_nm[one] - visits.sum_nm[other]) & (visits.side[one] == visits.side[other])
@@ -200,7 +200,7 @@ def _contrast_off(
 def _contrast_fit(
     visits: Visits, contrasts: PoseContrasts, use: Mask, without: Mask, least: Floats
 ) -> tuple[Floats, Floats]:
-    """What loads, gains and drifts between loads do not explain of the contrasts (k, N), and its scale (N,)."""
+    """Fit the contrasts (k, N) with loads, gains and drifts between loads; return the residual and its scale (N,)."""
     axes, one, other = use.shape[1], contrasts.one, contrasts.other
     contrast, axis = np.nonzero(use)
     first, second = one[contrast], other[contrast]
@@ -217,7 +217,7 @@ def _contrast_fit(
     free = np.hstack([*loads, *shifts])
     fit = robust_fit(free, target, axis, least, sound)
     if labels:
-        # the load's torque as modelled is the column of a gain
+        # the modelled torque of the load is the column of a gain
         columns = np.hstack([free, own * (target - fit.residual)[:, None]])
         prior_std = np.concatenate([np.full(free.shape[1], np.inf), np.full(axes, _GAIN_STD)])
         fit = robust_fit(columns, target, axis, least, sound, prior_std)
@@ -233,7 +233,7 @@ class _Differences:
 
 
 def _difference_off(difference_nm: Floats, torque_nm: Floats, without: Mask, least: Floats) -> _Differences:
-    """Half differences less `band + nu |tau|`, fitted robustly, and their scale (N,)."""
+    """Half-differences less a robust fit of `band + nu |tau|`, and their scale (N,)."""
     off, scale = np.full(difference_nm.shape, np.nan), np.full(len(least), np.inf)
     use = np.isfinite(difference_nm)
     use &= use.sum(axis=0) >= LIMITS.least_rows

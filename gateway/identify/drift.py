@@ -1,4 +1,4 @@
-"""What an arm has drifted by between two times at which it measured the same poses under the same load."""
+"""Drift of an arm between two measurements of the same poses under the same load."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
-#: A pose that is measured a second time has the number of the first time and so much.
+#: Added to the number of a pose when it is measured a second time.
 AGAIN = 1000
-#: Poses that tell a change.
+#: Least number of poses for a change.
 _FEWEST = 3
-#: Half of a 95 % interval beyond which a change is not known, as of an axis that carries nothing.
+#: Half of a 95 % interval above which a change counts as unknown, such as of an axis without load.
 _LARGEST_HALF = 0.1
-#: Halves of a 95 % interval from none at which a change is told: twelve are asked for, most of them of few poses.
+#: Significance of a change in halves of its 95 % interval; strict, because twelve changes are tested.
 _TOLD = 1.5
-#: The same of the torque of an arm, any axis: 1 % of steady arms with twelve poses.
+#: The same for the torque of any axis: 1 % false alarms on steady arms with twelve poses.
 _SURELY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class AxisDrift:
-    """Change of one axis from the first to the second time.
+    """Change of torque and friction of one axis from the first to the second measurement.
 
     Attributes
     ----------
@@ -44,22 +44,22 @@ class AxisDrift:
 
     @property
     def shows(self) -> bool:
-        """Whether either is told from none."""
+        """Return whether a change of torque or friction is significant."""
         return any(_known(std) and abs(value) > _TOLD * half_width(std) for value, std in self.changes)
 
     @property
     def gain_shows(self) -> bool:
-        """Whether the torque has changed; stricter, since it is asked of all axes at once, from few poses each."""
+        """Return whether the torque has changed; stricter, because all axes are tested at once from few poses."""
         return _known(self.gain_std) and abs(self.gain) > _SURELY * half_width(self.gain_std)
 
     @property
     def changes(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Change and standard deviation of the torque and of the friction."""
+        """Changes of torque and friction with their standard deviations."""
         return (self.gain, self.gain_std), (self.band, self.band_std)
 
 
 def drift_of(visits: Visits) -> tuple[AxisDrift, ...]:
-    """Change of every axis of which poses were measured twice.
+    """Estimate the change of every axis with repeated poses.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def drift_of(visits: Visits) -> tuple[AxisDrift, ...]:
 
 
 def _slope(size: Floats, change: Floats) -> tuple[float, float]:
-    """Change over size by least squares through zero, and its standard deviation by what is left."""
+    """Slope of change over size through zero by least squares, and its standard deviation from the residual."""
     use = np.isfinite(size) & np.isfinite(change)
     x, y = size[use], change[use]
     power = float(x @ x)
@@ -98,12 +98,12 @@ def _slope(size: Floats, change: Floats) -> tuple[float, float]:
 
 
 def is_steady(drifts: tuple[AxisDrift, ...]) -> bool:
-    """Whether poses were measured twice and no torque has changed in between."""
+    """Return whether poses were measured twice and no torque has changed in between."""
     return bool(drifts) and not any(axis.gain_shows for axis in drifts)
 
 
 def drift_findings(drifts: tuple[AxisDrift, ...]) -> tuple[Finding, ...]:
-    """What is said of the drift: a line per axis that shows one, or one that none does."""
+    """Findings on the drift: one per axis with a change, or one that no axis changed."""
     if not drifts:
         return ()
     shown = [one for one in drifts if one.shows]
@@ -119,7 +119,7 @@ def _said(drift: AxisDrift) -> str:
         for what, (value, std) in zip(("torque", "friction"), drift.changes, strict=True)
         if _known(std)
     ]
-    return f"between both times {', '.join(changed)}: what changes evenly in time cancels in this order of the loads"
+    return f"between both times {', '.join(changed)}: a change that is linear in time cancels in this order of the loads"
 
 
 def _known(std: float) -> bool:

@@ -1,4 +1,4 @@
-"""Gravity that is stated upside down: loads of negative mass, although friction has the right sign."""
+"""Detect a stated gravity vector of the wrong sign: masses are negative although friction has the right sign."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.model.robot import Robot
 from gateway.result.finding import Finding
 
-#: Logarithm of the marginal likelihood that the opposite gravity has to gain.
+#: Log marginal likelihood that the opposite gravity must gain.
 _LOG_ODDS: Final = 10.0
 
 
 def reversed_gravity(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge) -> tuple[Finding, ...]:
-    """Report a direction of gravity that is stated upside down; nothing where the loads and friction do not show it."""
+    """Report a stated direction of gravity that is reversed; None if loads and friction do not show it."""
     parts = [problem.load_part(index).start for index in range(len(problem.labels))]
     std = np.sqrt(np.maximum(np.diag(fit.covariance)[parts], 0.0))
     if not any(negative_mass(float(mass), float(s)) for mass, s in zip(fit.loads[:, 0], std, strict=True)):

@@ -1,4 +1,5 @@
-"""Gross rest visits: a cable that caught, a brake that dragged, a touch; found from the data alone (`methods.md` 9).
+"""Outliers of rest visits, such as a caught cable, a dragging brake or a touch, found from the data alone (`methods.md`
+9).
 
 A gross entry (visit, axis) is isolated: the same pose under another load or at another time does not show it, its
 neighbours do not show it, the visits before and after do not show it. What every visit of a pose shows is an effect of
@@ -24,7 +25,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True)
 class GrossEntry:
-    """One axis of one visit that is off: by how many friction bands (NaN where no band was seen), and in what."""
+    """One outlier: axis and visit, deviation in friction bands (NaN without a band), and which half deviates."""
 
     visit: int
     axis: int
@@ -35,7 +36,7 @@ class GrossEntry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gross:
-    """What was found.
+    """Outliers of a set of rest visits.
 
     Attributes
     ----------
@@ -50,7 +51,7 @@ class Gross:
     disturbed: tuple[tuple[int, float], ...] = ()
 
     def mask(self, shape: tuple[int, int]) -> Mask:
-        """Where the entries stand (n, N)."""
+        """Mask (n, N) of the outliers."""
         out = np.zeros(shape, dtype=bool)
         for entry in self.entries:
             out[entry.visit, entry.axis] = True
@@ -58,7 +59,7 @@ class Gross:
 
 
 def find_gross(visits: Visits, regressor: Floats, limits: GrossLimits = LIMITS) -> Gross:
-    """Isolated gross entries of rest visits.
+    """Find isolated outliers of rest visits.
 
     Parameters
     ----------
@@ -71,13 +72,13 @@ def find_gross(visits: Visits, regressor: Floats, limits: GrossLimits = LIMITS) 
     least = least_scale(visits, limits)
     pairs = contrasts_of(visits, regressor)
     first = deviations(visits, regressor, pairs, none, least, limits)
-    # once more without what was found: the fit is then free of it
+    # repeat without the outliers found, so that they do not bias the fit
     found = deviations(visits, regressor, pairs, first.gross, least, limits)
     return _told(visits, found, limits)
 
 
 def _told(visits: Visits, found: Deviations, limits: GrossLimits) -> Gross:
-    """The entries, less those of axes where they are no accident."""
+    """Return the entries without those of axes that have too many of them."""
     band = bands(visits)
     seen = np.isfinite(visits.sum_nm).sum(axis=0)
     count = found.gross.sum(axis=0)
@@ -98,7 +99,7 @@ def _told(visits: Visits, found: Deviations, limits: GrossLimits) -> Gross:
 
 
 def _in_a_row(visits: Visits, flagged: Ints, least: int) -> Mask:
-    """Which (n,) of the flagged visits (k,) follow each other in time, at least so many of one load."""
+    """Mask (n,) of flagged visits (k,) that follow each other in time under one load."""
     out, wanted = np.zeros(len(visits.load), dtype=bool), set(flagged.tolist())
     for label in np.unique(visits.load):
         here = np.flatnonzero(visits.load == label)
@@ -116,18 +117,18 @@ def _entry(found: Deviations, visit: int, axis: int, band_nm: float) -> GrossEnt
     half = float(np.nan_to_num(found.difference_nm[visit, axis]))
     known = np.isfinite(found.difference_nm[visit, axis])
     if not known:
-        off, reason = middle, "the torque lies off what the other visits say"
+        off, reason = middle, "the torque deviates from the prediction of the other visits"
     elif abs(half) < 0.5 * abs(middle):
-        off, reason = middle, "both sides lie off to the same side, as if a cable or a touch had pushed the joint"
+        off, reason = middle, "both approach directions deviate to the same side, as if a cable or a touch had pushed the joint"
     elif abs(middle) < 0.5 * abs(half):
-        off, reason = half, "the sides lie further apart than friction, as if a brake had held the joint"
+        off, reason = half, "the approach directions differ by more than friction, as if a brake had held the joint"
     else:
-        off, reason = middle + float(np.sign(middle)) * abs(half), "one of both sides lies off"
+        off, reason = middle + float(np.sign(middle)) * abs(half), "one approach direction deviates"
     return GrossEntry(visit, axis, off, abs(off) / band_nm if band_nm > 0 else np.nan, reason)
 
 
 def set_aside(gross: Gross, run: Sequence[str], load: Sequence[str], pose: Sequence[int]) -> tuple[SetAside, ...]:
-    """The entries as the result has them, from run, load and pose of the n visits."""
+    """Entries of the result for the outliers, with run, load and pose of the n visits."""
     return tuple(
         SetAside(str(run[e.visit]), str(load[e.visit]), e.axis + 1, e.bands, pose=int(pose[e.visit]), reason=e.reason)
         for e in gross.entries
@@ -135,21 +136,21 @@ def set_aside(gross: Gross, run: Sequence[str], load: Sequence[str], pose: Seque
 
 
 def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ...]:
-    """What the reader has to know of gross visits; `aside` as `set_aside` gives it."""
+    """Findings on outliers; `aside` holds the entries from `set_aside`."""
     out = []
     if aside:
         where = "; ".join(_of_visit(visit, aside) for visit in dict.fromkeys((a.load, a.pose) for a in aside))
         out.append(
             Finding(
                 "warn", "set aside", f"{_torques(len(aside))} in no fit: {where}",
-                "look what touched or held the arm there; `record` these poses again",
+                "check what touched or held the arm there; `record` these poses again",
             )
         )  # fmt: skip
     for axis, count in gross.too_many:
         out.append(
             Finding(
                 "warn", f"J{axis + 1}",
-                f"{count} visits lie off the others, too many or too close in time for accidents: none is set aside",
+                f"{count} visits deviate from the others, too many or too close in time for outliers: none is rejected",
                 "`diagnose` says whether a load has shifted or an effect is missing",
             )
         )  # fmt: skip
@@ -167,7 +168,7 @@ def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ..
 
 
 def _of_visit(visit: tuple[str, int | None], aside: Sequence[SetAside]) -> str:
-    """The axes of one visit, and by how many bands they lie off."""
+    """Axes of one visit with outliers, and their deviations in bands."""
     load, pose = visit
     here = [each for each in aside if (each.load, each.pose) == visit]
     axes = ", ".join(dict.fromkeys(f"J{each.joint}" for each in here))
@@ -177,4 +178,4 @@ def _of_visit(visit: tuple[str, int | None], aside: Sequence[SetAside]) -> str:
 
 
 def _torques(count: int) -> str:
-    return "1 gross torque is" if count == 1 else f"{count} gross torques are"
+    return "1 outlier is" if count == 1 else f"{count} outliers are"

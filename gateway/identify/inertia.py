@@ -1,4 +1,4 @@
-"""The inertia of a load from its ten fitted parameters: about its centre of gravity, and never one that no body has.
+"""Inertia of a load about its centre of gravity from ten fitted parameters, physically consistent.
 
 A body's pseudo-inertia `J = [[S, h], [h', m]]`, `S = tr(I) / 2 E - I` the second moments of its mass, is positive
 definite (Wensing et al. 2018). A free fit need not be one: then the nearest body in the metric of the covariance is
@@ -18,15 +18,15 @@ from gateway.result.names import INERTIA_PARTS, INERTIA_WHOLE
 
 Floats = NDArray[np.float64]
 
-#: Where each of `INERTIA_PARTS` stands in a (3, 3) tensor.
+#: Index of each of `INERTIA_PARTS` in a (3, 3) tensor.
 _ROW, _COLUMN = np.array([0, 1, 2, 0, 0, 1]), np.array([0, 1, 2, 1, 2, 2])
-#: Least root of second moment over mass [m]: no load is thinner.
+#: Least root of second moment over mass [m], as the thickness of a load.
 _THINNEST_M: Final = 1e-3
-#: Radius of gyration [m] to which a moment is known at best.
+#: Best uncertainty of a moment, as a radius of gyration [m].
 _HAIR_M: Final = 5e-3
-#: Standard deviation, over the largest principal moment, up to which a moment is told.
+#: Largest standard deviation of a reported moment, over the largest principal moment.
 _TOLD: Final = 0.5
-#: The same, as a radius of gyration [m]: what is known to be less than that of a small load is told too.
+#: The same as a radius of gyration [m], so that small moments are reported too.
 _SMALL_M: Final = 0.05
 _SAME: Final = 1e-9
 
@@ -49,7 +49,7 @@ class LoadInertia:
 
     @property
     def unidentifiable(self) -> tuple[str, ...]:
-        """What the data do not tell: moments by name, or the whole."""
+        """Names of moments that the data do not determine, or of the whole inertia."""
         open_ = np.isnan(self.value_kg_m2)
         if open_.all():
             return (INERTIA_WHOLE,)
@@ -58,7 +58,9 @@ class LoadInertia:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedBody:
-    """A body in the link's frame: `ten` (10,) [m, h, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], and whether the free fit was it."""
+    """Body in the link's frame: `ten` (10,) [m, h, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], and whether the free fit was
+    physical.
+    """
 
     ten: Floats
     free: bool
@@ -72,33 +74,33 @@ def tensor_of(six: Floats) -> Floats:
 
 
 def central_tensor(ten: Floats) -> Floats:
-    """Inertia (3, 3) about the centre of gravity of a body (10,) whose own is about the link's origin."""
+    """Inertia (3, 3) about the centre of gravity of a body (10,) that is given about the link's origin."""
     mass, first = ten[0], ten[1:4]
     return tensor_of(ten[4:]) - (first @ first * np.eye(3) - np.outer(first, first)) / mass
 
 
 def second_moments(ten: Floats) -> Floats:
-    """Second moments of mass (3, 3) about the centre of gravity; a body's are positive definite."""
+    """Second moments of mass (3, 3) about the centre of gravity; positive definite for a physical body."""
     tensor = central_tensor(ten)
     return 0.5 * np.trace(tensor) * np.eye(3) - tensor
 
 
 def is_body(ten: Floats) -> bool:
-    """Whether ten parameters are those of a body: its pseudo-inertia is positive definite."""
+    """Return whether ten parameters are physically consistent: the pseudo-inertia is positive definite."""
     if not (np.isfinite(ten).all() and ten[0] > 0):
         return False
     return bool(np.linalg.eigvalsh(second_moments(ten))[0] >= ten[0] * _THINNEST_M**2 * (1.0 - _SAME))
 
 
 def nearest_body(ten: Floats, covariance: Floats) -> FittedBody:
-    """The body nearest to ten free parameters (10,) of positive mass, in the metric of their covariance (10, 10).
+    """Return the physical body nearest to ten free parameters (10,) in the metric of their covariance (10, 10).
 
     The unknowns are mass, centre of gravity and a triangular root of the second moments over the mass, so that every
     step is a body.
     """
     if is_body(ten):
         return FittedBody(ten, True)
-    # moments are never known to less than this: a body that is too thin by a hair must not be made one by its mass
+    # least uncertainty of the moments: a body that is barely too thin must not be corrected by its mass
     hair = np.concatenate([np.zeros(4), np.full(6, (ten[0] * _HAIR_M**2) ** 2)])
     whiten = _whitening(covariance + np.diag(hair))
     start = _start(ten)
@@ -119,7 +121,7 @@ def _whitening(covariance: Floats) -> Floats:
 
 
 def _start(ten: Floats) -> Floats:
-    """Unknowns of a body close by: negative second moments cut off."""
+    """Start values of a nearby physical body: negative second moments are cut off."""
     size, vectors = np.linalg.eigh(second_moments(ten) / ten[0])
     thick = (vectors * np.maximum(size, (10.0 * _THINNEST_M) ** 2)) @ vectors.T
     root = np.linalg.cholesky(thick)
@@ -167,7 +169,7 @@ def central_directions(ten: Floats) -> Floats:
 
 
 def load_inertia(body: FittedBody, covariance: Floats) -> LoadInertia:
-    """Inertia about the centre of gravity; moments that are hardly known stay open.
+    """Inertia about the centre of gravity; moments with a large uncertainty stay open.
 
     Parameters
     ----------

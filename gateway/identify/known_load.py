@@ -1,4 +1,4 @@
-"""Loads of known mass, tested against rest visits: is another load on the flange, or is the stated one right?
+"""Test stated masses of known loads against rest visits.
 
 A known load is freed and gets a wide prior about what is stated. Its marginal likelihood over that of the stated load
 is compared with those of wider constants and links: a mass that is wrong by 30 % and constants that are all wrong by
@@ -24,7 +24,7 @@ from gateway.result.interval import PLUS_MINUS, TWO_SIDED_95
 
 Floats = NDArray[np.float64]
 
-#: Standard deviation of a mass that was stated wrongly, over the stated mass, and of its centre over the arm's reach.
+#: Prior of a wrong statement: standard deviation of the mass over the stated one, of the centre over the arm's reach.
 _WRONG_MASS: Final = 0.5
 _WRONG_CENTRE: Final = 0.1
 
@@ -32,7 +32,7 @@ _WRONG_CENTRE: Final = 0.1
 def least_supported(
     robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge
 ) -> tuple[Knowledge | None, float]:
-    """Return the knowledge without the known load that the visits support least, and the log odds for that.
+    """Return the knowledge without the least supported known load, and the log odds against its statement.
 
     None where no load is known.
     """
@@ -45,7 +45,7 @@ def least_supported(
 
 
 def _free_odds(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Knowledge, label: str) -> float:
-    """Logarithm of the marginal likelihood of a free load over that of the stated one."""
+    """Log marginal likelihood of a free load over that of the stated one."""
     mass_kg, *centre = knowledge.known.get(label, (knowledge.masses.get(label, 0.0),))
     if not mass_kg > 0.0:
         return -np.inf

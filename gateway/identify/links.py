@@ -1,4 +1,4 @@
-"""What a robot model's inertials say of the link parameters, and how far they are trusted (`methods.md`, link priors).
+"""Link parameters from a robot model and their prior (`methods.md`, link priors).
 
 A trust S is the relative standard deviation of every link's mass; its first moment is trusted to S x mass x length of
 the link, its inertia to S x mass x length^2. A link without inertial is unknown: open, not massless.
@@ -29,7 +29,7 @@ _POWERS: Final = np.array([0.0, 1.0, 1.0, 1.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0])
 
 
 def parse_inertials(text: str) -> float:
-    """Relative standard deviation behind `exact` (0), `ignore` (infinite) and `prior:S`.
+    """Relative standard deviation for `exact` (0), `ignore` (infinite) and `prior:S`.
 
     Raises
     ------
@@ -47,12 +47,12 @@ def parse_inertials(text: str) -> float:
 
 
 def default_inertials(robot: Robot) -> str:
-    """`prior:0.05` where the robot model knows its links, else `ignore`."""
+    """Return `prior:0.05` if the robot model has link inertials, else `ignore`."""
     return "prior:0.05" if np.isfinite(robot.mass_kg).any() else "ignore"
 
 
 def has_inertials(robot: Robot) -> bool:
-    """Whether every link's mass and centre of mass are known."""
+    """Return whether mass and centre of mass of every link are known."""
     return bool(np.isfinite(robot.mass_kg).all() and np.isfinite(robot.com_m).all() and (robot.mass_kg > 0).all())
 
 
@@ -72,7 +72,7 @@ def body_parameters(mass_kg: float, com_m: Floats, inertia_kg_m2: Floats) -> Flo
 
 
 def link_values(robot: Robot) -> Floats:
-    """Parameters (N, 10) of the links as the robot model has them; NaN where it says nothing."""
+    """Parameters (N, 10) of the links in the robot model; NaN where it has none."""
     bodies = zip(robot.mass_kg, robot.com_m, robot.inertia_kg_m2, strict=True)
     return np.array([body_parameters(*body) for body in bodies])
 
@@ -103,7 +103,7 @@ def link_prior(robot: Robot, trust: float, per_link: int) -> tuple[Floats, Float
 
 
 def as_bodies(mean: Floats, std: Floats) -> tuple[Floats, Floats]:
-    """What is known of k links as of bodies: `rows @ parameters = right`, each with unit standard deviation.
+    """Prior of k links as physical bodies: `rows @ parameters = right`, each with unit standard deviation.
 
     A link that weighs more than its model says has larger first moments and a larger inertia too: ten numbers that are
     believed one by one tell its mass several times over, and through all links a gain that the torques have in common.

@@ -1,4 +1,4 @@
-"""A load from its fitted parameters: mass and centre of gravity with their covariance, and what stays unknown."""
+"""Load from its fitted parameters: mass and centre of gravity with covariance, and undetermined quantities."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ LOAD_PARTS = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 _AS_ZERO = 1e-9
 #: Name of the finding of a refused load.
 REFUSED: Final = "refused_load"
-#: Standard deviations below zero from which a mass is refused: one load in a thousand by chance.
+#: A mass that is negative by more standard deviations is refused: one load in a thousand by chance.
 NEGATIVE_MASS_STD = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadEstimate:
-    """One load.
+    """Estimate of one load: mass, centre of gravity, inertia, their uncertainty and what is not identifiable.
 
     Attributes
     ----------
@@ -65,12 +65,12 @@ class LoadEstimate:
 
     @property
     def moment(self) -> Floats:
-        """[m, hx, hy, hz]."""
+        """First moment and mass [m, hx, hy, hz]."""
         return self.mass_kg * np.concatenate([[1.0], self.com_m])
 
 
 def refused_load(label: str, reason: str, per_pose_mass_kg: Mapping[str, float] | None = None) -> LoadEstimate:
-    """A load whose data contradict each other."""
+    """Return a load whose data contradict each other, with the reason."""
     return replace(unknown_load(label), per_pose_mass_kg=dict(per_pose_mass_kg or {}), refused=reason)
 
 
@@ -86,7 +86,7 @@ def refused_findings(
 
 
 def negative_mass(mass_kg: float, std_kg: float) -> str | None:
-    """Return why a mass is refused that is negative beyond its standard deviation; None where it is not."""
+    """Return the reason to refuse a mass that is significantly negative; None otherwise."""
     if mass_kg + NEGATIVE_MASS_STD * std_kg >= 0:
         return None
     return f"the data ask for a mass of {mass_kg:.3g} kg (standard deviation {std_kg:.2g} kg)"
@@ -110,7 +110,7 @@ def load_from_moment(
     found: NDArray[np.bool_],
     longest_m: float,
 ) -> LoadEstimate:
-    """A load from [m, h] (4,) with covariance (4, 4).
+    """Compute mass and centre of gravity from [m, h] (4,) with covariance (4, 4).
 
     A mass below zero by more than its uncertainty is refused. A coordinate of the centre whose standard deviation
     exceeds the arm's own length is not known.
@@ -152,13 +152,13 @@ def load_from_moment(
 
 
 def unknown_load(label: str) -> LoadEstimate:
-    """A load of which the data tell nothing."""
+    """Return a load that the data do not determine."""
     nothing, square = np.full(3, np.nan), np.full((4, 4), np.nan)
     return LoadEstimate(label, np.nan, np.nan, nothing, nothing, square, square, LOAD_PARTS)
 
 
 def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
-    """One load as the file has it; the flange's frame where the robot model gives the flange."""
+    """Entry of one load in the result file; in the flange's frame too, if the robot model has the flange."""
     known = np.isfinite(load.com_m)
     flange = None if robot is None else robot.flange
     told = load.refused is None and np.isfinite(load.mass_kg)
@@ -188,7 +188,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
 
 
 def _in_flange(moments_kg_m2: Floats, flange: Floats) -> tuple[float, ...] | None:
-    """Moments of inertia (6,) with the axes of the flange; None where one of them is not known."""
+    """Moments of inertia (6,) along the axes of the flange; None if one of them is unknown."""
     if not np.isfinite(moments_kg_m2).all():
         return None
     turn = flange[:3, :3]
@@ -196,10 +196,10 @@ def _in_flange(moments_kg_m2: Floats, flange: Floats) -> tuple[float, ...] | Non
 
 
 def _some(values: Floats) -> tuple[float, ...] | None:
-    """Numbers of which at least one is known."""
+    """Return the numbers if at least one is known, else None."""
     return tuple(values.tolist()) if np.isfinite(values).any() else None
 
 
 def in_flange(point_m: Floats, flange: Floats) -> Floats:
-    """A point (3,) of the last link in the frame of the flange, whose pose there is (4, 4)."""
+    """Transform a point (3,) of the last link into the frame of the flange with pose (4, 4)."""
     return flange[:3, :3].T @ (point_m - flange[:3, 3])

@@ -1,4 +1,4 @@
-"""Loads that are known, and a bare arm that was identified before."""
+"""Known loads, and stored identifications of the unloaded arm."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
 
-#: Load parameters in a list of parameters, and their units.
+#: Names of the load parameters, and their units.
 LOAD_NAMES: Final = ("mass", "hx", "hy", "hz")
 LOAD_UNITS: Final = ("kg", "kg m", "kg m", "kg m")
-#: What a stored identification knows better than this share of what it knows least, it knows that well.
+#: Smallest standard deviation of a stored identification, as a share of its largest.
 _SUREST: Final = 1e-12
-#: Standard deviation [kg, kg m] below which nothing is known: heavier rows drown the measured ones in rounding.
+#: Least standard deviation [kg, kg m]: rows with more weight would hide the measured ones by rounding.
 _EXACT_KG: Final = 1e-10
-#: Range of every joint angle [rad] within which the visits of a load are one posture: 3 degrees barely turn gravity.
+#: Range of every joint angle [rad] within which the visits of a load count as one posture: 3 degrees barely turn gravity.
 _ONE_POSTURE_RAD: Final = 0.05
 
 
 def unknown_labels(present: Iterable[str], known: Mapping[str, object]) -> tuple[str, ...]:
-    """Loads to estimate, in the order they appear.
+    """Return the labels of the loads to estimate, in the order of the rows.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def unknown_labels(present: Iterable[str], known: Mapping[str, object]) -> tuple
 
 
 def refuse_absent(present: Iterable[str], known: Iterable[str]) -> tuple[str, ...]:
-    """Return the labels of the rows, each once, in the order they appear.
+    """Return the labels of the rows in their order, each once; refuse a known label that is absent.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def refuse_absent(present: Iterable[str], known: Iterable[str]) -> tuple[str, ..
 
 
 def refuse_in_motion(masses: Mapping[str, float]) -> None:
-    """Refuse loads whose mass alone is known where rows in motion are fitted: they take a load with its centre.
+    """Refuse loads with a known mass and unknown centre in motion: moving rows need the centre.
 
     Raises
     ------
@@ -90,7 +90,8 @@ def load_vector(known: Sequence[float]) -> Floats:
 
 
 def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
-    """A stored bare identification as rows (k, 6 N) and right side (k,) with unit standard deviation.
+    """Return a stored identification of the unloaded arm as rows (k, 6 N) and right side (k,) with unit standard
+    deviation.
 
     Columns are the 4 N link parameters, the gains and the friction biases it was made with: the same arm errs the same
     way under a load, except for the change of its gains from one run to the next. The rows stand for the prior of those
@@ -112,7 +113,7 @@ def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
 
 
 def stored_errors(bare: Bare) -> NDArray[np.bool_]:
-    """Which gains and friction biases (2 N,) a stored identification holds."""
+    """Mask (2 N,) of the gains and friction biases that a stored identification contains."""
     held = len(bare.gain_covariance if bare.gain else bare.covariance) - len(bare.value)
     return np.isfinite(_stored(bare)) & (np.arange(2 * len(bare.offset_nm)) < held)
 

@@ -1,4 +1,5 @@
-"""Change of the mass on the flange between two visits of one label: mounted late, taken off, two loads of one name.
+"""Detect a change of the mass on the flange between two visits of one label: mounted or removed too late, two loads of
+one name.
 
 A body that stays mounted has one mass, whatever else the model of the arm lacks. The visits of a label are divided in
 time at each visit, and the later ones get a body more. The division that the residual of the fit asks for most follows
@@ -20,11 +21,11 @@ from gateway.identify.rest.linear import Fit, RestProblem
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: Residual over the noise that the sides of the visits show, from which a change is looked for.
+#: Residual over the noise of the approach directions above which a change is tested.
 MISFIT: Final = 3.0
-#: Share of the misfit that a change of mass may leave: an effect of the arm leaves more, or nothing to explain.
+#: Largest share of the misfit after a change of mass; an effect of the arm leaves more.
 _LEFT: Final = 0.15
-#: Visits on each side of a division.
+#: Least number of visits before and after a change.
 _LEAST_VISITS: Final = 2
 #: Change of mass in standard deviations, and as a share of the heavier of both.
 _CERTAIN_STD, _LEAST_SHARE = 6.0, 0.1
@@ -47,7 +48,7 @@ def mass_changes(problem: RestProblem, fit: Fit) -> dict[str, str]:
 
 
 def misfit(problem: RestProblem, fit: Fit) -> float:
-    """Residual of the half-sums over the noise that their sides show, on the axis where that is most."""
+    """Residual of the half-sums over the noise of their approach directions, on the worst axis."""
     sums = np.unique(problem.group[problem.group < problem.axes])
     return float((fit.noise.std[sums] / fit.noise.start[sums]).max(initial=0.0))
 
@@ -63,7 +64,7 @@ def _change(problem: RestProblem, fit: Fit, label: str, before: float) -> str | 
 
 
 def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: int, before: float) -> str | None:
-    """Return why the visits of a label, in their order or backwards, carry two masses; None where they do not."""
+    """Return the reason if the visits of a label carry two masses, in time order or reversed; else None."""
     cut = _likeliest(problem, fit, order)
     divided = _divided(problem, order[cut:])
     second = fit_without_effects(divided)
@@ -83,7 +84,7 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
     what = (
         "was a load mounted during the unloaded run?"
         if label == BARE_LABEL
-        else "was it mounted late, or do two loads have one label?"
+        else "was it mounted during the run, or do two loads have one label?"
     )
     return (
         f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {late_kg:.3g} kg from"
@@ -92,7 +93,7 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
 
 
 def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
-    """Place in the visits in their order in time, from which on a further body takes up most of the residual."""
+    """Visit in time order from which a further body explains most of the residual."""
     weight, last = 1.0 / fit.noise.std[problem.group], problem.link_part.stop - 4
     place = np.full(len(problem.rows), -1)
     place[order] = np.arange(len(order))[::-1]  # sums over the visits begin at the last one
@@ -110,7 +111,7 @@ def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
 
 
 def _divided(problem: RestProblem, later: Ints) -> RestProblem:
-    """The problem with a further body on the later visits, last of the loads."""
+    """Return the problem with a further body on the later visits, as the last load."""
     member = np.zeros((len(problem.rows), 1))
     member[later] = 1.0
     at = problem.load_part(len(problem.labels)).start

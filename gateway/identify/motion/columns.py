@@ -1,4 +1,4 @@
-"""Columns of a moving run: links, loads, friction, with what is known of them."""
+"""Columns of a moving run: links, loads, friction and nuisance parameters, with their priors."""
 
 from __future__ import annotations
 
@@ -35,23 +35,23 @@ from gateway.model.term import Term
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: What every arm has beside: the reading's gain, a loss that grows with the torque, in proportion or not quite, a
+#: Further nuisance parameters: the gain of the reading, a loss that grows with the torque, in proportion or not quite, a
 #: reading that lags behind the position, friction that differs by direction, near standstill and from run to run, and
-#: loads that are no points.
+#: loads with inertia.
 NUISANCES = ("gain", "load_friction")
 _LOCAL = (*NUISANCES, "loss_bend", "delay")
 ORDINARY = (*_LOCAL, "bias", "uneven_friction", "load_inertia")
-#: Radius of gyration of a load [m].
+#: Prior radius of gyration of a load [m].
 _GYRATION_M = 0.2
 INERTIA_NAMES = tuple(f"inertia_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
 _INERTIA_UNITS = ("kg m2",) * len(INERTIA_NAMES)
-#: Of the last link: mass and first moment; all ten.
+#: Number of columns of a load: mass and first moment; all ten.
 _LOAD, _BODY = slice(-PER_LINK_MOVING, 4 - PER_LINK_MOVING), slice(-PER_LINK_MOVING, None)
 
 
 @dataclass(frozen=True, slots=True)
 class MovingSetup:
-    """How a moving run is fitted.
+    """Settings of a fit of moving rows.
 
     Attributes
     ----------
@@ -75,7 +75,7 @@ class MovingSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Columns:
-    """Columns of a moving run.
+    """Columns of a moving run, with names, units and priors.
 
     Attributes
     ----------
@@ -126,7 +126,7 @@ class Columns:
     taken: Ints = field(default_factory=lambda: np.zeros(0, dtype=int))
 
     def with_effects(self, seen: SeenEffects | None) -> Columns:
-        """The same with effects; one that is too much of what every arm has takes its place."""
+        """Return the columns with effects; an effect replaces the nuisance parameter that it exceeds."""
         if seen is None:
             return self
         usual = {term: self.usual_of(term) for term in seen.terms}
@@ -143,18 +143,20 @@ class Columns:
         )
 
     def usual_of(self, term: Term) -> int | None:
-        """Where the ordinary share of an effect, which every arm has of it, is among the parameters."""
+        """Indices of the nuisance parameters that belong to an effect."""
         return int(self.ordinary[term.takes_over][term.joints[0] - 1]) if term.takes_over in self.ordinary else None
 
     def by_effects(self, value: Floats) -> Floats | None:
-        """Columns (n, N, k) of the effects that hang on the torque of the bodies with parameters (p,), if any does."""
+        """Columns (n, N, k) of effects that depend on the torque of bodies with parameters (p,), if there are any."""
         if self.effects is None or not any(term.modelled for term in self.effects.terms):
             return None
         bodies, load_kg = self.bodies_of(value, self.effects.load)
         return self.effects.columns(self.effects.modelled(bodies, load_kg, value[-len(self.effects.std) :]))
 
     def bodies_of(self, value: Floats, load: NDArray[np.str_]) -> tuple[Floats, Floats]:
-        """Link parameters (n, 10 N) of rows under these loads (n,), the load on the last link; mass (n,) of loads."""
+        """Parameters (n, 10 N) of the bodies under the loads (n,), with the load in the last link; mass (n,) of the
+        loads.
+        """
         links = self.fixed_links + self.to_links @ value[self.links]
         bodies, load_kg = np.tile(links, (len(load), 1)), np.zeros(len(load))
         count = PER_LINK_MOVING if self.inertia else PER_LINK_AT_REST
@@ -167,35 +169,35 @@ class Columns:
         return bodies, load_kg
 
     def dry(self, value: Floats) -> Floats:
-        """Coulomb friction (N,) [Nm] among the parameters (p,)."""
+        """Coulomb friction (N,) [Nm] in the parameters (p,)."""
         place = {name: k for k, name in enumerate(self.names)}
         at = [place.get(f"coulomb[J{axis + 1}]") for axis in range(self.design.shape[1])]
         return np.array([0.0 if k is None else value[k] for k in at])
 
     @property
     def first_effect(self) -> int:
-        """Where the columns of effects begin."""
+        """Index of the first column of effects."""
         return len(self.names) - (0 if self.effects is None else len(self.effects.std))
 
     @property
     def inertia(self) -> bool:
-        """Whether loads have all ten columns, not mass and first moment alone."""
+        """Whether loads have ten columns instead of mass and first moment only."""
         return any(name.startswith(INERTIA_NAMES[0]) for name in self.names)
 
     @property
     def links(self) -> Ints:
-        """Columns of the links."""
+        """Slice of the link columns."""
         return np.arange(min(self.loads.values(), default=self.bodies))
 
     @property
     def lasting(self) -> Ints:
-        """Columns (N, 4) of Coulomb and viscous friction, rotor inertia and a constant torque of every axis."""
+        """Columns (N, 4) of Coulomb and viscous friction, rotor inertia and a constant torque of each axis."""
         axes, shapes = self.design.shape[1], len(FRICTION)
         return self.bodies + np.arange(axes * shapes).reshape(axes, shapes)
 
     @property
     def friction(self) -> Ints:
-        """Columns of friction, the loss that grows with the torque among them."""
+        """Indices of the friction columns, including the loss proportional to torque."""
         last = min((int(index[0]) for index in self.ordinary.values()), default=len(self.names))
         own = np.arange(self.bodies, last)
         return np.concatenate([own, *(self.ordinary.get(name, own[:0]) for name in ("load_friction", "loss_bend"))])
@@ -203,7 +205,7 @@ class Columns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Block:
-    """Some of the columns (n, N, k), with names and units (k,)."""
+    """Part of the columns (n, N, k), with names and units (k,)."""
 
     design: Floats
     names: Sequence[str]
@@ -211,7 +213,7 @@ class _Block:
 
 
 def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledge, motion: MovingSetup) -> Columns:
-    """Columns of moving rows.
+    """Build the columns of moving rows.
 
     Raises
     ------
@@ -259,7 +261,7 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
 
 
 def _link_block(robot: Robot, rows: Floats, which: tuple[Ints, Ints], base: BaseSet) -> _Block:
-    """Links of which something is known, and base columns of those of which nothing is."""
+    """Columns of links with a prior, and base columns of links without one."""
     held, chosen = which
     full = full_names(robot.axes)
     units = [("kg", *["kg m"] * 3, *["kg m2"] * 6)[k % PER_LINK_MOVING] for k in chosen]
@@ -275,7 +277,9 @@ def _load_block(moving: Table | MovingRows, rows: Floats, label: str, motion: Mo
 
 
 def _shapes(motion: MovingSetup, unknown: Sequence[str]) -> tuple[str, ...]:
-    """Friction of every axis; a free offset swallows the gravity of an unknown load, one that is held does not."""
+    """Friction columns of each axis; a free offset would absorb the gravity of an unknown load, one with a prior does
+    not.
+    """
     return FRICTION if "bias" in motion.ordinary or not unknown else FRICTION[:3]
 
 
@@ -293,7 +297,7 @@ def _friction_blocks(
 
 
 def _run_block(moving: Table | MovingRows, smooth_rad_s: float | Floats) -> _Block:
-    """Coulomb friction of each of several runs off that of all."""
+    """Columns of the Coulomb friction of each of several runs, as deviation from their mean."""
     here = np.asarray(moving.run)[:, None] == np.unique(moving.run)
     here, axes = here[:, : here.shape[1] if here.shape[1] > 1 else 0], moving.axes
     sign = np.tanh(moving.qd_rad_s / smooth_rad_s)
@@ -303,13 +307,13 @@ def _run_block(moving: Table | MovingRows, smooth_rad_s: float | Floats) -> _Blo
 
 
 def _local_block(rows: int, axes: int, name: str) -> _Block:
-    """What every axis has for itself, of the modelled torque: nothing of it is known before a fit."""
+    """Columns of the nuisance parameters of each axis, scaled by the modelled torque; zero before the first fit."""
     names = [f"{name}[J{axis + 1}]" for axis in range(axes)]
     return _Block(np.zeros((rows, axes, axes)), names, ["s" if name == "delay" else ""] * axes)
 
 
 def _known_nm(moving: Table | MovingRows, rows: Floats, fixed: Floats, loads: Mapping[str, Floats]) -> Floats:
-    """Torque (n, N) of links that are exact, `fixed` (10 N,), and of known loads."""
+    """Torque (n, N) of links with exact parameters `fixed` (10 N,) and of known loads."""
     known = rows @ fixed
     for label, body in loads.items():
         here = np.asarray(moving.load) == label
@@ -318,7 +322,7 @@ def _known_nm(moving: Table | MovingRows, rows: Floats, fixed: Floats, loads: Ma
 
 
 def _heaviest_kg(moving: Table | MovingRows) -> float:
-    """Mass whose weight at 1 m is the torque of the axis that carries most."""
+    """Mass whose weight at 1 m is the largest torque of all axes."""
     torque = float(np.sqrt(np.nanmean(moving.tau_nm**2, axis=0)).max())
     return torque / float(np.linalg.norm(STANDARD_GRAVITY_M_S2))
 

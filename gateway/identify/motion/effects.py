@@ -1,4 +1,4 @@
-"""Effects of the library as columns of a moving fit: further torque beside what every arm has."""
+"""Effects of the library as columns of a fit in motion: torque in addition to the model without effects."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SeenEffects:
-    """Effects with the rows of a fit as they see them: `rows` has those of the fit in the order `order` (n,)."""
+    """Effects evaluated on the rows of a fit: `rows` are the rows in the order `order` (n,) of the fit."""
 
     terms: tuple[Term, ...]
     rows: MovingRows
     order: NDArray[np.int_]
 
     def without(self, terms: tuple[Term, ...]) -> SeenEffects:
-        """The same without some of the effects."""
+        """Return a copy without some of the effects."""
         return replace(self, terms=tuple(term for term in self.terms if term not in terms))
 
     @property
@@ -48,7 +48,7 @@ class SeenEffects:
         return np.where(np.isnan(spread), np.inf, spread)
 
     def columns(self, modelled: Modelled | None) -> Floats:
-        """Columns (n, N, k): of effects that hang on the modelled torque where it is given, of the others where not."""
+        """Columns (n, N, k) of the effects; those that depend on the modelled torque need it as argument."""
         out, start = np.zeros((*self.rows.tau_nm.shape, len(self.std))), 0
         for term in self.terms:
             if term.modelled is (modelled is not None):
@@ -59,7 +59,7 @@ class SeenEffects:
         return out
 
     def modelled(self, bodies: Floats, load_kg: Floats, value: Floats) -> Modelled:
-        """Torque of bodies (n, 10 N) with the effects (k,) in them, for terms that hang on it; the load weighs (n,)."""
+        """Torque of bodies (n, 10 N) with the effects (k,), for terms that depend on it; loads with masses (n,)."""
         seen, start = bodies[self.order], 0
         for term in self.terms:
             seen += term.bodies(value[start : start + term.count], bodies.shape[1])
@@ -70,11 +70,11 @@ class SeenEffects:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Effects:
-    """Effects that a fit has, and what makes of a table the rows that they are functions of."""
+    """Effects of a fit, and how to evaluate them on the rows of a table."""
 
     terms: tuple[Term, ...]
     rows_of: Callable[[Table], MovingRows]
 
     def of_rows(self, moving: Table) -> SeenEffects:
-        """The effects beside the rows of a table."""
+        """Evaluate the effects on the rows of a table."""
         return SeenEffects(self.terms, self.rows_of(moving), time_order(moving)[0])

@@ -41,19 +41,19 @@ Mask = NDArray[np.bool_]
 _REWEIGHTS = 12
 _SETTLED = 1e-3
 _LEAST_SHARE = 1e-3
-#: Share of its way by which an axis may go otherwise than its speed says.
+#: Largest difference between position change and integrated speed, as a share of the travel.
 _MISMATCH = 0.5
-#: Times that the parts are weighed anew by what the whole model leaves of them: free links take up too much.
+#: Number of times that the weights are computed again from the residual of the full model.
 _WEIGHED_ANEW = 2
-#: Times by which that may change a weight: beyond, priors keep a fit from what the rows say, or count for nothing.
+#: Largest factor by which that may change a weight.
 _MOST_ANEW = 10.0
-#: Share of its size to which no torque is weighed better: beyond, a prior is lost in the rounding of the rows.
+#: Least standard deviation of a torque, as a share of its size, so that priors are not lost by rounding.
 _FINEST = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionFit:
-    """A settled problem and its uncertainty."""
+    """Solution of a moving problem with its uncertainty."""
 
     problem: MotionProblem
     settled: Settled
@@ -71,14 +71,14 @@ class MotionFit:
 
     @property
     def std(self) -> Floats:
-        """Standard deviation (p,) of each parameter; NaN where the rows leave it open."""
+        """Standard deviation (p,) of each parameter; NaN where the rows do not determine it."""
         found = determined(self.settled.solution, np.eye(len(self.columns.names)))
         return np.where(found, np.sqrt(np.maximum(np.diag(self.spread.covariance), 0.0)), np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedMotion:
-    """The rows that were fitted, their fit, and the loads that were refused; no fit where all were.
+    """Rows, their fit, and refused loads; no fit if all loads were refused.
 
     `findings`: statements that the rows contradict.
     """
@@ -97,7 +97,7 @@ def fit_motion(
     rest: FittedRest | None = None,
     effects: Effects | None = None,
 ) -> FittedMotion:
-    """Fit moving rows whose torque is behind the gears.
+    """Fit moving rows; their torque is that at the gear output.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def _tested(
     setup: MovingSetup,
     beside: tuple[FittedRest | None, Effects | None],
 ) -> tuple[MotionFit, tuple[Finding, ...]]:
-    """Fit, and fit again with the link masses trusted less where the rows contradict them.
+    """Fit, and fit again with a wider prior of the link masses if the rows contradict them.
 
     A fit without nuisance parameters reproduces that of another program; any robot model contradicts its rows, and none
     is tested.
@@ -189,7 +189,7 @@ def _fit(
 
 
 def _used(moving: Table, robot: Robot, setup: MovingSetup) -> Mask:
-    """Where (n, N) an axis is measured and moves, by its speed limit, or its top speed where no limit is stated."""
+    """Mask (n, N) of rows in which an axis is measured and moves, relative to its speed limit or its top speed."""
     top_rad_s = np.abs(moving.qd_rad_s).max(axis=0, initial=0.0)
     stated = np.isfinite(robot.velocity_rad_s) & (robot.velocity_rad_s > 0.0)
     fastest = np.where(stated, robot.velocity_rad_s, top_rad_s)
@@ -197,7 +197,7 @@ def _used(moving: Table, robot: Robot, setup: MovingSetup) -> Mask:
 
 
 def _check_speeds(moving: Table) -> None:
-    """Refuse speeds that are not those of the positions: rows too far apart, or another unit.
+    """Refuse speeds that contradict the positions: rows too far apart, or another unit.
 
     Raises
     ------
@@ -207,8 +207,8 @@ def _check_speeds(moving: Table) -> None:
     axis = int(np.argmax(off))
     if off[axis] > _MISMATCH:
         raise DataUnusable(
-            f"J{axis + 1}: from row to row its position goes otherwise than its speed says, by"
-            f" {100 * off[axis]:.0f} % of the way: the motion was sampled too slowly, or the speed is in another unit;"
+            f"J{axis + 1}: from row to row the change of its position differs from its speed, by"
+            f" {100 * off[axis]:.0f} % of the travel: the motion was sampled too slowly, or the speed is in another unit;"
             " record at 100 Hz or more, speeds in rad/s"
         )
 
@@ -216,7 +216,7 @@ def _check_speeds(moving: Table) -> None:
 def _solved(
     rows: tuple[Columns, Still | None], periods: Periods, used: Mask, scale_nm: Floats, knowledge: Knowledge
 ) -> MotionFit:
-    """Settle, weigh the parts anew by what the whole model leaves of them, and settle again."""
+    """Solve, compute the weights from the residual, and solve again."""
     run, (columns, still) = np.asarray(periods.mean.run), rows
     problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, still)
     problem = _with_gains(problem, knowledge, None)
@@ -234,7 +234,7 @@ def _solved(
 
 
 def _with_gains(problem: MotionProblem, knowledge: Knowledge, before: MotionFit | None) -> MotionProblem:
-    """The problem with what is known of the gains: by the losses that a fit before it shows, and of all together."""
+    """Return the problem with priors of the gains from the losses of a previous fit, common gain included."""
     columns = problem.columns
     if "gain" not in columns.ordinary:
         return problem
@@ -248,7 +248,7 @@ def _with_gains(problem: MotionProblem, knowledge: Knowledge, before: MotionFit 
 
 
 def _without_slipped(periods: Periods, knowledge: Knowledge) -> tuple[Periods, tuple[LoadEstimate, ...]]:
-    """The periods without loads that did not stay as they were, and those loads."""
+    """Return the periods without slipped loads, and these loads."""
     gone = {
         label: why for label, why in periods.slipped.items() if label != BARE_LABEL and label not in knowledge.known
     }
@@ -262,8 +262,8 @@ def _without_slipped(periods: Periods, knowledge: Knowledge) -> tuple[Periods, t
 def _weights(
     periods: Periods, robot: Robot, knowledge: Knowledge, setup: MovingSetup, rows: tuple[Mask, SeenEffects | None]
 ) -> tuple[Floats, Floats]:
-    """Standard deviation by which each part is weighted, its residual in a fit with free link parameters; and the
-    Coulomb friction (N,) of that fit.
+    """Standard deviation of each part from its residual in a fit with free links, and Coulomb friction (N,) of that
+    fit.
     """
     moving, (used, seen) = periods.mean, rows
     plain = replace(setup, ordinary=tuple(name for name in setup.ordinary if name == "load_inertia"))
@@ -274,13 +274,13 @@ def _weights(
     level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())
     if not setup.ordinary:
         return sigma, level_nm
-    # a prior is weighed against rows that are as good as they are independent
+    # the weight of the rows against the priors counts independent rows only
     left = moving.tau_nm - about(problem, solution.value).model_nm
     return sigma * np.sqrt(correlation_times(problem, left, np.asarray(moving.run))), level_nm
 
 
 def _reweighted(problem: MotionProblem, passes: int) -> tuple[Solution, Floats]:
-    """Solution with every axis weighted by its residual (N,) in the pass before; the first weights are one."""
+    """Solve again with each axis weighted by its previous residual (N,); the first weights are one."""
     target = np.where(problem.used, problem.tau_nm - problem.columns.known_nm, 0.0)
     least = 1e-6 * max(float(np.sqrt((target**2).sum() / max(int(problem.used.sum()), 1))), 1e-12)
     sigma = np.ones(len(problem.parts))
@@ -295,7 +295,7 @@ def _reweighted(problem: MotionProblem, passes: int) -> tuple[Solution, Floats]:
 
 
 def _residual_rms(problem: MotionProblem, solution: Solution) -> Floats:
-    """Root mean square of the residual of each part. The basis keeps lengths."""
+    """Root mean square of the residual of each part; the orthonormal basis preserves lengths."""
     ends = np.cumsum([len(part.factor) for part in problem.parts])[:-1]
     lengths = [float(np.linalg.norm(left)) for left in np.split(solution.residual, ends)]
     return np.array(lengths) / np.sqrt([len(part.rows) for part in problem.parts])

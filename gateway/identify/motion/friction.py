@@ -1,4 +1,4 @@
-"""Friction of moving rows as columns, axis by axis, and the curve that a fit of them has near standstill.
+"""Friction of moving rows as columns by axis, and the fitted friction curve near standstill (Stribeck).
 
 Coulomb and viscous friction, rotor inertia, a constant; and a fall from breakaway of which neither speed nor shape is
 known beforehand (Armstrong-Helouvry et al. 1994 give powers of 0.5 to 2): several falls side by side make any of them,
@@ -17,31 +17,31 @@ Floats = NDArray[np.float64]
 
 FRICTION: Final = ("coulomb", "viscous", "rotor_inertia", "offset")
 FRICTION_UNITS: Final = ("Nm", "Nm s/rad", "kg m2", "Nm")
-#: Of a fall from breakaway, before its number.
+#: Prefix of the parameters of a fall from breakaway.
 FALL: Final = "stribeck"
-#: Of the Coulomb friction of one of several runs off that of all, before its number.
+#: Prefix of the deviation of a run's Coulomb friction from the mean of all runs.
 RUN: Final = "run_coulomb"
-#: Standard deviation of that, of the Coulomb level.
+#: Prior standard deviation of this deviation, over the Coulomb friction.
 RUN_SHARE: Final = 0.1
-#: Speeds over which friction falls, of the fastest of each axis.
+#: Speeds over which friction falls, as shares of the top speed of each axis.
 _FALLS: Final = (0.01, 0.03, 0.09)
-#: Standard deviation of each of them, of the Coulomb level.
+#: Prior standard deviation of each fall, over the Coulomb friction.
 FALL_SHARE: Final = 0.3
-#: Standard deviations of a fall that shows.
+#: Significance of a fall, in standard deviations.
 _SHOWS: Final = 3.0
-#: Speeds at which the fitted curve is looked at.
+#: Number of speeds at which the fitted curve is evaluated.
 _LOOKED: Final = 60
 
 
 def fall_speeds(qd_rad_s: Floats) -> Floats:
-    """Speeds (N, k) over which the friction of each axis may fall, of rows (n, N)."""
+    """Speeds (N, k) over which the friction of each axis may fall, from rows (n, N)."""
     return np.outer(np.abs(qd_rad_s).max(axis=0, initial=0.0), _FALLS)
 
 
 def friction_columns(
     qd_rad_s: Floats, qdd_rad_s2: Floats, shapes: tuple[str, ...], smooth_rad_s: float | Floats
 ) -> Floats:
-    """Columns (n, N, N len(shapes)) of what is in proportion to speeds and accelerations (n, N)."""
+    """Columns (n, N, N len(shapes)) proportional to functions of speeds and accelerations (n, N)."""
     (n, axes), count = qd_rad_s.shape, len(shapes)
     values = {
         "coulomb": np.tanh(qd_rad_s / smooth_rad_s),
@@ -68,13 +68,15 @@ def fall_columns(qd_rad_s: Floats, falls_rad_s: Floats, smooth_rad_s: float | Fl
 
 
 def _falls(qd_rad_s: Floats, speeds_rad_s: Floats) -> Floats:
-    """What is left (n, k) at speeds (n,) of falls over speeds (k,)."""
+    """Remaining friction (n, k) at speeds (n,) of falls over speeds (k,)."""
     return np.exp(-((qd_rad_s[:, None] / np.maximum(speeds_rad_s, 1e-9)) ** 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fall:
-    """A fall `size_nm exp(-(qd / speed_rad_s)^2)` close to the fitted ones; `shares` (k,) times these are its size."""
+    """Fall of friction `size_nm exp(-(qd / speed_rad_s)^2)` nearest to the fitted ones; `shares` (k,) are their sizes
+    over it.
+    """
 
     size_nm: float
     speed_rad_s: float
@@ -82,7 +84,7 @@ class Fall:
 
 
 def shown_fall(fitted_nm: Floats, covariance: Floats, falls_rad_s: Floats) -> Fall | None:
-    """The one fall that is closest to fitted ones (k,) with their covariance (k, k); None where none shows.
+    """Return the single fall nearest to the fitted ones (k,) with covariance (k, k); None if it is not significant.
 
     A fall shows at the least of their speeds: below, no rows need be.
     """
