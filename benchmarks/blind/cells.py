@@ -13,8 +13,8 @@ from gateway.diagnose.rest.mistakes import Mistake
 from gateway.diagnose.rest.search import Search
 from gateway.identify.rest.linear import Fit
 from gateway.identify.rest.loads import loads_of
-from gateway.identify.rest.noise import first_noise
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot, robot_from_urdf

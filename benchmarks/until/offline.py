@@ -17,7 +17,7 @@ from gateway.estimate.estimate import Estimate
 from gateway.estimate.joint import estimate_joint
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.outlook import Sought, Stock, take_stock
-from gateway.identify.aside import without_gross
+from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import Visits, pair_visits
@@ -82,7 +82,7 @@ class Cell:
         """Sound visits, and the standard deviation of a sample by axis."""
         table = concatenate(parts)
         visits = pair_visits(table, self.options.efficiency)
-        sound, _ = without_gross(visits, self.robot, self.options.gravity_m_s2)
+        sound, _ = without_outliers(visits, self.robot, self.options.gravity_m_s2)
         return sound, np.nanmedian(table.tau_std_nm, axis=0)
 
     def error(self, load: object) -> np.ndarray:

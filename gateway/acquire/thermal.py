@@ -16,7 +16,7 @@ import numpy as np
 from gateway.data.recording.reader import read
 from gateway.data.rest_pose import RestPose
 from gateway.identify.drift import AGAIN
-from gateway.identify.loads import BARE_LABEL
+from gateway.identify.prior_loads import BARE_LABEL
 
 #: Number of poses in one round of the warm-up.
 ROUND_POSES: Final = 4

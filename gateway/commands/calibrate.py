@@ -127,7 +127,7 @@ def _refuse_plan(arm: ArmConfig, about: AnalysisInputs, weight: Weight, plan: Pl
     """Refuse to move if no axis can be calibrated."""
     import numpy as np
 
-    from gateway.identify.loads import load_vector
+    from gateway.identify.prior_loads import load_vector
     from gateway.motion.assumed import assumed_noise_nm, reference_load
     from gateway.motion.workspace import workspace_of
     from gateway.pipeline.calibration_checks import carried_by_none, load_torque, stated_std

@@ -36,7 +36,7 @@ from gateway.diagnose.loop import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.identify.drift import drift_findings, drift_of, is_steady
-from gateway.identify.loads import BARE_LABEL
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.model.arm_model import arm_robot
 from gateway.model.visits import pair_visits
 from gateway.motion.opening import OpenArm

@@ -11,7 +11,7 @@ from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import ESTIMATORS
 from gateway.identify.load_estimate import load_result
-from gateway.identify.loads import refuse_in_motion
+from gateway.identify.prior_loads import refuse_in_motion
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot
 from gateway.result.result import Finding, Result

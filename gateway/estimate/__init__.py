@@ -23,10 +23,10 @@ from gateway.estimate.joint import estimate_joint, refused_loads
 from gateway.estimate.moving import estimate_moving
 from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.estimate.posture import estimate_posture
-from gateway.identify.aside import without_gross
 from gateway.identify.links import default_inertials
-from gateway.identify.loads import BARE_LABEL, refuse_absent, refuse_in_motion
 from gateway.identify.motion.rest_rows import fitted_rest
+from gateway.identify.prior_loads import BARE_LABEL, refuse_absent, refuse_in_motion
+from gateway.identify.rejected import without_outliers
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits, pair_visits
 from gateway.result.result import Finding, Result
@@ -47,7 +47,7 @@ Estimator = Callable[[Table, Robot, EstimateOptions], Estimate]
 
 def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -> Estimator:
     def with_table(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
-        sound, aside = without_gross(_visits(table, options), robot, options.gravity_m_s2)
+        sound, aside = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
         found = function(sound, robot, options)
         return replace(found, set_aside=aside.entries, findings=(*aside.findings, *found.findings))
 
@@ -90,7 +90,7 @@ def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
 
 def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Rest and moving rows in one solution; a load that contradicts itself at rest is in neither."""
-    sound, aside = without_gross(_visits(table, options), robot, options.gravity_m_s2)
+    sound, aside = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
     rest = fitted_rest(sound, robot, options)
     at_rest = options.of_loads(sound.load)
     gone = refused_loads(rest.problem, rest.fit, robot, at_rest)

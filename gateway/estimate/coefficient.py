@@ -20,8 +20,8 @@ from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE
 from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load
-from gateway.identify.loads import BARE_LABEL, refuse_absent
 from gateway.identify.nuisance import gain_stds
+from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
 from gateway.model.robot import Robot
 from gateway.result.result import Finding
 

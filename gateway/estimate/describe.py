@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
-from gateway.identify.loads import LOAD_NAMES, LOAD_UNITS
+from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import load_estimates, ordinary_of, sure, widening
-from gateway.identify.rest.ordinary import KINDS
+from gateway.identify.rest.loads import load_estimates, nuisance_results, sure, widening
+from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import gravity_names
 from gateway.model.robot import Robot
@@ -74,7 +74,7 @@ def describe(
         condition=fit.condition,
         lumped=tuple(name for name, good in zip(names, found, strict=True) if not good),
         bare=bare_of(problem, fit, robot, options),
-        nuisance=ordinary_of(problem, fit),
+        nuisance=nuisance_results(problem, fit),
         quality={"rows": len(problem.target), "parameters": len(names)},
     )
 

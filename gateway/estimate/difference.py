@@ -20,14 +20,14 @@ from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import refused_load
-from gateway.identify.loads import BARE_LABEL, load_vector, unknown_labels
 from gateway.identify.nuisance import gain_stds, losses
+from gateway.identify.prior_loads import BARE_LABEL, load_vector, unknown_labels
 from gateway.identify.repeats import half_difference_scatter
-from gateway.identify.rest.fit import fit
 from gateway.identify.rest.gain_changes import GainChanges
+from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
-from gateway.identify.rest.noise import first_noise
 from gateway.identify.rest.problem import build_problem, nuisance_of
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.kinematics import gravity_in_last_link, largest_angle_rad
 from gateway.model.robot import Robot
 from gateway.model.visits import SAME_POSE_RAD, Visits, joined

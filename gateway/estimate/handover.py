@@ -14,7 +14,7 @@ from gateway.estimate.consistency import hull_radius_m, physical_findings
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.load_estimate import LoadEstimate, load_result, refused_findings
-from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, ORDINARY_STD, efficiency_of
+from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, NUISANCE_STD, efficiency_of
 from gateway.identify.repeats import half_difference_scatter, negative_bands, repeated_std
 from gateway.model.robot import Robot
 from gateway.result.acceptance import no_body
@@ -167,7 +167,7 @@ def _gear_losses(estimate: Estimate) -> list[Finding]:
     loss = estimate.nuisance.get("load_friction")
     if loss is None:
         return []
-    most = LOAD_FRICTION + ORDINARY_STD * LOAD_FRICTION_STD
+    most = LOAD_FRICTION + NUISANCE_STD * LOAD_FRICTION_STD
     return [
         Finding(
             "warn", f"J{joint}",
@@ -177,7 +177,7 @@ def _gear_losses(estimate: Estimate) -> list[Finding]:
             "gear_efficiency",
         )
         for joint, (value, std) in enumerate(zip(loss.value, loss.std, strict=True), start=1)
-        if value - ORDINARY_STD * std > most
+        if value - NUISANCE_STD * std > most
     ]  # fmt: skip
 
 

@@ -15,9 +15,9 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies
 from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.load_estimate import LoadEstimate, refused_load
-from gateway.identify.loads import require_postures, unknown_labels
 from gateway.identify.mass_change import mass_changes
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.prior_loads import require_postures, unknown_labels
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import per_pose_mass
 from gateway.identify.rest.problem import build_problem

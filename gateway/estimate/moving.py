@@ -15,8 +15,8 @@ from gateway.estimate.describe import fitted_rows as rest_rows
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.motion.columns import MovingSetup
-from gateway.identify.motion.fit import MotionFit, fit_motion
-from gateway.identify.motion.loads import axis_motions, loads_of, nuisances
+from gateway.identify.motion.moving_fit import MotionFit, fit_motion
+from gateway.identify.motion.moving_results import axis_motions, loads_of, nuisances
 from gateway.identify.motion.rest_rows import FittedRest
 from gateway.model.motion import behind_gears
 from gateway.model.robot import Robot

@@ -18,13 +18,13 @@ from gateway.estimate.joint import refused_loads
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST
 from gateway.identify.load_estimate import LoadEstimate, load_directions
-from gateway.identify.loads import bare_rows
 from gateway.identify.nuisance import BIAS_SHARE, change_covariance, gain_stds
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.prior_loads import bare_rows
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import load_estimates
-from gateway.identify.rest.ordinary import KINDS
 from gateway.identify.rest.problem import build_problem, open_link_prior
+from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot, reach_m
 from gateway.model.visits import Visits

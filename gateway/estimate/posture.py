@@ -20,8 +20,8 @@ from gateway.estimate.describe import LOAD_NAMES, describe
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
-from gateway.identify.loads import BARE_LABEL, require_postures, unknown_labels
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.prior_loads import BARE_LABEL, require_postures, unknown_labels
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import build_problem
 from gateway.identify.solve import solve

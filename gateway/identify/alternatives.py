@@ -25,7 +25,8 @@ from gateway.model.robot import Robot, link_lengths_m
 
 Floats = NDArray[np.float64]
 
-#: Alternatives that are tried: relative standard deviations of link masses, of torque constants, factors on gain changes.
+#: Alternatives that are tried: relative standard deviations of link masses, of torque constants, factors on gain
+#: changes.
 LINK_SPREADS: Final = (0.02, 0.05, 0.1, 0.2, 0.4)
 _GAINS: Final = (0.01, 0.03, 0.06, 0.12)
 _CHANGES: Final = (3.0, 8.0)

@@ -1,6 +1,6 @@
 """Statements about an arm, tested against rest visits: link masses, torque constants, changes of gain, labels.
 
-A statement enters a fit as a prior. Where the measurement contradicts it, a fit is narrow and wrong, so the spread of
+A statement enters a fit as a prior. A contradicted statement makes the fit narrow and wrong. So the spread of
 each group of priors is estimated from the data (empirical Bayes, `methods.md` 11): the marginal likelihood at a wider
 prior over that at the stated one. A group that needs more than three times its stated spread is dropped. Background:
 Box 1980 (predictive checks), Evans and Moshonov 2006 (conflict of prior and data).
@@ -21,12 +21,12 @@ from gateway.identify.alternatives import LINK_SCALE, LINK_SPREADS, spread_of_lo
 from gateway.identify.known_load import least_supported, load_contradicted
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
-from gateway.identify.rest.thresholds import CONFLICT
+from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.model.placeholders import mass_placeholder
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -118,8 +118,8 @@ def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Kn
         and not weighed
         and _unloaded(problem, knowledge)
     ):
-        # constants and links contradict each other, and the rows do not tell which are wrong: the arm is measured, so
-        # the links are the statement that is not needed
+        # constants and links contradict each other, and the rows cannot decide which are wrong: the arm is measured, so
+        # the statement on the links is not needed
         return replace(knowledge, inertials="ignore")
     return dropped(knowledge, found)
 

@@ -22,7 +22,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class GrossLimits:
+class OutlierLimits:
     """Limits of an outlier. Origin: simulated arms of seeds 0 to 199, with and without effects and outliers."""
 
     #: Least deviation of an outlier, in robust standard deviations.
@@ -48,7 +48,7 @@ class GrossLimits:
     disturbed_axes: float = 0.5
 
 
-LIMITS: Final = GrossLimits()
+LIMITS: Final = OutlierLimits()
 #: Relative prior standard deviation of the gains in the contrasts: wide enough for usual errors.
 _GAIN_STD: Final = 0.1
 
@@ -62,11 +62,11 @@ class Deviations:
 
     sum_nm: Floats
     difference_nm: Floats
-    gross: Mask
+    outlier: Mask
     scatter_nm: Floats
 
 
-def least_scale(visits: Visits, limits: GrossLimits) -> Floats:
+def least_scale(visits: Visits, limits: OutlierLimits) -> Floats:
     """Smallest scale (N,) that is accepted as a scatter."""
     count = np.maximum(np.isfinite(visits.sum_nm).sum(axis=0), 1)
     size = np.sqrt(np.nansum(visits.sum_nm**2, axis=0) / count)
@@ -115,7 +115,7 @@ def contrasts_of(visits: Visits, regressor: Floats) -> PoseContrasts:
 
 
 def deviations(
-    visits: Visits, regressor: Floats, pairs: PoseContrasts, without: Mask, least: Floats, limits: GrossLimits
+    visits: Visits, regressor: Floats, pairs: PoseContrasts, without: Mask, least: Floats, limits: OutlierLimits
 ) -> Deviations:
     """Deviations of every visit; `regressor` (n, N, 4 N) has the gravity rows, last the four columns of a load."""
     model, residual, scale = _whole_fit(visits, regressor, without, least)
@@ -126,14 +126,14 @@ def deviations(
     band = np.nan_to_num(bands(visits))
     repeated = _contrast_off(visits, pairs, without, residual, least, limits)
     alone = repeated.alone & np.isfinite(residual)
-    gross = repeated.gross | (
+    outlier = repeated.outlier | (
         alone & (np.abs(residual) > np.maximum(limits.scales_alone * scale, limits.alone_bands * band))
     )
     sums = np.where(alone, residual, repeated.off_nm)
     far = np.maximum(limits.scales * differences.scale, limits.difference_bands * band)
-    gross |= np.abs(np.nan_to_num(differences.off_nm)) > far
+    outlier |= np.abs(np.nan_to_num(differences.off_nm)) > far
     enough = np.isfinite(visits.sum_nm).sum(axis=0) >= limits.least_rows
-    return Deviations(sums, differences.off_nm, gross & enough, np.hypot(np.nan_to_num(repeated.scatter_nm), known))
+    return Deviations(sums, differences.off_nm, outlier & enough, np.hypot(np.nan_to_num(repeated.scatter_nm), known))
 
 
 def _whole_fit(visits: Visits, regressor: Floats, without: Mask, least: Floats) -> tuple[Floats, Floats, Floats]:
@@ -160,13 +160,13 @@ def _load_columns(rows: Floats, load: NDArray[np.str_]) -> list[Floats]:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Repeated:
     off_nm: Floats
-    gross: Mask
+    outlier: Mask
     alone: Mask
     scatter_nm: Floats
 
 
 def _contrast_off(
-    visits: Visits, contrasts: PoseContrasts, without: Mask, residual: Floats, least: Floats, limits: GrossLimits
+    visits: Visits, contrasts: PoseContrasts, without: Mask, residual: Floats, least: Floats, limits: OutlierLimits
 ) -> _Repeated:
     """Return the deviation of each half-sum from the other visits of its pose, without any model of the pose."""
     shape = visits.sum_nm.shape
@@ -174,10 +174,10 @@ def _contrast_off(
     use = np.isfinite(visits.sum_nm[one] - visits.sum_nm[other]) & (visits.side[one] == visits.side[other])
     few = use.sum(axis=0) < limits.least_rows
     use &= ~few
-    off, gross, alone = np.zeros(shape), np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
+    off, outlier, alone = np.zeros(shape), np.zeros(shape, dtype=bool), np.ones(shape, dtype=bool)
     scatter = np.full(shape[1], np.nan)
     if not use.any():
-        return _Repeated(off, gross, alone, scatter)
+        return _Repeated(off, outlier, alone, scatter)
     left, scale = _contrast_fit(visits, contrasts, use, without, least)
     scatter = np.where(few, np.nan, scale / np.sqrt(2.0))
     far = np.maximum(limits.scales * scale, limits.sum_bands * np.nan_to_num(bands(visits)))
@@ -193,8 +193,8 @@ def _contrast_off(
         for visit in here[np.abs(off[here, axis]) > far[axis]]:
             partner = pairs[(pairs == visit).any(axis=1)]
             rest = partner[partner != visit]
-            gross[visit, axis] = len(rest) > 1 or abs(residual[visit, axis]) >= abs(residual[rest[0], axis])
-    return _Repeated(off, gross, alone, scatter)
+            outlier[visit, axis] = len(rest) > 1 or abs(residual[visit, axis]) >= abs(residual[rest[0], axis])
+    return _Repeated(off, outlier, alone, scatter)
 
 
 def _contrast_fit(

@@ -20,7 +20,7 @@ _FEWEST = 3
 #: Half of a 95 % interval above which a change counts as unknown, such as of an axis without load.
 _LARGEST_HALF = 0.1
 #: Significance of a change in halves of its 95 % interval; strict, because twelve changes are tested.
-_TOLD = 1.5
+_SIGNIFICANT = 1.5
 #: The same for the torque of any axis: 1 % false alarms on steady arms with twelve poses.
 _SURELY = 2.0
 
@@ -45,7 +45,7 @@ class AxisDrift:
     @property
     def shows(self) -> bool:
         """Return whether a change of torque or friction is significant."""
-        return any(_known(std) and abs(value) > _TOLD * half_width(std) for value, std in self.changes)
+        return any(_known(std) and abs(value) > _SIGNIFICANT * half_width(std) for value, std in self.changes)
 
     @property
     def gain_shows(self) -> bool:
@@ -119,7 +119,9 @@ def _said(drift: AxisDrift) -> str:
         for what, (value, std) in zip(("torque", "friction"), drift.changes, strict=True)
         if _known(std)
     ]
-    return f"between both times {', '.join(changed)}: a change that is linear in time cancels in this order of the loads"
+    return (
+        f"between both times {', '.join(changed)}: a change that is linear in time cancels in this order of the loads"
+    )
 
 
 def _known(std: float) -> bool:

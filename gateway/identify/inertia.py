@@ -2,7 +2,7 @@
 
 A body's pseudo-inertia `J = [[S, h], [h', m]]`, `S = tr(I) / 2 E - I` the second moments of its mass, is positive
 definite (Wensing et al. 2018). A free fit need not be one: then the nearest body in the metric of the covariance is
-given, which lies no further from any body, the true one among them, than the free fit does.
+given, which is no further from any body, including the true one, than the free fit.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _THINNEST_M: Final = 1e-3
 #: Best uncertainty of a moment, as a radius of gyration [m].
 _HAIR_M: Final = 5e-3
 #: Largest standard deviation of a reported moment, over the largest principal moment.
-_TOLD: Final = 0.5
+_LARGEST_STD: Final = 0.5
 #: The same as a radius of gyration [m], so that small moments are reported too.
 _SMALL_M: Final = 0.05
 _SAME: Final = 1e-9
@@ -38,7 +38,7 @@ class LoadInertia:
     Attributes
     ----------
     value_kg_m2, std_kg_m2 : arrays of shape (6,)
-        As `INERTIA_PARTS`; NaN where the data do not tell.
+        As `INERTIA_PARTS`; NaN where not determined.
     free : bool
         The free fit was a body; False: this is the nearest one.
     """
@@ -181,6 +181,6 @@ def load_inertia(body: FittedBody, covariance: Floats) -> LoadInertia:
     turn = central_directions(body.ten)
     std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", turn, covariance, turn), 0.0))
     largest = float(np.linalg.eigvalsh(tensor)[-1])
-    told = std <= max(_TOLD * largest, body.ten[0] * _SMALL_M**2)
+    determined = std <= max(_LARGEST_STD * largest, body.ten[0] * _SMALL_M**2)
     value = tensor[_ROW, _COLUMN]
-    return LoadInertia(np.where(told, value, np.nan), np.where(told, std, np.nan), body.free)
+    return LoadInertia(np.where(determined, value, np.nan), np.where(determined, std, np.nan), body.free)

@@ -2,7 +2,7 @@
 
 A known load is freed and gets a wide prior about what is stated. Its marginal likelihood over that of the stated load
 is compared with those of wider constants and links: a mass that is wrong by 30 % and constants that are all wrong by
-30 % read alike, and the constants have a datasheet's tolerance.
+30 % give equal readings, and the constants have a datasheet's tolerance.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.load_estimate import load_directions
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import EXACT, Knowledge, build_problem

@@ -105,8 +105,8 @@ def link_prior(robot: Robot, trust: float, per_link: int) -> tuple[Floats, Float
 def as_bodies(mean: Floats, std: Floats) -> tuple[Floats, Floats]:
     """Prior of k links as physical bodies: `rows @ parameters = right`, each with unit standard deviation.
 
-    A link that weighs more than its model says has larger first moments and a larger inertia too: ten numbers that are
-    believed one by one tell its mass several times over, and through all links a gain that the torques have in common.
+    A link that weighs more than its model says has larger first moments and a larger inertia too. Ten independent
+    numbers would count its mass several times, and through all links a common gain of the torques.
     As sure as in `link_prior` are the mass, the first moment at that mass, and the inertia about the centre of gravity.
 
     Parameters

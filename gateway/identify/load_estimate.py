@@ -166,7 +166,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
     open_: tuple[str, ...] = ()
     if inertia is not None:
         open_ = inertia.unidentifiable
-    elif told and known.all():  # what lies nobody knows where has no inertia about it: the place is named
+    elif told and known.all():  # a load with unknown centre has no inertia about it: the place is named
         open_ = (INERTIA_WHOLE,)
     return LoadResult(
         label=load.label,

@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.loads import BARE_LABEL
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.prior_loads import BARE_LABEL
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 
 Floats = NDArray[np.float64]

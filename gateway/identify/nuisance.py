@@ -1,7 +1,7 @@
-"""What every arm has beside its links, its loads and its friction bands, as parameters with priors (`methods.md` 9).
+"""Nuisance parameters beside links, loads and friction bands, with their priors (`methods.md` 9).
 
 Per axis a gain error of the reading, a bias that friction leaves in the middle of both sides, and a loss that grows
-with the torque. None of them is an effect: a result is as sure as they are known, and an effect is named only where it
+with the torque. None of them is an effect: a result is as certain as they are, and an effect is named only where it
 goes beyond them.
 """
 
@@ -19,7 +19,7 @@ from gateway.identify.trust import prior_share
 
 Floats = NDArray[np.float64]
 
-#: Relative standard deviation of a torque whose constants nobody states.
+#: Relative standard deviation of a torque without stated constants.
 TABLE_GAIN_STD: Final = 0.03
 #: Share of the variance of torque constants that all axes of an arm have in common (one voltage or rms convention, one
 #: batch of motors).
@@ -28,26 +28,26 @@ COMMON_SHARE: Final = 0.5
 #: (`methods.md` 11: magnets and copper, some 10 K).
 CHANGE_AXIS: Final = 0.004
 CHANGE_COMMON: Final = 0.003
-#: Share of the friction band by which the two directions differ.
+#: Prior standard deviation of the bias by direction, over the friction band.
 BIAS_SHARE: Final = 0.10
 #: Loss over transmitted torque, and its standard deviation.
 LOAD_FRICTION: Final = 0.05
 LOAD_FRICTION_STD: Final = 0.05
-#: Share of a loss by which driving and driven back differ beyond what one efficiency says.
+#: Difference of the losses in driving and back-driving beyond one efficiency, as a share of the loss.
 UNEVEN_LOSS: Final = 0.10
-#: Standard deviations of its prior that an ordinary parameter may lie off before it is an effect.
-ORDINARY_STD: Final = 2.0
-#: Relative standard deviation beyond which a gain says nothing of a mass.
+#: Deviation of a nuisance parameter from its prior, in standard deviations, above which it is an effect.
+NUISANCE_STD: Final = 2.0
+#: Largest relative standard deviation of a torque constant that still determines a mass.
 _MOST_GAIN_STD: Final = 0.3
-#: Least relative standard deviation that is told from none in the arithmetic.
+#: Least relative standard deviation above rounding.
 _EXACT: Final = 1e-9
-#: Half differences of an axis from which a loss can be read.
+#: Least number of half-differences of an axis to estimate its loss.
 _LEAST_HALVES: Final = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuisancePrior:
-    """Prior of what every arm has, N axes.
+    """Prior of the nuisance parameters of N axes.
 
     Attributes
     ----------
@@ -69,7 +69,7 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     Raises
     ------
     ConfigError
-        Another number of axes, a negative one, or one of 30 % and more: that is no constant.
+        Another number of axes, a negative one, or one of 30 % and more: such a value is not a constant.
     """
     if given is None:
         return np.full(axes, TABLE_GAIN_STD)
@@ -81,19 +81,19 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
         raise ConfigError(f"the standard deviation of a torque constant is a share of 0 or more, not {wrong[0]:g}")
     if not (values < _MOST_GAIN_STD).all():
         raise ConfigError(
-            f"a torque constant known to {100 * float(values.max()):.0f} % says nothing of a mass: "
+            f"a torque constant known to {100 * float(values.max()):.0f} % does not determine a mass: "
             f"state less than {100 * _MOST_GAIN_STD:.0f} %, or weigh a load and give it as --known"
         )
     return np.maximum(values, _EXACT)
 
 
 def change_covariance(axes: int, factor: float = 1.0) -> Floats:
-    """Covariance (N, N) of the change of the gains of all axes from one run to the next, `factor` times the usual."""
+    """Covariance (N, N) of the gain changes of all axes from one run to the next, scaled by `factor`."""
     return factor**2 * (CHANGE_AXIS**2 * np.eye(axes) + CHANGE_COMMON**2)
 
 
 def parse_torque_gain(text: str) -> float:
-    """Relative standard deviation behind `exact` (0) and `prior:S`.
+    """Relative standard deviation for `exact` (0) and `prior:S`.
 
     Raises
     ------
@@ -112,7 +112,7 @@ def parse_torque_gain(text: str) -> float:
 
 
 def losses(difference_nm: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:
-    """Loss over transmitted torque of each axis, and its standard deviation, from half differences `band + nu |tau|`.
+    """Loss over transmitted torque of each axis with its standard deviation, from half-differences `band + nu |tau|`.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def losses(difference_nm: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:
         slope = float(away @ half) / spread if spread > (_EXACT * size.max(initial=0.0)) ** 2 else 0.0
         left = half - half.mean() - slope * away
         noise = float(left @ left) / (use.sum() - 2)
-        # the data's weight, and the prior's
+        # weight of the data, weight of the prior
         own = spread / max(noise, (_EXACT * np.abs(half).max(initial=0.0)) ** 2, 1e-300)
         prior = LOAD_FRICTION_STD**-2
         if own < prior:
@@ -149,19 +149,19 @@ def losses(difference_nm: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:
 
 
 def efficiency_of(lost: float) -> float:
-    """Efficiency of a gear whose losses in both directions differ from the torque by `lost`: `(1 / eta - eta) / 2`."""
+    """Efficiency of a gear whose loss is `lost = (1 / eta - eta) / 2` of the torque."""
     return float(np.hypot(1.0, lost) - lost)
 
 
 def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> NuisancePrior:
-    """Prior of what every arm has.
+    """Return the prior of the nuisance parameters.
 
     Parameters
     ----------
     gain_std : array of shape (N,)
         Of the torque constants, relative.
     band_nm : array of shape (N,)
-        Friction band of each axis; NaN = not seen, no bias can be foretold.
+        Friction band of each axis; NaN = not seen, no bias can be predicted.
     lost : array of shape (N,)
         Loss over transmitted torque that the half differences of the axis show (`losses`); NaN = not seen, as the prior
         has it.
@@ -169,7 +169,7 @@ def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> Nui
     Notes
     -----
     A gear of one efficiency loses more where it is driven, and leaves `nu^2 / 2` of the torque in the middle of both
-    sides; losses that are even leave nothing. Which of both a gear is nobody states: the gain is moved by half of it
+    sides; losses that are even leave nothing. The kind of a gear is not stated: the gain is moved by half of it
     where the loss is seen, and only widened where it is not.
     """
     band = np.abs(np.nan_to_num(np.asarray(band_nm, dtype=float)))

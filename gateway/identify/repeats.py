@@ -1,4 +1,4 @@
-"""What repeated visits and half-differences say of the noise and of the signs, without any model of the arm."""
+"""Noise and sign errors from repeated visits and half-differences, without a model of the arm."""
 
 from __future__ import annotations
 

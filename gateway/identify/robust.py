@@ -1,4 +1,4 @@
-"""Robust regression: what most rows agree on, whatever a few of them say."""
+"""Robust regression that rejects the influence of a few outliers."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
-#: Median absolute deviation to standard deviation, of a Gaussian.
+#: Ratio of standard deviation to median absolute deviation of a Gaussian.
 _MAD: Final = 1.4826
-#: Standard deviations beyond which a row has no say (Tukey's biweight).
+#: Standard deviations above which a row has weight 0 (Tukey's biweight).
 _TUKEY: Final = 6.0
 _STEPS: Final = 12
-#: Share of the scale by which the last step may still move a residual.
+#: Convergence: largest change of a residual in the last step, over the scale.
 _SETTLED: Final = 0.02
 _RANK: Final = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobustFit:
-    """Residual (r,) of a robust regression, and the standard deviation (g,) of each group by its inner half."""
+    """Residual (r,) of a robust regression, and standard deviation (g,) of each group from its inner half."""
 
     residual: Floats
     scale: Floats
@@ -33,7 +33,7 @@ class RobustFit:
 def robust_fit(
     design: Floats, target: Floats, group: Ints, least: Floats, sound: Mask, prior_std: Floats | None = None
 ) -> RobustFit:
-    """Robust regression: least absolute values, then Tukey's biweight at the scatter of each group.
+    """Robust regression: least absolute values, then Tukey's biweight with the scatter of each group.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def robust_fit(
 
 
 def _basis(design: Floats, prior_std: Floats | None) -> tuple[Floats, Floats]:
-    """Independent columns (r, k) that span the free ones, then the held ones, and rows (h, k) of their prior."""
+    """Independent columns (r, k) that span the free ones, then those with a prior, and rows (h, k) of that prior."""
     held = np.zeros(design.shape[1], dtype=bool) if prior_std is None else np.isfinite(prior_std)
     free = design[:, ~held]
     length = np.linalg.norm(free, axis=0)
@@ -92,7 +92,7 @@ def _weighted(basis: Floats, target: Floats, weight: Floats, prior: Floats) -> F
 
 
 def _scales(residual: Floats, group: Ints, sound: Mask, parameters: int, count: int) -> Floats:
-    """Robust standard deviation of each group, the freedom that the fit took up given back."""
+    """Robust standard deviation of each group, corrected for the degrees of freedom of the fit."""
     rows = max(int(sound.sum()), 1)
     freedom = np.sqrt(rows / max(rows - parameters, 0.25 * rows))
     return np.array(
@@ -104,5 +104,5 @@ def _scales(residual: Floats, group: Ints, sound: Mask, parameters: int, count: 
 
 
 def median(values: Floats) -> float:
-    """Median, NaN of nothing."""
+    """Median; NaN for no values."""
     return float(np.median(values)) if len(values) else np.nan

@@ -1,4 +1,5 @@
-"""The weighted linear problem that every estimator solves: columns, weights, priors in; solution and covariance out.
+"""Weighted linear least squares with priors, used by every estimator: columns, weights and priors give solution and
+covariance.
 
 One call is a QR of the scaled, whitened columns, part by part of the rows, and an SVD of the small factor: time and
 memory grow linearly with the rows, and it may be called thousands of times.
@@ -18,7 +19,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
 TOLERANCE = 1e-7
-#: Length of a column, over that of the longest, below which it is the rounding of none.
+#: Length of a column over that of the longest, below which it counts as zero.
 NOTHING = 1e-13
 #: Rows that are reduced at once: with the columns of one group they stay in the cache of a core.
 _CHUNK = 1024
@@ -26,7 +27,7 @@ _CHUNK = 1024
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """Gaussian knowledge of the parameters.
+    """Gaussian prior of the parameters.
 
     `mean`, `std` (p,) of each, infinite = free; `rows` (k, p) and `right` (k,): further combinations that are known,
     `rows @ x = right` with unit standard deviation.
@@ -39,17 +40,17 @@ class Prior:
 
     @staticmethod
     def free(count: int) -> Prior:
-        """Nothing is known."""
+        """Return a prior without information."""
         return Prior(np.zeros(count), np.full(count, np.inf), np.zeros((0, count)), np.zeros(0))
 
     def with_std(self, index: NDArray[np.int_], std: Floats) -> Prior:
-        """The same, some parameters held to another standard deviation."""
+        """Return a copy with another standard deviation of some parameters."""
         changed = self.std.copy()
         changed[index] = std
         return Prior(self.mean, changed, self.rows, self.right)
 
     def freed(self, index: NDArray[np.int_]) -> Prior:
-        """The same, nothing being known of some parameters."""
+        """Return a copy without information on some parameters."""
         if not len(index):
             return self
         rows = self.rows.copy()
@@ -57,7 +58,7 @@ class Prior:
         return replace(self.with_std(index, np.full(len(index), np.inf)), rows=rows)
 
     def beside(self, other: Prior) -> Prior:
-        """What is known of these parameters and of others behind them."""
+        """Return the joint prior of these parameters and of further ones behind them."""
         own = np.pad(self.rows, ((0, 0), (0, len(other.std))))
         more = np.pad(other.rows, ((0, 0), (len(self.std), 0)))
         parts = zip((self.mean, self.std, self.right), (other.mean, other.std, other.right), strict=True)
@@ -66,28 +67,28 @@ class Prior:
 
     @property
     def precision(self) -> Floats:
-        """What is known as a matrix (p, p), the inverse of a covariance where it has one."""
+        """Precision matrix (p, p) of the prior."""
         return np.diag(self.std**-2.0) + self.rows.T @ self.rows
 
     @property
     def pull(self) -> Floats:
-        """The right side (p,) that belongs to the precision."""
+        """Right side (p,) of the normal equations that belongs to the precision."""
         return self.mean * self.std**-2.0 + self.rows.T @ self.right
 
     def penalty(self, value: Floats) -> float:
-        """Square of how far parameters (p,) lie off what is known, in its standard deviations."""
+        """Squared distance of parameters (p,) from the prior mean, in its standard deviations."""
         apart, tied = (value - self.mean) / self.std, self.rows @ value - self.right
         return float(apart @ apart + tied @ tied)
 
     def stds(self, index: NDArray[np.int_]) -> Floats:
-        """Standard deviations (k,) of parameters that no combination ties to others than each other."""
+        """Standard deviations (k,) of parameters that are independent of all others in the prior."""
         own = self.rows[:, index]
         return np.sqrt(np.diag(np.linalg.inv(np.diag(self.std[index] ** -2.0) + own.T @ own)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Least squares solution.
+    """Least squares solution with covariance, rank and null space.
 
     Attributes
     ----------
@@ -180,7 +181,7 @@ def solve(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ByGroup:
-    """Columns (n, p) of a design, kept by group: rows of one axis, or one kind, use few of all columns.
+    """Columns (n, p) of a design, stored by group: rows of one axis, or one kind, use few of all columns.
 
     Attributes
     ----------
@@ -196,7 +197,7 @@ class ByGroup:
 
     @staticmethod
     def of(design: Floats, group: Ints | None = None) -> ByGroup:
-        """From an array (n, p) and the group (n,) of each row; without groups all rows use all columns."""
+        """Build from an array (n, p) and the group (n,) of each row; without groups all rows use all columns."""
         every = np.arange(design.shape[1])
         rows_of = [np.arange(len(design))] if group is None else [np.flatnonzero(group == g) for g in np.unique(group)]
         parts = (part for rows in rows_of for part in _parts(rows, every, design[rows], keep=group is None))
@@ -204,11 +205,11 @@ class ByGroup:
 
     @staticmethod
     def of_groups(count: int, width: int, groups: Iterable[tuple[Ints, Ints, Floats]]) -> ByGroup:
-        """Of `count` rows and `width` columns, from rows (m,), columns (c,) and values (m, c) of each group."""
+        """Build from `count` rows and `width` columns, with rows (m,), columns (c,) and values (m, c) of each group."""
         return ByGroup(count, width, tuple(part for group in groups for part in _parts(*group)))
 
     def beside(self, more: Floats) -> ByGroup:
-        """The same with further columns (n, k) behind."""
+        """Return a copy with further columns (n, k) behind."""
         parts = []
         for rows, columns, values in self.parts:
             own = more[rows]
@@ -218,7 +219,7 @@ class ByGroup:
 
     @property
     def bytes(self) -> int:
-        """Memory of the values."""
+        """Memory of the values in bytes."""
         return sum(values.nbytes for _, _, values in self.parts)
 
     @property
@@ -247,7 +248,8 @@ class ByGroup:
         return out
 
     def across_by(self, values: Floats, at: Ints, place: Ints, count: int) -> Floats:
-        """Product of the transposed columns with rows `at` (m, k), which hold groups, summed by place: (count, p, k).
+        """Product of the transposed columns with rows `at` (m, k), which contain groups, summed by place: (count, p,
+        k).
 
         Of each group there is one row at a place (m,) at most.
         """
@@ -261,7 +263,7 @@ class ByGroup:
         return out
 
     def first(self, width: int) -> ByGroup:
-        """The same with the first columns alone."""
+        """Return the first columns only."""
         parts = [(rows, columns[columns < width], values[:, columns < width]) for rows, columns, values in self.parts]
         return ByGroup(self.count, width, tuple(parts))
 
@@ -298,7 +300,7 @@ class Basis:
         return out
 
     def of(self, at: Ints) -> Floats:
-        """Some rows (m, rank) of it, in ascending order."""
+        """Rows `at` (m,) of the basis (m, rank), in ascending order."""
         out = np.zeros((len(at), self.inverse.shape[1]))
         for rows, columns, values in self.rows.parts:
             here = np.isin(rows, at, assume_unique=True)
@@ -316,12 +318,12 @@ class Basis:
         return np.asarray((self.rows.times(self.inverse @ value).T * self.weight).T, dtype=float)
 
     def left(self, values: Floats) -> Floats:
-        """What the basis leaves of rows (n, ...)."""
+        """Component of rows (n, ...) outside the basis."""
         return values - self.times(self.across(values))
 
     @property
     def leverage(self) -> Floats:
-        """Share (n,) of each row's own noise that the fit takes up, 0 to 1."""
+        """Leverage (n,) of each row, 0 to 1."""
         out = np.zeros(self.rows.count)
         for rows, columns, values in self.rows.parts:
             own = self.inverse[columns]
@@ -361,7 +363,7 @@ class Reduced:
 
 
 def reduce(design: ByGroup, target: Floats, weight: Floats, known: Floats, tolerance: float = TOLERANCE) -> Reduced:
-    """Reduce weighted columns to a small factor.
+    """Reduce weighted columns to a small triangular factor.
 
     Parameters
     ----------
@@ -406,7 +408,7 @@ def _singular_values(factor: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 class WithNull(Protocol):
-    """A solution that has the directions which its rows and priors leave open (`Solution`)."""
+    """Solution with null space and scale (`Solution`)."""
 
     @property
     def null(self) -> Floats:
@@ -426,6 +428,6 @@ def identifiable_stds(solution: Solution, directions: Floats) -> Floats:
 
 
 def determined(solution: WithNull, directions: Floats, tolerance: float = 1e-5) -> NDArray[np.bool_]:
-    """Which linear functions (k, p) of the parameters the rows and priors determine: shape (k,)."""
+    """Mask (k,) of linear functions (k, p) of the parameters that rows and priors determine."""
     moved = np.abs(directions @ solution.null).max(axis=1, initial=0.0)
     return np.asarray(moved <= tolerance * np.linalg.norm(directions / solution.scale, axis=1))

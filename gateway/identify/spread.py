@@ -1,4 +1,4 @@
-"""Covariance of fitted parameters from parts of the data: what the noise of a model alone does not tell."""
+"""Covariance of fitted parameters from parts of the data, which includes errors of the noise model."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: A spread needs two differences.
+#: Least number of differences of a spread.
 FEWEST_PARTS = 3
-#: Blocks of a run, at least: fewer tell no spread.
+#: Least number of blocks of a run.
 FEWEST_BLOCKS = 8
 
 
 def jackknife(estimates: Floats) -> Floats:
-    """Covariance of estimates (splits, k) that leave out one block of time each; zero of fewer than three."""
+    """Covariance of estimates (splits, k) that leave out one block of time each; zero for fewer than three."""
     if len(estimates) < FEWEST_PARTS:
         return np.zeros((estimates.shape[1],) * 2)
     centred = estimates - estimates.mean(axis=0)
@@ -23,9 +23,9 @@ def jackknife(estimates: Floats) -> Floats:
 
 
 def wider(first: Floats, second: Floats) -> Floats:
-    """The first covariance (k, k), each parameter widened to the second's spread where that is larger.
+    """Return the first covariance (k, k), each parameter widened to the second one's variance where that is larger.
 
-    Both measure the same spread. The second is of few parts: it tells sizes, and no correlations.
+    Both measure the same spread. The second is of few parts: it determines sizes, but no correlations.
     """
     own = np.maximum(np.diag(first), 1e-300)
     scale = np.sqrt(np.maximum(np.diag(second) / own, 1.0))
@@ -33,7 +33,7 @@ def wider(first: Floats, second: Floats) -> Floats:
 
 
 def by_blocks(pull: Floats, row: Ints, run: NDArray[np.str_], length: float) -> Floats:
-    """Square (p, p) of what rows pull (k, p) at the parameters, rows of one block of time pulling together.
+    """Squared contributions (p, p) of rows (k, p) to the estimate, summed by block of time.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""How far something is trusted, as an option says it: `prior:S`, S its relative standard deviation."""
+"""Parse the option `prior:S`, where S is a relative standard deviation."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _PRIOR: Final = "prior:"
 
 
 def prior_share(text: str) -> float | None:
-    """Relative standard deviation S > 0 behind `prior:S`; None where the text is anything else."""
+    """Return the relative standard deviation S > 0 of `prior:S`; None for any other text."""
     if not text.startswith(_PRIOR):
         return None
     try:

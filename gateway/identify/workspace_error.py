@@ -1,4 +1,4 @@
-"""The torque error of an entered load over the whole workspace, inferred from a few unseen poses.
+"""Torque error of an entered load over the whole workspace, inferred from a few unseen poses.
 
 Let r (n, N) be measured less predicted torque at rest. Each hypothesis explains r by one physical error,
 `e(q) = Phi(q) a` with `a ~ N(0, s^2 I)`, or by none (e = 0); noise is `N(0, (f sigma)^2)`. The columns Phi are those of
@@ -32,9 +32,9 @@ Floats = NDArray[np.float64]
 WRONG_DECISION: Final = 0.02
 #: Its quantile of the normal distribution: a guard band is this many standard deviations.
 GUARD: Final = 2.054
-#: Prior standard deviations of an error's amplitudes, where 1 reaches the tolerance somewhere.
+#: Prior standard deviations of an error's amplitudes; an amplitude of 1 reaches the tolerance somewhere.
 _SCALES: Final = (0.5, 1.0, 2.0, 4.0)
-#: Noise over the stated one, and how probable each is beforehand: noise of another run may be larger.
+#: Factors on the stated noise, and their prior probabilities: noise of another run may be larger.
 _NOISE_FACTORS: Final = ((1.0, 0.6), (2.0, 0.3), (4.0, 0.1))
 #: Prior probability that there is no error.
 _NO_ERROR: Final = 0.5
@@ -48,7 +48,7 @@ _STEP_RAD: Final = 1e-5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnteredLoad:
-    """What predicts the measured torque: the unloaded arm as identified, and the load as entered.
+    """Prediction of the measured torque: the unloaded arm as identified, with the load as entered.
 
     Attributes
     ----------
@@ -72,14 +72,16 @@ class EnteredLoad:
     band_nm: Floats | None = None
 
     def parameters(self) -> Floats:
-        """[m, hx, hy, hz] (4 N,) of every link, of those combinations that rest determines, the load in the last."""
+        """Parameters [m, hx, hy, hz] (4 N,) of every link in combinations that rest determines, with the load in the
+        last.
+        """
         values = np.zeros(4 * self.robot.axes)
         values[list(self.bare.columns)] = self.bare.value
         values[LOAD_COLUMNS] += self.load.mass_kg * np.array([1.0, *(self.load.com_m or ())])
         return values
 
     def torque(self, q_rad: Floats, gravity_m_s2: Floats | None = None) -> Floats:
-        """Torque (n, N) [Nm] that is measured at rest if the load is right."""
+        """Torque (n, N) [Nm] that is measured at rest if the entered load is right."""
         gravity = np.array(self.bare.gravity_m_s2) if gravity_m_s2 is None else gravity_m_s2
         if self.effects:
             return self._with_effects(q_rad, gravity)
@@ -104,7 +106,7 @@ class EnteredLoad:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorFamily:
-    """One physical error: its name, and its columns (n, N, k) at the postures, each up to the tolerance (1)."""
+    """One kind of physical error: name, and columns (n, N, k) at the postures, scaled to the tolerance (1)."""
 
     name: str
     columns: Floats
@@ -112,7 +114,7 @@ class ErrorFamily:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WorkspaceError:
-    """What the poses say of the error.
+    """Posterior of the error after measuring the poses.
 
     Attributes
     ----------
@@ -141,12 +143,12 @@ class WorkspaceError:
 
     @property
     def wrong_decision(self) -> float:
-        """Probability that the likelier of pass and fail is wrong; at least what the draws resolve."""
+        """Probability that the more likely of pass and fail is wrong; limited by the number of draws."""
         return max(min(self.exceeds, 1.0 - self.exceeds), 1.0 / _DRAWS)
 
 
 def error_families(entered: EnteredLoad, q_rad: Floats, tolerance_nm: Floats) -> tuple[ErrorFamily, ...]:
-    """Return the errors that are looked for, over the tolerance (N,), at postures (n, N) of the workspace."""
+    """Return the kinds of errors that are tested, over the tolerance (N,), at postures (n, N) of the workspace."""
     found = []
     for name, columns in _raw_columns(entered, q_rad):
         scaled = columns / tolerance_nm[:, None]
@@ -228,7 +230,7 @@ def inferred_error(
 
 
 class _Hypothesis:
-    """One error at one scale and one size of the noise, with its evidence and the posterior of its amplitudes."""
+    """One error at one scale and one noise level, with its evidence and the posterior of its amplitudes."""
 
     def __init__(
         self,
@@ -266,7 +268,7 @@ class _Hypothesis:
         std = np.sqrt(np.maximum(np.einsum("nik,kl,nil->ni", self.columns, self.covariance, self.columns), 0.0))
         std = np.hypot(std, hidden / 2.0)
         drawn = rng.multivariate_normal(self.amplitude, self.covariance, draws, method="cholesky")
-        # only where the error comes close to the tolerance it can exceed it
+        # only an error near the tolerance can exceed it
         near = (np.abs(mean) + 5.0 * std + hidden > 1.0).any(axis=1)
         if not near.any():
             return mean, std, 0.0
@@ -276,7 +278,7 @@ class _Hypothesis:
 
 
 def fewest_poses(families: Sequence[ErrorFamily], noise: Floats, allowed: NDArray[np.int_], most: int) -> list[int]:
-    """Choose postures by which every error is resolved, one after another, at most `most`.
+    """Choose postures one after another until every error is resolved, at most `most`.
 
     Each pose is the one at which the errors that are not resolved yet are least known (greedy G-optimal design).
 
@@ -304,12 +306,12 @@ def fewest_poses(families: Sequence[ErrorFamily], noise: Floats, allowed: NDArra
 
 
 def resolution(families: Sequence[ErrorFamily], noise: Floats, chosen: Sequence[int]) -> float:
-    """Largest expected standard deviation of any error over the tolerance, anywhere, after these poses."""
+    """Largest expected standard deviation of any error over the tolerance in the workspace, after these poses."""
     return max(float(np.sqrt(_variance(family, noise, chosen).max())) for family in families)
 
 
 def _variance(family: ErrorFamily, noise: Floats, chosen: Sequence[int]) -> Floats:
-    """Variance (m, N) of an error whose amplitudes have the standard deviation 2 beforehand."""
+    """Variance (m, N) of an error with a prior standard deviation of 2 of its amplitudes."""
     design = (family.columns[list(chosen)] / noise[:, None]).reshape(-1, family.columns.shape[2])
     covariance = np.linalg.inv(design.T @ design + np.eye(family.columns.shape[2]) / 4.0)
     return np.einsum("nik,kl,nil->ni", family.columns, covariance, family.columns)

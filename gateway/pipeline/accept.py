@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from gateway.cell.config import ArmConfig
 from gateway.data.table import Table
-from gateway.identify.loads import unknown_labels
+from gateway.identify.prior_loads import unknown_labels
 from gateway.pipeline.inputs import AnalysisInputs
 from gateway.result.acceptance import Expected, Rating, accepted, check_expected
 from gateway.result.result import Result

@@ -20,12 +20,12 @@ from gateway.data.labels import BARE_LABEL
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.describe import axis_sigma, fitted_rows
-from gateway.identify.aside import without_gross
 from gateway.identify.drift import drift_findings, drift_of, is_steady
-from gateway.identify.loads import load_vector, require_postures
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.prior_loads import load_vector, require_postures
+from gateway.identify.rejected import without_outliers
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import ordinary_of
+from gateway.identify.rest.loads import nuisance_results
 from gateway.identify.rest.problem import build_problem
 from gateway.model.visits import Visits, pair_visits
 from gateway.pipeline.calibrated import serial_numbers
@@ -92,7 +92,7 @@ def calibrate(
         raise ConfigError("calibrate needs the cell file, whose torque constants it measures")
     options = replace(estimate_options(about), inertials="ignore", bare=None)
     found = pair_visits(table.take(~table.moving), options.efficiency, options.coupling)
-    visits, aside = without_gross(found, robot, options.gravity_m_s2)
+    visits, aside = without_outliers(found, robot, options.gravity_m_s2)
     if not (visits.load == BARE_LABEL).any():
         raise DataUnusable(
             f"the data hold no rest pose of the unloaded arm (load '{BARE_LABEL}'): measure it before and after the"
@@ -141,7 +141,7 @@ def _best(axes: Sequence[AxisCalibration]) -> str:
 def _axes(
     arm: ArmConfig, about: AnalysisInputs, problem: RestProblem, fit: Fit, load_nm: Floats
 ) -> Iterator[AxisCalibration]:
-    found = ordinary_of(problem, fit)["gain"]
+    found = nuisance_results(problem, fit)["gain"]
     gain, std = np.array(found.value), np.array(found.std)
     stated = stated_std(about, len(gain))
     find = profile_of(about.recordings, about.loaded)

@@ -58,7 +58,7 @@ TORQUE_PATH: Final = (
     ("gateway/data/rows.py", "tau_nm"),
     ("gateway/model/visits.py", "tau_nm"),
     ("gateway/identify/rest/problem.py", "target"),
-    ("gateway/identify/rest/fit.py", "target"),
+    ("gateway/identify/rest/hypothesis_fit.py", "target"),
     ("gateway/identify/solve.py", "target"),
     ("gateway/identify/rest/loads.py", "moment"),
     ("gateway/identify/load_estimate.py", "mass_kg"),

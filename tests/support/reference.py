@@ -22,8 +22,8 @@ from gateway.cell.config import Cell
 from gateway.cli import main as program
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.thresholds import CONFLICT, REST_MODEL
-from gateway.identify.thresholds import described
+from gateway.identify.rest.rest_thresholds import CONFLICT, REST_MODEL
+from gateway.identify.tuned_number import described
 from gateway.model.effect import Effect, nowhere
 from gateway.model.effects import LIBRARY
 from gateway.result.follow import FollowResult

@@ -19,7 +19,7 @@ from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.errors import InputError
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.loads import BARE_LABEL
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.motion.workspace import Workspace
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, estimate_options, read_rows, split_validation
 from gateway.pipeline.known import KnownLoad

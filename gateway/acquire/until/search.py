@@ -30,7 +30,7 @@ from gateway.data.table import Table, concatenate
 from gateway.errors import PlanRefused, WrongPlace
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.outlook import PoseNoise, Sought, Stock, outlook_of_priors, take_stock
-from gateway.identify.aside import without_gross
+from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import pair_visits
@@ -187,7 +187,7 @@ def _stock(search: LoadSearch, table: Table | None) -> Stock:
         noise = PoseNoise(assumed_noise_nm(search.workspace) ** 2, np.zeros(len(band_nm)))
         return Stock(None, None, outlook_of_priors(search.robot, search.options, search.guess, band_nm, noise))
     found = pair_visits(table, search.options.efficiency, search.options.coupling)
-    visits, _ = without_gross(found, search.robot, search.options.gravity_m_s2)
+    visits, _ = without_outliers(found, search.robot, search.options.gravity_m_s2)
     sought = Sought(search.label, search.guess, _sample_std_nm(table))
     return take_stock(visits, search.robot, search.options, sought)
 

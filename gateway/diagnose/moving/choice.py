@@ -15,7 +15,7 @@ from gateway.diagnose.moving.splits import choosing
 from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trust import choose_trust
-from gateway.identify.loads import BARE_LABEL
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.problem import Knowledge
 from gateway.model.motion import MovingRows
 from gateway.model.term import Label

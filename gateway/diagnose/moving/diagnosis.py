@@ -32,7 +32,7 @@ from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
 from gateway.identify.links import default_inertials, has_inertials, parse_inertials
-from gateway.identify.loads import BARE_LABEL, unknown_labels
+from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
 from gateway.identify.rest.problem import EXACT, Knowledge
 from gateway.model.motion import MovingRows
 from gateway.model.robot import Robot

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.null_model import NullModel
-from gateway.identify.motion.ordinary import LIMIT_PASSES, limited
+from gateway.identify.motion.convergence import LIMIT_PASSES, limited
 from gateway.identify.solve import Prior
 from gateway.model.motion import Mask, Modelled, MovingRows
 from gateway.model.term import Term

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.correlation import counting_share
-from gateway.identify.loads import BARE_LABEL
 from gateway.identify.motion.columns import Columns
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.model.motion import PER_BODY, Mask, Modelled, MovingRows
 from gateway.model.term import Term
 

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.moving.noise import axis_alone
-from gateway.identify.loads import BARE_LABEL, unknown_labels
 from gateway.identify.motion.columns import NUISANCES, Columns, MovingSetup, moving_columns
-from gateway.identify.motion.ordinary import HELD_STD
+from gateway.identify.motion.convergence import HELD_STD
 from gateway.identify.motion.prior import held_to_friction
-from gateway.identify.nuisance import ORDINARY_STD
+from gateway.identify.nuisance import NUISANCE_STD
+from gateway.identify.prior_loads import BARE_LABEL, unknown_labels
 from gateway.identify.rest.problem import Knowledge
 from gateway.model.base import moving_base
 from gateway.model.motion import MovingRows, rounding_rad_s
@@ -70,12 +70,12 @@ class NullModel:
     @property
     def gain(self) -> Ints:
         """Where the gain (N,) of every axis is among the parameters."""
-        return self.columns.ordinary["gain"]
+        return self.columns.nuisances["gain"]
 
     @property
     def usual(self) -> Ints:
         """Where gains and load frictions (2 N,) are among the parameters."""
-        return np.concatenate([self.columns.ordinary[name] for name in NUISANCES])
+        return np.concatenate([self.columns.nuisances[name] for name in NUISANCES])
 
     def std_of(self, index: int) -> float:
         """Standard deviation of the prior of a gain or load friction."""
@@ -84,7 +84,7 @@ class NullModel:
     def beyond(self, index: int, value: float) -> bool:
         """Whether a gain or load friction is as far off as is ordinary, and the rows want it further."""
         off = abs(value - float(self.columns.prior.mean[index]))
-        return index not in self.columns.taken and off > (1.0 - 1e-6) * ORDINARY_STD * self.std_of(index)
+        return index not in self.columns.taken and off > (1.0 - 1e-6) * NUISANCE_STD * self.std_of(index)
 
     def held(self, index: Ints, value: float) -> NullModel:
         """The same with gains or load frictions held to a value, of which nothing else is known."""
@@ -128,7 +128,7 @@ def null_model(motion: MovingRows, trust: float | None, knowledge: Knowledge) ->
         inertials="ignore" if trust is None else f"prior:{trust!r}",
         known={**knowledge.known, **nothing},
     )
-    setup = MovingSetup(smooth_rad_s=rounding_rad_s(motion.speed_rad_s), ordinary=SEARCHED)
+    setup = MovingSetup(smooth_rad_s=rounding_rad_s(motion.speed_rad_s), nuisances=SEARCHED)
     rows = replace(motion, tau_nm=np.where(motion.given[:, None], np.nan, motion.tau_nm))
     columns = moving_columns(rows, motion.robot, stated, setup)
     level_nm = np.array([_coulomb_nm(motion, columns, axis) for axis in range(motion.axes)])

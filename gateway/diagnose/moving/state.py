@@ -14,7 +14,7 @@ from gateway.diagnose.moving.noise import noise_of, scaled_to
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, demand, held_out, judge
-from gateway.identify.nuisance import ORDINARY_STD
+from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.spread import jackknife, wider
 from gateway.model.term import Label, Term
 from gateway.result.interval import TWO_SIDED_95
@@ -61,7 +61,7 @@ def beyond_usual(problem: MovingProblem, term: Term, value: Floats, covariance: 
         return True
     usual = problem.null.std_of(index)
     off = abs(float(value[0]) - float(problem.null.columns.prior.mean[index]))
-    return off - TWO_SIDED_95 * float(np.sqrt(covariance[0, 0])) > ORDINARY_STD * usual
+    return off - TWO_SIDED_95 * float(np.sqrt(covariance[0, 0])) > NUISANCE_STD * usual
 
 
 def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, term: Term) -> Trial:

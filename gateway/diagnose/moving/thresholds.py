@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.identify.thresholds import RUNS, threshold
+from gateway.identify.tuned_number import RUNS, threshold
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,7 @@ from gateway.diagnose.rest.screen import projection
 from gateway.diagnose.rest.search import Search, pruned
 from gateway.diagnose.rest.structure import misfit
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.nuisance import ORDINARY_STD
+from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
@@ -197,7 +197,7 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
         return True
     away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
     unsure = TWO_SIDED_95 * float(np.sqrt(max(hypothesis.covariance[at, at], 0.0)))
-    return away - unsure > ORDINARY_STD * float(np.linalg.norm(problem.common_std[places]))
+    return away - unsure > NUISANCE_STD * float(np.linalg.norm(problem.common_std[places]))
 
 
 def _ordinary_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:

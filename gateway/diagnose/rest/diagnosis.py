@@ -50,18 +50,18 @@ from gateway.estimate import to_result
 from gateway.estimate.describe import bare_of
 from gateway.estimate.handover import reversed_signs
 from gateway.estimate.joint import estimate_joint
-from gateway.identify.aside import Aside, gross_aside
 from gateway.identify.conflict import SettledKnowledge, settle, two_bodies, without_placeholder
 from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.links import parse_inertials
 from gateway.identify.load_estimate import REFUSED, refused_findings
-from gateway.identify.loads import BARE_LABEL, require_postures
 from gateway.identify.mass_change import mass_changes
-from gateway.identify.rest.fit import fit, fit_without_effects
+from gateway.identify.prior_loads import BARE_LABEL, require_postures
+from gateway.identify.rejected import RejectedTorques, rejected_torques
+from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
-from gateway.identify.rest.loads import loads_of, ordinary_of, spread_by_shape
-from gateway.identify.rest.noise import settled_noise
+from gateway.identify.rest.loads import loads_of, nuisance_results, spread_by_shape
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.start_noise import settled_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot
@@ -93,7 +93,7 @@ class ReadVisits:
     """Visits of a table without the gross torques that were set aside, and the fit without effects."""
 
     table: Table
-    aside: Aside
+    aside: RejectedTorques
     problem: RestProblem
     plain: Fit
 
@@ -143,20 +143,20 @@ class RestDiagnosis:
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.options.efficiency, self.options.coupling)
 
-    def aside(self, rows: Visits) -> Aside:
+    def aside(self, rows: Visits) -> RejectedTorques:
         """Gross torques of visits as they were read."""
-        return gross_aside(rows, self.robot, self.knowledge.gravity_m_s2)
+        return rejected_torques(rows, self.robot, self.knowledge.gravity_m_s2)
 
     def read(self, table: Table) -> ReadVisits:
         """Read the visits of a table, set gross torques aside, and fit what is left without effects."""
         rows = self._rows(table)
         return self._fitted(table, rows, self.aside(rows))
 
-    def _fitted(self, table: Table, rows: Visits, aside: Aside) -> ReadVisits:
+    def _fitted(self, table: Table, rows: Visits, aside: RejectedTorques) -> ReadVisits:
         problem = build_problem(self.robot, rows.unmeasured(aside.mask), self.knowledge)
         return ReadVisits(table, aside, problem, fit_without_effects(problem))
 
-    def problem(self, table: Table, aside: Aside) -> RestProblem:
+    def problem(self, table: Table, aside: RejectedTorques) -> RestProblem:
         """Rows of a table as a problem, without what was set aside."""
         return build_problem(self.robot, self._rows(table).unmeasured(aside.mask), self.knowledge)
 
@@ -362,7 +362,7 @@ class RestDiagnosis:
             rejected=tuple(rejected(search, decision)),
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(dict.fromkeys(findings)),
-            nuisance=ordinary_of(problem, decision.after),
+            nuisance=nuisance_results(problem, decision.after),
             set_aside=found.read.aside.entries + (() if held is None else held.aside),
             quality=structure_seen_nm(problem, decision.whole, np.array(floor))
             | fresh_seen_nm(problem, held, decision.after),

@@ -19,9 +19,9 @@ from scipy.special import log_ndtr
 from gateway.data.table import Table
 from gateway.diagnose.rest.holdout import Unseen, left_out, pose_of_rows, predicted
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.fit import fit
+from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, RestProblem, certain_bands
-from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.current_rms_peak import FACTOR
 from gateway.model.unnamed import UNNAMED
 

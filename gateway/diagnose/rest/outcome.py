@@ -15,7 +15,7 @@ from gateway.diagnose.rest.decide import Decision, noise_floor, strong, unseen_b
 from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_out_with, predicted
 from gateway.diagnose.rest.mistakes import Mistake
 from gateway.diagnose.rest.search import Search
-from gateway.identify.rest.fit import NOTHING, fit
+from gateway.identify.rest.hypothesis_fit import NOTHING, fit
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.loads import loads_of
 from gateway.model.effects import MISTAKES

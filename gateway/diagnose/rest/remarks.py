@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gateway.diagnose.rest.decide import Decision
-from gateway.identify.loads import BARE_LABEL
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.linear import RestProblem
 from gateway.model.effects import LIBRARY
 from gateway.result.result import Finding

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.screen import Derivatives, Screen, pair_log_bayes, screen
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.fit import fit
+from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED

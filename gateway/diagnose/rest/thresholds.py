@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.identify.thresholds import BLIND, threshold
+from gateway.identify.tuned_number import BLIND, threshold
 
 KASS: Final = "Kass and Raftery (1995): 3 positive, 20 strong"
 

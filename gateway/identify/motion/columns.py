@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from gateway.data.rows import Table
 from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING, body_parameters, link_prior, parse_inertials
-from gateway.identify.loads import LOAD_NAMES, LOAD_UNITS, unknown_labels
 from gateway.identify.motion.effects import SeenEffects
 from gateway.identify.motion.friction import (
     FALL,
@@ -23,6 +22,7 @@ from gateway.identify.motion.friction import (
 )
 from gateway.identify.motion.prior import moving_prior
 from gateway.identify.nuisance import gain_stds
+from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS, unknown_labels
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
@@ -35,12 +35,13 @@ from gateway.model.term import Term
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: Further nuisance parameters: the gain of the reading, a loss that grows with the torque, in proportion or not quite, a
+#: Further nuisance parameters: the gain of the reading, a loss that grows with the torque, in proportion or not quite,
+#: a
 #: reading that lags behind the position, friction that differs by direction, near standstill and from run to run, and
 #: loads with inertia.
 NUISANCES = ("gain", "load_friction")
 _LOCAL = (*NUISANCES, "loss_bend", "delay")
-ORDINARY = (*_LOCAL, "bias", "uneven_friction", "load_inertia")
+MOVING_NUISANCES = (*_LOCAL, "bias", "uneven_friction", "load_inertia")
 #: Prior radius of gyration of a load [m].
 _GYRATION_M = 0.2
 INERTIA_NAMES = tuple(f"inertia_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
@@ -60,7 +61,7 @@ class MovingSetup:
     slow_share : float
         Rows in which an axis is slower than this share of its speed limit are not used on it, of its top speed where no
         limit is stated.
-    ordinary : names out of `ORDINARY` that every axis or load gets, with their priors; or `run_friction`
+    nuisances : names out of `MOVING_NUISANCES` that every axis or load gets, with their priors; or `run_friction`
     passes : int or None
         None: axes are weighted by the residual of a fit with free link parameters, which has one answer. A number:
         that many solutions, each axis weighted by its residual in the one before, beginning with equal weights; with
@@ -69,7 +70,7 @@ class MovingSetup:
 
     smooth_rad_s: float | Floats = SMOOTH_RAD_S
     slow_share: float = SLOW
-    ordinary: tuple[str, ...] = ORDINARY
+    nuisances: tuple[str, ...] = MOVING_NUISANCES
     passes: int | None = None
 
 
@@ -88,13 +89,13 @@ class Columns:
     link_columns : int array of shape (k,)
         Which of the 10 N link parameters the first k columns belong to.
     to_links : array of shape (10 N, k)
-        The link parameters by the first k, those that nothing tells apart set to one choice of many.
+        The link parameters by the first k, inseparable ones set to one choice of many.
     fixed_links : array of shape (10 N,)
         Parameters of links that are known exactly, 0 elsewhere.
     known : parameters (10,) of each load that is known
     loads : first column of each load
     bodies : how many of the first columns are torque of bodies, which a gain multiplies
-    ordinary : columns (N,) of what every arm has, by its name
+    nuisances : columns (N,) of what every arm has, by its name
     sign : array of shape (n, N)
         Rounded sign of the speed.
     smooth_rad_s : float or array of shape (N,)
@@ -102,9 +103,9 @@ class Columns:
     falls_rad_s : array of shape (N, k)
         Speeds over which friction falls from breakaway, each a column; k = 0: none.
     effects : SeenEffects or None
-        Effects with columns of their own, which come last; those that hang on the modelled torque are 0.
+        Effects with columns of their own, which come last; those that depend on the modelled torque are 0.
     taken : int array
-        What every arm has and an effect takes the place of: nothing is known of it, and it has no limit.
+        Nuisance parameters and an effect takes the place of: nothing is known of it, and it has no limit.
     """
 
     design: Floats
@@ -118,7 +119,7 @@ class Columns:
     known: dict[str, Floats]
     loads: dict[str, int]
     bodies: int
-    ordinary: dict[str, Ints]
+    nuisances: dict[str, Ints]
     sign: Floats
     smooth_rad_s: float | Floats
     falls_rad_s: Floats
@@ -144,7 +145,7 @@ class Columns:
 
     def usual_of(self, term: Term) -> int | None:
         """Indices of the nuisance parameters that belong to an effect."""
-        return int(self.ordinary[term.takes_over][term.joints[0] - 1]) if term.takes_over in self.ordinary else None
+        return int(self.nuisances[term.takes_over][term.joints[0] - 1]) if term.takes_over in self.nuisances else None
 
     def by_effects(self, value: Floats) -> Floats | None:
         """Columns (n, N, k) of effects that depend on the torque of bodies with parameters (p,), if there are any."""
@@ -198,9 +199,9 @@ class Columns:
     @property
     def friction(self) -> Ints:
         """Indices of the friction columns, including the loss proportional to torque."""
-        last = min((int(index[0]) for index in self.ordinary.values()), default=len(self.names))
+        last = min((int(index[0]) for index in self.nuisances.values()), default=len(self.names))
         own = np.arange(self.bodies, last)
-        return np.concatenate([own, *(self.ordinary.get(name, own[:0]) for name in ("load_friction", "loss_bend"))])
+        return np.concatenate([own, *(self.nuisances.get(name, own[:0]) for name in ("load_friction", "loss_bend"))])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -237,25 +238,25 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
     loads = [_load_block(moving, rows, label, motion) for label in unknown]
     bodies = [links, *loads]
     firsts = np.cumsum([len(block.names) for block in bodies])
-    falls_rad_s = fall_speeds(moving.qd_rad_s)[:, : None if "uneven_friction" in motion.ordinary else 0]
+    falls_rad_s = fall_speeds(moving.qd_rad_s)[:, : None if "uneven_friction" in motion.nuisances else 0]
     own = list(_friction_blocks(moving, _shapes(motion, unknown), motion.smooth_rad_s, falls_rad_s))
-    if "run_friction" in motion.ordinary:
+    if "run_friction" in motion.nuisances:
         own.append(_run_block(moving, motion.smooth_rad_s))
     first = int(firsts[-1]) + sum(len(block.names) for block in own)
-    local = [name for name in motion.ordinary if name in _LOCAL]
-    ordinary = {name: first + k * robot.axes + np.arange(robot.axes) for k, name in enumerate(local)}
+    local = [name for name in motion.nuisances if name in _LOCAL]
+    nuisances = {name: first + k * robot.axes + np.arange(robot.axes) for k, name in enumerate(local)}
     blocks = [*bodies, *own, *(_local_block(len(moving), robot.axes, name) for name in local)]
     names = tuple(name for block in blocks for name in block.names)
-    prior = moving_prior((mean[held], std[held]), len(names), ordinary, gain_stds(knowledge.gain_std, robot.axes))
+    prior = moving_prior((mean[held], std[held]), len(names), nuisances, gain_stds(knowledge.gain_std, robot.axes))
     places = dict(zip(unknown, firsts[:-1].tolist(), strict=True))
-    if "load_inertia" in motion.ordinary:
+    if "load_inertia" in motion.nuisances:
         for place in places.values():
             prior.std[place + 4 : place + 10] = _heaviest_kg(moving) * _GYRATION_M**2
     return Columns(
         np.concatenate([block.design for block in blocks], axis=2),
         _known_nm(moving, rows, fixed, known),
         prior, names, tuple(unit for block in blocks for unit in block.units), chosen,
-        np.eye(len(fixed))[:, chosen], fixed, known, places, int(firsts[-1]), ordinary,
+        np.eye(len(fixed))[:, chosen], fixed, known, places, int(firsts[-1]), nuisances,
         np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, falls_rad_s,
     )  # fmt: skip
 
@@ -270,7 +271,7 @@ def _link_block(robot: Robot, rows: Floats, which: tuple[Ints, Ints], base: Base
 
 def _load_block(moving: Table | MovingRows, rows: Floats, label: str, motion: MovingSetup) -> _Block:
     here = (np.asarray(moving.load) == label)[:, None, None]
-    if "load_inertia" not in motion.ordinary:
+    if "load_inertia" not in motion.nuisances:
         return _Block(rows[:, :, _LOAD] * here, [f"{name}[{label}]" for name in LOAD_NAMES], LOAD_UNITS)
     names = [f"{name}[{label}]" for name in (*LOAD_NAMES, *INERTIA_NAMES)]
     return _Block(rows[:, :, _BODY] * here, names, (*LOAD_UNITS, *_INERTIA_UNITS))
@@ -280,7 +281,7 @@ def _shapes(motion: MovingSetup, unknown: Sequence[str]) -> tuple[str, ...]:
     """Friction columns of each axis; a free offset would absorb the gravity of an unknown load, one with a prior does
     not.
     """
-    return FRICTION if "bias" in motion.ordinary or not unknown else FRICTION[:3]
+    return FRICTION if "bias" in motion.nuisances or not unknown else FRICTION[:3]
 
 
 def _friction_blocks(

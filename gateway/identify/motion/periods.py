@@ -1,4 +1,4 @@
-"""Repeated periods: one mean period, the noise as their scatter shows it, and what touched one of them.
+"""Repeated periods: their mean, the noise from their scatter, and disturbed stretches.
 
 Rows of one load and one excitation (`x_excitation`) at the same phase (`x_phase_s`) belong together, whatever the
 period (`x_period`). What comes back in every period is the arm; what does not is noise, or a touch, or a load that
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from gateway.data.periods import EXCITATION, PERIOD, PHASE_S, repeats
 from gateway.data.rows import Table, concatenate
 from gateway.identify.correlation import correlation_time
-from gateway.identify.motion.noise import Scatter
 from gateway.identify.motion.problem import Contrasts
+from gateway.identify.motion.uncertainty import Scatter
 from gateway.identify.robust import median
 from gateway.result.result import Finding, SetAside
 
@@ -27,27 +27,27 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 
-#: Median absolute deviation to standard deviation, of a Gaussian.
+#: Ratio of standard deviation to median absolute deviation of a Gaussian.
 _MAD: Final = 1.4826
-#: Time over which a touch is looked for [s]: shorter is noise, a person or a part pushes longer.
+#: Averaging time of the search for a touch [s]; a person or a part pushes longer.
 _TOUCH_S: Final = 0.15
-#: Standard deviations of the other periods by which a touch lies off.
+#: Deviation of a touch, in standard deviations of the other periods.
 _TOUCHED: Final = 8.0
-#: Time left out before and after it [s]: the arm swings.
+#: Time rejected before and after it [s], because the arm oscillates.
 _AROUND_S: Final = 0.3
-#: Share of a period that touches may take away; beyond it the whole period goes.
+#: Largest rejected share of a period; above it the whole period is rejected.
 _MOST: Final = 0.3
-#: Periods from which one of them can be told from the rest.
+#: Least number of periods to detect a deviating one.
 _FEWEST: Final = 3
-#: Share of the largest torque that is not looked at, whatever the noise.
+#: Share of the largest torque below which no deviation counts.
 _NO_NOISE: Final = 1e-4
-#: Times that what a period differs from the one before it is usual, from which the load is another.
+#: Change between consecutive periods, over its usual size, above which the load has changed.
 _SLIPPED: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Periods:
-    """A table with its periods averaged.
+    """Table with averaged periods, their noise and rejected stretches.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class _Group:
 
 
 def averaged(moving: Table, judged: Mask) -> Periods:
-    """Average the periods of a table's moving rows; a table that has none comes back as it is.
+    """Average the periods of a table's moving rows; return the table unchanged if it has none.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
 
 
 def _group(mine: Ints, moving: Table, period: Floats, phase_s: Floats) -> _Group:
-    """Rows of one load and excitation by period, in the order in which they were driven."""
+    """Rows of one load and excitation by period, in time order."""
     names = [(moving.file[k], str(moving.run[k]), float(number)) for k, number in zip(mine, period, strict=True)]
     order = {name: k for k, name in enumerate(dict.fromkeys(names))}
     which, numbers = np.array([order[name] for name in names]), np.array([name[2] for name in order])
@@ -163,7 +163,7 @@ def _torques(moving: Table, group: _Group, judged: Mask) -> Floats:
 
 
 def _slip(moving: Table, group: _Group, judged: Mask) -> str | None:
-    """Why a load slipped, None where it did not: all torque after some period is another, and nothing drifts."""
+    """Return the reason if a load slipped: the torque changes after a period and does not drift; else None."""
     if len(group.rows) < _FEWEST + 1:
         return None
     tau = _torques(moving, group, judged)
@@ -177,9 +177,9 @@ def _slip(moving: Table, group: _Group, judged: Mask) -> str | None:
     if ratio[before, axis] < _SLIPPED:
         return None
     return (
-        f"its torque is another from period {float(group.number[before + 1]):g} on: on axis {axis + 1} by"
-        f" {jump[before, axis]:.3g} Nm, {ratio[before, axis]:.0f} times what any other period differs from the one"
-        " before it: it slipped, or something was added"
+        f"its torque changes from period {float(group.number[before + 1]):g} on: on axis {axis + 1} by"
+        f" {jump[before, axis]:.3g} Nm, {ratio[before, axis]:.0f} times the largest other change between two"
+        " periods: it slipped, or something was added"
     )
 
 
@@ -189,7 +189,7 @@ def _largest(tau_nm: Floats) -> Floats:
 
 
 def _without_touches(moving: Table, group: _Group, judged: Mask) -> tuple[Mask, list[SetAside]]:
-    """Which rows (P, n) are in the mean, and the stretches that are not."""
+    """Mask (P, n) of rows used in the mean, and the rejected stretches."""
     there = group.rows >= 0
     if len(group.rows) < _FEWEST:
         return there, []
@@ -210,7 +210,7 @@ def _without_touches(moving: Table, group: _Group, judged: Mask) -> tuple[Mask, 
             wide[:] = True
         sound[period] &= ~wide
         entries.append(_entry(moving, group, period, hit, far[period]))
-    # a phase that all periods lose is given back: nothing is known there otherwise, and it is in all of them
+    # a phase that is rejected in all periods is kept: it would have no rows, and it is common to all
     lost = there.any(axis=0) & ~sound.any(axis=0)
     sound[:, lost] = there[:, lost]
     return sound, entries
@@ -232,14 +232,14 @@ def _entry(moving: Table, group: _Group, period: int, hit: Mask, far: Floats) ->
         bands=float(far[hit, axis].max()),
         from_s=float(moving.time_s[rows].min()),
         to_s=float(moving.time_s[rows].max()),
-        reason=f"period {group.number[period]:g} is not as the others: a touch, or something that came loose",
+        reason=f"period {group.number[period]:g} differs from the others: a touch, or a part that came loose",
     )
 
 
 def _mean(
     moving: Table, group: _Group, sound: Mask, given: tuple[Mask, Floats, str]
 ) -> tuple[Table, list[tuple[Floats, ...]]]:
-    """The mean period, and of each axis what its periods differ from it, as the noise of the mean (k, n)."""
+    """Mean period, and the deviation of the periods of each axis as noise of the mean (k, n)."""
     judged, phase_s, name = given
     weight = sound / np.maximum(sound.sum(axis=0), 1)
     first = group.rows[np.argmax(sound, axis=0), np.arange(sound.shape[1])]
@@ -252,7 +252,7 @@ def _mean(
     }
     mean = replace(one, **kept, run=np.array([name] * len(first)), time_s=phase_s[first])
     moves, count = _torques(moving, group, judged), sound.sum(axis=0)
-    # each of P periods differs from their mean by less than its noise, and the mean's is smaller yet
+    # the deviation of P periods from their mean is smaller than their noise; the mean's noise is smaller again
     away = (moves - kept["tau_nm"]) / np.sqrt(np.maximum(count - 1, 1))[:, None]
     away[~sound | (count < 2)] = np.nan
     return mean, [tuple(row[np.isfinite(row)] for row in away[:, :, k]) for k in range(moving.axes)]
@@ -272,7 +272,7 @@ def _scatter(left: list[list[tuple[Floats, ...]]], axes: int) -> Scatter:
 
 def _one_period(label: str) -> Finding:
     return Finding(
-        "warn", f"load {label}", "fewer than two whole periods were recorded: nothing tells its noise from the arm",
+        "warn", f"load {label}", "fewer than two whole periods: noise and model errors cannot be separated",
         "record at least two periods, better five",
     )  # fmt: skip
 
@@ -280,7 +280,7 @@ def _one_period(label: str) -> Finding:
 def _touched(entry: SetAside) -> Finding:
     return Finding(
         "warn", f"J{entry.joint}",
-        f"run {entry.run}, {entry.from_s:.1f} to {entry.to_s:.1f} s: its torque is off that of the other periods by"
-        f" {entry.bands:.0f} times the noise; set aside",
-        "see what touched the arm, and repeat the run if much was lost",
+        f"run {entry.run}, {entry.from_s:.1f} to {entry.to_s:.1f} s: its torque deviates from the other periods by"
+        f" {entry.bands:.0f} times the noise; rejected",
+        "check what touched the arm, and repeat the run if much was rejected",
     )  # fmt: skip

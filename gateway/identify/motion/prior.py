@@ -1,4 +1,4 @@
-"""What is known of the columns of a moving run before it is fitted, and what its own first fit adds to that."""
+"""Priors of the columns of a moving run, and their update after a first fit."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from gateway.identify.solve import Prior
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: Standard deviation [s] of a delay of which nothing is known: filters of a drive, a few SYNCs.
+#: Prior standard deviation [s] of an unknown delay: filters of a drive, a few SYNCs.
 _DELAY_S: Final = 0.02
-#: Power of the torque with which a loss grows, off 1: gears that are loaded little lose more of it, or less.
+#: Prior standard deviation of the exponent of the loss over torque, about 1.
 _BEND: Final = 0.1
-#: Half of what a gear loses otherwise where it is driven back than where it drives, however little it loses.
+#: Least half-difference of the loss between driving and back-driving.
 _LEAST_UNEVEN: Final = 0.0015
-#: Standard deviation over that of the prior, beyond which the rows say nothing of a quantity.
+#: Posterior over prior standard deviation above which the rows do not determine a quantity.
 UNTOLD: Final = 0.7
 
 
-def moving_prior(links: tuple[Floats, Floats], count: int, ordinary: Mapping[str, Ints], gain_std: Floats) -> Prior:
-    """Prior of so many parameters: links, mean and standard deviation, come first; and of what every arm has."""
+def moving_prior(links: tuple[Floats, Floats], count: int, nuisances: Mapping[str, Ints], gain_std: Floats) -> Prior:
+    """Prior of all parameters; links, mean and standard deviation, come first, then the nuisance parameters."""
     prior, nothing = Prior.free(count), np.full(len(gain_std), np.nan)
     held = len(links[0])
     prior.mean[:held], (rows, right) = links[0], as_bodies(*links)
     prior = replace(prior, rows=np.pad(rows, ((0, 0), (0, count - held))), right=right)
     usual = nuisance_prior(gain_std, nothing, nothing)
-    for name, index in ordinary.items():
+    for name, index in nuisances.items():
         if name == "delay":
             prior.std[index] = _DELAY_S
         elif name == "loss_bend":
@@ -44,25 +44,25 @@ def moving_prior(links: tuple[Floats, Floats], count: int, ordinary: Mapping[str
     return prior
 
 
-def losses_seen(prior: Prior, ordinary: Mapping[str, Ints], value: Floats, std: Floats) -> Floats:
-    """Losses over transmitted torque (N,) that a fit shows; NaN where it says little more than the prior."""
-    index = ordinary["load_friction"]
+def losses_seen(prior: Prior, nuisances: Mapping[str, Ints], value: Floats, std: Floats) -> Floats:
+    """Loss over transmitted torque (N,) of a fit; NaN where it adds little to the prior."""
+    index = nuisances["load_friction"]
     return np.where(std[index] <= UNTOLD * prior.std[index], value[index], np.nan)
 
 
-def gains_prior(prior: Prior, ordinary: Mapping[str, Ints], gain_std: Floats, lost: Floats) -> Prior:
-    """The prior with gains as sure as the constants (N,) and what the losses (N,) that are seen leave in the middle."""
-    index, usual = ordinary["gain"], nuisance_prior(gain_std, np.full(len(lost), np.nan), lost)
+def gains_prior(prior: Prior, nuisances: Mapping[str, Ints], gain_std: Floats, lost: Floats) -> Prior:
+    """Return the prior with gains as uncertain as the constants (N,) and the one-sided part of the losses (N,)."""
+    index, usual = nuisances["gain"], nuisance_prior(gain_std, np.full(len(lost), np.nan), lost)
     mean = prior.mean.copy()
     mean[index] = usual.gain
     return replace(prior.with_std(index, np.hypot(usual.gain_std, _LEAST_UNEVEN)), mean=mean)
 
 
 def alike(prior: Prior, index: Ints) -> Prior:
-    """The prior with parameters that have a part of their errors in common, each as sure as before.
+    """Return the prior with a common part of the errors of some parameters, each with unchanged variance.
 
     With a share r of the variance in common the precision is a (1 - r + N r)^-1 on every one of them, and the rest on
-    what tells them apart: `C = s ((1 - r) E + r 1 1^T) s`.
+    what separates them: `C = s ((1 - r) E + r 1 1^T) s`.
     """
     count, size = len(index), prior.std[index]
     alone = 1.0 / (1.0 - COMMON_SHARE + count * COMMON_SHARE)
@@ -75,7 +75,7 @@ def alike(prior: Prior, index: Ints) -> Prior:
 
 
 def held_to_friction(prior: Prior, names: tuple[str, ...], level_nm: Floats, offset: float) -> Prior:
-    """The prior with what is a share of the Coulomb friction (N,) held to that.
+    """Return the prior with parameters that are shares of the Coulomb friction (N,).
 
     Falls towards standstill; friction of one run off that of all; and constant torques, to the share `offset`.
     """

@@ -1,4 +1,6 @@
-"""Rows of a moving run as a problem to solve: axis by axis an orthogonal basis, so that a solution costs no pass."""
+"""Rows of a moving run as a linear problem, axis by axis in an orthogonal basis, so that a solution does not pass over
+all rows.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +22,10 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contrasts:
-    """Rows of several loads at the same phase of one motion, turned into their mean and what tells them apart.
+    """Transform rows of several loads at the same phase of one motion into their mean and their differences.
 
-    What the model lacks of the arm is in all of them alike, and in their mean alone: the differences know the loads by
-    far the best, and have a weight of their own (`methods.md` 10).
+    Errors of the arm's model are equal in all of them, so they are in the mean only. The differences determine the
+    loads by far best, and have their own weight (`methods.md` 10).
 
     Attributes
     ----------
@@ -33,7 +35,7 @@ class Contrasts:
     rows: tuple[Ints, ...] = ()
 
     def of_axis(self, used: Mask) -> tuple[tuple[Ints, csr_array], tuple[Ints, csr_array]]:
-        """What makes of rows (n,) of one axis those that are `used` (n,) as means, and their differences.
+        """Transformation of rows (n,) of one axis that are `used` (n,) into means and differences.
 
         Both with the rows (k,) that stand for them, and a matrix (k, n). Where a load lacks a row of a phase, those of
         the others stay as they are.
@@ -55,7 +57,7 @@ class Contrasts:
 
 
 def _orthonormal(count: int) -> Floats:
-    """Rows (count, count) of unit length at right angles, the first of equal numbers (Helmert)."""
+    """Orthonormal rows (count, count), the first of equal numbers (Helmert)."""
     out = np.zeros((count, count))
     out[0] = 1.0
     for k in range(1, count):
@@ -65,7 +67,7 @@ def _orthonormal(count: int) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AxisRows:
-    """Used rows of one axis, or those of them that are differences.
+    """Used rows of one axis, or their differences.
 
     `rows` (k,) among all; `turn` (k, n) makes them of all rows; `there` (c,) the columns that reach the axis; `basis`
     (k, m) orthonormal; `factor` (m, c + 2) those columns, the known torque and the measured one in that basis.
@@ -81,7 +83,7 @@ class AxisRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Still:
-    """What rest visits say of the parameters of the moving rows: `rows @ x = right` (k, p), (k,) with unit noise."""
+    """Information of rest visits on the parameters of the moving rows: `rows @ x = right` (k, p), (k,), unit noise."""
 
     rows: Floats
     right: Floats
@@ -114,7 +116,7 @@ class MotionProblem:
     def of(
         columns: Columns, moving: Table, used: Mask, contrasts: Contrasts, still: Still | None = None
     ) -> MotionProblem:
-        """The problem of a table's rows at `used` (n, N)."""
+        """Build the problem from the rows of a table at `used` (n, N)."""
         parts = [
             part
             for axis in range(moving.axes)
@@ -126,11 +128,11 @@ class MotionProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class About:
-    """What the rows say about a solution (p,): torque of the bodies, of all, and the columns made of them.
+    """Linearisation at a solution (p,): torque of the bodies, total torque, and the columns that depend on them.
 
     `torque_nm` (n, N) of the bodies, known ones too; `local` name -> (n, N) column of each axis's own parameter;
-    `effects` (n, N, k) columns of effects that hang on the torque, None where there are none; `moved_nm` (n, N) what a
-    delay changes beyond its column; `model_nm` (n, N) all that is modelled.
+    `effects` (n, N, k) columns of effects that depend on the torque, None where there are none; `moved_nm` (n, N)
+    what a delay changes beyond its column; `model_nm` (n, N) all that is modelled.
     """
 
     value: Floats
@@ -151,17 +153,17 @@ def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int, contrast
 
 
 def about(problem: MotionProblem, value: Floats) -> About:
-    """Linearise about a solution (p,)."""
+    """Linearise at a solution (p,)."""
     columns, axes, last = problem.columns, problem.tau_nm.shape[1], problem.columns.first_effect
     none = np.zeros(axes)
-    part = {name: value[index] for name, index in columns.ordinary.items()}
+    part = {name: value[index] for name, index in columns.nuisances.items()}
     bodies = columns.design[:, :, : columns.bodies] @ value[: columns.bodies]
     own = columns.design[:, :, columns.bodies : last] @ value[columns.bodies : last]
     torque = bodies + columns.known_nm
     whole = (1.0 + part.get("gain", none)) * torque
     local = {"gain": torque}
     lost, sign, moved = np.abs(torque), columns.sign, np.zeros_like(torque)
-    if "delay" in columns.ordinary:
+    if "delay" in columns.nuisances:
         delay = part["delay"]
         level = columns.dry(value)
         smooth = whole + own - level * columns.sign
@@ -172,7 +174,7 @@ def about(problem: MotionProblem, value: Floats) -> About:
         local["delay"] = -change
     local["load_friction"] = lost * sign
     local["loss_bend"] = part.get("load_friction", none) * _bent(lost) * sign
-    local = {name: local[name] for name in columns.ordinary}
+    local = {name: local[name] for name in columns.nuisances}
     model = whole + own + moved
     for name in ("load_friction", "loss_bend", "delay"):
         if name in local:
@@ -185,13 +187,13 @@ def about(problem: MotionProblem, value: Floats) -> About:
 
 
 def _bent(lost_nm: Floats) -> Floats:
-    """Change of sizes (n, N) per power by which they grow otherwise than in proportion, about their mean."""
+    """Derivative of sizes (n, N) by the exponent of their growth, about their mean."""
     share = lost_nm / np.maximum(lost_nm.mean(axis=0), 1e-9)
     return lost_nm * np.log(np.maximum(share, 1e-9))
 
 
 def solved(problem: MotionProblem, here: About | None, sigma_nm: Floats, prior: Prior) -> Solution:
-    """Solve the problem linearised about a solution (None: without what every arm has), each part by its `sigma_nm`."""
+    """Solve the problem linearised at a solution (None: without nuisance parameters), with each part's `sigma_nm`."""
     parts = [in_basis(problem, part, here) for part in problem.parts]
     weight = [np.full(len(target), 1.0 / sigma) for sigma, (_, target) in zip(sigma_nm, parts, strict=True)]
     if problem.still is not None:
@@ -202,7 +204,7 @@ def solved(problem: MotionProblem, here: About | None, sigma_nm: Floats, prior: 
 
 
 def in_basis(problem: MotionProblem, mine: AxisRows, here: About | None) -> tuple[Floats, Floats]:
-    """Columns (m, p) and target (m,) of one part in its basis, and in that of what stands outside of it."""
+    """Columns (m, p) and target (m,) of one part in its basis and in the basis of the remaining rows."""
     columns, axis = problem.columns, mine.axis
     body = mine.there < columns.bodies
     inside, known, measured = mine.factor[:, :-2].copy(), mine.factor[:, -2], mine.factor[:, -1]
@@ -210,10 +212,10 @@ def in_basis(problem: MotionProblem, mine: AxisRows, here: About | None) -> tupl
         design = np.zeros((len(inside), len(columns.names)))
         design[:, mine.there] = inside
         return design, measured - known
-    gain = here.value[columns.ordinary["gain"][axis]] if "gain" in columns.ordinary else 0.0
+    gain = here.value[columns.nuisances["gain"][axis]] if "gain" in columns.nuisances else 0.0
     bodies = inside[:, body] @ here.value[mine.there[body]]
     inside[:, body] *= 1.0 + gain
-    others = [name for name in columns.ordinary if name != "gain"]
+    others = [name for name in columns.nuisances if name != "gain"]
     reached = np.zeros(0, dtype=int) if here.effects is None else np.flatnonzero(here.effects[:, axis].any(axis=0))
     more = [] if here.effects is None else [here.effects[:, axis, reached]]
     outside = np.column_stack([*(here.local[name][:, axis] for name in others), *more, here.moved_nm[:, axis]])
@@ -222,9 +224,9 @@ def in_basis(problem: MotionProblem, mine: AxisRows, here: About | None) -> tupl
     beyond = np.asarray(np.linalg.qr(outside - mine.basis @ within, mode="r"), dtype=float)
     design = np.zeros((len(inside) + len(beyond), len(columns.names)))
     design[: len(inside), mine.there] = inside
-    if "gain" in columns.ordinary:
-        design[: len(inside), columns.ordinary["gain"][axis]] = bodies + known
-    places = [*(columns.ordinary[name][axis] for name in others), *(columns.first_effect + reached)]
+    if "gain" in columns.nuisances:
+        design[: len(inside), columns.nuisances["gain"][axis]] = bodies + known
+    places = [*(columns.nuisances[name][axis] for name in others), *(columns.first_effect + reached)]
     for k, place in enumerate(places):
         design[:, place] = np.concatenate([within[:, k], beyond[:, k]])
     target = np.concatenate([measured - known + gain * bodies - within[:, -1], -beyond[:, -1]])
@@ -232,12 +234,12 @@ def in_basis(problem: MotionProblem, mine: AxisRows, here: About | None) -> tupl
 
 
 def part_columns(problem: MotionProblem, here: About, part: AxisRows) -> Floats:
-    """Columns (k, p) of the rows of one part about a solution."""
+    """Columns (k, p) of the rows of one part at a solution."""
     columns, axis = problem.columns, part.axis
     out = part.turn @ columns.design[:, axis]
-    if "gain" in columns.ordinary:
-        out[:, : columns.bodies] *= 1.0 + here.value[columns.ordinary["gain"][axis]]
-    for name, index in columns.ordinary.items():
+    if "gain" in columns.nuisances:
+        out[:, : columns.bodies] *= 1.0 + here.value[columns.nuisances["gain"][axis]]
+    for name, index in columns.nuisances.items():
         out[:, index[axis]] = part.turn @ here.local[name][:, axis]
     if here.effects is not None:
         out[:, columns.first_effect :] += part.turn @ here.effects[:, axis]

@@ -1,4 +1,4 @@
-"""Rest visits beside moving rows: one solution, with links, loads, gains and load friction in common.
+"""Rest visits together with moving rows: one solution with common links, loads, gains and load friction.
 
 What the rest rows say of these is one set of rows with unit noise: their own parameters, such as friction bands, are
 eliminated by an orthogonal reduction (square-root information; Bierman, Factorization methods, 1977, chapter 5).
@@ -15,22 +15,22 @@ from gateway.data.rows import Table, concatenate
 from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.problem import Still
-from gateway.identify.rest.fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.ordinary import KINDS
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
-#: Nuisances that rest and moving rows have in common.
+#: Nuisance parameters that rest and moving rows share.
 SHARED = ("gain", "load_friction")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedRest:
-    """The rest visits fitted alone."""
+    """Fit of the rest visits alone, with its problem."""
 
     problem: RestProblem
     fit: Fit
@@ -51,14 +51,14 @@ def fitted_rest(visits: Visits, robot: Robot, knowledge: Knowledge) -> FittedRes
 def columns_beside(
     moving: Table, robot: Robot, knowledge: Knowledge, motion: MovingSetup, rest: FittedRest | None
 ) -> tuple[Columns, Still | None]:
-    """Columns of moving rows, and what rest visits say of the same parameters where there are some.
+    """Columns of moving rows, and the information of rest visits on the same parameters, if there are any.
 
     Raises
     ------
     InputError
         A known load that is not in the data.
     """
-    if rest is None or "gain" not in motion.ordinary:
+    if rest is None or "gain" not in motion.nuisances:
         return moving_columns(moving, robot, knowledge, motion), None
     # loads that are in the rest rows alone have columns too
     whole = moving_columns(concatenate([moving, _as_rows(moving, rest.problem.rows)]), robot, knowledge, motion)
@@ -68,7 +68,7 @@ def columns_beside(
 
 
 def _as_rows(moving: Table, visits: Visits) -> Table:
-    """Visits as rows of an arm that does not move."""
+    """Convert visits to rows of an arm that does not move."""
     still = np.zeros_like(visits.q_rad)
     return replace(
         moving.take(np.zeros(len(visits), dtype=int)),
@@ -77,7 +77,7 @@ def _as_rows(moving: Table, visits: Visits) -> Table:
 
 
 def _still(columns: Columns, rest: FittedRest) -> Still:
-    """What the rest rows say of the parameters that they share with the moving ones."""
+    """Information of the rest rows on the parameters that they share with the moving ones."""
     problem, fit = rest.problem, rest.fit
     reduced, right = _eliminated(problem, fit, _shared(problem))
     rows = np.zeros((len(reduced), len(columns.names)))
@@ -92,19 +92,20 @@ def _still(columns: Columns, rest: FittedRest) -> Still:
         rows[:, columns.loads[label] : columns.loads[label] + PER_LINK_AT_REST] = reduced[:, own]
     nuisances = np.split(reduced[:, problem.band_part.start :], len(SHARED), axis=1)
     for kind, own in zip(SHARED, nuisances, strict=True):
-        if kind in columns.ordinary:
-            rows[:, columns.ordinary[kind]] = own
+        if kind in columns.nuisances:
+            rows[:, columns.nuisances[kind]] = own
     return Still(rows, right)
 
 
 def _shared(problem: RestProblem) -> Ints:
-    """Columns of links and loads, then of the nuisances that rest and motion have in common."""
+    """Columns of links and loads, then of the shared nuisance parameters."""
     own = [problem.nuisance_part.start + KINDS.index(kind) * problem.axes + np.arange(problem.axes) for kind in SHARED]
     return np.concatenate([np.arange(problem.band_part.start), *own])
 
 
 def _eliminated(problem: RestProblem, fit: Fit, shared: Ints) -> tuple[Floats, Floats]:
-    """Rows (k, len(shared)) and right side (k,) with unit noise, all other parameters of the rest rows eliminated.
+    """Rows (k, len(shared)) and right side (k,) with unit noise, after eliminating all other parameters of the rest
+    rows.
 
     The gains are those with what all axes share: their prior is that of the moving rows.
     """

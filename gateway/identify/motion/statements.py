@@ -1,4 +1,4 @@
-"""Link masses of a robot model, tested against the moving rows that were fitted with them."""
+"""Test of the link masses of a robot model against moving rows."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from gateway.identify.conflict import dropped, links_finding
 from gateway.identify.links import parse_inertials
 from gateway.identify.motion.columns import Columns
 from gateway.identify.rest.problem import Knowledge
-from gateway.identify.rest.thresholds import CONFLICT
+from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.identify.solve import Solution
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-#: Trust by which link masses that are stated as exact are tested.
+#: Prior of link masses that are stated as exact, for their test.
 NEARLY_EXACT: Final = "prior:0.005"
 
 
 def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledge, unloaded: bool) -> Knowledge | None:
-    """Return the knowledge with the link masses trusted as far as the rows support; None where that is as stated.
+    """Return the knowledge with the link prior that the rows support; None if that is the stated one.
 
     They are dropped only where the arm was measured `unloaded`: else load and last link could not be separated.
 
@@ -43,7 +43,7 @@ def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledg
     step = solution.value[links][held] - mean
 
     def odds(change: Floats, log_density: float) -> float:
-        """Log odds of a prior whose precision differs by `change`, and whose density has that other factor."""
+        """Log odds of a prior whose precision differs by `change`, with the change of its normalisation."""
         mixed = np.eye(len(step)) + covariance @ change
         pull = float(step @ change @ np.linalg.solve(mixed, step))
         return log_density - 0.5 * (float(np.linalg.slogdet(mixed)[1]) + pull)
@@ -64,7 +64,7 @@ def contradicted_links(columns: Columns, solution: Solution, knowledge: Knowledg
 def contradiction(
     stated: Columns, measured: tuple[Columns, Floats, Floats], rows: Mask, inertials: str
 ) -> Finding | None:
-    """Report the axis on which the measured torque of the bodies is furthest from that of the robot model.
+    """Report the axis on which the measured torque of the bodies differs most from the robot model.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Moving rows as functions of time: what an axis would have reported a little earlier."""
+"""Moving rows as functions of time, to evaluate delayed readings."""
 
 from __future__ import annotations
 
@@ -13,21 +13,23 @@ from scipy.interpolate import CubicSpline
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: Steps of a run's usual length that make a gap.
+#: Length of a gap in usual time steps of the run.
 _GAP: Final = 5.0
-#: Rows that a stretch needs to be a function of time.
+#: Least number of rows of a stretch.
 _FEWEST: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretches:
-    """Rows without a gap: for each, where its rows stand in the order of time, and their times."""
+    """Stretches of rows without a gap: indices in time order, and times."""
 
     parts: tuple[tuple[Ints, Floats], ...]
 
     @staticmethod
     def of(run: Sequence[str] | NDArray[np.str_], time_s: Floats) -> Stretches:
-        """Stretches of rows (n,) by run and time; rows without a time, or of too short a stretch, are in none."""
+        """Divide rows (n,) into stretches by run and time; rows without a time or in too short a stretch belong to
+        none.
+        """
         names, time = np.asarray(run), np.asarray(time_s, dtype=float)
         parts: list[tuple[Ints, Floats]] = []
         for name in np.unique(names):
@@ -40,7 +42,7 @@ class Stretches:
         return Stretches(tuple(parts))
 
     def mismatch(self, q_rad: Floats, qd_rad_s: Floats) -> Floats:
-        """How far positions (n, N) go otherwise than their speeds say, over how far they go: (N,)."""
+        """Difference between position change and integrated speed over the travel, per axis (N,)."""
         square, way = np.zeros((2, q_rad.shape[1]))
         for rows, time in self.parts:
             step = np.diff(q_rad[rows], axis=0)
@@ -50,7 +52,7 @@ class Stretches:
         return np.sqrt(square / np.where(way > 0, way, np.inf))
 
     def earlier(self, values: Floats, delay_s: ArrayLike) -> tuple[Floats, Floats]:
-        """Values (n, N) by `delay_s` (N,) earlier, and how they changed then [1/s].
+        """Values (n, N) at `delay_s` (N,) earlier, and their rate of change there [1/s].
 
         Before the first row of a stretch its first value and no change; rows that are in no stretch likewise.
         """

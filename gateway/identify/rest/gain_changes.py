@@ -1,9 +1,9 @@
-"""Errors of the torque readings that axes share, or that change between runs and while the arm warms up.
+"""Errors of the torque readings: common to all axes, changing between runs, and drifting while the arm warms up.
 
-The reading of axis i is `(1 + g_i + c + s_ib + s_b + (d_i + d) w(t)) tau_i`: its own error `g_i` is in `ordinary`; the
-common one `c` (a wrong voltage or rms convention, one batch of motors), the change `s` of block b against the first, a
-block being a run with one load, and the drift `d` with `w(t) = 1 - exp(-t / T)` are here. Magnets lose 0.04 % (SmCo) to
-0.2 % (ferrite) of their flux per kelvin, so a motor that is 10 K warmer reads 0.4 to 2 % more current for a torque.
+The reading of axis i is `(1 + g_i + c + s_ib + s_b + (d_i + d) w(t)) tau_i`: its own error `g_i` is a nuisance
+parameter. This file has the common error `c` (a wrong voltage or rms convention, one batch of motors), the change `s`
+of block b against the first (a block is a run with one load), and the drift `d` with `w(t) = 1 - exp(-t / T)`.
+Magnets lose 0.04 % (SmCo) to 0.2 % (ferrite) of their flux per kelvin, so a motor that is 10 K warmer reads 0.4 to 2 % more current for a torque.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.nuisance import CHANGE_AXIS, CHANGE_COMMON, COMMON_SHARE
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: Blocks above which a block has one change for all axes: those of single axes average out, and their number would
+#: Number of blocks above which a block has one common change: changes of single axes average out, and their number
+#: would
 #: determine the computing time.
 MOST_BLOCKS: Final = 6
 #: Duration [s] of a table below which no drift is modelled.
@@ -30,7 +31,7 @@ _LONG_S: Final = 60.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GainChanges:
-    """Parameters of the common gain, of its changes by block, and of its drift, in this order.
+    """Prior of the common gain, its changes by block, and its drift, in this order.
 
     Attributes
     ----------
@@ -49,13 +50,13 @@ class GainChanges:
 
     @staticmethod
     def none(gain_std: Floats) -> GainChanges:
-        """Without blocks and drift, of constants with these standard deviations (N,)."""
+        """Return the prior without blocks and drift, for constants with these standard deviations (N,)."""
         largest = float(gain_std.max())
         return GainChanges(gain_std / largest, math.sqrt(COMMON_SHARE) * largest)
 
     @staticmethod
     def of(rows: Visits, gain_std: Floats, factor: float = 1.0) -> GainChanges:
-        """Of visits whose constants have these standard deviations (N,), and changes `factor` times the usual ones."""
+        """Build the prior from visits and standard deviations (N,) of constants; `factor` scales the usual changes."""
         order = np.argsort(rows.time_s, kind="stable") if np.isfinite(rows.time_s).all() else np.arange(len(rows))
         blocks = tuple(dict.fromkeys(blocks_of(rows)[order].tolist()))
         long = np.ptp(rows.time_s) > _LONG_S
@@ -74,14 +75,14 @@ class GainChanges:
 
     @property
     def std(self) -> Floats:
-        """Standard deviation (E,) of each parameter's prior; its mean is 0."""
+        """Prior standard deviation (E,) of each parameter; the mean is 0."""
         change = [CHANGE_COMMON] if self._by_block_alone else self._change(CHANGE_AXIS)
         drift = self._change(REST_MODEL.drift_axis) if np.isfinite(self.start_s) else []
         changes = np.array([*(change * max(len(self.blocks) - 1, 0)), *drift])
         return np.append(self.common_std, self.factor * changes)
 
     def patterns(self, rows: Visits) -> Floats:
-        """What one unit of each parameter adds to the gain: (n, N, E). A block that is not known adds nothing."""
+        """Contribution (n, N, E) of a unit of each parameter to the gain; an unknown block contributes nothing."""
         n, axes = len(rows), self.axes
         parts = [np.broadcast_to(self.relative[:, None], (n, axes, 1))]
         every = np.ones((axes, 1)) if self._by_block_alone else np.hstack([np.eye(axes), np.ones((axes, 1))])
@@ -101,5 +102,5 @@ class GainChanges:
 
 
 def blocks_of(rows: Visits) -> NDArray[np.str_]:
-    """Block (n,) of every visit: its run with its load."""
+    """Block (n,) of each visit: its run combined with its load."""
     return np.char.add(np.char.add(rows.run.astype(str), "/"), rows.load.astype(str))

@@ -1,4 +1,4 @@
-"""What a hypothesis is fitted to, what a fit is, and the derivatives of the modelled rows."""
+"""Problem and fit of a hypothesis at rest, and the derivatives of the modelled rows."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.rest.ordinary import COLD, KINDS, ORDINARY, Ordinary, ordinary_setting
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.rest_nuisance import COLD, KINDS, NUISANCE_KINDS, RestNuisance, nuisance_setting
+from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.solve import Basis, ByGroup
 from gateway.model.rest import AlteredModel, Model
 from gateway.model.term import Term
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 #: Step [share of a band, or Nm] of the numerical derivatives.
 _STEP = 1e-3
-#: Memory of the columns that are kept.
+#: Memory limit of stored columns.
 _RECENT_BYTES = 32_000_000
 
 
@@ -35,12 +35,12 @@ class RestProblem:
     link_std : (4 N,) its standard deviation
     labels : labels of the loads to estimate
     member : (n, labels) 1 where the visit carries that load
-    fixed_load : (n, 4) what is known to hang on the flange
+    fixed_load : (n, 4) known load on the flange
     use_sum, use_difference : (n, N) rows that are fitted
     target : (rows,) half sums, then half differences
     group : (rows,) noise group: axis + N * (0 half sum, 1 half difference, 2 one-sided)
     prior_rows, prior_target : (k, n_common), (k,) further knowledge: `prior_rows @ common = prior_target`, unit std
-    nuisance : what every arm has, its prior
+    nuisance : prior of the nuisance parameters
     patterns : (n, N, E) what one unit of each change of gain adds at each visit
     recent : columns of the fits that were used last
     """
@@ -57,17 +57,17 @@ class RestProblem:
     group: NDArray[np.int_]
     prior_rows: Floats
     prior_target: Floats
-    nuisance: Ordinary
+    nuisance: RestNuisance
     patterns: Floats = field(init=False)
     recent: _Recent = field(default_factory=lambda: _Recent())
 
     def __post_init__(self) -> None:
-        """The patterns are those of the visits."""
+        """Compute the patterns of the visits."""
         object.__setattr__(self, "patterns", self.nuisance.changes.patterns(self.rows))
 
     @property
     def rows(self) -> Visits:
-        """The visits."""
+        """Rest visits."""
         return self.model.rows
 
     @property
@@ -88,33 +88,33 @@ class RestProblem:
 
     @property
     def link_part(self) -> slice:
-        """Where the links stand among the parameters."""
+        """Slice of the link parameters."""
         return slice(0, 4 * self.axes)
 
     def load_part(self, index: int) -> slice:
-        """Where one load stands."""
+        """Slice of the parameters of one load."""
         return slice(4 * (self.axes + index), 4 * (self.axes + index + 1))
 
     @property
     def band_part(self) -> slice:
-        """Where the friction bands stand."""
+        """Slice of the friction bands."""
         return slice(self.nuisance_part.start - self.axes, self.nuisance_part.start)
 
     @property
     def nuisance_part(self) -> slice:
-        """Where the ordinary parameters stand."""
+        """Slice of the nuisance parameters."""
         return slice(self.n_common - len(self.nuisance.mean), self.n_common)
 
     @property
     def gain_directions(self) -> Floats:
-        """Linear functions (N, n_common) of the parameters: the gain error of each axis, with what all axes share."""
+        """Linear functions (N, n_common) of the parameters: gain error of each axis, including the common part."""
         out = np.zeros((self.axes, self.n_common))
         out[:, self.nuisance_part][:, : self.axes] = np.eye(self.axes)
         out[:, self.nuisance_part.start + self.nuisance.common] = self.nuisance.changes.relative
         return out
 
     def gains_at(self, visits: Visits) -> Floats:
-        """The same (n, N, n_common) at each of these visits, with the changes up to there."""
+        """Linear functions (n, N, n_common): gain error of each axis at each visit, including changes up to it."""
         changes = self.nuisance.changes
         out = np.repeat(self.gain_directions[None], len(visits), axis=0)
         out[:, :, self.n_common - changes.count :] = changes.patterns(visits)
@@ -122,37 +122,37 @@ class RestProblem:
 
     @property
     def sided(self) -> Mask:
-        """Axes (N,) of which a side of approach is known: without one nothing tells a band."""
+        """Axes (N,) with a known approach direction; the others do not determine a friction band."""
         return np.asarray((self.use_difference | (self.use_sum & (self.rows.side != 0))).any(axis=0))
 
     @property
     def n_common(self) -> int:
-        """Parameters that every hypothesis has: links, loads, bands and the ordinary ones."""
+        """Number of common parameters of all hypotheses: links, loads, bands and nuisance parameters."""
         return 5 * self.axes + 4 * len(self.labels) + len(self.nuisance.mean)
 
     @property
     def common_mean(self) -> Floats:
-        """Mean (n_common,) of the prior of what every hypothesis has; 0 where it is open."""
+        """Prior mean (n_common,) of the common parameters; 0 where there is no prior."""
         return np.concatenate([self.links, np.zeros(4 * len(self.labels) + self.axes), self.nuisance.mean])
 
     @property
     def common_std(self) -> Floats:
-        """Its standard deviation (n_common,), infinite where it is open."""
+        """Prior standard deviation (n_common,) of the common parameters; infinite where there is no prior."""
         free = np.full(4 * len(self.labels) + self.axes, np.inf)
         return np.concatenate([self.link_std, free, self.nuisance.std])
 
     def taken_over(self, terms: Sequence[Term]) -> NDArray[np.int_]:
-        """Places among the common parameters of which the effects are too much."""
+        """Indices of common parameters that the effects replace."""
         return self.nuisance_part.start + self.nuisance.taken_over(terms)
 
     def by_group(self, values: Floats | None = None) -> Floats:
-        """Sum (3 N,) over the rows of each noise group; their number where no values (rows,) are given."""
+        """Sum (3 N,) of values (rows,) over each noise group; without values the number of rows."""
         return np.asarray(np.bincount(self.group, weights=values, minlength=3 * self.axes), dtype=float)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Standard deviation of the rows: prior `start` and estimate `std` per group (3 N,), NaN where no rows."""
+    """Standard deviation of the rows: start value and estimate per group (3 N,), NaN without rows."""
 
     start: Floats
     std: Floats
@@ -161,13 +161,13 @@ class Noise:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Place:
-    """A point of a hypothesis: the values of its parameters.
+    """Parameter values of a hypothesis.
 
     Attributes
     ----------
     terms : effects of the hypothesis
     links : (4 N,), loads : (labels, 4), band : (N,)
-    nuisance : (K N + E,) ordinary parameters
+    nuisance : (K N + E,) nuisance parameters
     theta : parameters of each effect
     """
 
@@ -185,13 +185,13 @@ class Place:
 
     @property
     def common(self) -> Floats:
-        """What every hypothesis has, in one vector (n_common,)."""
+        """Common parameters in one vector (n_common,)."""
         return np.concatenate([self.links, self.loads.ravel(), self.band, self.nuisance])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit(Place):
-    """A fitted hypothesis.
+    """Fitted hypothesis with covariance, noise and evidence.
 
     Attributes
     ----------
@@ -227,12 +227,12 @@ class Fit(Place):
 
     @property
     def rank(self) -> int:
-        """Parameters that rows and priors determine."""
+        """Number of parameters that rows and priors determine."""
         return len(self.scale) - self.null.shape[1]
 
     @property
     def setting(self) -> AlteredModel:
-        """The setting at the solution."""
+        """Model at the solution."""
         return with_terms(self.problem, self.terms, self.theta, self.nuisance)
 
     @property
@@ -242,18 +242,18 @@ class Fit(Place):
 
     @property
     def basis(self) -> Basis:
-        """Weighted columns in an orthonormal basis: leverages are its squares."""
+        """Weighted columns in an orthonormal basis; leverages are its squares."""
         return Basis(self.columns, 1.0 / self.weighed_by[self.problem.group], self.inverse)
 
 
 class _Recent:
-    """Columns of the fits that were used last: those of all fits of a search would be most of its memory."""
+    """Cache of the columns of recently used fits; the columns of all fits of a search would need most of its memory."""
 
     def __init__(self) -> None:
         self._known: WeakKeyDictionary[Fit, ByGroup] = WeakKeyDictionary()
 
     def of(self, fit: Fit, columns: Callable[[], ByGroup]) -> ByGroup:
-        """The columns of a fit, computed where they are not known."""
+        """Return the columns of a fit, computed if they are not stored."""
         found = self._known.pop(fit, None)
         if found is None:
             found = columns()
@@ -269,15 +269,15 @@ def visit_loads(problem: RestProblem, loads: Floats) -> Floats:
 
 
 def with_terms(problem: RestProblem, terms: Sequence[Term], theta: Sequence[Floats], nuisance: Floats) -> AlteredModel:
-    """The setting with what every arm has (K N + E,), and all effects of a hypothesis, in it."""
-    setting = ordinary_setting(problem.rows, nuisance, problem.patterns)
+    """Model with the nuisance parameters (K N + E,) and all effects of a hypothesis."""
+    setting = nuisance_setting(problem.rows, nuisance, problem.patterns)
     for term, values in zip(terms, theta, strict=True):
         setting = term.apply(setting, values, problem.rows)
     return setting
 
 
 def certain_bands(problem: RestProblem, fit: Fit) -> Floats:
-    """Friction bands (N,) in standard deviations, for how much larger friction is when cold as fitted.
+    """Friction bands (N,) over their standard deviations, conditional on the fitted warm-up.
 
     That is a factor on a band: it makes its size unsure, and never its sign.
     """
@@ -305,7 +305,7 @@ def design_at(problem: RestProblem, at: Place, noise: Noise) -> ByGroup:
 
 
 def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, loads: Floats, band: Floats) -> ByGroup:
-    """Columns (rows, n_common) of links, loads, bands and ordinary parameters."""
+    """Columns (rows, n_common) of links, loads, bands and nuisance parameters."""
     bodies = problem.model.bodies(setting, links, visit_loads(problem, loads))
     torque, regressor = problem.model.joint_torque(setting, bodies)
     chain = problem.model.sum_by_torque(setting, torque, band)
@@ -317,7 +317,7 @@ def common_columns(problem: RestProblem, setting: AlteredModel, links: Floats, l
 def _groups(
     problem: RestProblem, setting: AlteredModel, chain: Floats, regressor: Floats, slopes: Sequence[_Slopes]
 ) -> Iterator[tuple[NDArray[np.int_], NDArray[np.int_], Floats]]:
-    """Rows, columns and values of each noise group: those of an axis are derivatives of its readings alone."""
+    """Rows, columns and values of each noise group; the rows of an axis depend on the readings of that axis only."""
     axes, first = problem.axes, problem.n_common - problem.patterns.shape[2]
     shared = np.arange(first, problem.n_common)
     number = np.zeros((2, *problem.use_sum.shape), dtype=int)
@@ -331,7 +331,8 @@ def _groups(
         load[:, 0] += np.einsum("nk,nk->n", body[:, -3:], setting.moment_factor)
         carried = (problem.member[:, :, None] * load[:, None]).reshape(len(body), loads - 4 * axes)
         by_kind = [each.sums[:, axis] for each in slopes]
-        # the bend that a band leaves in the middle of both sides would have its say alone, and never settles
+        # without approach directions the small contribution of a band to the half-sum would determine it, and not
+        # converge
         by_kind[0] = by_kind[0] * problem.sided[own]
         gains = np.matmul(by_kind[1][:, None], problem.patterns[:, own])[:, 0]
         places = [each.start + np.arange(axes)[own] for each in slopes]
@@ -349,7 +350,7 @@ def _groups(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slopes:
-    """Derivatives of the readings by one kind of parameters of the axes.
+    """Derivatives of the readings by one kind of axis parameters.
 
     Attributes
     ----------
@@ -364,12 +365,12 @@ class _Slopes:
 
     @property
     def coupled(self) -> bool:
-        """Whether an axis is read in another one."""
+        """Return whether the reading of an axis depends on another axis."""
         return self.sums.shape[2] > 1
 
 
 def _axis_slopes(problem: RestProblem, setting: AlteredModel, torque: Floats, band: Floats) -> list[_Slopes]:
-    """Derivatives by bands and ordinary parameters of the axes, by kind: the gains are the second ones.
+    """Derivatives by bands and by each kind of nuisance parameters; the gains are the second entry.
 
     Half differences determine friction alone, in the scale of the reading: they determine neither weights nor gains.
     Where no axis is read in another they are independent of each other: one step serves all axes at once.
@@ -378,7 +379,7 @@ def _axis_slopes(problem: RestProblem, setting: AlteredModel, torque: Floats, ba
     base = model.readings(setting, torque, band)
     coupled = axes > 1 and bool(np.any(setting.coupling != np.eye(axes)))
     out = []
-    for place, kind in enumerate((None, *ORDINARY)):
+    for place, kind in enumerate((None, *NUISANCE_KINDS)):
         step = _STEP * (1.0 + np.abs(band)) if kind is None or kind.name == "bias" else np.full(axes, _STEP)
         sums, differences = [], []
         for moved in np.eye(axes) if coupled else np.ones((1, axes)):
@@ -425,13 +426,13 @@ def _steps(term: Term, theta: Floats, noise: Noise) -> Floats:
 
 
 def spread_of(problem: RestProblem, noise: Noise, term: Term, columns: Floats) -> Floats:
-    """Prior standard deviation (k,) of an effect's parameters: what is plausible, or ten noise floors."""
+    """Prior standard deviation (k,) of an effect's parameters: its plausible size, or ten noise floors."""
     weighted = columns / noise.std[problem.group][:, None]
     return plausible_spread(term, np.sqrt((weighted**2).sum(axis=0) / max(len(problem.rows), 1)))
 
 
 def plausible_spread(term: Term, size: Floats) -> Floats:
-    """The same from the length (k,) of the weighted columns over the root of the number of visits."""
+    """Prior standard deviation (k,) from the weighted columns' length (k,) over the root of the number of visits."""
     by_strength = REST_MODEL.strength_spread / np.maximum(size, max(1e-3 * float(size.max(initial=0.0)), 1e-12))
     plausible = np.array(term.spread)
     return np.where(np.isnan(plausible), by_strength, plausible)

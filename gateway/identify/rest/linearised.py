@@ -1,4 +1,4 @@
-"""A fit without effects as a linear problem about its solution, so that other priors are tried at little cost."""
+"""Fit without effects, linearised at its solution, to evaluate other priors at little cost."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.rest.fit import log_density, noise_std
+from gateway.identify.rest.hypothesis_fit import log_density, noise_std
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.solve import NOTHING
 
 Floats = NDArray[np.float64]
 
-#: Relative size of a direction that neither rows nor priors determine: it counts the same in every alternative.
+#: Relative size of an undetermined direction: it contributes equally to every alternative.
 _SINGULAR: Final = 1e-14
-#: Relative size up to which a direction counts as one of these: it has no part in the step and the covariance.
+#: Relative size up to which a direction counts as undetermined and is left out of step and covariance.
 _OPEN: Final = 1e-12
-#: Steps in which the noise of an alternative settles.
+#: Iterations of the noise of an alternative.
 _NOISE_STEPS: Final = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TriedPrior:
-    """Outcome of a prior: marginal likelihood, step (p,) from the solution of the fit, and covariance (p, p).
+    """Result of an alternative prior: marginal likelihood, step (p,) from the solution of the fit, covariance (p, p).
 
     `log_evidence` is the logarithm of the marginal likelihood, up to what all priors share.
     """
@@ -36,7 +36,7 @@ class TriedPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearisedFit:
-    """Products of the columns of a fit by noise group: the cost of a prior does not depend on the number of rows.
+    """Products of the columns of a fit by noise group; the cost of a prior does not depend on the number of rows.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class LinearisedFit:
 
     @staticmethod
     def of(problem: RestProblem, fit: Fit, further: Floats | None = None) -> LinearisedFit:
-        """Of a fit; `further` (rows, e) are columns of parameters that are 0 in it."""
+        """Linearise a fit; `further` (rows, e) are columns of parameters that are 0 in it."""
         width, groups = fit.columns.width, 3 * problem.axes
         columns = np.zeros((len(problem.target), 0)) if further is None else further
         total = width + columns.shape[1]
@@ -71,7 +71,7 @@ class LinearisedFit:
         return LinearisedFit(problem, fit, used, gram[used], right[used], square[used], count[used])
 
     def tried(self, std: Floats, link_scale: float = 0.0, further_std: Floats | None = None) -> TriedPrior:
-        """Solve with priors of these widths (p,).
+        """Solve with prior standard deviations (p,).
 
         `link_scale` is the standard deviation of a factor on all link masses: CAD without motors, or of another alloy.
         `further_std` (e,) is that of the further parameters; 0 = they are left out, as they all are where it is None.
@@ -120,5 +120,5 @@ class LinearisedFit:
         return TriedPrior(density - 0.5 * log_det - log_spread, step[:width], inverse[:width, :width])
 
     def evidence(self, std: Floats, link_scale: float = 0.0) -> float:
-        """Logarithm of the marginal likelihood with these priors; as `tried`."""
+        """Log marginal likelihood with these priors; arguments as of `tried`."""
         return self.tried(std, link_scale).log_evidence

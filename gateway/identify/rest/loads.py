@@ -1,4 +1,4 @@
-"""Loads of a fit as the result file has them: mass, centre of gravity, what the data cannot give."""
+"""Loads of a fit as the result file has them: mass, centre of gravity, and what the data do not determine."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from gateway.identify.load_estimate import (
     load_result,
 )
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.ordinary import KINDS
 from gateway.identify.rest.problem import OPEN_MASS_KG, OPEN_SHARE
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.rest_nuisance import KINDS
+from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.solve import Prior, determined
 from gateway.model.robot import Robot, reach_m
 from gateway.result.result import LoadResult, NuisanceResult
 from gateway.result.values import numbers
 
 Floats = NDArray[np.float64]
-#: Information about the mass, over that of the most telling pose, from which a pose's own mass is given.
+#: Least information of a pose about the mass, over that of the best pose, for a mass of its own.
 _INFORMATIVE: Final = 0.05
 #: Share of a variance that is rounding.
 _AS_ROUNDING: Final = 1e-12
@@ -40,7 +40,7 @@ def load_estimates(
     by_shape: Floats | None = None,
     by_statement: Mapping[str, Floats] | None = None,
 ) -> tuple[LoadEstimate, ...]:
-    """Every load that was estimated, in the order of its label.
+    """Return every estimated load, in the order of the labels.
 
     `by_shape` (labels, 4, 4) is what the choice of the effects' shapes leaves open about [m, h], `by_statement` the
     same by source of statements that may be wrong; none if not given.
@@ -54,12 +54,12 @@ def load_estimates(
 
 
 def loads_of(problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | None = None) -> tuple[LoadResult, ...]:
-    """The same as the result file has them."""
+    """Return the loads as entries of the result file."""
     return tuple(load_result(load, robot) for load in load_estimates(problem, fit, robot, by_shape))
 
 
 def spread_by_shape(fit: Fit, alike: Sequence[tuple[float, Fit]]) -> Floats:
-    """Covariance (labels, 4, 4) of [m, h] about a fit over other shapes of its effects, by their probabilities."""
+    """Covariance (labels, 4, 4) of [m, h] due to other shapes of the effects, weighted by their probabilities."""
     out = np.zeros((len(fit.loads), 4, 4))
     for weight, other in alike:
         away = other.loads - fit.loads
@@ -96,9 +96,9 @@ def _load(
 
 
 def sure(problem: RestProblem, fit: Fit, directions: Floats) -> NDArray[np.bool_]:
-    """Which linear functions (k, p) of the parameters rows and priors determine.
+    """Mask (k,) of linear functions (k, p) of the parameters that rows and priors determine.
 
-    What is known no better than a link of which nothing is known hangs on that stand-in, and is not determined.
+    What is known no better than a link of which nothing is known depends on that placeholder, and is not determined.
     """
     found = determined(fit, directions)
     if problem.link_std.max(initial=0.0) < OPEN_MASS_KG:
@@ -108,7 +108,7 @@ def sure(problem: RestProblem, fit: Fit, directions: Floats) -> NDArray[np.bool_
 
 
 def _determined(problem: RestProblem, fit: Fit, part: slice) -> NDArray[np.bool_]:
-    """Which of a load's [m, hx, hy, hz] (4,) are determined; beside an open mass there is no centre."""
+    """Mask (4,) of the determined entries of [m, hx, hy, hz]; an undetermined mass leaves the centre undetermined."""
     pure = np.zeros((4, len(fit.scale)))
     pure[:, part] = np.eye(4)
     found = sure(problem, fit, pure)
@@ -150,7 +150,7 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
 
 
 def _with_statements(budget: Mapping[str, float], variance: float, more: Mapping[str, float]) -> Mapping[str, float]:
-    """Shares of the variance of a mass with what further variances add by source."""
+    """Return the shares of the variance of a mass, with further variances by source added."""
     added = {source: max(value, 0.0) for source, value in more.items()}
     whole = variance + sum(added.values())
     if not (budget and whole > 0.0):
@@ -161,8 +161,8 @@ def _with_statements(budget: Mapping[str, float], variance: float, more: Mapping
     }
 
 
-def ordinary_of(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult]:
-    """What every arm has, as fitted: of an axis that an effect takes over, the effect says it."""
+def nuisance_results(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult]:
+    """Nuisance parameters as fitted; a parameter that an effect replaces is left out."""
     at = problem.nuisance_part
     by_axis = slice(at.start, at.start + len(KINDS) * problem.axes)
     directions = np.zeros((by_axis.stop - by_axis.start, len(fit.scale)))
@@ -195,14 +195,14 @@ def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
     by_row = (fit.columns.times(reach) / fit.noise.std[problem.group][:, None]) ** 2
     share = np.array([problem.by_group(column) for column in by_row.T])
     total = share.sum(axis=1)
-    # where priors alone give the variance, what is left of the rows is rounding
+    # if priors alone give the variance, the contribution of the rows is rounding
     by_rows = total > _AS_ROUNDING * np.einsum("kp,pk->k", directions, reach)
     mean = (share @ freedom) / np.where(by_rows, total, 1.0)
     return np.where(by_rows, stdtrit(np.where(by_rows, mean, np.inf), 0.975) / ndtri(0.975), 1.0)
 
 
 def per_pose_mass(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
-    """Mass [kg] that each pose alone would give, everything else as in the whole fit; informative poses only."""
+    """Mass [kg] from each pose alone with all other parameters of the whole fit; informative poses only."""
     part = problem.load_part(index)
     std = fit.noise.std[problem.group]
     phi = fit.loads[index]

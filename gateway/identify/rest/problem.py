@@ -1,4 +1,4 @@
-"""From a table and a robot to the rows, priors and noise that every hypothesis shares."""
+"""Build rows, priors and noise of all hypotheses from a table and a robot."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
-from gateway.identify.loads import bare_rows, load_vector, refuse_absent, stored_errors, unknown_labels
 from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, losses, nuisance_prior
+from gateway.identify.prior_loads import bare_rows, load_vector, refuse_absent, stored_errors, unknown_labels
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import RestProblem
-from gateway.identify.rest.ordinary import Ordinary
+from gateway.identify.rest.rest_nuisance import RestNuisance
 from gateway.model.kinematics import STANDARD_GRAVITY_M_S2
 from gateway.model.rest import Model
 from gateway.model.robot import Robot
@@ -23,22 +23,22 @@ from gateway.model.visits import Visits, column_medians
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
-#: Standard deviation [kg] and [kg m] of a link of which nothing is known: a hundred times that of any arm.
+#: Prior standard deviation [kg] and [kg m] of an unknown link: a hundred times that of any arm.
 OPEN_MASS_KG = 1e3
 OPEN_MOMENT_KG_M = 1e3
-#: Standard deviation of a mass, over that of an open link, from which nothing but the open link is behind it.
+#: Standard deviation of a mass over that of an unknown link, above which the mass is not determined.
 OPEN_SHARE = 0.1
-#: Relative standard deviation [-] of inertials that are called exact: below what any torque shows.
+#: Relative standard deviation [-] of inertials stated as exact: below the effect on any torque.
 EXACT = 1e-4
 #: Friction band of an axis that was approached from one side only, as a share of its torque.
 BAND_UNSEEN = 0.05
-#: Of a link that weighs nothing [kg, kg m]: nothing is known exactly.
+#: Least standard deviation of a link without mass [kg, kg m].
 LEAST_STD = 1e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Knowledge:
-    """What is known besides the measured rows.
+    """Prior knowledge besides the measured rows.
 
     Attributes
     ----------
@@ -65,15 +65,15 @@ class Knowledge:
 
     @property
     def weighed(self) -> tuple[str, ...]:
-        """Labels of the loads whose mass is known."""
+        """Labels of the loads with known mass."""
         return (*self.known, *self.masses)
 
     def without_load(self, label: str) -> Self:
-        """The same with one known load unknown."""
+        """Return a copy with one known load as unknown."""
         return self.of_loads(name for name in self.weighed if name != label)
 
     def of_loads(self, labels: Iterable[str]) -> Self:
-        """The same without known loads that are not among these labels."""
+        """Return a copy without the known loads of other labels."""
         there = set(map(str, labels))
         return replace(
             self,
@@ -83,9 +83,9 @@ class Knowledge:
 
 
 def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: GainChanges | None = None) -> RestProblem:
-    """Rows, priors and noise groups of the visits.
+    """Build rows, priors and noise groups of the visits.
 
-    `changes` are those of other visits, whose fit has to foretell these; of these visits where none are given.
+    `changes` are those of other visits, whose fit predicts these; of these visits where none are given.
 
     Raises
     ------
@@ -137,14 +137,14 @@ def build_problem(robot: Robot, rows: Visits, knowledge: Knowledge, changes: Gai
 
 
 def open_link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
-    """CAD value and standard deviation (4 N,) of [m, hx, hy, hz] per link; unknown links are nearly open."""
+    """CAD value and standard deviation (4 N,) of [m, hx, hy, hz] per link; unknown links have a very wide prior."""
     mean, std = link_prior(robot, max(parse_inertials(inertials), EXACT), PER_LINK_AT_REST)
     nearly_open = np.tile([OPEN_MASS_KG, *[OPEN_MOMENT_KG_M] * 3], len(mean) // PER_LINK_AT_REST)
     return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
 
 
-def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None = None) -> Ordinary:
-    """Prior of what every arm has; the sides of the visits tell how large bands and losses are."""
+def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None = None) -> RestNuisance:
+    """Prior of the nuisance parameters; the approach directions determine the size of bands and losses."""
     halves = np.where(np.isfinite(rows.sum_nm), rows.difference_nm, np.nan)
     count = np.maximum(np.isfinite(rows.sum_nm).sum(axis=0), 1)
     size = np.sqrt(np.nansum(rows.sum_nm**2, axis=0) / count)
@@ -155,5 +155,5 @@ def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None 
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
     if changes is None:
         changes = GainChanges.of(rows, gain_std, knowledge.change)
-    prior = Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes, knowledge.measured_gain)
+    prior = RestNuisance.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes, knowledge.measured_gain)
     return prior if knowledge.bare is None else prior.held_elsewhere(stored_errors(knowledge.bare))

@@ -11,8 +11,8 @@ import pytest
 import gateway
 from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.thresholds import CONFLICT, REST_MODEL
-from gateway.identify.thresholds import described
+from gateway.identify.rest.rest_thresholds import CONFLICT, REST_MODEL
+from gateway.identify.tuned_number import described
 
 HOME = Path(gateway.__file__).parent
 FILES = {
@@ -33,11 +33,11 @@ INSIDE = {
     "diagnose/moving/select.py": 4,
     "diagnose/moving/structure.py": 2,
     "diagnose/rest/decide.py": 3,
-    "identify/rest/fit.py": 3,
+    "identify/rest/hypothesis_fit.py": 3,
     "identify/rest/linear.py": 6,
     "identify/rest/loads.py": 3,
     "diagnose/rest/outcome.py": 2,
-    "identify/rest/noise.py": 2,
+    "identify/rest/start_noise.py": 2,
 }
 
 

@@ -173,7 +173,7 @@ def test_exact_constants_leave_nothing_to_them(arm, poses, gravity, band_nm, tab
 
 def test_a_gain_of_half_is_refused(arm, poses, gravity, band_nm, table_of):
     table = measured_by(Nature(), gravity, poses, band_nm, table_of, np.random.default_rng(3))
-    with pytest.raises(ConfigError, match="a torque constant known to 50 % says nothing of a mass"):
+    with pytest.raises(ConfigError, match="a torque constant known to 50 % does not determine a mass"):
         estimate(table, arm.robot, EstimateOptions(gain_std=(0.5,) * 6))
 
 

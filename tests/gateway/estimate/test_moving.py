@@ -150,7 +150,7 @@ def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
 def test_measured_run_of_a_tx40(measured_data):
     """Published with the data: base parameters and friction, slow rows left out."""
     table, robot = measured_run(measured_data, "tx40", "run_1_first.csv")
-    found = estimate_moving(table, robot, EstimateOptions(), MovingSetup(ordinary=()))
+    found = estimate_moving(table, robot, EstimateOptions(), MovingSetup(nuisances=()))
     np.testing.assert_allclose(found.rows.rms_nm, [1.49, 1.47, 0.96, 0.42, 4.12, 1.41], atol=0.006)
     assert found.rank == 36 + 24 - 2  # the rotors of axes 1 and 2 lump with the links they turn
 
@@ -158,7 +158,7 @@ def test_measured_run_of_a_tx40(measured_data):
 @pytest.mark.data
 def test_measured_run_of_a_ur10(measured_data):
     table, robot = measured_run(measured_data, "ur10", "run_1_first.csv")
-    found = estimate_moving(table, robot, EstimateOptions(), MovingSetup(slow_share=0.0, ordinary=()))
+    found = estimate_moving(table, robot, EstimateOptions(), MovingSetup(slow_share=0.0, nuisances=()))
     np.testing.assert_allclose(found.rows.rms_nm, [2.87, 1.88, 1.71, 0.37, 0.34, 1.36], atol=0.006)
     assert (estimate(table, robot, EstimateOptions()).rows.rms_nm <= found.rows.rms_nm).all()
 
@@ -167,7 +167,7 @@ def test_measured_run_of_a_ur10(measured_data):
 def test_measured_run_of_a_kr300(measured_data):
     """CAD links fixed, no offset, equal weights first and three times the residual's: the published figures."""
     table, robot = measured_run(measured_data, "kr300", "run_A.csv")
-    motion = MovingSetup(smooth_rad_s=0.01, slow_share=0.0, passes=4, ordinary=())
+    motion = MovingSetup(smooth_rad_s=0.01, slow_share=0.0, passes=4, nuisances=())
     found = estimate_moving(table, robot, EstimateOptions(inertials="exact"), motion)
     np.testing.assert_allclose(found.rows.rms_nm, [236, 907, 1449, 58, 44, 41], rtol=0.01)
     load = found.loads[0]

@@ -19,7 +19,7 @@ from gateway.acquire.until.search import NextStep
 from gateway.data.table import concatenate
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.outlook import PoseNoise, Sought, outlook_of_priors, take_stock
-from gateway.identify.aside import without_gross
+from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.visits import pair_visits
 from tests.resting_arm import Bench
@@ -40,7 +40,7 @@ def options(bench) -> EstimateOptions:
 
 
 def stock_of(bench, options, table):
-    visits, _ = without_gross(pair_visits(table, options.efficiency), bench.robot, options.gravity_m_s2)
+    visits, _ = without_outliers(pair_visits(table, options.efficiency), bench.robot, options.gravity_m_s2)
     guess = np.array([30.0, 0.0, 0.0, 0.0])
     return take_stock(visits, bench.robot, options, Sought("tool", guess, np.nanmedian(table.tau_std_nm, axis=0)))
 

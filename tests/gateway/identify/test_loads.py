@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gateway.errors import InputError
-from gateway.identify.loads import bare_rows, load_vector, unknown_labels
+from gateway.identify.prior_loads import bare_rows, load_vector, unknown_labels
 from gateway.result.result import Bare
 
 

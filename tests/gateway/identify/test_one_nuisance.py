@@ -13,7 +13,7 @@ from tests.resting_arm import Bench
 
 #: Zero of the torque sensor of axis 2 [Nm].
 ZERO_NM = 40.0
-MADE_UP = """    OrdinaryKind("sensor_zero", "offset_nm", lambda _: (0.0, 50.0), _added),
+MADE_UP = """    NuisanceKind("sensor_zero", "offset_nm", lambda _: (0.0, 50.0), _added),
 )
 KINDS: Final ="""
 
@@ -26,7 +26,7 @@ def test_a_nuisance_is_one_entry_that_estimate_and_diagnose_fit(tmp_path):
     write_csv(table, tmp_path / "data.csv")
     (tmp_path / "robot.urdf").write_text(bench.arm.urdf)
     house = House(tmp_path / "house")
-    house.change("gateway/identify/rest/ordinary.py", ")\nKINDS: Final =", MADE_UP)
+    house.change("gateway/identify/rest/rest_nuisance.py", ")\nKINDS: Final =", MADE_UP)
     for command in ("estimate", "diagnose"):
         line = (command, "data.csv", "--robot", "robot.urdf", "--inertials", "prior:0.05", "--json", f"{command}.json")
         done = house.command(*line, cwd=tmp_path)

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.screen import columns_of
-from gateway.identify.rest.fit import fit
+from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import RestProblem, common_columns
-from gateway.identify.rest.noise import first_noise
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.robot import robot_from_urdf

@@ -13,7 +13,7 @@ from gateway.diagnose.moving.fit import MovingProblem, fit
 from gateway.diagnose.moving.noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
 from gateway.identify.links import PER_LINK_MOVING, link_prior
-from gateway.identify.motion.ordinary import settle
+from gateway.identify.motion.convergence import settle
 from gateway.identify.motion.problem import Contrasts, MotionProblem
 from gateway.identify.rest.problem import Knowledge
 from gateway.model.motion import prepare

@@ -44,7 +44,7 @@ def test_constants_that_are_known_exactly_are_taken_at_their_word(healthy):
 
 def test_barely_known_constants_are_refused_with_the_reason(healthy):
     bench, table, _ = healthy
-    with pytest.raises(ConfigError, match=r"known to 50 % says nothing of a mass.*--known"):
+    with pytest.raises(ConfigError, match=r"known to 50 % does not determine a mass.*--known"):
         diagnose(table, bench.robot, replace(bench.options, gain_std=(0.03,) * 5 + (0.5,)))
     with pytest.raises(ConfigError, match="5 standard deviations of torque constants for an arm of 6 axes"):
         diagnose(table, bench.robot, replace(bench.options, gain_std=(0.03,) * 5))
@@ -78,8 +78,8 @@ def test_outlier_visits_are_rejected_listed_and_barely_change_the_answer(seed):
     for aside in result.set_aside:
         assert aside.bands == pytest.approx(6.0, rel=0.5)
         assert aside.reason
-    (words,) = [each.what for each in result.findings if each.where == "set aside"]
-    assert words.startswith("2 gross torques are in no fit")
+    (words,) = [each.what for each in result.findings if each.where == "outliers"]
+    assert words.startswith("2 outliers are in no fit")
     assert "pose 4 under none, J3 by" in words
     assert "pose 3 under tool, J2 by" in words
     assert found(result) == found(sound)

@@ -10,10 +10,10 @@ from scipy import stats
 
 from gateway.data.table import Table
 from gateway.diagnose.rest.holdout import left_out
-from gateway.identify.rest.fit import fit
+from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import common_columns, modelled, with_terms
-from gateway.identify.rest.noise import first_noise
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.rest_thresholds import REST_MODEL
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.payload_shift import PayloadShift
 from gateway.model.effects.torque_offset import TorqueOffset
 from tests.resting_arm import Bench, effect, problem_of

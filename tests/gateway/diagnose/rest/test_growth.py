@@ -13,9 +13,9 @@ from gateway.data.table import concatenate
 from gateway.diagnose.rest.holdout import left_out
 from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.structure import misfit
-from gateway.identify.rest.fit import fit
+from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from tests.resting_arm import Bench, problem_of

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from gateway.diagnose.rest.search import Search
-from gateway.identify.rest.noise import first_noise
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.effects.link_mass import LinkMass

@@ -20,8 +20,8 @@ from gateway.diagnose.rest.mistakes import (
     find_mistakes,
     held_ratio,
 )
-from gateway.identify.rest.fit import fit
-from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.start_noise import first_noise
 from gateway.identify.solve import ByGroup
 from gateway.model.effects import LIBRARY, MISTAKES
 from tests.resting_arm import Bench, basis_of, effect, found, problem_of, problems

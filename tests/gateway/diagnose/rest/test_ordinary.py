@@ -10,9 +10,9 @@ import pytest
 from gateway.identify.nuisance import UNEVEN_LOSS, nuisance_prior
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import common_columns, modelled, with_terms
-from gateway.identify.rest.ordinary import KINDS, Ordinary, left_of_cold, ordinary_setting
 from gateway.identify.rest.problem import Knowledge, build_problem
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.rest_nuisance import KINDS, RestNuisance, left_of_cold, nuisance_setting
+from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.model.effects.axis_coupling import TorqueMixing
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
@@ -143,7 +143,7 @@ def test_a_gear_of_one_efficiency_leaves_what_the_nuisance_column_says():
 
 def test_an_effect_takes_the_place_of_its_own_axis_alone():
     changes = GainChanges.none(np.full(N, 0.03))
-    ordinary = Ordinary(
+    ordinary = RestNuisance(
         np.zeros(len(KINDS) * N + 1), np.ones(len(KINDS) * N + 1), np.ones(N), changes, np.full(N, 0.05)
     )
     terms = [TorqueOffset(1), TorqueConstantScale(4), TorqueConstantScale(None), LoadDependentFriction(2)]
@@ -160,7 +160,7 @@ def test_friction_fades_from_the_first_visit_on():
     later = rows.time_s - rows.time_s.min()
     assert np.log(fast) == pytest.approx(-later / REST_MODEL.warm_fast_s)
     assert np.log(slow) == pytest.approx(-later / REST_MODEL.warm_slow_s)
-    none = ordinary_setting(rows, np.zeros(len(KINDS) * N + 1), GainChanges.none(np.full(N, 0.03)).patterns(rows))
+    none = nuisance_setting(rows, np.zeros(len(KINDS) * N + 1), GainChanges.none(np.full(N, 0.03)).patterns(rows))
     assert (none.band_gain == 1.0).all()
     assert (none.gain == 1.0).all()
 
@@ -168,7 +168,7 @@ def test_friction_fades_from_the_first_visit_on():
 def test_priors_are_those_of_constants_and_of_the_friction_that_is_seen():
     gain_std, lost = np.full(N, 0.02), np.linspace(0.0, 0.2, N)
     band = np.arange(1.0, 7.0)
-    prior = Ordinary.of(nuisance_prior(gain_std, band, lost), gain_std, lost, GainChanges.none(gain_std))
+    prior = RestNuisance.of(nuisance_prior(gain_std, band, lost), gain_std, lost, GainChanges.none(gain_std))
     mean, std = (each[: len(KINDS) * N].reshape(len(KINDS), N) for each in (prior.mean, prior.std))
     assert dict(zip(KINDS, mean[:, 0], strict=True)) == pytest.approx(
         {"gain": 0, "bias": 0, "load_friction": 0.05, "one_efficiency": 0.5, "cold_fast": 0, "cold_slow": 0}

@@ -9,10 +9,10 @@ import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
 from gateway.estimate import EstimateOptions, run
-from gateway.identify.rest.fit import fit
+from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.loads import loads_of
-from gateway.identify.rest.noise import first_noise
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import pair_visits
 from tests.arms import peer_of

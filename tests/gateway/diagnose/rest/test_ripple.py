@@ -10,8 +10,8 @@ import pytest
 from gateway.diagnose import diagnose
 from gateway.diagnose.rest.ripple import order_analysis
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.fit import fit
-from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.torque_ripple import (
     LEAST_PER_REVOLUTION,
     MOST_PER_REVOLUTION,

@@ -18,8 +18,8 @@ from gateway.diagnose.rest.structure import (
     structure_seen_nm,
 )
 from gateway.diagnose.rest.thresholds import REST
-from gateway.identify.rest.fit import fit
-from gateway.identify.rest.noise import first_noise
+from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.start_noise import first_noise
 from sim.effects import apply_effects
 from sim.offline import half_floor
 from tests.resting_arm import Bench, basis_of, effect, problem_of

@@ -17,18 +17,18 @@ from gateway.data.rows import Table
 from gateway.errors import DataUnusable
 from gateway.identify.conflict import without_placeholder
 from gateway.identify.load_estimate import LoadEstimate, refused_load
-from gateway.identify.loads import BARE_LABEL
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
+from gateway.identify.motion.convergence import Settled, settle
 from gateway.identify.motion.effects import Effects, SeenEffects
-from gateway.identify.motion.noise import MovingSpread, correlation_times, spread_of
-from gateway.identify.motion.ordinary import Settled, settle
 from gateway.identify.motion.periods import Periods, averaged
 from gateway.identify.motion.prior import alike, gains_prior, held_to_friction, losses_seen
 from gateway.identify.motion.problem import MotionProblem, Still, about, solved
 from gateway.identify.motion.rest_rows import FittedRest, columns_beside
 from gateway.identify.motion.statements import NEARLY_EXACT, contradicted_links, contradiction
 from gateway.identify.motion.stretches import Stretches
+from gateway.identify.motion.uncertainty import MovingSpread, correlation_times, spread_of
 from gateway.identify.nuisance import BIAS_SHARE, gain_stds
+from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Solution, determined
 from gateway.model.motion import at_links, turns
@@ -109,7 +109,7 @@ def fit_motion(
     rest : FittedRest, optional
         Rest visits of the same arm, which are solved with the moving rows.
     effects : Effects, optional
-        What the model has beside what every arm has.
+        Effects in addition to the nuisance parameters.
 
     Raises
     ------
@@ -146,7 +146,7 @@ def _tested(
     is tested.
     """
     stated = fit = _fit(periods, robot, knowledge, setup, beside)
-    if not setup.ordinary:
+    if not setup.nuisances:
         return fit, ()
     if knowledge.inertials == "exact":
         knowledge = replace(knowledge, inertials=NEARLY_EXACT)
@@ -180,7 +180,7 @@ def _fit(
     seen = None if effects is None else effects.of_rows(moving)
     scale_nm, level_nm = _weights(periods, robot, knowledge.of_loads(moving.load), setup, (used, seen))
     columns = columns.with_effects(seen)
-    if "bias" in setup.ordinary:
+    if "bias" in setup.nuisances:
         # a free constant torque swallows the gravity of an unknown load
         offset = BIAS_SHARE if columns.loads else np.inf
         prior = held_to_friction(columns.prior, columns.names, level_nm, offset)
@@ -208,7 +208,7 @@ def _check_speeds(moving: Table) -> None:
     if off[axis] > _MISMATCH:
         raise DataUnusable(
             f"J{axis + 1}: from row to row the change of its position differs from its speed, by"
-            f" {100 * off[axis]:.0f} % of the travel: the motion was sampled too slowly, or the speed is in another unit;"
+            f" {100 * off[axis]:.0f} % of the travel: the motion was sampled too slowly, or the speed has another unit;"
             " record at 100 Hz or more, speeds in rad/s"
         )
 
@@ -224,7 +224,7 @@ def _solved(
     scale_nm = np.maximum(scale_nm, finest_nm)
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
-    for _ in range(_WEIGHED_ANEW * bool(columns.ordinary)):
+    for _ in range(_WEIGHED_ANEW * bool(columns.nuisances)):
         problem = _with_gains(replace(problem, columns=columns), knowledge, MotionFit(problem, settled, spread))
         least_nm = np.maximum(scale_nm / _MOST_ANEW, finest_nm)
         anew_nm = np.clip(spread.scale_nm, least_nm, _MOST_ANEW * scale_nm)
@@ -236,14 +236,14 @@ def _solved(
 def _with_gains(problem: MotionProblem, knowledge: Knowledge, before: MotionFit | None) -> MotionProblem:
     """Return the problem with priors of the gains from the losses of a previous fit, common gain included."""
     columns = problem.columns
-    if "gain" not in columns.ordinary:
+    if "gain" not in columns.nuisances:
         return problem
     prior = columns.prior
-    if before is not None and "load_friction" in columns.ordinary:
-        lost = losses_seen(prior, columns.ordinary, before.value, before.std)
-        prior = gains_prior(prior, columns.ordinary, gain_stds(knowledge.gain_std, len(lost)), lost)
+    if before is not None and "load_friction" in columns.nuisances:
+        lost = losses_seen(prior, columns.nuisances, before.value, before.std)
+        prior = gains_prior(prior, columns.nuisances, gain_stds(knowledge.gain_std, len(lost)), lost)
     if knowledge.gain_std is None:
-        prior = alike(prior, columns.ordinary["gain"])
+        prior = alike(prior, columns.nuisances["gain"])
     return replace(problem, columns=replace(columns, prior=prior.freed(columns.taken)))
 
 
@@ -266,13 +266,13 @@ def _weights(
     fit.
     """
     moving, (used, seen) = periods.mean, rows
-    plain = replace(setup, ordinary=tuple(name for name in setup.ordinary if name == "load_inertia"))
+    plain = replace(setup, nuisances=tuple(name for name in setup.nuisances if name == "load_inertia"))
     trust = knowledge.inertials if setup.passes is not None else "ignore"
     columns = moving_columns(moving, robot, replace(knowledge, inertials=trust), plain).with_effects(seen)
     problem = MotionProblem.of(columns, moving, used, periods.contrasts)
     solution, sigma = _reweighted(problem, setup.passes or _REWEIGHTS)
     level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())
-    if not setup.ordinary:
+    if not setup.nuisances:
         return sigma, level_nm
     # the weight of the rows against the priors counts independent rows only
     left = moving.tau_nm - about(problem, solution.value).model_nm

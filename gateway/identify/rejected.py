@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gateway.identify.gross import find_gross, gross_findings, set_aside
+from gateway.identify.outliers import find_outliers, outlier_findings, set_aside
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -15,7 +15,7 @@ from gateway.result.result import Finding, SetAside
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Aside:
+class RejectedTorques:
     """Rejected torques of rest visits: mask (n, N), entries of the result, and findings."""
 
     mask: NDArray[np.bool_]
@@ -28,14 +28,14 @@ class Aside:
         return tuple(entry for entry, visit in zip(self.entries, visits, strict=True) if visit >= first)
 
 
-def gross_aside(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> Aside:
+def rejected_torques(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> RejectedTorques:
     """Find the outliers of rest visits from the visits alone."""
-    gross = find_gross(visits, gravity_regressor(robot, visits.q_rad, gravity_m_s2))
-    entries = set_aside(gross, visits.run.tolist(), visits.load.tolist(), visits.pose.tolist())
-    return Aside(gross.mask(visits.sum_nm.shape), entries, gross_findings(gross, entries))
+    found = find_outliers(visits, gravity_regressor(robot, visits.q_rad, gravity_m_s2))
+    entries = set_aside(found, visits.run.tolist(), visits.load.tolist(), visits.pose.tolist())
+    return RejectedTorques(found.mask(visits.sum_nm.shape), entries, outlier_findings(found, entries))
 
 
-def without_gross(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> tuple[Visits, Aside]:
+def without_outliers(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> tuple[Visits, RejectedTorques]:
     """Return the visits with outliers marked as not measured, and the outliers."""
-    aside = gross_aside(visits, robot, gravity_m_s2)
+    aside = rejected_torques(visits, robot, gravity_m_s2)
     return visits.unmeasured(aside.mask), aside

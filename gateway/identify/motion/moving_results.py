@@ -1,4 +1,4 @@
-"""What a moving fit says: loads with their inertia, and axes with friction, rotor and delay."""
+"""Results of a fit in motion: loads with their inertia, and friction, rotor inertia and delay of each axis."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
 from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
 from gateway.identify.load_estimate import LoadEstimate, load_from_moment
 from gateway.identify.motion.columns import NUISANCES
-from gateway.identify.motion.fit import FittedMotion, MotionFit
 from gateway.identify.motion.friction import FALL, Fall, shown_fall
+from gateway.identify.motion.moving_fit import FittedMotion, MotionFit
 from gateway.identify.motion.prior import UNTOLD
 from gateway.identify.solve import determined
 from gateway.model.robot import Robot, reach_m
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 def loads_of(found: FittedMotion, robot: Robot) -> tuple[LoadEstimate, ...]:
-    """Every load that is not known, refused ones last."""
+    """Return every estimated load, refused ones last."""
     fit = found.fit
     fitted = () if fit is None else tuple(_load(fit, label, reach_m(robot)) for label in fit.columns.loads)
     return (*fitted, *found.refused)
@@ -44,7 +44,7 @@ def _load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate:
         moment, inertia = _body(solution.value[ten], covariance[ten, ten])
     load = load_from_moment(label, moment, covariance[part, part], np.ones(4), found, longest_m)
     sources = {
-        CONSTANTS: columns.ordinary.get("gain", np.zeros(0, dtype=int)),
+        CONSTANTS: columns.nuisances.get("gain", np.zeros(0, dtype=int)),
         LINKS: columns.links,
         FRICTION: columns.friction,
     }
@@ -54,7 +54,7 @@ def _load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate:
 
 
 def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
-    """[m, h] (4,) and inertia of a load from its ten parameters; what weighs nothing has none."""
+    """[m, h] (4,) and inertia of a load from its ten parameters; no inertia for a mass of zero."""
     if not ten[0] > 0 or holds_zero(float(ten[0]), float(np.sqrt(covariance[0, 0]))):
         return ten[:4], None
     body = nearest_body(ten, covariance)
@@ -62,17 +62,17 @@ def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
 
 
 def nuisances(fit: MotionFit) -> dict[str, NuisanceResult]:
-    """Gain and load friction of every axis."""
+    """Gain and load friction of each axis for the result."""
     value, std = fit.value, fit.std
     return {
         name: NuisanceResult(tuple(value[index].tolist()), tuple(std[index].tolist()))
-        for name, index in fit.columns.ordinary.items()
+        for name, index in fit.columns.nuisances.items()
         if name in NUISANCES
     }
 
 
 def axis_motions(fit: MotionFit, qd_rad_s: Floats) -> tuple[AxisMotion, ...]:
-    """What motion tells of every axis that moved and was measured."""
+    """Friction, rotor inertia and delay of each axis that moved and was measured."""
     moved = sorted({part.axis for part in fit.problem.parts})
     return tuple(_axis_motion(fit, axis, np.abs(qd_rad_s[:, axis])) for axis in moved)
 
@@ -114,15 +114,17 @@ def _axis_motion(fit: MotionFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
 
 
 def _open_gain(fit: MotionFit, axis: int) -> float:
-    """Share by which torque at the gear output may differ from what the drive reports: friction is told as reported."""
-    if "gain" not in fit.columns.ordinary:
+    """Share by which the true torque at the gear output may differ from the reported one; friction is given as
+    reported.
+    """
+    if "gain" not in fit.columns.nuisances:
         return 0.0
-    k = fit.columns.ordinary["gain"][axis]
+    k = fit.columns.nuisances["gain"][axis]
     return float(np.hypot(fit.value[k], np.sqrt(max(float(fit.spread.covariance[k, k]), 0.0))))
 
 
 def _breakaway(fit: MotionFit, axis: int) -> tuple[Fall | None, tuple[float, float]]:
-    """How friction falls from breakaway, if that shows, and that friction with its standard deviation [Nm]."""
+    """Stribeck fall of the friction, if significant, and the breakaway friction with its standard deviation [Nm]."""
     falls_rad_s = fit.columns.falls_rad_s[axis]
     if not len(falls_rad_s):
         return None, (np.nan, np.nan)

@@ -1,7 +1,7 @@
 """Outliers of rest visits, such as a caught cable, a dragging brake or a touch, found from the data alone (`methods.md`
 9).
 
-A gross entry (visit, axis) is isolated: the same pose under another load or at another time does not show it, its
+An outlier (visit, axis) is isolated: the same pose under another load or at another time does not show it, its
 neighbours do not show it, the visits before and after do not show it. What every visit of a pose shows is an effect of
 the arm and is left where it is: springs, cables and ripple drop out of the contrasts between visits of one pose.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.deviations import LIMITS, Deviations, GrossLimits, bands, contrasts_of, deviations, least_scale
+from gateway.identify.deviations import LIMITS, Deviations, OutlierLimits, bands, contrasts_of, deviations, least_scale
 from gateway.model.visits import Visits
 from gateway.result.result import Finding, SetAside
 
@@ -24,7 +24,7 @@ Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
-class GrossEntry:
+class OutlierEntry:
     """One outlier: axis and visit, deviation in friction bands (NaN without a band), and which half deviates."""
 
     visit: int
@@ -35,18 +35,18 @@ class GrossEntry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gross:
+class Outliers:
     """Outliers of a set of rest visits.
 
     Attributes
     ----------
-    entries : what is to be set aside
+    entries : torques to reject
     too_many : axes from 0, with the number of visits that lie off: too many, or in a row; nothing of them is set aside
     disturbed : axes from 0, with the scatter of both halves in friction bands; where most axes are, no visit can be
         told from another and nothing is set aside
     """
 
-    entries: tuple[GrossEntry, ...] = ()
+    entries: tuple[OutlierEntry, ...] = ()
     too_many: tuple[tuple[int, int], ...] = ()
     disturbed: tuple[tuple[int, float], ...] = ()
 
@@ -58,7 +58,7 @@ class Gross:
         return out
 
 
-def find_gross(visits: Visits, regressor: Floats, limits: GrossLimits = LIMITS) -> Gross:
+def find_outliers(visits: Visits, regressor: Floats, limits: OutlierLimits = LIMITS) -> Outliers:
     """Find isolated outliers of rest visits.
 
     Parameters
@@ -66,36 +66,36 @@ def find_gross(visits: Visits, regressor: Floats, limits: GrossLimits = LIMITS) 
     visits : Visits
     regressor : array of shape (n, N, 4 N)
         Gravity rows; the last four columns are those of a load.
-    limits : GrossLimits, optional
+    limits : OutlierLimits, optional
     """
     none = np.zeros(visits.sum_nm.shape, dtype=bool)
     least = least_scale(visits, limits)
     pairs = contrasts_of(visits, regressor)
     first = deviations(visits, regressor, pairs, none, least, limits)
     # repeat without the outliers found, so that they do not bias the fit
-    found = deviations(visits, regressor, pairs, first.gross, least, limits)
-    return _told(visits, found, limits)
+    found = deviations(visits, regressor, pairs, first.outlier, least, limits)
+    return _isolated(visits, found, limits)
 
 
-def _told(visits: Visits, found: Deviations, limits: GrossLimits) -> Gross:
+def _isolated(visits: Visits, found: Deviations, limits: OutlierLimits) -> Outliers:
     """Return the entries without those of axes that have too many of them."""
     band = bands(visits)
     seen = np.isfinite(visits.sum_nm).sum(axis=0)
-    count = found.gross.sum(axis=0)
+    count = found.outlier.sum(axis=0)
     many = count > np.ceil(limits.most * seen)
-    flagged = np.flatnonzero(found.gross.any(axis=1))
-    spread = _in_a_row(visits, flagged, limits.in_a_row) | found.gross[:, many].any(axis=1)
-    many |= found.gross[spread].any(axis=0)
+    flagged = np.flatnonzero(found.outlier.any(axis=1))
+    spread = _in_a_row(visits, flagged, limits.in_a_row) | found.outlier[:, many].any(axis=1)
+    many |= found.outlier[spread].any(axis=0)
     too_many = tuple((int(axis), int(count[axis])) for axis in np.flatnonzero(many))
-    where = np.argwhere(found.gross & ~many)
+    where = np.argwhere(found.outlier & ~many)
     entries = tuple(_entry(found, int(visit), int(axis), float(band[axis])) for visit, axis in where)
     disturbed = tuple(
         (int(axis), float(found.scatter_nm[axis] / band[axis]))
         for axis in np.flatnonzero((band > 0) & (found.scatter_nm > limits.disturbed_bands * band))
     )
     if len(disturbed) >= limits.disturbed_axes * max(int((seen > 0).sum()), 1):
-        return Gross(disturbed=disturbed)
-    return Gross(entries, too_many, disturbed)
+        return Outliers(disturbed=disturbed)
+    return Outliers(entries, too_many, disturbed)
 
 
 def _in_a_row(visits: Visits, flagged: Ints, least: int) -> Mask:
@@ -112,41 +112,44 @@ def _in_a_row(visits: Visits, flagged: Ints, least: int) -> Mask:
     return out
 
 
-def _entry(found: Deviations, visit: int, axis: int, band_nm: float) -> GrossEntry:
+def _entry(found: Deviations, visit: int, axis: int, band_nm: float) -> OutlierEntry:
     middle = float(np.nan_to_num(found.sum_nm[visit, axis]))
     half = float(np.nan_to_num(found.difference_nm[visit, axis]))
     known = np.isfinite(found.difference_nm[visit, axis])
     if not known:
         off, reason = middle, "the torque deviates from the prediction of the other visits"
     elif abs(half) < 0.5 * abs(middle):
-        off, reason = middle, "both approach directions deviate to the same side, as if a cable or a touch had pushed the joint"
+        off, reason = (
+            middle,
+            "both approach directions deviate to the same side, as if a cable or a touch had pushed the joint",
+        )
     elif abs(middle) < 0.5 * abs(half):
         off, reason = half, "the approach directions differ by more than friction, as if a brake had held the joint"
     else:
         off, reason = middle + float(np.sign(middle)) * abs(half), "one approach direction deviates"
-    return GrossEntry(visit, axis, off, abs(off) / band_nm if band_nm > 0 else np.nan, reason)
+    return OutlierEntry(visit, axis, off, abs(off) / band_nm if band_nm > 0 else np.nan, reason)
 
 
-def set_aside(gross: Gross, run: Sequence[str], load: Sequence[str], pose: Sequence[int]) -> tuple[SetAside, ...]:
+def set_aside(outliers: Outliers, run: Sequence[str], load: Sequence[str], pose: Sequence[int]) -> tuple[SetAside, ...]:
     """Entries of the result for the outliers, with run, load and pose of the n visits."""
     return tuple(
         SetAside(str(run[e.visit]), str(load[e.visit]), e.axis + 1, e.bands, pose=int(pose[e.visit]), reason=e.reason)
-        for e in gross.entries
+        for e in outliers.entries
     )
 
 
-def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ...]:
+def outlier_findings(outliers: Outliers, aside: Sequence[SetAside]) -> tuple[Finding, ...]:
     """Findings on outliers; `aside` holds the entries from `set_aside`."""
     out = []
     if aside:
         where = "; ".join(_of_visit(visit, aside) for visit in dict.fromkeys((a.load, a.pose) for a in aside))
         out.append(
             Finding(
-                "warn", "set aside", f"{_torques(len(aside))} in no fit: {where}",
+                "warn", "outliers", f"{_torques(len(aside))} in no fit: {where}",
                 "check what touched or held the arm there; `record` these poses again",
             )
         )  # fmt: skip
-    for axis, count in gross.too_many:
+    for axis, count in outliers.too_many:
         out.append(
             Finding(
                 "warn", f"J{axis + 1}",
@@ -154,8 +157,8 @@ def gross_findings(gross: Gross, aside: Sequence[SetAside]) -> tuple[Finding, ..
                 "`diagnose` says whether a load has shifted or an effect is missing",
             )
         )  # fmt: skip
-    if gross.disturbed:
-        what = ", ".join(f"J{axis + 1} {bands:.1f}" for axis, bands in gross.disturbed)
+    if outliers.disturbed:
+        what = ", ".join(f"J{axis + 1} {bands:.1f}" for axis, bands in outliers.disturbed)
         out.append(
             Finding(
                 "warn", "repeatability",

@@ -1,4 +1,4 @@
-"""Gross rest visits: found where a test has put them, nothing else thrown out, whatever the arm itself does."""
+"""Outlier rest visits: found where a test has put them, nothing else thrown out, whatever the arm itself does."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.estimate import EstimateOptions, estimate
-from gateway.identify.gross import Gross, find_gross, gross_findings, set_aside
+from gateway.identify.outliers import Outliers, find_outliers, outlier_findings, set_aside
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import pair_visits
@@ -28,7 +28,7 @@ LOSSLESS = 1
 
 @dataclass
 class Measured:
-    """A simulated arm, its measured columns, and where the test has made them gross."""
+    """A simulated arm, its measured columns, and where the test has made them outliers."""
 
     seed: int
     effect: str | None = None
@@ -51,34 +51,34 @@ class Measured:
             plant = apply_effects(plant, [built], point_jacobian(self.arm.chain))
         self.columns = measure(self.arm.chain, plant, self.visits, self.arm.loads, self.arm.protocol, rng)
         self.robot = robot_from_urdf(self.arm.urdf, "drawn")
-        self.gross: set[tuple[int, int]] = set()
+        self.outliers: set[tuple[int, int]] = set()
 
     def disturb(self, count: int, rng: np.random.Generator, sizes: tuple[float, float] = (4.0, 10.0)) -> None:
-        """Gross torques at `count` visits, by so many friction bands: one axis, or all at once."""
+        """Outlier torques at `count` visits, by so many friction bands: one axis, or all at once."""
         visits = rng.choice(len(self.visits), count, replace=False)
         for visit in visits:
             for axis in [int(rng.integers(6))] if rng.random() < 0.7 else range(6):
                 self.push(int(visit), axis, KINDS[rng.integers(4)], rng.uniform(*sizes) * rng.choice([-1.0, 1.0]))
 
     def push(self, visit: int, axis: int, kind: tuple[float, float], bands: float) -> None:
-        """Gross torque at one visit and axis."""
+        """Outlier torque at one visit and axis."""
         if kind[0] == -kind[1]:
             bands = abs(bands)
         for side in (0, 1):
             self.columns["tau_nm"][2 * visit + side, axis] += kind[side] * bands * self.arm.plant.coulomb_nm[axis]
-        self.gross.add((visit, axis))
+        self.outliers.add((visit, axis))
 
     @property
     def table(self):
         return simulated_table(self.columns)
 
-    def found(self) -> Gross:
+    def found(self) -> Outliers:
         visits = pair_visits(self.table, self.arm.efficiency)
-        return find_gross(visits, gravity_regressor(self.robot, visits.q_rad, (0.0, 0.0, -9.80665)))
+        return find_outliers(visits, gravity_regressor(self.robot, visits.q_rad, (0.0, 0.0, -9.80665)))
 
 
-def entries(gross: Gross) -> set[tuple[int, int]]:
-    return {(entry.visit, entry.axis) for entry in gross.entries}
+def entries(outliers: Outliers) -> set[tuple[int, int]]:
+    return {(entry.visit, entry.axis) for entry in outliers.entries}
 
 
 @pytest.mark.slow
@@ -89,8 +89,8 @@ def test_outlier_visits_are_found_and_sound_ones_kept(loads):
         measured = Measured(seed, loads=loads)
         measured.disturb(1, np.random.default_rng([seed, 6]))
         said = entries(measured.found())
-        there, found = there + len(measured.gross), found + len(said & measured.gross)
-        wrong, sound = wrong + len(said - measured.gross), sound + 6 * len(measured.visits) - len(measured.gross)
+        there, found = there + len(measured.outliers), found + len(said & measured.outliers)
+        wrong, sound = wrong + len(said - measured.outliers), sound + 6 * len(measured.visits) - len(measured.outliers)
     assert found >= 0.95 * there
     assert wrong <= 0.01 * sound
 
@@ -117,7 +117,7 @@ def test_outlier_visits_are_found_beside_an_effect(effect):
     for seed in range(120, 122):
         measured = Measured(seed, effect)
         measured.disturb(1, np.random.default_rng([seed, 6]))
-        there, found = there + len(measured.gross), found + len(entries(measured.found()) & measured.gross)
+        there, found = there + len(measured.outliers), found + len(entries(measured.found()) & measured.outliers)
     assert found >= 0.95 * there
 
 
@@ -132,7 +132,7 @@ def test_the_answer_moves_less_than_half_a_standard_deviation():
         found = estimate(measured.table, measured.robot, options)
         after = found.loads[0]
         assert {(aside.pose, aside.joint - 1, aside.load) for aside in found.set_aside} == {
-            (measured.visits[visit].pose, axis, measured.visits[visit].load) for visit, axis in measured.gross
+            (measured.visits[visit].pose, axis, measured.visits[visit].load) for visit, axis in measured.outliers
         }
         moved.append(abs(after.mass_kg - before.mass_kg) / before.mass_std_kg)
         moved += (np.abs(after.com_m - before.com_m) / before.com_std_m).tolist()
@@ -149,7 +149,7 @@ def test_a_table_of_outlier_visits_alone_keeps_them_all_and_says_so():
                 measured.push(visit, axis, KINDS[rng.integers(3)], rng.uniform(4, 10) * rng.choice([-1, 1]))
         found = measured.found()
         assert not found.entries
-        assert "disagree by more than the friction band" in gross_findings(found, ())[-1].what
+        assert "disagree by more than the friction band" in outlier_findings(found, ())[-1].what
 
 
 def test_more_than_a_tenth_of_an_axis_is_no_accident():
@@ -159,9 +159,9 @@ def test_more_than_a_tenth_of_an_axis_is_no_accident():
     found = measured.found()
     assert not found.entries
     assert found.too_many == ((2, 5),)
-    finding = gross_findings(found, ())[0]
+    finding = outlier_findings(found, ())[0]
     assert (finding.severity, finding.where) == ("warn", "J3")
-    assert finding.what.startswith("5 visits lie off the others")
+    assert finding.what.startswith("5 visits deviate from the others")
 
 
 def test_visits_in_a_row_are_a_change_and_not_an_accident():
@@ -175,7 +175,7 @@ def test_visits_in_a_row_are_a_change_and_not_an_accident():
 
 @pytest.mark.parametrize(
     ("kind", "reason", "bands"),
-    [((1.0, 1.0), "cable or a touch", 6.0), ((1.0, -1.0), "brake", 6.0), ((0.0, 1.0), "one of both sides", 6.0)],
+    [((1.0, 1.0), "cable or a touch", 6.0), ((1.0, -1.0), "brake", 6.0), ((0.0, 1.0), "one approach direction", 6.0)],
 )
 def test_an_entry_says_by_how_many_bands_and_in_what(kind, reason, bands):
     measured = Measured(LOSSLESS)
@@ -187,7 +187,7 @@ def test_an_entry_says_by_how_many_bands_and_in_what(kind, reason, bands):
     assert found.entries[0].bands == pytest.approx(bands, rel=0.4)
     aside = set_aside(found, ["r"] * 24, [v.load for v in measured.visits], [v.pose for v in measured.visits])
     assert (aside[0].load, aside[0].pose, aside[0].joint) == ("tool", 3, 5)
-    assert "pose 3 under tool, J5 by" in gross_findings(found, aside)[0].what
+    assert "pose 3 under tool, J5 by" in outlier_findings(found, aside)[0].what
 
 
 @pytest.mark.slow
@@ -200,7 +200,7 @@ def test_one_sided_visits_are_judged_by_their_own_scatter():
         measured.push(visit, axis, (1.0, 1.0), rng.choice([-1.0, 1.0]) * 6.0)
         measured.columns = {name: values[FROM_BELOW] for name, values in measured.columns.items()}
         said = entries(measured.found())
-        there, found, wrong = there + 1, found + len(said & measured.gross), wrong + len(said - measured.gross)
+        there, found, wrong = there + 1, found + len(said & measured.outliers), wrong + len(said - measured.outliers)
     assert found >= 0.95 * there
     assert wrong <= 0.01 * 20 * 144
 

@@ -1,11 +1,11 @@
-"""Every tuned number of the model at rest."""
+"""Tuned numbers of the model at rest."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Final
 
-from gateway.identify.thresholds import BLIND, threshold
+from gateway.identify.tuned_number import BLIND, threshold
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,14 +15,14 @@ class RestModelThresholds:
     strength_spread: float = threshold(
         10.0,
         "floors",
-        "how strong an effect of unknown size may be (standard deviation of its prior)",
-        "the strengths that blind cells draw, 1.5 to 20",
+        "prior standard deviation of the strength of an effect of unknown size",
+        "range of strengths in blind cells, 1.5 to 20",
     )
-    noise_weight: float = threshold(4.0, "rows", "weight of the noise that the sides of visits show beforehand", BLIND)
+    noise_weight: float = threshold(4.0, "rows", "weight of the noise estimate from approach directions", BLIND)
     relative_floor: float = threshold(
         2e-4,
         "",
-        "share of an axis's torque below which no noise is believed",
+        "least noise as a share of an axis's torque",
         "resolution of a torque word of 1000 steps, rounded off over some visits",
     )
     drift_axis: float = threshold(
@@ -30,9 +30,12 @@ class RestModelThresholds:
     )
     drift_s: float = threshold(1800.0, "s", "time constant of that drift", "`methods.md` 9: motors warm in 5 to 60 min")
     cold: float = threshold(
-        0.25, "", "share by which friction is larger cold, of each time constant", "`methods.md` 9: 0 to 0.5"
+        0.25,
+        "",
+        "prior standard deviation of the extra friction when cold, for each time constant",
+        "`methods.md` 9: 0 to 0.5",
     )
-    warm_fast_s: float = threshold(600.0, "s", "the shorter time in which it warms up", "`methods.md` 9: 5 to 60 min")
+    warm_fast_s: float = threshold(600.0, "s", "shorter time constant of the warm-up", "`methods.md` 9: 5 to 60 min")
     warm_slow_s: float = threshold(2400.0, "s", "the longer", "`methods.md` 9: 5 to 60 min")
 
 
@@ -41,24 +44,24 @@ REST_MODEL: Final = RestModelThresholds()
 
 @dataclass(frozen=True, slots=True)
 class ConflictThresholds:
-    """When a statement about the arm counts as contradicted by the measurement."""
+    """Thresholds above which a statement counts as contradicted by the measurement."""
 
     log_odds: float = threshold(
         2.5,
         "",
-        "logarithm of the marginal likelihood that a wider prior gains over the stated one",
+        "log marginal likelihood of a wider prior over that of the stated one",
         "false alarms on clean cells of `make conflict`: at most 2 %",
     )
     dropped: float = threshold(
-        3.0, "", "times its stated spread that a group needs before it is dropped", "`methods.md` 11"
+        3.0, "", "factor on the stated standard deviation of a group above which it is dropped", "`methods.md` 11"
     )
     shown: float = threshold(
-        2.0, "", "standard deviations from which a torque constant is listed", "one axis in twenty by chance"
+        2.0, "", "standard deviations above which a torque constant is listed", "one axis in twenty by chance"
     )
     bodies_p: float = threshold(
         1e-4,
         "",
-        "probability at which two masses under one label are told from one",
+        "probability below which two masses under one label are reported",
         "one false alarm in 10 000 labels",
     )
 

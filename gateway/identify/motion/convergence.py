@@ -1,4 +1,4 @@
-"""Gains, losses and delays of a moving run: columns of the modelled torque, made anew until it settles."""
+"""Gains, losses and delays of a moving run: columns of the modelled torque, iterated to convergence."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from numpy.typing import NDArray
 
 from gateway.identify.motion.columns import NUISANCES, Columns
 from gateway.identify.motion.problem import About, MotionProblem, about, solved
-from gateway.identify.nuisance import ORDINARY_STD
+from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.solve import Prior, Solution
 
 Floats = NDArray[np.float64]
 
 _STEPS: Final = 12
 _SETTLED: Final = 1e-6
-#: Times that parameters are held to their limits: what is held moves others beyond theirs.
+#: Number of rounds in which parameters are bounded; a bound may move others beyond theirs.
 LIMIT_PASSES: Final = 3
-#: Standard deviation of a parameter at its limit.
+#: Standard deviation of a parameter at its bound.
 HELD_STD: Final = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Settled:
-    """A settled fit: what the rows say about it, its solution, and the one with no limit held."""
+    """Converged fit: its linearisation, its solution, and the solution without bounds."""
 
     here: About
     solution: Solution
@@ -33,7 +33,7 @@ class Settled:
 
 
 def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None) -> Settled:
-    """Fit, each part with its standard deviation, from a solution near by if there is one.
+    """Solve to convergence with the standard deviation of each part, from a nearby solution if there is one.
 
     A gain multiplies what the bodies give, known ones too. No gain and no loss goes beyond what is ordinary: what wants
     it further is something that the model lacks, and must not pass for a gain.
@@ -42,7 +42,7 @@ def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None)
     prior, used = columns.prior, problem.used
     solution = solved(problem, start, sigma_nm, prior)
     here = about(problem, solution.value)
-    if not columns.ordinary:
+    if not columns.nuisances:
         return Settled(here, solution, solution)
     for _ in range(_STEPS):
         before = here.model_nm[used]
@@ -62,12 +62,12 @@ def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None)
 
 
 def limited(columns: Columns, value: Floats, prior: Prior) -> Prior:
-    """The prior with what went beyond the ordinary held where that ends; the same object where nothing more did."""
-    held = [columns.ordinary[name] for name in NUISANCES if name in columns.ordinary]
+    """Return the prior with parameters bounded at their limit; the same object if no further one exceeds it."""
+    held = [columns.nuisances[name] for name in NUISANCES if name in columns.nuisances]
     if not held:
         return prior
     usual = np.setdiff1d(np.concatenate(held), columns.taken)
-    most = ORDINARY_STD * columns.prior.stds(usual)
+    most = NUISANCE_STD * columns.prior.stds(usual)
     off = (value - columns.prior.mean)[usual]
     beyond = (np.abs(off) > most) & (prior.std[usual] > HELD_STD)
     if not beyond.any():

@@ -1,6 +1,6 @@
-"""How sure a moving fit is: residuals hang together in time, and what the model lacks hangs on the motion.
+"""Uncertainty of a fit in motion: autocorrelated residuals, and model errors that depend on the motion.
 
-Where periods were repeated, their scatter tells the noise without any model. What is left beyond it comes back in every
+Where periods were repeated, their scatter gives the noise without any model. What is left beyond it comes back in every
 period and is no noise: then the residual of the fit itself says how far it may be off.
 """
 
@@ -13,24 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.correlation import correlation_time
-from gateway.identify.motion.ordinary import Settled
+from gateway.identify.motion.convergence import Settled
 from gateway.identify.motion.problem import MotionProblem, in_basis, part_columns
 from gateway.identify.spread import by_blocks, wider
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: Correlation times of a block that is one pull.
+#: Length of a block in correlation times.
 _LONG: Final = 3.0
-#: Share of an axis's rows that a fit may take up before its residual tells nothing.
+#: Largest share of an axis's rows that a fit may use as degrees of freedom.
 _MOST_TAKEN: Final = 0.5
-#: Variance of the residual over that of the scatter between periods, up to which it is noise.
+#: Residual variance over that of the scatter between periods, up to which the residual counts as noise.
 _NOISE_ALONE: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """Noise of the rows as repeated periods show it: standard deviation (N,) [Nm] and correlation times (N,) in rows.
+    """Noise of the rows from repeated periods: standard deviation (N,) [Nm] and correlation times (N,) in rows.
 
     NaN where an axis has no repeated rows.
     """
@@ -40,14 +40,14 @@ class Scatter:
 
     @staticmethod
     def none(axes: int) -> Scatter:
-        """Nothing was repeated."""
+        """Scatter of a run without repeated periods."""
         return Scatter(np.full(axes, np.nan), np.full(axes, np.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingSpread:
-    """Covariance (p, p) of a fit; standard deviation (N,) [Nm] of the rows of each axis; that of each part's rows as if
-    they were independent; parts whose residual is noise alone.
+    """Covariance (p, p) of a fit, and the noise of its rows: per axis (N,) [Nm], per part as if independent, and parts
+    with noise only.
     """
 
     covariance: Floats
@@ -59,10 +59,10 @@ class MovingSpread:
 def spread_of(
     problem: MotionProblem, settled: Settled, sigma_nm: Floats, run: NDArray[Any], scatter: Scatter
 ) -> MovingSpread:
-    """Covariance under the residuals as they are: their own size, and hanging together in time.
+    """Covariance under the actual residuals: their size and their autocorrelation.
 
     Each axis's residual by its correlation time; and where the model lacks something, stretches of all axes together by
-    what they pull (a sandwich over blocks of several correlation times), because that hangs on the motion and on all
+    what they pull (a sandwich over blocks of several correlation times), because that depends on the motion and on all
     axes at once. Of each parameter the wider of both.
     """
     left = problem.tau_nm - settled.here.model_nm
@@ -99,7 +99,7 @@ def spread_of(
 
 
 def _by_strokes(problem: MotionProblem, pulls: list[Floats]) -> Floats:
-    """Square (p, p) of what each part's rows (k, p) pull, those of one stroke together.
+    """Squared contributions (p, p) of each part's rows (k, p) to the estimate, summed by stroke.
 
     Friction is another from stroke to stroke, and what is off in it pulls one way as long as the axis goes one way.
     """
@@ -113,7 +113,7 @@ def _by_strokes(problem: MotionProblem, pulls: list[Floats]) -> Floats:
 
 
 def by_axis(problem: MotionProblem, values: Floats) -> Floats:
-    """Largest (N,) of what the parts of each axis have; NaN where it has none."""
+    """Largest value (N,) among the parts of each axis; NaN for an axis without parts."""
     out = np.full(problem.tau_nm.shape[1], np.nan)
     for part, value in zip(problem.parts, values, strict=True):
         out[part.axis] = np.fmax(out[part.axis], value)
@@ -121,5 +121,5 @@ def by_axis(problem: MotionProblem, values: Floats) -> Floats:
 
 
 def correlation_times(problem: MotionProblem, left_nm: Floats, run: NDArray[Any]) -> Floats:
-    """How many rows make one independent one in each part."""
+    """Number of rows per independent row in each part."""
     return np.array([correlation_time(part.turn @ left_nm[:, part.axis], run[part.rows]) for part in problem.parts])

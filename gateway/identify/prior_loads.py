@@ -23,7 +23,8 @@ LOAD_UNITS: Final = ("kg", "kg m", "kg m", "kg m")
 _SUREST: Final = 1e-12
 #: Least standard deviation [kg, kg m]: rows with more weight would hide the measured ones by rounding.
 _EXACT_KG: Final = 1e-10
-#: Range of every joint angle [rad] within which the visits of a load count as one posture: 3 degrees barely turn gravity.
+#: Range of every joint angle [rad] within which the visits of a load count as one posture: 3 degrees barely turn
+#: gravity.
 _ONE_POSTURE_RAD: Final = 0.05
 
 
@@ -93,8 +94,8 @@ def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
     """Return a stored identification of the unloaded arm as rows (k, 6 N) and right side (k,) with unit standard
     deviation.
 
-    Columns are the 4 N link parameters, the gains and the friction biases it was made with: the same arm errs the same
-    way under a load, except for the change of its gains from one run to the next. The rows stand for the prior of those
+    Columns are the 4 N link parameters, the gains and the friction biases of that fit. They are the same
+    under a load, except for the change of the gains from one run to the next. The rows stand for the prior of those
     gains and biases too; a column is 0 where none is stored. `change` is a factor on the usual change.
     """
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)

@@ -1,4 +1,4 @@
-"""A tuned number with its meaning, its unit and where its value comes from."""
+"""Tuned numbers with meaning, unit and origin."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any, Final, TypeVar
 
 T = TypeVar("T")
 
-#: Where a value comes from that no rule gives: it is the one that served the development seeds of `make blind` best.
+#: Origin of values chosen by the scores of the development seeds of `make blind`.
 BLIND: Final = "development seeds of `make blind`"
-#: The same of moving runs, of which there are few: one of them chose, and those of other robots were looked at after.
+#: The same for moving runs: chosen on one run, checked on those of other robots.
 RUNS: Final = "simulated runs of the tests, then the first measured run of each robot"
 
 
 def threshold(value: T, unit: str, meaning: str, origin: str) -> T:
-    """A field of a frozen class of thresholds; `unit` is empty for counts, shares and odds."""
+    """Return a field of a frozen class of thresholds; `unit` is empty for counts, shares and odds."""
     return field(default=value, metadata={"unit": unit, "meaning": meaning, "origin": origin})  # type: ignore[return-value]
 
 
 def described(thresholds: object) -> Iterator[tuple[str, Any, str, str, str]]:
-    """Name, value, unit, meaning and origin of every threshold of a class."""
+    """Return name, value, unit, meaning and origin of every threshold of a class."""
     listed: tuple[Field[Any], ...] = fields(thresholds)  # type: ignore[arg-type]
     for each in listed:
         about = each.metadata

@@ -1,7 +1,7 @@
-"""One hypothesis fitted to rest visits: links, loads, friction band and the parameters of its effects.
+"""Fit one hypothesis to rest visits: links, loads, friction bands, nuisance parameters and effects.
 
 Half sums and half differences are rows; the CAD's inertials enter as rows with their standard deviation. Gauss-Newton
-on the modelled reading, the noise of each axis re-estimated on the way (restricted maximum likelihood: what the fit
+on the modelled reading, the noise of each axis re-estimated in each step (restricted maximum likelihood: what the fit
 takes up is not counted as noise), with the scatter of the half differences as a weak prior. `evidence` is the logarithm
 of the Laplace approximation to the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows.
 """
@@ -24,8 +24,8 @@ from gateway.identify.rest.linear import (
     term_columns,
     with_terms,
 )
-from gateway.identify.rest.noise import first_noise
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.rest_thresholds import REST_MODEL
+from gateway.identify.rest.start_noise import first_noise
 from gateway.identify.solve import Prior, solve
 from gateway.model.term import Term
 
@@ -33,9 +33,9 @@ Floats = NDArray[np.float64]
 
 #: Gauss-Newton steps [-]: the model is nearly linear, the noise settles in four.
 _STEPS = 6
-#: The same of the answer that no effect follows: gains and losses settle more slowly the less noise there is.
+#: The same for the final fit without effects: gains and losses converge slowly at low noise.
 _STEPS_ALONE = 12
-#: Standard deviation of what an effect of the hypothesis says instead.
+#: Prior standard deviation of a nuisance parameter that an effect of the hypothesis replaces.
 NOTHING = 1e-9
 #: Relative size below which a combination of columns counts as zero.
 TOLERANCE = 1e-10
@@ -70,14 +70,14 @@ def fit(
 
 
 def fit_without_effects(problem: RestProblem) -> Fit:
-    """Fit what every arm has; the noise begins where sides and repeats of the visits show it."""
+    """Fit the model without effects; the noise starts from approach directions and repeats."""
     return fit(problem, (), first_noise(problem), steps=_STEPS_ALONE)
 
 
 def _begin(
     problem: RestProblem, terms: tuple[Term, ...], start: Fit | None, noise: Noise
 ) -> tuple[Place, list[Floats]]:
-    """Where a fit begins, and the standard deviations of the prior of each effect's parameters."""
+    """Start values of a fit, and the prior standard deviations of each effect's parameters."""
     known: dict[Term, Floats] = {}
     spread: dict[Term, Floats] = {}
     if start is None:
@@ -87,7 +87,7 @@ def _begin(
     else:
         links, loads, band, nuisance = start.links, start.loads, start.band, start.nuisance.copy()
         known = dict(zip(start.terms, start.theta, strict=True))
-        # an effect that another joins or leaves is as plausible as before: else the two could not be compared
+        # the prior of an effect is unchanged when another is added or removed, so that the fits are comparable
         ends = np.cumsum([len(values) for values in start.theta])[:-1]
         spread = dict(zip(start.terms, np.split(start.prior_std[problem.n_common :], ends), strict=False))
     nuisance[problem.taken_over(terms) - problem.nuisance_part.start] = 0.0
@@ -143,13 +143,13 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
 
 
 def _left(problem: RestProblem, at: Place) -> Floats:
-    """Measured rows (rows,) less the modelled ones."""
+    """Measured rows (rows,) minus modelled rows."""
     setting = with_terms(problem, at.terms, at.theta, at.nuisance)
     return problem.target - modelled(problem, setting, at.links, at.loads, at.band)
 
 
 def _prior(problem: RestProblem, at: Place, spreads: list[Floats]) -> Prior:
-    """Prior of the step from a place."""
+    """Prior of the step from a point."""
     centre = [np.array(term.start) - theta for term, theta in zip(at.terms, at.theta, strict=True)]
     common_std, common_mean = problem.common_std, problem.common_mean
     said_once = problem.taken_over(at.terms)
@@ -162,7 +162,7 @@ def _prior(problem: RestProblem, at: Place, spreads: list[Floats]) -> Prior:
 
 
 def _moved(problem: RestProblem, at: Place, delta: Floats) -> Place:
-    """The place after a step; what a row does not depend on linearly moves by 0.3 at most."""
+    """Return the point after a step; parameters with a nonlinear influence move by at most 0.3."""
     theta, first = [], problem.n_common
     for term, values in zip(at.terms, at.theta, strict=True):
         limit = np.where(np.array(term.linear), np.inf, 0.3)
@@ -179,7 +179,7 @@ def _moved(problem: RestProblem, at: Place, delta: Floats) -> Place:
 
 
 def noise_std(count: Floats, taken: Floats, squares: Floats, start: Floats, least: Floats) -> Floats:
-    """Noise (groups,) of rows whose residuals have these squares, of which a fit has `taken` degrees of freedom."""
+    """Noise (groups,) from squared residuals, with `taken` degrees of freedom used by the fit."""
     freedom = np.maximum(count - taken, 0.0) + REST_MODEL.noise_weight
     return np.maximum(np.sqrt((squares + REST_MODEL.noise_weight * start**2) / freedom), least)
 
@@ -197,7 +197,7 @@ def _penalty(problem: RestProblem, at: Place, prior: Prior, spreads: list[Floats
 
 
 def log_density(count: Floats, squares: Floats, std: Floats, start: Floats, penalty: float) -> float:
-    """Logarithm of the density of rows and priors, from the rows, squared residuals and noise of each noise group.
+    """Log density of rows and priors, from number of rows, squared residuals and noise of each noise group.
 
     `penalty` is the sum of the squares that priors add.
     """

@@ -1,4 +1,4 @@
-"""Where the noise of the rows begins: what repeated visits, sides and samples show before any fit."""
+"""Start values of the noise of the rows from repeated visits, approach directions and samples, before any fit."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from gateway.identify.repeats import half_difference_scatter, repeated_std
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
-from gateway.identify.rest.thresholds import REST_MODEL
+from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.model.visits import column_medians
 
 Floats = NDArray[np.float64]
@@ -17,7 +17,7 @@ def first_noise(problem: RestProblem) -> Noise:
     """Noise floor per group from the data alone: sides of a visit, repeated visits, averaged samples.
 
     Both halves of a two-sided visit carry the same asymmetry of friction, so the scatter of the half differences about
-    `band + nu |tau|` stands for that of the half sums. Repeated visits of a pose under one load tell it directly.
+    `band + nu |tau|` stands for that of the half sums. Repeated visits of a pose under one load determine it directly.
     """
     rows, axes = problem.rows, problem.axes
     start = np.full(3 * axes, np.nan)
@@ -48,7 +48,7 @@ def first_noise(problem: RestProblem) -> Noise:
 
 
 def _side_unknown(problem: RestProblem, axis: int, band_nm: float) -> float:
-    """Standard deviation [Nm] that friction and gear leave in rows whose side of approach is unknown; 0 without any."""
+    """Standard deviation [Nm] due to friction and gear in rows with unknown approach direction; 0 without such rows."""
     rows = problem.rows
     blind = problem.use_sum[:, axis] & ~problem.use_difference[:, axis] & (rows.side[:, axis] == 0)
     if not blind.any():
@@ -57,7 +57,7 @@ def _side_unknown(problem: RestProblem, axis: int, band_nm: float) -> float:
 
 
 def settled_noise(problem: RestProblem, plain: Fit) -> Noise:
-    """Where the noise of every hypothesis begins: what the sides show, or what is left without any effect if less.
+    """Start value of the noise of all hypotheses: that of the approach directions, or of the residual if smaller.
 
     Half differences hold structure of their own, of friction, that half sums do not; half sums hold the effects.
     """
