@@ -7,9 +7,7 @@ answered and what was on the bus.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -22,12 +20,12 @@ from drives.errors import ConfigurationRefused, DriveError
 from drives.heartbeat import MASTER_NODE_ID
 from drives.objects import OBJECTS
 from drives.proof import STILL_S, StopTrace
-from drives.values import DriveReading
 from gateway.check.brakes import AskSupport, try_brakes
 from gateway.check.proofs import keep_proof
 from gateway.check.stop import motion_station, prove_stop, reset_provoked, stopped_slowly
 from gateway.drivetest.estimates import not_measured
 from gateway.drivetest.frames import FrameRecord
+from gateway.drivetest.motion_record import MotionRecord, PowerRun
 from gateway.drivetest.services import EMCY, STATES
 from gateway.drivetest.sheet import DriveSheet
 from gateway.drivetest.standstill import PositionTrack, Standstill, first_after
@@ -35,7 +33,6 @@ from gateway.drivetest.torque_age import NAME as AGE
 from gateway.drivetest.torque_age import modulated, torque_age
 from gateway.errors import FindingFailed, LimitExceeded, PlanRefused
 from gateway.motion.drive_limits import quick_stop_rad_s2
-from gateway.motion.observer import Observed, Scene
 from gateway.motion.opening import OpenArm
 from gateway.motion.power import powered
 from gateway.motion.stream import MoveOptions, Stream
@@ -50,68 +47,6 @@ RAMP_FACTOR: Final = 2.0
 RAMP_MARGIN_S: Final = 0.05
 LOSS, QUICK_TIME, QUICK_ANGLE = "heartbeat_loss_to_standstill_s", "quick_stop_time_s", "quick_stop_angle_rad"
 FAULT_TIME, BRAKE = "fault_reaction_time_s", "brake_drop_rad"
-
-
-@dataclass(slots=True)
-class PowerRun:
-    """Answers of all drives while they were under power once, by SYNC.
-
-    Attributes
-    ----------
-    began_s : float
-        When power was requested (monotonic).
-    sent_s : list of float
-        When each SYNC was sent (monotonic).
-    time_s : list of float
-        The same in the time of the motion, which in lockstep is SYNC index times period.
-    rows : list of tuples of DriveReading or None
-    """
-
-    began_s: float
-    sent_s: list[float] = field(default_factory=list[float])
-    time_s: list[float] = field(default_factory=list[float])
-    rows: list[tuple[DriveReading | None, ...]] = field(default_factory=list[tuple[DriveReading | None, ...]])
-
-    def at(self, sent_s: float) -> float:
-        """Return the time of the motion at a monotonic time."""
-        return float(np.interp(sent_s, self.sent_s, self.time_s))
-
-    def track(self, axis: int) -> PositionTrack | None:
-        """Return the positions of an axis (from 0); None where it has too few answers."""
-        seen = [(at, row[axis]) for at, row in zip(self.time_s, self.rows, strict=True)]
-        known = [(at, reading) for at, reading in seen if reading is not None]
-        if len(known) < 10:
-            return None
-        return PositionTrack(
-            np.array([at for at, _ in known]),
-            np.array([reading.position_count for _, reading in known], dtype=float),
-            np.array([decode_state(reading.statusword) is State.OPERATION_ENABLED for _, reading in known]),
-        )
-
-
-class MotionRecord:
-    """Observer of the motion loop that keeps the answers of every run under power."""
-
-    def __init__(self, opened: OpenArm) -> None:
-        self.runs: list[PowerRun] = []
-        self._group = opened.group
-
-    def began(self, _scene: Scene) -> None:
-        """Begin a run."""
-        self.runs.append(PowerRun(time.monotonic()))
-
-    def sampled(self, observed: Observed) -> None:
-        """Keep the answers of one SYNC."""
-        run, sample = self.runs[-1], observed.samples[0]
-        run.sent_s.append(self._group.sync_sent_s)
-        run.time_s.append(sample.time_s)
-        run.rows.append(sample.readings)
-
-    def reported(self, _event: object) -> None:
-        """Ignore events."""
-
-    def ended(self, _failure: BaseException | None) -> None:
-        """The arm is no longer under power."""
 
 
 class PoweredTests:
@@ -377,26 +312,32 @@ class PoweredTests:
     # -- torque ------------------------------------------------------------------------------------------------------
 
     def _torque_age(self) -> None:
-        """Move each tested axis slowly, forth and back."""
-        opened, period_s = self._opened, self._period_s
-        moved: list[tuple[DriveSheet, slice]] = []
+        """Move each tested axis slowly, forth and back; evaluate the motions once the arm is in its brakes."""
+        moved: list[tuple[DriveSheet, PowerRun, slice]] = []
+        try:
+            self._move_each(moved)
+        finally:
+            for sheet, run, rows in moved:
+                known = zip(run.time_s[rows], (row[sheet.number] for row in run.rows[rows]), strict=True)
+                seen = [(at_s, each.position_count, each.torque_word) for at_s, each in known if each is not None]
+                sheet.figures.append(torque_age(np.array(seen, dtype=float).reshape(-1, 3), self._period_s))
+
+    def _move_each(self, moved: list[tuple[DriveSheet, PowerRun, slice]]) -> None:
+        """Move one axis after the other; add each finished motion to `moved`."""
+        opened = self._opened
         with powered(Stream(motion_station(opened, self._options))) as stream:
             stream.take_over()
             run = self._motion.runs[-1]
             for sheet in self._sheets:
-                started = len(run.time_s)
+                began = len(run.time_s)
                 try:
-                    motions = modulated(opened.workspace, stream.q_rad[0], sheet.number, period_s)
+                    motions = modulated(opened.workspace, stream.q_rad[0], sheet.number, self._period_s)
                 except PlanRefused as error:
                     sheet.figures.append(not_measured(AGE, str(error)))
                     continue
                 for motion in motions:
                     stream.move([motion], f"move {sheet.axis} slowly")
-                moved.append((sheet, slice(started, len(run.time_s))))
-        for sheet, rows in moved:
-            known = zip(run.time_s[rows], (row[sheet.number] for row in run.rows[rows]), strict=True)
-            seen = [(at_s, each.position_count, each.torque_word) for at_s, each in known if each is not None]
-            sheet.figures.append(torque_age(np.array(seen, dtype=float).reshape(-1, 3), period_s))
+                moved.append((sheet, run, slice(began, len(run.time_s))))
 
     # -- brakes ------------------------------------------------------------------------------------------------------
 
@@ -414,7 +355,7 @@ class PoweredTests:
                 float(max(drop[sheet.number] for drop in self._drops_rad)),
                 "largest drop after disabling",
             )
-            counts = None if track is None else _released_counts(track)
+            counts = None if track is None else track.largest_drop()
             if counts is not None:
                 drop_rad, method = (
                     max(drop_rad, counts * scale),
@@ -423,18 +364,3 @@ class PoweredTests:
             interval = (max(0.0, drop_rad - scale), drop_rad + scale)
             text = f"{method}; ± one count"
             sheet.figures.append(TimingFigure(BRAKE, drop_rad, interval, "rad", len(self._drops_rad), text))
-
-
-def _released_counts(track: PositionTrack) -> float | None:
-    """Return the largest displacement [counts] while an axis was disabled between two times enabled; None = never."""
-    enabled = np.flatnonzero(track.enabled)
-    if not len(enabled):
-        return None
-    inside = np.arange(enabled[0], enabled[-1])
-    held, most, found = float(track.count[enabled[0]]), 0.0, False
-    for index in inside:
-        if track.enabled[index]:
-            held = float(track.count[index])
-        else:
-            found, most = True, max(most, abs(float(track.count[index]) - held))
-    return most if found else None

@@ -96,6 +96,20 @@ class PositionTrack:
         last = int(np.flatnonzero(self.enabled)[-1])
         return float(self.at_s[last]), float(self.at_s[last + 1])
 
+    def largest_drop(self) -> float | None:
+        """Return the largest displacement [counts] while the axis was disabled between two times enabled."""
+        enabled = np.flatnonzero(self.enabled)
+        if not len(enabled):
+            return None
+        inside = np.arange(enabled[0], enabled[-1])
+        held, most, found = float(self.count[enabled[0]]), 0.0, False
+        for index in inside:
+            if self.enabled[index]:
+                held = float(self.count[index])
+            else:
+                found, most = True, max(most, abs(float(self.count[index]) - held))
+        return most if found else None
+
 
 def first_after(times_s: Sequence[float], at_s: float) -> float | None:
     """Return the first of the times at or after an instant."""
