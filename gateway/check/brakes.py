@@ -1,9 +1,11 @@
-"""Do the holding brakes hold? One axis at a time is disabled while the others hold theirs, and is watched.
+"""Test of the holding brakes: one axis at a time is disabled and monitored while the drives hold the other axes.
 
-A brake that does not hold must not let the axis fall. The test begins with a short time, and the drive holds the axis
-again at the first SYNC beyond the limit. Then the arm stays under power until a person has supported it, since its
-next stop would leave it to that brake. A request to stop that comes while an axis moves in its brake is answered
-later: once the drive holds the axis again and, after a failed brake, once the arm is supported.
+A failed brake must not let the axis drop. The test begins with a short time, and the drive holds the axis again at the
+first SYNC beyond the limit. After a failure the arm stays under power until an operator has supported it, because its
+next stop would rely on that brake.
+
+A stop request that arrives while an axis drops is handled later: once the drive holds the axis again and, after a
+failed brake, once the arm is supported.
 """
 
 from __future__ import annotations
@@ -26,31 +28,31 @@ from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.result.result import Finding
 
-#: How long each axis is watched, one time after the other [s]; in the last one the voltage is disabled as well.
+#: Successive test times of each axis [s]; in the last one the voltage is disabled as well.
 WATCH_S: Final = (0.05, 0.2, 1.0)
-#: An axis that has moved farther in one time [rad] is not given the next one.
+#: Largest movement in one test time [rad] at which the next one follows.
 STEP_RAD: Final = 0.002
-#: Share of an axis' torque limit that its drive may need at rest where its brake is tried.
+#: Largest holding torque at which a brake is tested, as a share of the torque limit of the axis.
 GRAVITY_SHARE: Final = 0.25
-#: How long the torque is measured, with all brakes open [s], and the share of its SYNCs that have to be answered.
+#: Duration of the torque measurement with all brakes open [s], and the share of its SYNCs that must be answered.
 MEASURE_S: Final = 0.2
 MEASURED_SHARE: Final = 0.5
 #: A requested stop waits for so many SYNCs, in which the drive holds the axis again that is on its brake; if
 #: it has moved farther than this [rad, joint], until the drive holds it.
 LOOK_SYNCS: Final = 2
 LETS_GO_RAD: Final = 0.0003
-#: How long an axis may take to come to rest before its brake is tried [s].
+#: Longest time until an axis is at rest before its brake is tested [s].
 REST_S: Final = 1.0
-#: How long an arm is held under power after a brake has failed, if no person can confirm the support [s].
+#: Time for which an arm is held under power after a brake has failed, if no operator can confirm the support [s].
 SUPPORT_S: Final = 10.0
 
-#: Shows a person what to do, and returns a function that says whether it is done; None = no person can confirm.
+#: Prompts the operator, and returns a function that reports whether the action is done; None = no operator is present.
 AskSupport = Callable[[str], Callable[[], bool] | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
-    """One axis whose brake is tried."""
+    """Test of the brake of one axis."""
 
     opened: OpenArm
     stream: Stream
@@ -59,37 +61,37 @@ class _Trial:
 
     @property
     def where(self) -> str:
-        """The axis in a message."""
+        """Name of the axis in messages."""
         return f"J{self.axis + 1} node {self.opened.config.axis[self.axis].node_id}"
 
     @property
     def turns(self) -> np.ndarray:
-        """How far each joint (N,) turns at most with one radian of this motor."""
+        """Largest rotation (N,) of each joint per radian of this motor."""
         return self.opened.arm.axes.joint_bound(np.eye(len(self.opened.config.axis))[self.axis])
 
     @property
     def joint_per_motor(self) -> float:
-        """The largest of `turns`."""
+        """Largest value of `turns`."""
         return float(self.turns.max())
 
 
 def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _text: None) -> list[Finding]:
-    """Let each brake in turn hold its axis.
+    """Test the brake of each axis in turn.
 
     Parameters
     ----------
     opened : OpenArm
-        Connected and configured, in its brakes, in a posture with little gravity on the axes.
+        Connected and configured, brakes on, in a posture with little gravity torque on the axes.
     options : MoveOptions
     ask : callable
-        Asks a person to support an arm whose brake has failed, while it is held under power.
+        Asks the operator to support an arm whose brake has failed, while it is held under power.
 
     Returns
     -------
     list of Finding
-        One per axis; an axis whose drive needs too much torque here, or whose torque is not known, is not tried, and
-        that is said. The axes are disabled all at once after the last one: until a brake was tried, its drive holds
-        the axis. After a brake that does not hold no other is tried.
+        One per axis. An axis that needs too much holding torque in this posture, or whose torque is unknown, is
+        reported as not tested. All axes are disabled at the same time after the last test. After a failed brake no
+        other brake is tested.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def try_brakes(opened: OpenArm, options: MoveOptions, ask: AskSupport = lambda _
 
 
 def _after(opened: OpenArm, error: DriveError, found: list[Finding]) -> list[Finding]:
-    """The finding that explains why a stop was not confirmed; raises the error where there is none."""
+    """Return the finding that explains why a stop was not confirmed; raise the error if there is none."""
     if found:
         return [replace(found[0], what=f"{found[0].what}; then: {error}")]
     # an axis that goes on dropping once all are disabled is not at rest
@@ -128,7 +130,7 @@ def _after(opened: OpenArm, error: DriveError, found: list[Finding]) -> list[Fin
 
 
 def _try_brake(trial: _Trial, found: list[Finding]) -> Finding:
-    """Try one brake; what fails goes to `found` before anything else is done."""
+    """Test one brake; a failure is added to `found` before anything else is done."""
     refused = _too_heavy(trial)
     if refused is not None:
         return refused
@@ -138,7 +140,7 @@ def _try_brake(trial: _Trial, found: list[Finding]) -> Finding:
 
 
 def _too_heavy(trial: _Trial) -> Finding | None:
-    """Why a brake is not tried here: what its drive needs to hold the axis, measured with all brakes open."""
+    """Return the reason why a brake is not tested: the holding torque of its drive, measured with all brakes open."""
     measured: list[float] = []
 
     def listen(samples: tuple[ArmSample, ...]) -> None:
@@ -147,19 +149,19 @@ def _too_heavy(trial: _Trial) -> Finding | None:
     trial.stream.stand(MEASURE_S, "measure the torque at rest", listen)
     torque_nm = np.array(measured)[np.isfinite(measured)]
     limit_nm = float(trial.opened.workspace.torque_nm[trial.axis])
-    advice = f"bring it to a posture with at most {GRAVITY_SHARE:.0%} and ask again"
+    advice = f"move it to a posture with at most {GRAVITY_SHARE:.0%} and test again"
     if len(torque_nm) < max(1.0, MEASURED_SHARE * len(measured)) or not limit_nm > 0.0:
-        advice = "find out why the drive gives no torque (0x6077), then try the brakes again"
-        return Finding("warn", trial.where, "its brake was not tried: the torque of its drive is not known", advice)
+        advice = "find out why the drive reports no torque (0x6077), then test the brakes again"
+        return Finding("warn", trial.where, "its brake was not tested: the torque of its drive is not known", advice)
     share = float(np.abs(torque_nm).max()) / limit_nm
     if share > GRAVITY_SHARE:
-        what = f"its brake was not tried: the drive needs {share:.0%} of its torque limit to hold the axis here"
+        what = f"its brake was not tested: its drive needs {share:.0%} of its torque limit in this posture"
         return Finding("warn", trial.where, what, advice)
     return None
 
 
 def _watched(trial: _Trial, found: list[Finding]) -> Finding:
-    """Leave an axis to its brake for longer and longer."""
+    """Disable the drive of an axis for increasing times and monitor its brake."""
     moved_rad = 0.0
     for number, seconds in enumerate(WATCH_S):
         test, stopped = _released(trial, seconds, number == len(WATCH_S) - 1)
@@ -172,7 +174,7 @@ def _watched(trial: _Trial, found: list[Finding]) -> Finding:
             found.append(_failed(trial.where, fell_rad, how, STEP_RAD))
         elif stopped is not None:
             what = f"sank by {fell_rad:.4f} rad in its brake before the requested stop, and is held by its drive again"
-            advice = "its brake may not hold: support the arm before its axes are disabled, then try this brake again"
+            advice = "its brake may not hold: support the arm before its axes are disabled, then test this brake again"
             found.append(Finding("fail", trial.where, what, advice))
         if found:
             _hold_until_supported(trial, found[0], stopped is not None)
@@ -189,9 +191,9 @@ def _failed(where: str, moved_rad: float, how: str, allowed_rad: float = BRAKE_D
 
 
 def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[BrakeTest, BaseException | None]:
-    """Leave an axis to its brake for a time; at the end its drive holds it, as soon as it has moved too far.
+    """Disable the drive of an axis for a time; the drive holds the axis again at the end, or when it has moved too far.
 
-    The second value is the cause of a request to stop, still to be raised, where the axis was moving in its brake.
+    The second value is the cause of a stop request that has not been raised because the axis was moving.
     """
     stream, group, period_s = trial.stream, trial.opened.group, trial.stream.station.period_s
     for _ in range(math.ceil(REST_S / period_s)):
@@ -204,7 +206,7 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
     stopped: BaseException | None = None
     try:
         while test.released_syncs < rows and not test.beyond_limit:
-            stream.hold("watch the brake", test.released_syncs, rows)
+            stream.hold("monitor the brake", test.released_syncs, rows)
         test.enable_again()
         while not test.held:
             stream.hold("hold the axis again", 0, 1)
@@ -224,14 +226,14 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
 
 
 def _hold_until_supported(trial: _Trial, item: Finding, stopping: bool) -> None:
-    """Hold the arm under power: once its axes are disabled, the brake that has failed is all that carries it.
+    """Hold the arm under power until it is supported: once its axes are disabled, only the failed brake carries it.
 
     `stopping`: a stop was already requested. A quick stop ends this after `SUPPORT_S`; a request that becomes one ends
     it at once.
     """
     done = trial.ask(
-        f"{item.where} {item.what}. The arm is under power and holds itself. Support it, or let it down to where it "
-        "cannot fall. Its axes are then disabled."
+        f"{item.where} {item.what}. The arm is held under power. Support it, or lower it to a position where it"
+        " cannot fall. Its axes are then disabled."
     )
     rows = math.ceil(SUPPORT_S / trial.stream.station.period_s)
     urgent, desk = trial.stream.urgent, trial.stream.station.options.desk

@@ -1,7 +1,7 @@
-"""Small moves of every axis: signs, order, gear ratios and the provenance of the torque, against the model.
+"""Small moves of every axis: compare signs, order, gear ratios and the source of the torque with the model.
 
-Each axis in turn is displaced a little, every posture is approached slowly from both sides, settled and averaged, with
-all limits watched as in a recording. Nothing is stored; demand and current of the drives are recorded beside.
+Each axis in turn is displaced a little. Every posture is approached slowly in both directions, settled and averaged,
+with all limits monitored as in a recording. Nothing is stored; demand and current of the drives are recorded as well.
 """
 
 from __future__ import annotations
@@ -43,20 +43,20 @@ APPROACH_RAD: Final = 0.03
 SPEED_RAD_S: Final = 0.05
 SAMPLES: Final = 20
 SETTLE_S: Final = 10.0
-#: A misfit above this says that the model does not describe the arm, whatever the wiring.
+#: Misfit above which the model does not describe the arm with any wiring.
 MISFIT: Final = 2.0
 LOAD: Final = "check"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveCheck:
-    """What the moves showed.
+    """Result of the small moves.
 
     Attributes
     ----------
     items : tuple of Finding
     verdict : Verdict or None
-        None where the arm had to be stopped, or its links are not known.
+        None if the arm had to be stopped, or its links are not known.
     """
 
     items: tuple[Finding, ...]
@@ -64,7 +64,7 @@ class MoveCheck:
 
 
 def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: float) -> Plan:
-    """Return a plan of the present posture and one displacement of each axis from there.
+    """Return a plan of the present posture and one displacement of each axis.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
     Raises
     ------
     WrongPlace
-        An axis cannot move to either side, or the arm is outside its joint range.
+        An axis cannot move in either direction, or the arm is outside its joint range.
     PlanRefused
         The arm is in a posture that is not allowed.
     """
@@ -89,13 +89,13 @@ def plan_moves(arm: str, workspace: Workspace, start_rad: np.ndarray, period_s: 
     plan, unreachable = plan_poses(arm, workspace, poses, _settings(period_s))
     if unreachable:
         raise WrongPlace(
-            f"arm '{arm}': no free path to the small moves; bring it to a posture with more free space", arm
+            f"arm '{arm}': no free path for the small moves; move the arm to a posture with more free space", arm
         )
     return plan
 
 
 def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int, inward: float) -> tuple[float, ...]:
-    """The axis displaced inward or else outward, the approach to both sides included."""
+    """Return the posture with the axis displaced inward or else outward, with room for both approach directions."""
     size = step_rad(joint, workspace.robot.axes)
     for step in (inward * size, -inward * size):
         target = start_rad.copy()
@@ -104,14 +104,14 @@ def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int
         if workspace.path_clear(np.array([start_rad, start_rad]), ends).all():
             return _tuple(target)
     raise WrongPlace(
-        f"arm '{arm}', joint {joint + 1}: no room for {size} rad to either side; bring the arm to a "
-        "posture away from limits and from what it may touch",
+        f"arm '{arm}', joint {joint + 1}: no room for {size} rad to either side; move the arm to a posture away from"
+        " limits and obstacles",
         arm,
     )
 
 
 def step_rad(joint: int, axes: int) -> float:
-    """Displacement [rad] of a joint, from 0, of an arm of so many axes."""
+    """Return the displacement [rad] of a joint (index from 0)."""
     return WRIST_STEP_RAD if joint >= max(WRIST_AXES, axes - WRIST_AXES) else STEP_RAD
 
 
@@ -124,19 +124,19 @@ def _settings(period_s: float) -> VisitSettings:
 
 
 def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: MoveOptions | None = None) -> MoveCheck:
-    """Move every axis a little and judge what the torques say.
+    """Move every axis a little and compare the torques with the model.
 
     Parameters
     ----------
     opened : OpenArm
-        Connected and configured, in its brakes; the stop on loss of the master is proven.
+        Connected and configured, brakes on; the stop on loss of the master has been tested.
     listeners : sequence of Listener
     options : MoveOptions, optional
 
     Raises
     ------
     PlanRefused
-        No free motion, or a pose that never settled.
+        No free motion, or a pose does not settle.
     DriveError, KeyboardInterrupt
         The arm was stopped.
     """
@@ -154,13 +154,13 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
             advice = "check the order of the node ids, position_sign, torque_sign and gear_ratio of the axes by hand"
             return MoveCheck((Finding("fail", f"J{error.joint}", f"small moves were stopped: {error}", advice),), None)
     items: list[Finding] = []
-    nothing = [TorqueSignals(axis.node_id, missing="the bus is too full for a third TPDO") for axis in config.axis]
+    nothing = [TorqueSignals(axis.node_id, missing="the bus has no capacity for a third TPDO") for axis in config.axis]
     for joint, (axis, profile, drive, words) in enumerate(
         zip(config.axis, opened.profiles, group.drives, reader.signals or nothing, strict=True), start=1
     ):
         items += judge_torque(Axis(joint, axis, profile), words, Scales.of(drive.scale, axis))
     if opened.workspace.links is None:
-        what = "signs, order and gear ratios were not compared: the cell does not trust the robot's inertials"
+        what = "signs, order and gear ratios were not compared: the cell file ignores the inertials of the robot model"
         advice = 'set inertials = "prior:0.1" if the URDF has link masses'
         items.append(Finding("warn", f"arm {config.name}", what, advice))
         return MoveCheck(tuple(items), None)
@@ -170,7 +170,7 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
 
 
 def _bus_has_capacity(opened: OpenArm) -> bool:
-    """Whether, in real time, a third TPDO of every drive still fits the bus."""
+    """Return True if, in real time, a third TPDO of every drive fits the bus."""
     timing, spec = opened.group.timing, opened.group.bus.spec
     sizes = [0, *(8 for _ in opened.group.drives), *(p.size_bytes for d in opened.group.drives for p in d.plans)]
     load = load_percent(cycle_bits_worst(sizes), timing.period_s, spec.bitrate_bit_s)
@@ -185,7 +185,7 @@ def _arm(opened: OpenArm) -> WiredArm:
 
 
 def moves_of(opened: OpenArm, visits: Sequence[Visit]) -> Moves:
-    """Means of the visits, pose by pose, both sides."""
+    """Return the means of the visits, pose by pose, in both approach directions."""
     by_key = {(visit.pose, visit.approach): visit for visit in visits}
     numbers = sorted({visit.pose for visit in visits})
     pairs = [[by_key[number, side] for side in (-1, 1)] for number in numbers]
@@ -200,7 +200,7 @@ def moves_of(opened: OpenArm, visits: Sequence[Visit]) -> Moves:
 
 
 def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Finding]:
-    """A verdict as lines of the check.
+    """Return a verdict as lines of the check.
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def wiring_items(arm: str, node_ids: Sequence[int], verdict: Verdict) -> list[Fi
     """
     items = [_found(node_ids, wiring, verdict) for wiring in verdict.found]
     if verdict.misfit > MISFIT:
-        what = f"torques differ from the model by {verdict.misfit:.1f} times what is allowed for, as wired"
+        what = f"the torques differ from the model by {verdict.misfit:.1f} times the tolerance, with any wiring"
         advice = "check the URDF's link masses, gravity_m_s2, the mounted load, and the zero offsets"
         items.append(Finding("warn", f"arm {arm}", what, advice))
     changed = {joint for wiring in verdict.found for joint in wiring.joints}
@@ -226,33 +226,33 @@ def _found(node_ids: Sequence[int], wiring: Wiring, verdict: Verdict) -> Finding
     rivals = [rival for rival in verdict.rivals if wiring is verdict.found[-1]]
     if wiring.name == "swapped":
         other = wiring.joints[1]
-        what = f"the drives of J{joint} and J{other} are in each other's place"
+        what = f"the drives of J{joint} and J{other} are swapped"
         advice = f"exchange node ids {node_ids[joint - 1]} and {node_ids[other - 1]} in the cell file, or their cables"
         return Finding("fail", where, what + _or(rivals), advice)
     if wiring.name in ("gear_ratio", "torque_scale"):
         kind = "gear_ratio is" if wiring.name == "gear_ratio" else "torque reads"
-        what = f"{kind} {wiring.factor:.2f} times what the model and the moves ask for"
+        what = f"{kind} {wiring.factor:.2f} times the value that the model and the moves require"
         advice = (
             "correct gear_ratio" if wiring.name == "gear_ratio" else "check torque constant, rated torque, rms or peak"
         )
         return Finding("fail", where, what + _or(rivals), advice)
     words = {
-        "reversed": ("turns the other way round than the model", "change position_sign and torque_sign both"),
+        "reversed": ("turns in the opposite direction of the model", "change position_sign and torque_sign both"),
         "position_reversed": ("position sign is reversed", "change position_sign"),
         "torque_reversed": ("torque sign is reversed relative to position", "change torque_sign"),
     }
     what, advice = words[wiring.name]
     if any(rival.joints == wiring.joints for rival in rivals):
         what, advice = (
-            "torque and position have opposite senses",
-            "change torque_sign, or position_sign: see how it turns",
+            "torque and position have opposite signs",
+            "change torque_sign or position_sign: check the direction of rotation",
         )
         rivals = []
     return Finding("fail", where, what + _or(rivals), advice)
 
 
 def _or(rivals: Sequence[Wiring]) -> str:
-    """What explains it nearly as well."""
+    """Return the hypotheses that explain the torques nearly as well."""
     if not rivals:
         return ""
     words = [
@@ -265,24 +265,24 @@ def _or(rivals: Sequence[Wiring]) -> str:
 
 def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> Finding:
     where = f"J{joint} node {node_ids[joint - 1]}"
-    parts = [f"torque and position have the same sense (friction {view.band_nm:.2g} Nm)"]
+    parts = [f"torque and position have the same sign (friction {view.band_nm:.2g} Nm)"]
     if abs(view.band_nm) < 3.0 * view.band_std_nm:
-        parts = [f"friction of {view.band_nm:.2g} Nm is too small to show the sense of the torque"]
+        parts = [f"friction of {view.band_nm:.2g} Nm is too small to determine the sign of the torque"]
     missing = []
     if view.ratio_seen:
         parts.append(f"gear ratio {with_interval(view.ratio, view.ratio_std)} ({SAID}) of the cell's")
     else:
         missing.append("gear ratio")
     if not view.sign_seen:
-        missing.append("sense of rotation")
+        missing.append("direction of rotation")
     if view.swaps_unseen:
-        missing.append(f"whether it is not {', '.join(f'J{other}' for other in view.swaps_unseen)}")
+        missing.append(f"a swap with {', '.join(f'J{other}' for other in view.swaps_unseen)}")
     if not missing:
-        parts.append("sense of rotation and place agree with the model")
+        parts.append("direction of rotation and order agree with the model")
         return Finding("ok", where, "; ".join(parts))
     parts.append(f"gravity on this axis is too small in this posture to determine: {', '.join(missing)}")
     advice = (
-        f"see that joint {joint} turned by {step_rad(joint - 1, len(node_ids))} rad, in the model's positive sense "
-        "when its angle rose; or repeat with a load or in another posture"
+        f"check by eye that joint {joint} turned by {step_rad(joint - 1, len(node_ids))} rad, in the positive"
+        " direction of the model when its angle increased; or repeat with a load or in another posture"
     )
     return Finding("info", where, "; ".join(parts), advice)

@@ -1,7 +1,7 @@
-"""Proofs that the drives stop on loss of the master, kept beside the write ledger and asked for before anything moves.
+"""Proofs that the drives stop on loss of the master, stored beside the write ledger and required before any motion.
 
-A proof stands for these drives (serial number, firmware), as they are set up, under this SYNC, behind these gears.
-What changes any of it makes the proof void, and with it the knowledge that these drives have moved before.
+A proof is valid for these drives (serial number, firmware) with these settings, SYNC and gears. Any change makes it
+invalid, together with the record that these drives have moved before.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SCHEMA: Final = 2
 
 
 def fingerprint(opened: OpenArm) -> dict[str, Any]:
-    """What a proof stands for: SYNC, and of each axis drive, settings, gear and the commands of the drive."""
+    """Return the fingerprint of a proof: SYNC, and for each axis the drive, its settings, gear and commands."""
     timing = opened.group.timing
     axes = zip(opened.config.axis, opened.profiles, opened.identities, opened.readings, strict=True)
     return {
@@ -68,18 +68,18 @@ def _settings(profile: DriveProfile, readings: Readings) -> dict[str, int | None
 
 
 def proven_on(path: Path, opened: OpenArm) -> str | None:
-    """Date of a proof for these drives with these settings; None = there is none."""
+    """Return the date of a proof for these drives with these settings; None without a proof."""
     stored = _stored(path, opened)
     return None if stored is None else str(stored.get("date"))
 
 
 def first_motion_pending(path: Path, opened: OpenArm) -> bool:
-    """Whether no motion with these drives, as they are set up, was completed yet.
+    """Return True if these drives with these settings have not completed a motion yet.
 
     Parameters
     ----------
     path : Path
-        Where the proof is kept.
+        File of the proof.
     opened : OpenArm
     """
     stored = _stored(path, opened)
@@ -87,12 +87,12 @@ def first_motion_pending(path: Path, opened: OpenArm) -> bool:
 
 
 def note_motion(path: Path, opened: OpenArm) -> None:
-    """A first motion with these drives was completed; nothing is noted where no proof stands for them.
+    """Note that a first motion with these drives was completed; without a valid proof nothing is noted.
 
     Parameters
     ----------
     path : Path
-        Where the proof is kept.
+        File of the proof.
     opened : OpenArm
     """
     stored = _stored(path, opened)
@@ -101,7 +101,7 @@ def note_motion(path: Path, opened: OpenArm) -> None:
 
 
 def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
-    """Keep a proof that was passed; one that failed removes what was kept."""
+    """Store a passed proof; a failed one removes the stored one."""
     if not proof.passed:
         path.unlink(missing_ok=True)
         return
@@ -112,7 +112,7 @@ def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
 
 
 def _stored(path: Path, opened: OpenArm) -> dict[str, Any] | None:
-    """The proof that is kept, if it stands for these drives."""
+    """Return the stored proof, if it is valid for these drives."""
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -127,22 +127,22 @@ def _write(path: Path, body: Mapping[str, Any]) -> None:
 
 
 def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], options: MoveOptions) -> MoveOptions:
-    """Make sure that loss of the master stops these drives, before anything else moves; proven once, then kept.
+    """Prove that loss of the master stops these drives before anything else moves; a valid stored proof is sufficient.
 
     Parameters
     ----------
     opened : OpenArm
-        Connected and configured, in its brakes; the person has agreed that it moves.
+        Connected and configured, brakes on; the operator has agreed that it moves.
     path : Path
-        Where the proof is kept.
+        File of the proof.
     say : callable
-        Takes a remark.
+        Shows a remark to the operator.
     options : MoveOptions
 
     Returns
     -------
     MoveOptions
-        For what moves next: the first motion of all with these drives goes slowly.
+        Options of the next motion: the first motion with these drives is slow.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], optio
     if date is not None:
         say(f"drives stop on loss of the master: proven {date}")
         return slow_at_first(opened, path, options)
-    say("proving that the drives stop on loss of the master: a slow motion without heartbeat")
+    say("testing that the drives stop on loss of the master: a slow motion without heartbeat")
     proof = prove_stop(opened, options)
     keep_proof(path, opened, proof)
     require_passed(proof.items, "nothing is measured")
@@ -165,22 +165,22 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], optio
 
 
 def slow_at_first(opened: OpenArm, path: Path, options: MoveOptions) -> MoveOptions:
-    """The same options; where nothing has moved yet with these drives, the first motion goes slowly and is noted."""
+    """Return the options with a slow first motion, which is then noted, if these drives have not moved yet."""
     if not first_motion_pending(path, opened):
         return options
     return replace(options, first_done=lambda: note_motion(path, opened))
 
 
 def require_proven(opened: OpenArm, path: Path) -> None:
-    """Require a valid proof where none can be made now: two arms hold one part.
+    """Require a valid proof where none can be made because two arms hold one part.
 
     Raises
     ------
     FindingFailed
-        There is none for these drives with these settings.
+        There is no proof for these drives with these settings.
     """
     if proven_on(path, opened) is None:
         raise FindingFailed(
-            f"nothing has moved: it is not proven that the drives of arm '{opened.config.name}', as they are set up, "
-            "stop when the master is gone; open both grippers, then: servo-gateway check CELL --prove-stop"
+            f"nothing has moved: it is not proven that the drives of arm '{opened.config.name}', with their present"
+            " settings, stop on loss of the master; open both grippers, then: servo-gateway check CELL --prove-stop"
         )

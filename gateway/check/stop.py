@@ -1,7 +1,7 @@
-"""Proof on the machine that the drives stop when the master is gone: a slow motion without heartbeat.
+"""Test on the machine that the drives stop on loss of the master: a slow motion without heartbeat.
 
-The motion loop sends the setpoints of a proof as those of any other motion. A request to stop, a limit and contact are
-answered at every SYNC; a proof that was stopped raises the error of the stop.
+The motion loop sends the setpoints of the test as those of any other motion. A stop request, a limit and contact are
+handled at every SYNC; a test that was stopped raises the error of the stop.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from gateway.motion.trajectory import Motion, straight
 from gateway.motion.workspace import Workspace
 from gateway.result.result import Finding
 
-#: Speed of every joint while the heartbeat is withheld, and its largest travel.
+#: Speed of every joint while the heartbeat is withheld [rad/s], and its largest travel [rad].
 SPEED_RAD_S: Final = 0.05
 TRAVEL_RAD: Final = 0.1
-#: How much longer than the longest heartbeat time the arm would go on.
+#: Ratio of the duration of the motion to the longest heartbeat time.
 BEYOND_S: Final = 0.5
-#: A drive may travel this far [rad, joint] once it has left OPERATION ENABLED.
+#: Largest travel [rad, joint] after a drive has left OPERATION ENABLED.
 COAST_RAD: Final = 0.05
 #: A drive that is commanded to stop by its ramp is at rest within this time at the speed of the proof [s].
 QUICK_STOP_S: Final = 0.5
-#: Left before this share of its heartbeat time: for another reason.
+#: Share of the heartbeat time before which a stop must have another cause.
 EARLY: Final = 0.4
-#: Error codes that the loss of the heartbeat explains (CiA 301, table 26: 0x81xx communication).
+#: Error codes caused by the loss of the heartbeat (CiA 301, table 26: 0x81xx communication).
 COMMUNICATION_CLASS: Final = 0x81
 
 
 @dataclass(frozen=True, slots=True)
 class StopProof:
-    """What the drives of an arm did without their master.
+    """Reaction of the drives of an arm to the loss of their master.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class StopProof:
         Joint angle from the last heartbeat to rest, and from the last SYNC in OPERATION ENABLED to rest.
     items : tuple of Finding
     quick_stop : tuple of StopTrace
-        What the drives did after a command to stop; empty where that was not tried.
+        Reaction of the drives to a quick stop; empty if not tested.
     """
 
     arm: str
@@ -69,11 +69,11 @@ class StopProof:
 
     @property
     def passed(self) -> bool:
-        """Whether every drive stopped as stated."""
+        """Return True if every drive stopped as stated."""
         return not any(item.severity == "fail" for item in self.items)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return the proof as plain values."""
         return {
             "arm": self.arm,
             "drives": [
@@ -84,7 +84,7 @@ class StopProof:
 
 
 def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_s: float, period_s: float) -> Motion:
-    """A slow motion of all joints that lasts longer than the heartbeat time, inside all limits.
+    """Return a slow motion of all joints that lasts longer than the heartbeat time, inside all limits.
 
     A joint outside its range moves towards it.
 
@@ -116,13 +116,13 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
                 return straight(start_rad, target, approach_limits(workspace, scale * speed), period_s)
     raise PlanRefused(
         f"arm '{arm}' has no free space for {speed * lasts_s:.2f} rad on every joint in its present posture; "
-        "bring it to a free posture with the drive's own tool, away from limits and from what it may touch: the stop "
-        "of its drives is proven before anything else moves"
+        "move it to a free posture with the drive's own tool, away from limits and obstacles: the stop of its drives"
+        " must be tested before anything else moves"
     )
 
 
 def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndarray]:
-    """Signs to try: away from the nearer limit, back, then others."""
+    """Return the signs to try: away from the nearer limit, back, then others."""
     inward = np.where(start_rad > (workspace.lower_rad + workspace.upper_rad) / 2, -1.0, 1.0)
     yield inward
     yield -inward
@@ -133,24 +133,22 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
 
 
 def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
-    """Move slowly, withhold the heartbeat, watch every drive stop; then the same with a quick stop; then go back.
+    """Move slowly, withhold the heartbeat and monitor the stop of every drive; repeat with a quick stop; then move
+    back.
 
-    A drive that answers the lost heartbeat with a fault of the communication class is reset afterwards, also after an
-    interrupted proof: the proof has caused that fault. Any other fault stays. Where
-    the loss of the master has not stopped every drive as stated, nothing moves any more. An arm that was found outside
-    its joint range does not go back there.
+    A drive that reacts to the lost heartbeat with a communication fault is reset afterwards, also after an interrupted
+    test, because the test has caused that fault. Any other fault remains. If a drive did not stop as stated, nothing
+    moves any more. An arm that was outside its joint range does not move back there.
 
     Parameters
     ----------
     opened : OpenArm
-        Connected and configured, in its brakes.
-    options : MoveOptions, optional
+        Connected and configured, brakes on. options : MoveOptions, optional
 
     Raises
     ------
     PlanRefused
-        No free motion.
-    LimitExceeded, DriveError, KeyboardInterrupt
+        No free motion is possible. LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped.
     """
     options = options or MoveOptions()
@@ -173,7 +171,7 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
 
 
 class _SlowMotion(MotionSetpoints):
-    """A slow motion on which a test begins once the arm has reached its speed.
+    """Slow motion during which a test begins once the arm has reached its speed.
 
     Parameters
     ----------
@@ -182,33 +180,32 @@ class _SlowMotion(MotionSetpoints):
         Under power.
     motion : Motion
     begin : callable
-        Begins the test.
-    goes_on : bool
-        The setpoints go on to the end of the motion; else they end where the test begins.
+        Starts the test. goes_on : bool
+        True if the setpoints continue to the end of the motion; else they end at the start of the test.
     """
 
     def __init__(
         self, opened: OpenArm, stream: Stream, motion: Motion, begin: Callable[[], StopTest], goes_on: bool
     ) -> None:
         speed = np.abs(motion.qd_rad_s).max(axis=1)
-        #: Last row before the test, and largest speed.
+        #: Sample index at the start of the test, and largest speed.
         self._steady = int(np.argmax(speed >= 0.99 * speed.max()))
         self.speed_rad_s = float(speed.max())
         rows = len(motion) if goes_on else self._steady + 1
         super().__init__(stream.q_rad, [_rows(motion, slice(0, rows))])
-        #: Whether a drive (row) turns a joint (column).
+        #: True where a drive (row) turns a joint (column).
         self._turns = np.array([opened.arm.axes.joint_bound(motor) > 0.0 for motor in np.eye(len(opened.config.axis))])
         self._stream, self._begin = stream, begin
         self.test: StopTest | None = None
 
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:
-        """Begin the test, at full speed alone: an arm that is being stopped goes no further."""
+        """Start the test at full speed only; an arm that is being stopped does not start it."""
         if self.test is None and rate == 1.0 and at >= self._steady:
             self.test = self._begin()
         self.excuse()
 
     def excuse(self) -> None:
-        """Joints of drives that stop as they should are no longer compared with their setpoints."""
+        """Stop comparing the joints of drives that stop as intended with their setpoints."""
         test = self.test
         if test is not None:
             stops = [test.held_count(axis) is not None for axis in range(len(self._turns))]
@@ -218,7 +215,7 @@ class _SlowMotion(MotionSetpoints):
 def stopped_slowly(
     opened: OpenArm, options: MoveOptions, begin: Callable[[], StopTest], *, goes_on: bool
 ) -> tuple[StopTest, float]:
-    """Move slowly, begin a test, and go on until it has ended; the test and the speed [rad/s]."""
+    """Move slowly, start a test and continue until it has ended; return the test and the speed [rad/s]."""
     motion = _slowly_from(opened, opened.arm.where())
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
@@ -226,9 +223,9 @@ def stopped_slowly(
         stream.drive(slow, "move slowly")
         test = slow.test
         if test is None:
-            raise PlanRefused(f"arm '{opened.arm.name}' did not reach its speed: prove the stop again")
+            raise PlanRefused(f"arm '{opened.arm.name}' did not reach its speed: repeat the test of the stop")
         while not test.done:
-            stream.hold("watch the drives stop", 0, 1)
+            stream.hold("monitor the stop of the drives", 0, 1)
             slow.excuse()
     return test, slow.speed_rad_s
 
@@ -239,7 +236,7 @@ def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
 
 
 def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> None:
-    """Bring the arm to joint positions (N,) [rad] at the speed of the proof, on the straight path if that is clear.
+    """Move the arm to joint positions (N,) [rad] at the speed of the test, on the straight path if it is clear.
 
     Raises
     ------
@@ -248,7 +245,7 @@ def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> 
     """
     begin, workspace = opened.arm.where(), opened.workspace
     if not workspace.path_clear(begin[None], target_rad[None])[0]:
-        raise PlanRefused(f"arm '{opened.arm.name}' stays where it is: no straight path back keeps the limits")
+        raise PlanRefused(f"arm '{opened.arm.name}' does not move back: no straight path back is inside the limits")
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
         limits = approach_limits(workspace, SPEED_RAD_S)
@@ -279,7 +276,7 @@ def _rows(motion: Motion, rows: slice) -> Motion:
 
 
 def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
-    """What the motion loop works with for a motion that is slow by itself: no override slows it further."""
+    """Return the station for a motion that is slow by itself: no override slows it further."""
     arm, timing = opened.arm, opened.group.timing
     return Station(
         arms=Arms((arm,), timing.pacing),
@@ -291,7 +288,7 @@ def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
 
 
 def reset_provoked(opened: OpenArm) -> dict[int, str]:
-    """Reset the faults that the withheld heartbeat explains; what stays, by node."""
+    """Reset the faults that the withheld heartbeat explains; return the remaining faults by node."""
     left: dict[int, str] = {}
     for access in opened.group.access:
         try:
@@ -319,7 +316,7 @@ def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, l
             advice = "find and remove the cause, then reset it at the drive"
             items.append(Finding("fail", f"J{joint} node {trace.node_id}", left[trace.node_id], advice))
     about = f"arm {opened.config.name}"
-    what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint; the drives are back as they were"
+    what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint; the settings of the drives are restored"
     items.insert(0, Finding("info", about, what))
     return StopProof(opened.config.name, traces, tuple(moved.tolist()), tuple(coast.tolist()), tuple(items))
 
@@ -329,13 +326,20 @@ def _findings(where: str, trace: StopTrace, moved_rad: float, coast_rad: float) 
     seen = f"left OPERATION ENABLED after {1000 * (trace.left_s or 0.0):.0f} ms ({stated})"
     path = f"{moved_rad:.4f} rad from the last heartbeat to rest, {coast_rad:.4f} rad of them after it had left"
     if trace.left_s is None:
-        advice = "it ignores the loss of the master: do not move this arm; check 0x1016 and 0x6007, and its firmware"
-        yield "fail", where, f"went on moving without the master's heartbeat; {stated}; the master stopped it", advice
+        advice = (
+            "the drive ignores the loss of the master: do not move this arm; check 0x1016 and 0x6007, and its firmware"
+        )
+        yield (
+            "fail",
+            where,
+            f"continued to move without the master's heartbeat; {stated}; the master stopped it",
+            advice,
+        )
     elif not trace.in_time:
         advice = "lower consumer_ms of its profile, or correct what the profile states"
         yield "fail", where, f"{seen}: too late, {path}", advice
     elif trace.left_s < EARLY * trace.stated_s:
-        advice = "something else has stopped it; find out what, then prove the stop again"
+        advice = "another cause has stopped it; find the cause, then repeat the test of the stop"
         yield "fail", where, f"{seen}: too early for a lost heartbeat", advice
     elif not trace.stood:
         advice = "check brake and quick stop ramp (0x6085), and the brake's delay"

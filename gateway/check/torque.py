@@ -1,7 +1,8 @@
-"""Where a drive's torque comes from: the word of the profile against the drive's own demand and current while it moves.
+"""Source of a drive's torque value: compare the torque object of the profile with the drive's demand and current in
+motion.
 
-All three are of the same instant. A torque that is the demand has the same bits. One that has lost its sign stays on
-one side while the demand changes sign. A wrong rated current or unit is a factor between torque and current.
+All three are sampled at the same time. A torque that is the demand has identical bits. A torque that has lost its sign
+keeps it while the demand changes sign. A wrong rated current or unit shows as a factor between torque and current.
 """
 
 from __future__ import annotations
@@ -20,17 +21,17 @@ from gateway.cell.config import AxisConfig
 from gateway.preflight.rules import Axis
 from gateway.result.finding import Finding, Severity
 
-#: SYNCs and different values that are needed to say anything.
+#: Smallest number of SYNCs and of different values for a decision.
 LEAST: Final = 200
 LEAST_VALUES: Final = 10
-#: Share of SYNCs at which a measured torque may happen to equal the demand.
+#: Share of SYNCs at which a measured torque may equal the demand by chance.
 EQUAL_SHARE: Final = 0.98
-#: What the demand has to exceed, in its standard deviations from zero, to count as of one sign.
+#: Distance of the demand from zero, in standard deviations, from which its sign is significant.
 CLEAR: Final = 0.25
-#: Correlation from which two words follow each other.
+#: Correlation from which two signals count as equal in shape.
 FOLLOWS: Final = 0.8
 SIGN_SHARE: Final = 0.05
-#: Tolerance of a factor between torque and current: counts as one, and is recognised.
+#: Relative tolerance of the factor between torque and current: for one, and for a known factor.
 SAME: Final = 0.1
 EXACT: Final = 0.04
 FACTORS: Final = (
@@ -51,14 +52,14 @@ FACTORS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Scales:
-    """What one bit is.
+    """Physical units per bit.
 
     Attributes
     ----------
     torque_nm : float
-        Of the torque word, motor side.
+        Torque per bit of the torque object, motor side.
     current_nm : float or None
-        Of the current word times the torque constant; None = its unit is not known.
+        Torque per bit of the current object (current times torque constant); None = unit not known.
     """
 
     torque_nm: float
@@ -66,19 +67,19 @@ class Scales:
 
     @classmethod
     def of(cls, scale: MotorScale, config: AxisConfig) -> Scales:
-        """Of one drive."""
+        """Return the scales of one drive."""
         current = None if scale.current_a is None else scale.current_a * config.torque_constant_nm_per_a.value
         return cls(scale.torque_nm, current)
 
 
 def judge_torque(axis: Axis, words: TorqueSignals, scales: Scales) -> list[Finding]:
-    """Judge where the torque of one drive comes from.
+    """Determine the source of the torque value of one drive.
 
     Parameters
     ----------
     axis : Axis
     words : TorqueSignals
-        Taken while the axis moved both ways.
+        Recorded while the axis moved in both directions.
     scales : Scales
     """
     reference = axis.profile.torque.object
@@ -95,7 +96,11 @@ def judge_torque(axis: Axis, words: TorqueSignals, scales: Scales) -> list[Findi
 def _rules(torque: np.ndarray, words: TorqueSignals, scales: Scales) -> Iterator[tuple[Severity, str, str]]:
     if len(np.unique(torque)) < LEAST_VALUES:
         what = f"the torque showed {len(np.unique(torque))} different values in {len(torque)} SYNCs of motion"
-        yield "fail", what, "this is not a live measurement: look up which object holds the measured torque"
+        yield (
+            "fail",
+            what,
+            "this is not a live measurement: look up the object of the measured torque in the drive's manual",
+        )
         return
     demand = np.array(words.demand, dtype=float)
     if len(demand) == len(torque):
@@ -118,7 +123,7 @@ def _against_demand(torque: np.ndarray, demand: np.ndarray) -> Iterator[tuple[Se
         yield (
             "fail",
             what,
-            "name the object of the measured torque or current in the profile; this one says nothing new",
+            "name the object of the measured torque or current in the profile; this one only repeats the demand",
         )
         return
     if _lost_its_sign(torque, demand):
@@ -158,7 +163,7 @@ def _against_current(torque: np.ndarray, current: np.ndarray, scales: Scales) ->
 
 
 def _follows_to_the_bit(torque: np.ndarray, demand: np.ndarray) -> float:
-    """Share of SYNCs at which the torque is the demand, in whatever unit, but for rounding."""
+    """Return the share of SYNCs at which the torque equals the demand except for unit and rounding."""
     power = float(demand @ demand)
     if power == 0.0:
         return 0.0
@@ -167,7 +172,7 @@ def _follows_to_the_bit(torque: np.ndarray, demand: np.ndarray) -> float:
 
 
 def _lost_its_sign(torque: np.ndarray, signed: np.ndarray) -> bool:
-    """Whether the torque stays on one side while a word that it follows in magnitude changes side."""
+    """Return True if the torque keeps its sign while a signal of the same magnitude changes it."""
     clear = CLEAR * float(np.abs(signed).std() + np.abs(signed.mean()))
     both = min(float(np.mean(signed > clear)), float(np.mean(signed < -clear))) > SIGN_SHARE
     return bool((torque >= 0).all() and both) and _correlation(torque, np.abs(signed)) > FOLLOWS
@@ -186,4 +191,4 @@ def _fine(where: str, torque: np.ndarray, words: TorqueSignals) -> Finding:
     what = f"a measured torque: compared with {' and '.join(compared)} at {len(torque)} SYNCs"
     if torque.min() < 0:
         return Finding("ok", where, f"{what}; it has a sign")
-    return Finding("info", where, f"{what}; it was never negative here, so that a lost sign would not show")
+    return Finding("info", where, f"{what}; it was never negative in this motion, so a lost sign would not be detected")

@@ -1,4 +1,6 @@
-"""How an arm may be wired, and how its motor words read then: order of drives, signs, gear ratios, torque scales."""
+"""Hypotheses of how an arm is wired (order of drives, signs, gear ratios, torque scales), and the joint values under
+each.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ class Moves:
     Attributes
     ----------
     motor_rad, motor_nm : arrays of shape (n, 2, N)
-        By drive; first the approach with all joints decreasing, then increasing.
+        Values by drive; first the approach with all joints decreasing, then increasing.
     """
 
     motor_rad: Floats
@@ -29,15 +31,14 @@ class Moves:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WiredArm:
-    """What is known of the arm.
+    """Known properties of the arm.
 
     Attributes
     ----------
     robot : Robot
     gravity_m_s2 : array of shape (3,)
     axes : AxisConversion
-        As the cell file says.
-    torque_limit_nm : array of shape (N,)
+        Conversion of the cell file. torque_limit_nm : array of shape (N,)
     trust : float
         Relative standard deviation of the links' masses.
     load_kg : float
@@ -54,7 +55,7 @@ class WiredArm:
 
 @dataclass(frozen=True, slots=True)
 class Wiring:
-    """How the arm differs from the cell file.
+    """Difference of the arm from the cell file.
 
     Attributes
     ----------
@@ -64,7 +65,7 @@ class Wiring:
     joints : tuple of int
         From 1.
     factor : float
-        The cell's gear ratio over the true one; reported over true torque.
+        Gear ratio of the cell file divided by the true one; reported divided by true torque.
     """
 
     name: str
@@ -74,22 +75,22 @@ class Wiring:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """Motor words as another wiring reads them: order of the drives, conversion, torque factor."""
+    """Interpretation of the motor values under a wiring: order of the drives, conversion, torque factor."""
 
     order: NDArray[np.int64]
     axes: AxisConversion
     torque_factor: Floats
-    #: Product of what a torque is multiplied by, per axis, against the cell's reading.
+    #: Torque factor per axis, relative to the interpretation of the cell file.
     scale: Floats
 
     @classmethod
     def stated(cls, axes: AxisConversion) -> Reading:
-        """As the cell file says."""
+        """Return the interpretation of the cell file."""
         count = len(axes.ratio)
         return cls(np.arange(count), axes, np.ones(count), np.ones(count))
 
     def with_wiring(self, wiring: Wiring) -> Reading:
-        """The same with one more difference."""
+        """Return the interpretation with one more difference."""
         at = [joint - 1 for joint in wiring.joints]
         if wiring.name == "swapped":
             order = self.order.copy()
@@ -113,9 +114,9 @@ class Reading:
         return replace(self, axes=axes, torque_factor=torque, scale=scale)
 
     def joints(self, moves: Moves, stated: AxisConversion) -> tuple[Floats, Floats, Floats]:
-        """Joint angles, half sums of the two approaches, and half their difference along the motion, (n, N) each.
+        """Return joint angles, half-sums of the two approaches, and half-differences along the motion, (n, N) each.
 
-        The half difference is taken without the gear's efficiency: friction and gear losses both make it positive.
+        The half-difference is computed without the gear efficiency: friction and gear losses both make it positive.
         """
         position, torque = moves.motor_rad[..., self.order], moves.motor_nm[..., self.order] / self.torque_factor
         up = np.sign(self.axes.joint_velocity(stated.motor_velocity(np.ones(len(self.order)))[self.order]))

@@ -1,10 +1,10 @@
-"""Wiring of the arm against the cell file: small moves of each axis compared with the gravity torque of the model.
+"""Compare the wiring of the arm with the cell file, from small moves of each axis and the gravity torque of the model.
 
-An encoder follows its own motor whatever the cell file says. A sign, a gear ratio or the order of the axes shows only
-in the torque: it changes with the posture as the model predicts, or as another wiring predicts. Each wiring is a
+An encoder follows its own motor whatever the cell file states. A sign, a gear ratio or the order of the axes is visible
+only in the torque: it changes with the posture as the model predicts, or as another wiring predicts. Each wiring is a
 hypothesis with a Gaussian evidence. Links have the prior of the cell file; the load is unknown. Small errors of encoder
-zeros, gear losses and torque constants are allowed for. Friction needs no model: it opposes the motion, so the
-half-difference of the two approaches is positive where torque and position have the same sense.
+zeros, gear losses and torque constants are allowed. Friction needs no model: it opposes the motion, so the
+half-difference of the two approaches is positive if torque and position have the same sign.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from gateway.identify.solve import Prior, solve
 from gateway.model.regressor import LOAD_COLUMNS, gravity_regressor
 from gateway.model.robot import link_lengths_m
 
-#: A wiring is named when its evidence is better by this (natural logarithm), and seen when the others are worse by it.
+#: Difference in evidence (natural logarithm) from which a wiring is named, and from which others are excluded.
 NAMED: Final = 12.0
 SEEN: Final = 5.0
-#: Factors of ratio and torque scale that are tried, and those that count as none.
+#: Factors of ratio and torque scale to test, and the range that counts as no difference.
 FACTORS: Final = np.exp(np.linspace(np.log(0.1), np.log(10.0), 47))
 AGREES: Final = (0.75, 1.33)
-#: What is allowed for without being called a mistake: gear losses and torque constants [share], encoder zeros [rad].
+#: Tolerated errors: gear losses and torque constants [share], encoder zeros [rad].
 SCALE_STD: Final = 0.05
 ZERO_STD_RAD: Final = 0.01
 #: Least scatter of the friction from one approach to the next, as a share of its band, and how far the scatter that was
 #: seen in a few postures is trusted.
 SCATTER: Final = 0.25
 SCATTER_SEEN: Final = 1.5
-#: Torque that the model need not explain, as a share of the torque limit.
+#: Tolerated torque difference, as a share of the torque limit.
 FLOOR_SHARE: Final = 0.0005
 OFFSET_SHARE: Final = 0.003
 #: Relative standard deviation of link masses that are called exact.
 LEAST_TRUST: Final = 0.01
-#: The band is not zero when it is this many of its own standard deviations.
+#: Number of standard deviations from which the friction band is significant.
 BAND_SIGMAS: Final = 4.0
 MOST: Final = 3
 STEP_RAD: Final = 1e-4
@@ -49,18 +49,18 @@ STEP_RAD: Final = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WiringView:
-    """What the moves show of one axis.
+    """Result of the moves for one axis.
 
     Attributes
     ----------
     sign_seen, ratio_seen : bool
-        Whether the model distinguishes the stated sign, and the stated gear ratio, from others.
+        True if the data distinguish the stated sign, and the stated gear ratio, from others.
     ratio, ratio_std : float
-        The cell's gear ratio over the true one, as the torques have it.
+        Gear ratio of the cell file divided by the one estimated from the torques.
     band_nm, band_std_nm : float
-        Friction that opposes the motion; negative where torque and position have opposite senses.
+        Friction that opposes the motion; negative if torque and position have opposite signs.
     swaps_unseen : tuple of int
-        Axes that this one could be in the place of.
+        Axes that may be swapped with this one.
     """
 
     sign_seen: bool
@@ -74,20 +74,20 @@ class WiringView:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verdict:
-    """What the moves say of the wiring.
+    """Result of the moves for the wiring.
 
     Attributes
     ----------
     found : tuple of Wiring
-        Differences from the cell file that the torques ask for, most likely first.
+        Differences from the cell file that the torques require, most likely first.
     rivals : tuple of Wiring
-        What explains them nearly as well as the last one found.
+        Hypotheses that explain the torques nearly as well as the last one found.
     odds : float
         Natural logarithm of the evidence gained.
     axes : tuple of WiringView, one per axis
-        Under what was found.
+        Views of the axes with the found wiring.
     misfit : float
-        Root mean square of what is left over what is allowed for.
+        Root mean square of the residual divided by the tolerance.
     """
 
     found: tuple[Wiring, ...]
@@ -98,7 +98,7 @@ class Verdict:
 
 
 class _Evidence:
-    """Evidence of wirings from the same moves: the marginal likelihood of the half-sums, links and load unknown."""
+    """Evidence of wirings from the same moves: marginal likelihood of the half-sums with unknown links and load."""
 
     def __init__(self, arm: WiredArm, moves: Moves) -> None:
         self.arm, self.moves = arm, moves
@@ -113,11 +113,11 @@ class _Evidence:
         self._std = np.concatenate([std, *errors, OFFSET_SHARE * arm.torque_limit_nm])
 
     def of(self, reading: Reading) -> float:
-        """Natural logarithm of the evidence."""
+        """Return the natural logarithm of the evidence."""
         return self._fitted(reading)[0]
 
     def misfit(self, reading: Reading) -> float:
-        """Root mean square of the whitened residual."""
+        """Return the root mean square of the whitened residual."""
         return self._fitted(reading)[1]
 
     def _fitted(self, reading: Reading) -> tuple[float, float]:
@@ -136,9 +136,9 @@ class _Evidence:
         return log - scaled, float(np.sqrt(found.misfit / len(noise)))
 
     def _error_columns(self, q: Floats, expected: Floats, measured: Floats) -> tuple[Floats, Floats, Floats]:
-        """Columns (n, N, N) of errors that are no mistake: encoder zeros, torque scale and torque offset of each axis.
+        """Return columns (n, N, N) of tolerated errors: encoder zero, torque scale and torque offset of each axis.
 
-        Here the torque as wired is scaled: modelled torque would let a wrong ratio pass as a scale error.
+        The measured torque is scaled here: with modelled torque a wrong ratio would be accepted as a scale error.
         """
         own = np.eye(self.arm.robot.axes)
         moved = [gravity_regressor(self.arm.robot, q + STEP_RAD * step, self.arm.gravity_m_s2) for step in own]
@@ -147,7 +147,7 @@ class _Evidence:
 
 
 def judge_wiring(arm: WiredArm, moves: Moves) -> Verdict:
-    """Look for the wiring that explains the torques.
+    """Find the wiring that explains the torques.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def judge_wiring(arm: WiredArm, moves: Moves) -> Verdict:
 
 
 def _parity(reading: Reading, arm: WiredArm, moves: Moves) -> list[int]:
-    """Sense of torque against position by friction, per axis: 1 same, -1 opposite, 0 not determined."""
+    """Return the sign of torque relative to position by friction, per axis: 1 same, -1 opposite, 0 not determined."""
     mean, std = _bands(reading, arm, moves)
     return [
         int(np.sign(value)) if abs(value) > BAND_SIGMAS * spread else 0 for value, spread in zip(mean, std, strict=True)
@@ -198,12 +198,16 @@ def _bands(reading: Reading, arm: WiredArm, moves: Moves) -> tuple[Floats, Float
 
 
 def _scatter(band: Floats) -> Floats:
-    """Scatter (N,) of half differences (n, N), by their median: gear losses differ where one axis was displaced."""
+    """Return the scatter (N,) of half-differences (n, N) from their median: gear losses differ where one axis was
+    displaced.
+    """
     return np.median(np.abs(band - np.median(band, axis=0)), axis=0) * 1.4826
 
 
 def _scored(evidence: _Evidence, reading: Reading, parity: Sequence[int]) -> list[tuple[float, Wiring]]:
-    """Evidence of every single difference that friction allows; where friction asks for one, of those alone."""
+    """Return the evidence of every single difference compatible with friction; if friction requires one, of those
+    alone.
+    """
     joints = range(1, len(parity) + 1)
     opposite = [joint for joint in joints if parity[joint - 1] < 0]
     names = ("torque_reversed", "position_reversed") if opposite else ("reversed",)
@@ -222,7 +226,9 @@ def _scored(evidence: _Evidence, reading: Reading, parity: Sequence[int]) -> lis
 
 
 def _factor(evidence: _Evidence, reading: Reading, name: str, joint: int) -> tuple[float, float, float]:
-    """Evidence averaged over the factors, the mean factor, and its standard deviation (both of the logarithm)."""
+    """Return the evidence averaged over the factors, the mean factor, and its standard deviation (both of the
+    logarithm).
+    """
     logs = np.array([evidence.of(reading.with_wiring(Wiring(name, (joint,), float(factor)))) for factor in FACTORS])
     weight = np.exp(logs - logsumexp(logs))
     mean = float(weight @ np.log(FACTORS))

@@ -1,1 +1,1 @@
-"""Motions that are driven to learn an arm and its load: periodic series of all joints, sweeps of one joint."""
+"""Excitation trajectories to identify an arm and its load: periodic series of all joints, sweeps of one joint."""

@@ -1,4 +1,4 @@
-"""Excitation motions: from rest to rest, ending where they began, repeated period by period."""
+"""Excitation trajectories: periodic motions that begin and end at rest in the same posture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Kind = Literal["series", "sweep"]
 
 
 class Excitation(Protocol):
-    """One excitation of one arm of N axes."""
+    """Excitation trajectory of one arm with N axes."""
 
     @property
     def name(self) -> str:
@@ -60,7 +60,7 @@ class Excitation(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """Finite Fourier series of every joint about a centre, at rest at the beginning and the end of a period.
+    """Finite Fourier series of every joint about a centre, at rest at the start and end of a period.
 
     q_i(t) = c_i + sum_k a_ik (cos(k w t) - 1) + b_ik sin(k w t), w = 2 pi / period_s.
 
@@ -86,16 +86,16 @@ class Series:
 
     @property
     def kind(self) -> Kind:
-        """`series`."""
+        """Kind of the excitation, `series`."""
         return "series"
 
     @property
     def joint(self) -> int:
-        """0: all joints."""
+        """Joint number 0: all joints."""
         return 0
 
     def at(self, time_s: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Positions, speeds, accelerations and jerks, arrays of shape (n, N), at times (n,)."""
+        """Return positions, speeds, accelerations and jerks, arrays of shape (n, N), at times (n,)."""
         order = np.arange(1, self.cosine_rad.shape[1] + 1)
         rate = 2.0 * np.pi * order / self.period_s
         angle = np.asarray(time_s, dtype=float)[:, None] * rate
@@ -109,7 +109,7 @@ class Series:
         )
 
     def motion(self, sync_period_s: float) -> Motion:
-        """As `Excitation.motion`; the period is a whole number of SYNCs, rounded up."""
+        """Return the setpoints of one period, a whole number of SYNCs (rounded up)."""
         count = max(1, int(np.ceil(self.period_s / sync_period_s - 1e-9)))
         share = np.arange(1, count + 1) / count
         q, qd, qdd, _ = self.at(share * self.period_s)
@@ -119,7 +119,7 @@ class Series:
         return Motion(q, qd, qdd, sync_period_s)
 
     def plain(self) -> dict[str, Any]:
-        """As `Excitation.plain`."""
+        """Return plain values for a recording or a plan file."""
         return {
             "name": self.name,
             "kind": self.kind,

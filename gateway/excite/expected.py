@@ -1,7 +1,8 @@
-"""Expected standard deviations of what a motion identifies, before anything has moved (Cramer-Rao bound).
+"""Expected standard deviations of the parameters that a motion identifies, before anything has moved (Cramer-Rao
+bound).
 
-Torque noise is correlated in time, so several rows count as one independent row (Swevers et al., 1997). The nuisance
-parameters of the model have the priors of the fit: torque constants, load friction, links.
+Torque noise is correlated in time, so several samples count as one independent sample (Swevers et al., 1997). The
+nuisance parameters of the model have the priors of the fit: torque constants, load friction, links.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class TorqueNoise:
 
 
 class AskedNumbers(Protocol):
-    """Quantities that a motion shall identify, with the parameters of the model that holds them."""
+    """Quantities to identify with a motion, and the parameters of the model that contains them."""
 
     @property
     def noise(self) -> TorqueNoise:
@@ -87,7 +88,7 @@ class AskedNumbers(Protocol):
 
     @property
     def turn(self) -> Floats:
-        """Derivative (k, p) of the quantities by the parameters."""
+        """Derivative (k, p) of the quantities with respect to the parameters."""
         ...
 
     def rows(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
@@ -107,9 +108,9 @@ class AskedNumbers(Protocol):
 
 
 def expected_stds(asked: AskedNumbers, rows: Floats, motions: int) -> Floats:
-    """Return standard deviations (motions, k) by weighted rows of each motion; very large where nothing determines.
+    """Return standard deviations (motions, k) from the weighted rows of each motion; very large if not determined.
 
-    Normal equations of many motions at once: the optimiser needs hundreds per step, which `solve` takes one by one.
+    Normal equations of many motions are solved at once: the optimiser needs hundreds per step, and `solve` handles one.
     """
     each = rows.reshape(motions, -1, rows.shape[2])
     total = np.matmul(each.transpose(0, 2, 1), each) + asked.prior.precision
@@ -123,7 +124,7 @@ def expected_stds(asked: AskedNumbers, rows: Floats, motions: int) -> Floats:
 
 
 def stds_of_all(asked: AskedNumbers, rows: Floats) -> Floats:
-    """Return standard deviations (k,) by all weighted rows (n, N, p); NaN for what they do not determine."""
+    """Return standard deviations (k,) from all weighted rows (n, N, p); NaN if not determined."""
     count, axes, width = rows.shape
     design = ByGroup.of(rows.reshape(-1, width), np.tile(np.arange(axes), count))
     found = solve(design, np.zeros(count * axes), np.ones(count * axes), asked.prior, _TOLERANCE)
@@ -131,7 +132,9 @@ def stds_of_all(asked: AskedNumbers, rows: Floats) -> Floats:
 
 
 def _usual_prior(links: tuple[Floats, Floats], first: int, gain_std: Floats) -> Prior:
-    """Prior of links, parameters without a prior, and from `first` on the gain and load friction of every axis."""
+    """Return the prior of links, of parameters without a prior, and from index `first` of gain and load friction of
+    every axis.
+    """
     gain = first + np.arange(len(gain_std))
     usual = {"gain": gain, "load_friction": gain + len(gain)}
     return moving_prior(links, first + 2 * len(gain), usual, gain_std)
@@ -139,7 +142,7 @@ def _usual_prior(links: tuple[Floats, Floats], first: int, gain_std: Floats) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadAsked:
-    """The ten parameters of a load, from one motion driven without and with it.
+    """Ten inertial parameters of a load, from one motion driven without and with it.
 
     The difference of both runs is free of links and of friction that does not depend on the load. Its variance is twice
     that of one run. Parameters: the body, gains, load friction.
@@ -161,19 +164,21 @@ class LoadAsked:
 
     @property
     def prior(self) -> Prior:
-        """As `AskedNumbers.prior`."""
+        """Prior of the parameters."""
         return _usual_prior((np.zeros(0), np.zeros(0)), PER_LINK_MOVING, self.noise.gain_std)
 
     @property
     def turn(self) -> Floats:
-        """As `AskedNumbers.turn`, of mass, centre of gravity and inertia in the order of a result."""
+        """Derivative of mass, centre of gravity and inertia (in the order of a result) with respect to the
+        parameters.
+        """
         body = self.load.parameters
         turn = np.zeros((PER_LINK_MOVING, PER_LINK_MOVING + 2 * self.workspace.robot.axes))
         turn[:4, :4], turn[4:, :PER_LINK_MOVING] = load_directions(body[:4]), central_directions(body)
         return turn
 
     def rows(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """As `AskedNumbers.rows`."""
+        """Return the weighted rows; see `AskedNumbers.rows`."""
         body = rigid[:, :, -PER_LINK_MOVING:]
         torque = body @ self.load.parameters
         bare = np.zeros_like(torque) if self.links is None else rigid @ self.links
@@ -186,7 +191,7 @@ class LoadAsked:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriveTrainAsked:
-    """Friction or rotor inertia of every axis, from one run without a load.
+    """Friction or rotor inertia of every axis, from one motion without a load.
 
     Parameters: links, Coulomb and viscous friction and rotor inertia of every axis, gains, load friction.
 
@@ -215,7 +220,7 @@ class DriveTrainAsked:
     def of(
         cls, workspace: Workspace, noise: TorqueNoise, purpose: Purpose, links: Floats | None, trust: float
     ) -> DriveTrainAsked:
-        """With links of relative standard deviation `trust`, infinite = unknown."""
+        """Return the quantities for links with relative standard deviation `trust`, infinite = unknown."""
         mean, std = link_prior(workspace.robot, trust, PER_LINK_MOVING)
         if np.isfinite(std).all():
             chosen = np.flatnonzero(std > 0.0)
@@ -225,7 +230,7 @@ class DriveTrainAsked:
 
     @property
     def prior(self) -> Prior:
-        """As `AskedNumbers.prior`."""
+        """Prior of the parameters."""
         return _usual_prior(self.link_prior, self._first_usual, self.noise.gain_std)
 
     @property
@@ -234,14 +239,14 @@ class DriveTrainAsked:
 
     @property
     def turn(self) -> Floats:
-        """As `AskedNumbers.turn`."""
+        """Derivative of the quantities with respect to the parameters."""
         axes = self.workspace.robot.axes
         shapes = (0, 1) if self.purpose == "friction" else (2,)
         columns = [len(self.chosen) + len(_SHAPES) * np.arange(axes) + shape for shape in shapes]
         return np.eye(self._first_usual + 2 * axes)[np.concatenate(columns)]
 
     def rows(self, states: States, rigid: Floats, motions: int, duration_s: float) -> Floats:
-        """As `AskedNumbers.rows`."""
+        """Return the weighted rows; see `AskedNumbers.rows`."""
         torque = np.zeros_like(states.q_rad) if self.links is None else rigid @ self.links
         friction = friction_columns(states.qd_rad_s, states.qdd_rad_s2, _SHAPES, SMOOTH_RAD_S)
         lost = np.abs(torque) * np.tanh(states.qd_rad_s / SMOOTH_RAD_S)
@@ -254,7 +259,9 @@ class DriveTrainAsked:
 def mean_log_std(
     asked: Sequence[AskedNumbers], states: States, rigid: Floats, motions: int, duration_s: float
 ) -> Floats:
-    """Return the mean logarithm (motions,) of all standard deviations asked for; arguments as `AskedNumbers.rows`."""
+    """Return the mean logarithm (motions,) of all requested standard deviations; arguments as in
+    `AskedNumbers.rows`.
+    """
     stds = [expected_stds(each, each.rows(states, rigid, motions, duration_s), motions) for each in asked]
     return np.log(np.concatenate(stds, axis=1)).mean(axis=1)
 

@@ -1,4 +1,4 @@
-"""Series that start at rest, as numbers to choose: a posture and free coefficients of every joint."""
+"""Parametrisation of Fourier series that start at rest: a start posture and free coefficients of every joint."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Family:
-    """All series of so many harmonics and one period that start at rest: speed and acceleration are zero at t = 0.
+    """Family of series with fixed harmonics and period that start at rest: speed and acceleration are zero at t = 0.
 
-    A member is its start (N,) and free numbers (F, N), F = 2 (harmonics - 1): coefficients in the null space of both
-    conditions, so that none of them can break these.
+    A member is its start (N,) and free numbers (F, N), F = 2 (harmonics - 1): coordinates in the null space of both
+    conditions, so that every member satisfies them.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Family:
 
     @classmethod
     def of(cls, period_s: float, harmonics: int, instants: int) -> Family:
-        """All series of a period, looked at `instants` times in it."""
+        """Return the family of a period, evaluated at `instants` times in it."""
         order = np.arange(1.0, harmonics + 1)
         cosine, sine = null_space(order[None] ** 2), null_space(order[None])
         nothing = np.zeros_like(cosine)
@@ -46,11 +46,11 @@ class Family:
 
     @property
     def free(self) -> int:
-        """How many numbers of a joint are free."""
+        """Number of free coefficients per joint."""
         return self.basis.shape[2]
 
     def states(self, start_rad: Floats, free: Floats) -> States:
-        """Members at all instants, one after the other.
+        """Return the states of the members at all instants, one member after the other.
 
         Parameters
         ----------
@@ -67,6 +67,6 @@ class Family:
         return States(*moved.reshape(4, -1, start_rad.shape[1]))
 
     def series(self, name: str, start_rad: Floats, free: Floats, periods: int) -> Series:
-        """One member: its start (N,) and free numbers (F, N)."""
+        """Return one member as a series, from its start (N,) and free numbers (F, N)."""
         cosine, sine = self.basis @ free
         return Series(name, start_rad, cosine.T, sine.T, self.period_s, periods)

@@ -1,4 +1,4 @@
-"""Share of each limit of an arm that a motion uses."""
+"""Share of each limit of an arm that an excitation trajectory uses."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LOAD_ACCELERATION = "load acceleration"
 
 @dataclass(frozen=True, slots=True)
 class Margins:
-    """How much of the limits is left: `range_rad` at both ends, and which share of each other limit may be taken."""
+    """Margins of the limits: `range_rad` at both ends, and the usable share of each other limit."""
 
     range_rad: float
     speed: float
@@ -42,7 +42,7 @@ PLANNED = Margins(range_rad=0.02, speed=0.95, acceleration=0.95, jerk=0.95, torq
 
 @dataclass(frozen=True, slots=True, eq=False)
 class States:
-    """An arm at instants of one or several motions, arrays of shape (..., N).
+    """States of an arm at instants of one or several motions, arrays of shape (..., N).
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ def states_of(excitation: Excitation, step_s: float) -> States:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingLimits:
-    """Limits of one arm, as far as a motion may go.
+    """Limits of one arm for a motion.
 
     Attributes
     ----------
@@ -73,9 +73,10 @@ class MovingLimits:
         Range of each joint.
     speed_rad_s, acceleration_rad_s2, jerk_rad_s3, torque_nm : arrays of shape (N,)
     bodies : array of shape (10 N, k) or None
-        Parameters of links, bare and with every load that may be mounted; None = links not known, no torque checked.
+        Parameters of the links without and with every load that may be mounted; None = links not known, torque not
+        checked.
     lost : array of shape (N,)
-        Motor torque over transmitted torque, without Coulomb and viscous friction.
+        Motor torque divided by transmitted torque, without Coulomb and viscous friction.
     rotor_kg_m2, coulomb_nm, viscous_nm_s_rad : arrays of shape (N,)
         At the joint; 0 where not known.
     load_point_m : array of shape (3,)
@@ -116,7 +117,7 @@ class MovingLimits:
         states : States
             Arrays of shape (n, N).
         rigid : array of shape (n, N, 10 N), optional
-            Full rows of the arm there, where they are at hand.
+            Full regressor at these states, if already computed.
 
         Returns
         -------
@@ -141,7 +142,9 @@ class MovingLimits:
         )
 
     def _torque_nm(self, states: States, rigid: Floats | None) -> Floats:
-        """Largest motor torque (n, N) [Nm, at the joint], bare or with a load; 0 where links are not known."""
+        """Return the largest motor torque (n, N) [Nm, at the joint] without or with a load; 0 if links are not
+        known.
+        """
         if self.bodies is None:
             return np.zeros_like(states.q_rad)
         if rigid is None:
@@ -160,7 +163,7 @@ def moving_limits(
     margins: Margins = HELD,
     load: FeedLoad | None = None,
 ) -> MovingLimits:
-    """Limits of a configured arm.
+    """Return the limits of a configured arm for a motion.
 
     Parameters
     ----------
@@ -174,8 +177,8 @@ def moving_limits(
 
     Notes
     -----
-    Of the torque limit `TORQUE_SHARE` may be taken where a load is known to the cell or stated, else
-    `TORQUE_SHARE_BARE`: the rest is left to an unknown load, as at rest.
+    `TORQUE_SHARE` of the torque limit is usable if the load is known, else `TORQUE_SHARE_BARE`: the rest is reserved
+    for an unknown load, as at rest.
     """
     loads = possible_loads(workspace, arm) if load is None else (load,)
     bodies = links_with_loads(workspace, arm, loads)
@@ -183,7 +186,7 @@ def moving_limits(
     rotors = [axis.rotor_kg_m2 for axis in known]
     missing = ", ".join(f"J{joint}" for joint, rotor in enumerate(rotors, start=1) if rotor is None)
     if missing:
-        unchecked = (*unchecked, f"rotor inertia of {missing}: neither identified nor given in the cell")
+        unchecked = (*unchecked, f"rotor inertia of {missing}: neither identified nor stated in the cell file")
     share = margins.torque * (TORQUE_SHARE if loads else TORQUE_SHARE_BARE)
     most = arm.load_acceleration_m_s2
     return MovingLimits(
@@ -210,7 +213,7 @@ def moving_limits(
 def point_acceleration_m_s2(robot: Robot, states: States, point_m: Floats) -> Floats:
     """Return the acceleration (n, 3) [m/s2] of a point (3,) [m] of the last link, base frame, without gravity.
 
-    From the base on: each origin is accelerated by the link before it (Featherstone 2008, section 2.2).
+    Computed from link to link, starting at the base (Featherstone 2008, section 2.2).
     """
     axes, origins = joint_axes_origins(robot, states.q_rad)
     last = link_frames(robot, states.q_rad)[:, -1]

@@ -1,4 +1,4 @@
-"""A plan of motions as a JSON file with a checksum: only a plan that was checked is driven."""
+"""Plan of excitation trajectories as a JSON file with a checksum, so that only a checked plan is driven."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ _MOST: Final = 1000
 
 
 def plan_as_plain(plan: MovingPlan) -> dict[str, Any]:
-    """A plan as plain values, with its checksum."""
+    """Return a plan as plain values with its checksum."""
     excitations = [excitation.plain() for excitation in plan.excitations]
     head = {"schema": SCHEMA, "kind": KIND, "arm": plan.arm}
     return sealed(plain_values(head | {"excitations": excitations, "expected": plan.expected}))
 
 
 def read_moving_plan(path: Path) -> MovingPlan:
-    """The plan that `plan --moving --json` wrote; whether an arm may drive it is not looked at.
+    """Read the plan that `plan --moving --json` wrote, without checking it for an arm.
 
     Raises
     ------
     InputError
-        It cannot be read, is of another kind, holds a motion that is none, or was edited since.
+        The file cannot be read, is of another kind, holds an invalid motion, or was edited.
     """
     where = str(path)
     data = json_object(text_of(path, _ADVICE), where)
@@ -52,26 +52,26 @@ def read_moving_plan(path: Path) -> MovingPlan:
 
 
 def excitation_of(plain: Mapping[str, Any], where: str) -> Excitation:
-    """An excitation as `Excitation.plain` gave it.
+    """Return the excitation from the values that `Excitation.plain` returned.
 
     Raises
     ------
     InputError
-        A key is missing or of the wrong kind, or it does not begin and end at rest.
+        A key is missing or of the wrong kind, or the motion does not begin and end at rest.
     """
     kind = plain.get("kind")
     if kind == "series":
         return _series_of(decoded(_Series, plain, where), where)
     if kind == "sweep":
         return _sweep_of(decoded(_Sweep, plain, where), where)
-    raise InputError(f"{where}: kind: {kind!r} is neither 'series' nor 'sweep'")
+    raise InputError(f"{where}: kind: {kind!r} must be 'series' or 'sweep'")
 
 
 def _series_of(held: _Series, where: str) -> Series:
     _refuse_numbers((held.start_rad, *held.cosine_rad, *held.sine_rad), (held.period_s,), held.periods, where)
     start, cosine, sine = np.array(held.start_rad), _matrix(held.cosine_rad), _matrix(held.sine_rad)
     if cosine.shape != sine.shape or cosine.ndim != 2 or len(cosine) != len(start) or not 1 < cosine.shape[1] < _MOST:
-        raise InputError(f"{where}: cosine_rad and sine_rad: a row of two and more numbers is needed for each joint")
+        raise InputError(f"{where}: cosine_rad and sine_rad: each joint needs a row of at least two numbers")
     series = Series(held.name, start, cosine, sine, held.period_s, held.periods)
     _refuse_moving_start(series, where)
     return series
@@ -81,12 +81,12 @@ def _sweep_of(held: _Sweep, where: str) -> Sweep:
     positive = (*held.speeds_rad_s, held.acceleration_rad_s2, held.jerk_rad_s3)
     _refuse_numbers((held.start_rad, held.ends_rad), positive, held.periods, where)
     if not 1 <= held.joint <= len(held.start_rad):
-        raise InputError(f"{where}: joint: {held.joint} is none of {len(held.start_rad)}")
+        raise InputError(f"{where}: joint: {held.joint} does not exist, the arm has {len(held.start_rad)} joints")
     if not held.speeds_rad_s or len(held.speeds_rad_s) != len(held.ends_rad):
         raise InputError(f"{where}: speeds_rad_s and ends_rad: one end for each of the speeds is needed")
     start, ends = np.array(held.start_rad), np.array(held.ends_rad)
     if (ends == start[held.joint - 1]).any():
-        raise InputError(f"{where}: ends_rad: a stroke ends where it begins")
+        raise InputError(f"{where}: ends_rad: a stroke must not end in its start posture")
     return Sweep(
         held.name, held.joint, start, np.array(held.speeds_rad_s), ends,
         held.acceleration_rad_s2, held.jerk_rad_s3, held.periods,
@@ -98,7 +98,7 @@ def _matrix(rows: Matrix) -> np.ndarray:
 
 
 def _refuse_numbers(lists: Matrix, positive: Numbers, periods: int, where: str) -> None:
-    """Numbers that are none, durations and limits that are not positive, and a number of periods out of range."""
+    """Refuse values that are not finite, durations and limits that are not positive, and a wrong number of periods."""
     if not all(np.isfinite(each).all() for each in lists):
         raise InputError(f"{where}: a joint angle or a coefficient is not a finite number")
     if not all(0.0 < value < np.inf for value in positive) or not 1 <= periods <= _MOST:
@@ -106,7 +106,7 @@ def _refuse_numbers(lists: Matrix, positive: Numbers, periods: int, where: str) 
 
 
 def _refuse_moving_start(series: Series, where: str) -> None:
-    """Speed and acceleration at the start, which are rounding where the file was not made by hand."""
+    """Refuse a speed or acceleration at the start beyond rounding."""
     _, speed, acceleration, _ = series.at(np.zeros(1))
     _, most_speed, most_acceleration, _ = series.at(np.linspace(0.0, series.period_s, 64))
     for what, value, most in (("speed", speed, most_speed), ("acceleration", acceleration, most_acceleration)):

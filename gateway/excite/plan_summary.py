@@ -1,4 +1,4 @@
-"""Expected standard deviations, shares of the limits and durations of a plan of motions, as plain values."""
+"""Summary of a plan of excitation trajectories: expected standard deviations, shares of the limits, durations."""
 
 from __future__ import annotations
 

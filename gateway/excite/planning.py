@@ -1,4 +1,4 @@
-"""From a cell file to a checked plan of excitation motions."""
+"""Make a checked plan of excitation trajectories from a cell file."""
 
 from __future__ import annotations
 
@@ -59,15 +59,14 @@ _CLOSE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class MovingRequest:
-    """What to identify, and the duration.
+    """Quantities to identify, and settings of the excitation trajectories.
 
     Attributes
     ----------
     purpose : tuple of Purpose
     period_s : float
-        Of a series.
-    periods : int
-        Of a series; a sweep is driven `SWEEP_PERIODS` times.
+        Period of a series. periods : int
+        Periods of a series; a sweep is driven `SWEEP_PERIODS` times.
     seed : int
     choice : Choice
         `random`: the best random series, to which the optimised one is compared.
@@ -90,7 +89,7 @@ class MovingRequest:
 
 
 def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest) -> MovingPlan:
-    """Return a plan of motions; needs no bus, and is the same for the same request.
+    """Return a plan of excitation trajectories; needs no bus, and is reproducible for the same request.
 
     Parameters
     ----------
@@ -119,7 +118,9 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
     anchors = _anchors(config, limits.workspace)
     starts = start_postures(limits, anchors, random)
     noise = request.noise or _noise(loaded, config, workspace)
-    load = request.load or assumed_load("reference", *reference_load(workspace, starts), "half of what the arm carries")
+    load = request.load or assumed_load(
+        "reference", *reference_load(workspace, starts), "half of the load that the arm can carry"
+    )
     asked = _asked(config, workspace, noise, load, request.purpose)
     excitations: list[Excitation] = []
     by_series = tuple(each for name, each in asked.items() if name != "friction" or request.friction_by == "series")
@@ -141,21 +142,21 @@ def make_moving_plan(loaded: LoadedCell, arm: str | None, request: MovingRequest
 
 def _check_request(request: MovingRequest) -> None:
     if not request.purpose or not set(request.purpose) <= set(PURPOSES):
-        raise PlanRefused(f"nothing to learn is asked for: name some of {', '.join(PURPOSES)}")
+        raise PlanRefused(f"no quantity to identify: name at least one of {', '.join(PURPOSES)}")
     if not SHORTEST_PERIOD_S <= request.period_s <= LONGEST_PERIOD_S:
         raise PlanRefused(
-            f"a period of {request.period_s:g} s: use {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s; a shorter one "
-            "leaves too little travel, a longer one shows gravity only"
+            f"a period of {request.period_s:g} s: use {SHORTEST_PERIOD_S:g} to {LONGEST_PERIOD_S:g} s; a shorter"
+            " period allows too little travel, in a longer one gravity dominates"
         )
     if not FEWEST_PERIODS <= request.periods <= MOST_PERIODS:
         raise PlanRefused(
-            f"{request.periods} periods: use {FEWEST_PERIODS} to {MOST_PERIODS}, three are usual; one alone does not "
-            "separate motion from noise"
+            f"{request.periods} periods: use {FEWEST_PERIODS} to {MOST_PERIODS}, three are usual; a single period"
+            " does not separate motion from noise"
         )
 
 
 def _noise(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> TorqueNoise:
-    """Noise that is assumed of an arm before any was measured, and how far its torque constants are trusted."""
+    """Return the assumed torque noise of an arm, and the standard deviations of its torque constants."""
     gain_std = np.maximum(constants_std(config, profile_of((), loaded)), 1e-9)
     return TorqueNoise(assumed_noise_nm(workspace), CORRELATION_S, NOISE_SOURCE, gain_std)
 
@@ -163,7 +164,7 @@ def _noise(loaded: LoadedCell, config: ArmConfig, workspace: Workspace) -> Torqu
 def _asked(
     config: ArmConfig, workspace: Workspace, noise: TorqueNoise, load: FeedLoad, purposes: Sequence[Purpose]
 ) -> dict[Purpose, AskedNumbers]:
-    """What is asked for, each purpose once, in the order of `PURPOSES`."""
+    """Return the requested quantities, each purpose once, in the order of `PURPOSES`."""
     carried = links_with_loads(workspace, config, ())
     links = None if carried is None else carried[:, 0]
     trust = parse_inertials(config.inertials)
@@ -178,7 +179,7 @@ def _asked(
 
 
 def _anchors(config: ArmConfig, workspace: Workspace) -> Floats:
-    """Postures (k, N) that the cell names and in which the arm may rest, and the middle of its ranges."""
+    """Return the postures (k, N) named in the cell file where the arm may rest, and the middle of its ranges."""
     named = [config.home_rad, config.loading_rad, config.start_rad]
     middle = (workspace.lower_rad + workspace.upper_rad) / 2
     known = np.array([*(each for each in named if each is not None), middle])
@@ -188,28 +189,28 @@ def _anchors(config: ArmConfig, workspace: Workspace) -> Floats:
 def check_moving_plan(
     plan: MovingPlan, workspace: Workspace, config: ArmConfig, known: Sequence[AxisConstants] = ()
 ) -> None:
-    """Refuse a plan that breaks a limit anywhere.
+    """Refuse a plan that violates a limit.
 
     Parameters
     ----------
     plan : MovingPlan
     workspace : Workspace
     config : ArmConfig
-        Loads, and what they may be accelerated with; rotors and friction where nothing else is known of them.
+        Loads and their largest acceleration; rotors and friction that were not identified.
     known : sequence of AxisConstants, one per axis, optional
-        Rotors and friction; those of the cell file if left out.
+        Rotors and friction; defaults to those of the cell file.
 
     Raises
     ------
     PlanRefused
-        Names motion, limit and posture.
+        A limit is violated; the message names motion, limit and posture.
     """
     limits = moving_limits(config, workspace, known or axis_constants(config, None))
     for excitation in plan.excitations:
         where = f"arm '{plan.arm}', motion '{excitation.name}'"
         start = np.asarray(excitation.start_rad)
         if start.shape != (workspace.robot.axes,):
-            raise PlanRefused(f"{where}: is of {len(start)} axes, the arm has {workspace.robot.axes}")
+            raise PlanRefused(f"{where}: has {len(start)} axes, but the arm has {workspace.robot.axes}")
         reason = workspace.why_not(start, workspace.rest_share)
         if reason is not None:
             raise PlanRefused(f"{where}: starts at {angles(start)}: {reason}")
@@ -225,4 +226,4 @@ def _check_shares(limits: MovingLimits, states: States, where: str) -> None:
     row, column = np.unravel_index(np.argmax(share), share.shape)
     if not share[row, column] <= 1.0 + _CLOSE:
         taken, there = share[row, column], angles(states.q_rad[row])
-        raise PlanRefused(f"{where}: {limits.names[column]} takes {taken:.2f} of its limit at {there}")
+        raise PlanRefused(f"{where}: {limits.names[column]} reaches {taken:.2f} of its limit at {there}")

@@ -1,4 +1,4 @@
-"""Random series, each scaled up to its first limit."""
+"""Random excitation series, each scaled up to its first limit."""
 
 from __future__ import annotations
 
@@ -38,20 +38,20 @@ class Members:
     free: Floats
 
     def __len__(self) -> int:
-        """How many."""
+        """Return the number of series."""
         return len(self.free)
 
     def only(self, rows: NDArray[np.intp]) -> Members:
-        """Some of them."""
+        """Return a selection of the series."""
         return Members(self.start_rad[rows], self.free[rows])
 
     def scaled(self, factor: Floats) -> Members:
-        """Return members with the amplitude times a factor (m,), about the same start."""
+        """Return the series with the amplitude multiplied by a factor (m,), about the same start."""
         return Members(self.start_rad, factor[:, None, None] * self.free)
 
 
 def start_postures(limits: MovingLimits, anchors_rad: Floats, random: np.random.Generator) -> Floats:
-    """Return postures (RANDOM, N) where the arm may rest and to which a straight path leads.
+    """Return postures (RANDOM, N) where the arm may rest and that a straight path reaches.
 
     Parameters
     ----------
@@ -80,13 +80,14 @@ def start_postures(limits: MovingLimits, anchors_rad: Floats, random: np.random.
     words = max(against, key=lambda each: float(each[1].mean()))[0]
     raise PlanRefused(
         f"{len(found)} of {DRAWN * DRAWS} random postures can be reached and held, {RANDOM} are needed to choose a "
-        f"motion from; most often: {words}. Widen the limits, or say in the cell what is assumed (floor_m, wall, "
+        f"motion from; most often: {words}. Widen the limits, or correct the assumed surroundings in the cell file"
+        " (floor_m, wall, "
         "column_radius_m, link_radius_m, load_size_m)"
     )
 
 
 def _can_rest(limits: MovingLimits, q_rad: Floats) -> NDArray[np.bool_]:
-    """Return which postures (n,) of (n, N) keep all limits at rest."""
+    """Return a mask (n,) of postures (n, N) within all limits at rest."""
     still = np.zeros_like(q_rad)
     return limits.shares(States(q_rad, still, still, still)).max(axis=1) < 1.0
 
@@ -121,13 +122,13 @@ def _largest(members: Members, high: Floats, keeps: Callable[[Members], NDArray[
 
 
 def _inside(family: Family, limits: MovingLimits, members: Members) -> NDArray[np.bool_]:
-    """Return which (m,) of several series keep all limits at the instants of the family."""
+    """Return a mask (m,) of the series within all limits at the instants of the family."""
     share = limits.shares(family.states(members.start_rad, members.free))
     return share.max(axis=1).reshape(len(members), -1).max(axis=1) <= 1.0
 
 
 def _apart(family: Family, workspace: Workspace, members: Members) -> NDArray[np.bool_]:
-    """Return which (m,) of several series are collision-free at the instants of the family."""
+    """Return a mask (m,) of the series that are collision-free at the instants of the family."""
     q_rad = family.states(members.start_rad, members.free).q_rad
     touching = workspace.space.touching(q_rad).reshape(len(members), -1)
     return ~np.asarray(np.any(touching, axis=1), dtype=bool)

@@ -1,4 +1,4 @@
-"""Choice of a series: random series, optimisation of the best ones, and proof that the result is collision-free."""
+"""Choice of an excitation series: draw random series, optimise the best ones, prove the result collision-free."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _SMALLER, _SHRUNK = 0.97, 12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChosenSeries:
-    """A chosen series.
+    """Chosen excitation series and its rating.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class SeriesTask:
 
 
 def best_random(task: SeriesTask, starts_rad: Floats, random: np.random.Generator) -> ChosenSeries:
-    """Return the collision-free random series with the least expected deviations, one from each start (m, N)."""
+    """Return the collision-free random series with the smallest expected deviations, one from each start (m, N)."""
     members = _drawn(task, starts_rad, random)
     family = Family.of(task.period_s, HARMONICS, INSTANTS)
     order = np.argsort(task.log_std(family, members))
@@ -119,13 +119,13 @@ def _first_clear(task: SeriesTask, candidates: list[Members]) -> ChosenSeries:
                 return ChosenSeries(family, member, 1.0)
             member = member.scaled(np.array([_SMALLER]))
     raise PlanRefused(
-        "no motion of all joints keeps the limits from any start that was tried: widen position_limit_rad, or say in "
-        "the cell what is assumed (floor_m, wall, column_radius_m, link_radius_m, load_size_m)"
+        "no motion of all joints is within the limits from any tested start: widen position_limit_rad, or correct the"
+        " assumed surroundings in the cell file (floor_m, wall, column_radius_m, link_radius_m, load_size_m)"
     )
 
 
 def _reached(workspace: Workspace, anchors_rad: Floats, start_rad: Floats) -> bool:
-    """Whether the arm may rest at a start (N,) and a straight path from one of the anchors (k, N) is free."""
+    """Return True if the arm may rest at a start (N,) and a straight path from an anchor (k, N) is free."""
     if not workspace.feasible(start_rad[None], torque_share=workspace.rest_share)[0]:
         return False
     starts = np.tile(start_rad, (len(anchors_rad), 1))

@@ -1,7 +1,7 @@
-"""Optimisation of a series: least expected standard deviations inside the limits and without collision.
+"""Optimise an excitation series: smallest expected standard deviations inside the limits and without collision.
 
-Limits and distances are penalties. What they leave violated is removed by the final amplitude. Gradients are finite
-differences, all evaluated in one batch.
+Limits and distances are penalties. The final amplitude removes remaining violations. Gradients are finite differences,
+all evaluated in one batch.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class Aim:
         return self.limits.speed_rad_s * self.family.period_s / 20.0
 
     def numbers(self, member: Members) -> Floats:
-        """Scaled parameters ((1 + F) N,) of a single member."""
+        """Return the scaled parameters ((1 + F) N,) of a single member."""
         return (np.vstack([member.start_rad, member.free[0]]) / self.scale_rad).ravel()
 
     def members(self, numbers: Floats) -> Members:
@@ -111,6 +111,6 @@ class Aim:
 
 
 def improved(aim: Aim, member: Members, steps: int) -> tuple[Members, float]:
-    """Return one member, optimised by at most so many steps, and its objective."""
+    """Return one member optimised by a limited number of steps, and its objective."""
     found = minimize(aim, aim.numbers(member), jac=True, method="L-BFGS-B", options={"maxiter": steps, "maxcor": 20})
     return aim.members(np.asarray(found.x)[None]), float(found.fun)

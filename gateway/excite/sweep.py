@@ -1,4 +1,4 @@
-"""Sweeps: one joint at steady speeds, each in both directions over the same stroke, for its friction curve."""
+"""Sweeps: one joint moves at constant speeds, each in both directions over the same stroke, for its friction curve."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sweep:
-    """One joint to the end of a stroke and back, once at each speed; all others are at rest.
+    """Motion of one joint to the end of a stroke and back, once at each speed; all others are at rest.
 
     Attributes
     ----------
@@ -27,9 +27,9 @@ class Sweep:
     start_rad : array of shape (N,)
     speeds_rad_s : array of shape (s,)
     ends_rad : array of shape (s,)
-        Where the joint turns back at each speed.
+        Turning point of the joint at each speed.
     acceleration_rad_s2, jerk_rad_s3 : float
-        Of the joint, between rest and each speed.
+        Limits of the joint between rest and each speed.
     periods : int
     """
 
@@ -44,16 +44,16 @@ class Sweep:
 
     @property
     def kind(self) -> Kind:
-        """`sweep`."""
+        """Kind of the excitation, `sweep`."""
         return "sweep"
 
     @property
     def period_s(self) -> float:
-        """All speeds, there and back."""
+        """Duration of all strokes, in both directions."""
         return sum(straight_duration_s(*stroke) for stroke in self._strokes())
 
     def motion(self, sync_period_s: float) -> Motion:
-        """As `Excitation.motion`; each stroke is a whole number of SYNCs."""
+        """Return the setpoints of one period; each stroke is a whole number of SYNCs."""
         parts = [straight(*stroke, sync_period_s) for stroke in self._strokes()]
         q, qd, qdd = (
             np.concatenate([getattr(part, name) for part in parts]) for name in ("q_rad", "qd_rad_s", "qdd_rad_s2")
@@ -61,7 +61,7 @@ class Sweep:
         return Motion(q, qd, qdd, sync_period_s)
 
     def _strokes(self) -> Iterator[tuple[Floats, Floats, MotionLimits]]:
-        """Start, end and limits of every stroke."""
+        """Return start, end and limits of every stroke."""
         everywhere = np.ones(len(self.start_rad))
         for speed, end in zip(self.speeds_rad_s, self.ends_rad, strict=True):
             limits = MotionLimits(
@@ -73,7 +73,7 @@ class Sweep:
             yield there, self.start_rad, limits
 
     def plain(self) -> dict[str, Any]:
-        """As `Excitation.plain`."""
+        """Return plain values for a recording or a plan file."""
         return {
             "name": self.name,
             "kind": self.kind,

@@ -1,4 +1,4 @@
-"""Choice of sweeps: where a joint has the travel for constant speeds, and how fast."""
+"""Choice of sweeps: posture and speeds at which a joint has enough travel for constant speed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _CHECKED_S = 0.02
 
 
 def chosen_sweeps(limits: MovingLimits, postures_rad: Sequence[Floats], periods: int) -> tuple[Sweep, ...]:
-    """A sweep of every joint, each about the first of some postures (N,) with the largest travel.
+    """Return a sweep of every joint, each at the first of some postures (N,) with the largest travel.
 
     Raises
     ------
@@ -57,14 +57,14 @@ def _sweep_of(limits: MovingLimits, postures_rad: Sequence[Floats], joint: int, 
         if sweep is not None:
             return sweep
     raise PlanRefused(
-        f"joint {joint + 1} has too little travel for a constant speed from any posture that was tried: widen its "
-        "position_limit_rad, or say in the cell what is assumed around the arm (floor_m, wall, column_radius_m, "
+        f"joint {joint + 1} has too little travel for a constant speed from any tested posture: widen its"
+        " position_limit_rad, or correct the assumed surroundings in the cell file (floor_m, wall, column_radius_m, "
         "link_radius_m, load_size_m)"
     )
 
 
 def _stroke_rad(limits: MovingLimits, joint: int, shares: tuple[float, float], steady_s: float) -> float:
-    """Stroke that leaves a speed steady for so long: both ramps, jerk-limited, and what is steady.
+    """Return the stroke that holds a speed for a given time: two jerk-limited ramps and the constant part.
 
     `shares` of the speed limit, and of the limits of the ramps.
     """
@@ -75,7 +75,7 @@ def _stroke_rad(limits: MovingLimits, joint: int, shares: tuple[float, float], s
 
 
 def _travel(limits: MovingLimits, q_rad: Floats, joint: int) -> tuple[float, float] | None:
-    """How far (lowest, highest) a joint may turn from a posture (N,) with the others standing; None = not at all."""
+    """Return the travel (lowest, highest) of a joint from a posture (N,) while the others rest; None = no travel."""
     low, high = limits.middle_rad[joint] - limits.half_rad[joint], limits.middle_rad[joint] + limits.half_rad[joint]
     count = max(int(np.ceil((high - low) / _STEP_RAD)), 2)
     turned = np.tile(q_rad, (count, 1))
@@ -110,7 +110,7 @@ def _within(limits: MovingLimits, start_rad: Floats, joint: int, width_rad: floa
 def _with_speeds(
     limits: MovingLimits, start_rad: Floats, joint: int, ranges: tuple[float, float], periods: int
 ) -> Sweep:
-    """Sweep in a width, softer than it might be: `ranges` is (width, share of the limits)."""
+    """Return a sweep within a width and with reduced limits: `ranges` is (width, share of the limits)."""
     width_rad, softer = ranges
     shares = SPEED_SHARES * softer
     strokes = np.array([min(_stroke_rad(limits, joint, (share, softer), STEADY_S), width_rad) for share in shares])

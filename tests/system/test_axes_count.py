@@ -90,7 +90,7 @@ def test_a_reversed_torque_is_found_by_small_moves(place, serve, gateway, monkey
     assert said.exit_code == 7, said.output
     words = " ".join(said.output.split())
     assert "J2 node 2" in words
-    assert "torque sign is reversed" in words or "opposite senses" in words
+    assert "torque sign is reversed" in words or "opposite signs" in words
 
 
 def test_a_path_is_not_followed(place, gateway, arm):

@@ -192,7 +192,7 @@ def test_swapped_drives_are_named(place, gateway, serve):
     place.cell.write_text(text)
     done, body = check(gateway, place, serve(effect=WRONG.format("axes_swapped", [2, 3])), "--move", "--yes")
     assert done.exit_code == 7, done.output
-    assert [item["what"] for item in failed(body)] == ["the drives of J2 and J3 are in each other's place"]
+    assert [item["what"] for item in failed(body)] == ["the drives of J2 and J3 are swapped"]
     (item,) = failed(body)
     assert "node ids 2 and 3" in item["advice"]
 

@@ -70,7 +70,7 @@ def test_a_lost_sign_shows_against_the_demand_or_the_current():
 def test_a_one_sided_torque_leaves_the_sign_open():
     severity, what = only(judge(MEASURED + 400, demand=DEMAND + 400, current=MEASURED + 400))
     assert severity == "info"
-    assert "lost sign would not show" in what
+    assert "lost sign would not be detected" in what
 
 
 def test_an_opposite_sign():

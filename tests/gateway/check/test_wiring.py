@@ -104,4 +104,4 @@ def test_friction_alone_determines_the_sense_of_a_wrist_without_gravity():
     verdict = judge_wiring(ARM, moves(changed(torque_sign={6: -1})))
     (item,) = [item for item in wiring_items("main", range(1, 7), verdict) if item.severity == "fail"]
     assert item.where == "J6 node 6"
-    assert "opposite senses" in item.what
+    assert "opposite signs" in item.what

@@ -176,7 +176,7 @@ def test_a_file_of_sweeps_is_read_as_it_was_written(swept: MovingPlan, tmp_path:
 
 @pytest.mark.parametrize(
     ("key", "value", "said"),
-    [("joint", 7, "none of 6"), ("ends_rad", [0.1], "one end"), ("speeds_rad_s", [0.0] * 6, "positive")],
+    [("joint", 7, "does not exist"), ("ends_rad", [0.1], "one end"), ("speeds_rad_s", [0.0] * 6, "positive")],
 )
 def test_a_sweep_that_is_none_is_refused(swept: MovingPlan, key: str, value, said: str) -> None:
     with pytest.raises(InputError, match=said):

@@ -157,7 +157,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         # what the drive says about itself
         "demand_torque": Stated(None, r"equals the demand 6074:00"),
         "unsigned_torque": Stated(None, r"never changes its sign, while the demand 6074:00"),
-        "heartbeat_ignored": Stated(None, r"went on moving without the master's heartbeat"),
+        "heartbeat_ignored": Stated(None, r"continued to move without the master's heartbeat"),
         "wrong_rated": Stated(FindingFailed, r"6072:00.*rated torque in another unit"),
         "write_ignored": Stated(ConfigurationRefused, r"6007:00.*was written, .* reads back"),
         "drive_exchanged": Stated(
