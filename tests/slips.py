@@ -215,7 +215,7 @@ ROBOTS = [
     ("an axis of zeros", 'axis xyz="[^"]*"', 'axis xyz="0 0 0"', "write its direction, such as 0 0 1"),
     ("limits in each other's place", 'lower="-[0-9.]+"', 'lower="9"', "lower 9.0 is above upper .*; swap them"),
     ("a link twice", "</robot>", '<link name="link_6"/></robot>', "two links are named 'link_6'"),
-    ("a joint of no type", '_3" type="revolute', '_3" type="revolut', "is none of revolute, .*; correct it"),
+    ("a joint of no type", '_3" type="revolute', '_3" type="revolut', "must be one of revolute, .*; correct it"),
     ("a slide", '_3" type="revolute', '_3" type="prismatic', "only revolute and fixed joints .*--tip link_2"),
     (
         "a loop",

@@ -271,7 +271,7 @@ def comma(case: Case, _rng: np.random.Generator) -> None:
 
 def misspelled(case: Case, _rng: np.random.Generator) -> None:
     case.text = case.text.replace('name="joint_2" type="revolute"', 'name="joint_2" type="Revolute"')
-    case.refused = [r"'joint_2' is of type 'Revolute', which is none of revolute.*correct it"]
+    case.refused = [r"'joint_2' is of type 'Revolute', which must be one of revolute.*correct it"]
 
 
 def lost_link(case: Case, _rng: np.random.Generator) -> None:

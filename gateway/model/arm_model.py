@@ -1,4 +1,4 @@
-"""The robot model that a cell file names for one of its arms."""
+"""Build the robot model of an arm from the description that the cell file names."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from gateway.model.urdf_text import read_urdf
 
 
 def arm_named(loaded: LoadedCell, name: str | None = None) -> ArmConfig:
-    """The arm of that name, or the only arm of the cell.
+    """Return the arm with a name, or the only arm of the cell.
 
     Raises
     ------
     ConfigError
-        No such arm, or several arms and no name.
+        There is no such arm, or several arms and no name.
     """
     arms = loaded.cell.arm
     if name is None and len(arms) == 1:
@@ -29,7 +29,7 @@ def arm_named(loaded: LoadedCell, name: str | None = None) -> ArmConfig:
 
 
 def robot_text(loaded: LoadedCell, arm: ArmConfig) -> str:
-    """Text of the URDF that the arm names; empty for an arm given by Denavit-Hartenberg rows.
+    """Return the URDF text of the arm; empty for an arm defined by Denavit-Hartenberg parameters.
 
     Raises
     ------
@@ -46,12 +46,12 @@ def robot_text(loaded: LoadedCell, arm: ArmConfig) -> str:
 
 
 def robot_place(loaded: LoadedCell, arm: ArmConfig) -> str:
-    """Path of the arm's URDF, for messages and for the meshes beside it; "cell" where it has none."""
+    """Return the path of the arm's URDF, for messages and for mesh files; "cell" without a URDF."""
     return "cell" if arm.robot is None else str(loaded.path(arm.robot))
 
 
 def arm_robot(loaded: LoadedCell, arm: ArmConfig) -> Robot:
-    """Robot model of an arm, with the flange of the cell file where it is given.
+    """Return the robot model of an arm, with the flange of the cell file if it defines one.
 
     Raises
     ------
@@ -62,18 +62,18 @@ def arm_robot(loaded: LoadedCell, arm: ArmConfig) -> Robot:
 
 
 def robot_from_text(arm: ArmConfig, text: str, where: str) -> Robot:
-    """Robot model of an arm from URDF text that was already read (or stored in a recording).
+    """Return the robot model of an arm from URDF text that was already read (or stored in a recording).
 
     Raises
     ------
     ConfigError
-        Not a chain of two to eight revolute joints, or of another number than the arm has axes.
+        Not a chain of two to eight revolute joints, or the number of joints differs from that of the axes.
     """
     robot = robot_from_dh(arm.dh, arm.name) if arm.dh is not None else robot_from_urdf(text, where, arm.tip)
     if robot.axes != len(arm.axis):
         raise ConfigError(
             f"{where}: robot '{robot.name}' has {robot.axes} axes, arm '{arm.name}' {len(arm.axis)} [[arm.axis]]"
-            f" tables; one is needed for each axis{or_another_tip(robot, len(arm.axis))}"
+            f" tables; give one table per axis{or_another_tip(robot, len(arm.axis))}"
         )
     refuse_stated_loads(arm, robot, where)
     if arm.flange_xyz_m is None:

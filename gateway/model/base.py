@@ -1,8 +1,8 @@
-"""Base parameters: the combinations of inertial parameters that the rows of an arm determine.
+"""Base parameters: the combinations of inertial parameters that the samples of an arm determine.
 
-Rank-revealing QR (column pivoting) on columns scaled to unit length, so that the tolerance is relative and does not
-mix kg with kg m. Ten for a vertical axis 1 with a spherical or UR-like wrist at rest, twelve where the base is tilted
-(JP3698770B2, second embodiment: the A_ij, B_ij in today's words).
+Rank-revealing QR (column pivoting) on columns scaled to unit length, so that the tolerance is relative and does not mix
+kg with kg m. An arm with a vertical axis 1 and a spherical or UR-like wrist has ten at rest, one with a tilted base
+twelve (JP3698770B2, second embodiment: parameters A_ij, B_ij).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 TOLERANCE = 1e-6
 _NOTHING = 1e-13
-#: Relative difference in length by which a column is preferred to the next: far above rounding, far below TOLERANCE.
+#: Relative difference in length from which a column is preferred to the next: above rounding, below TOLERANCE.
 _PREFERENCE = 1e-9
 _STATES = 60
 _SEED = 20_240_501
@@ -31,7 +31,7 @@ _SEED = 20_240_501
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaseSet:
-    """Independent columns of a regressor, and what each of their parameters lumps.
+    """Independent columns of a regressor, and the parameters lumped into each of them.
 
     Attributes
     ----------
@@ -51,14 +51,14 @@ class BaseSet:
 
 
 def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLERANCE) -> BaseSet:
-    """Base parameters of stacked rows.
+    """Return the base parameters of stacked rows.
 
     Parameters
     ----------
     rows : array of shape (n, p) or (n, N, p)
     names : p names of the columns
     tolerance : float
-        Columns whose part outside the others is shorter than this share of them count as dependent.
+        A column counts as dependent if its component outside the others is shorter than this share of its length.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def base_parameters(rows: Floats, names: Sequence[str], tolerance: float = TOLER
 def rest_base(
     robot: Robot, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2, columns: Sequence[int] | None = None
 ) -> BaseSet:
-    """Base parameters of the arm at rest over the whole joint space, of all columns or the given ones."""
+    """Return the base parameters of the arm at rest over the whole joint space, of all columns or the chosen ones."""
     q = _spread_states(robot)[0]
     rows = gravity_regressor(robot, q, gravity_m_s2)
     names = gravity_names(robot.axes)
@@ -102,13 +102,13 @@ def rest_base(
 
 
 def moving_base(robot: Robot, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2) -> BaseSet:
-    """Base parameters of the moving arm over a fixed set of well-spread states, of all columns."""
+    """Return the base parameters of the moving arm over a fixed set of well-spread states, of all columns."""
     q, qd, qdd = _spread_states(robot)
     return base_parameters(regressor(robot, q, qd, qdd, gravity_m_s2), full_names(robot.axes))
 
 
 def _spread_states(robot: Robot) -> Floats:
-    """The same joint states (3, 60, N) of an arm every time: positions, velocities, accelerations."""
+    """Return fixed joint states (3, 60, N): positions, velocities, accelerations; the same for every call."""
     return np.random.default_rng(_SEED).uniform(-2.0, 2.0, size=(3, _STATES, robot.axes))
 
 

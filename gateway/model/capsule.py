@@ -15,13 +15,13 @@ from gateway.model.urdf_shapes import Box, Cylinder, Mesh, Sphere
 
 Floats = NDArray[np.float64]
 
-#: Steps by which the circle around projected vertices shrinks; it is at most 1 / steps larger than need be.
+#: Number of steps to find the circle around projected vertices; it is at most 1 / steps too large.
 CIRCLE_STEPS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capsule:
-    """All points within `radius_m` of the segment from `start_m` to `end_m`, arrays of shape (3,)."""
+    """Capsule: all points within `radius_m` of the segment from `start_m` to `end_m`, arrays of shape (3,)."""
 
     start_m: Floats
     end_m: Floats
@@ -29,13 +29,13 @@ class Capsule:
 
 
 def capsule_of(body: LinkShape, source: str) -> Capsule:
-    """Capsule, in the link's frame, that contains one shape of a link.
+    """Return a capsule, in the link's frame, that contains one shape of a link.
 
     Parameters
     ----------
     body : LinkShape
     source : str
-        File that names the shape; meshes are looked for from there.
+        File that names the shape; mesh paths are relative to it.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def capsule_of(body: LinkShape, source: str) -> Capsule:
 
 
 def capsule_around(points_m: Floats) -> Capsule:
-    """Small capsule around points (n, 3): the least of those along their principal and along the coordinate axes."""
+    """Return a small capsule around points (n, 3): the smallest along their principal and the coordinate axes."""
     with suppress(QhullError, ValueError):  # flat or few: all points are kept
         points_m = points_m[ConvexHull(points_m).vertices]
     spread = points_m - points_m.mean(axis=0)
@@ -73,7 +73,7 @@ def _volume(capsule: Capsule) -> float:
 
 
 def _along(points: Floats, axis: Floats) -> Capsule:
-    """Capsule around points with a segment along a unit axis, no longer than the ends of its half balls allow."""
+    """Return a capsule around points with its segment along a unit axis, as short as its end caps allow."""
     across = np.linalg.svd(axis[None])[2][1:]
     flat, height = points @ across.T, points @ axis
     centre = _circle(flat)
@@ -88,9 +88,9 @@ def _along(points: Floats, axis: Floats) -> Capsule:
 
 
 def _circle(points: Floats) -> Floats:
-    """Centre (2,) of a small circle around points (n, 2).
+    """Return the centre (2,) of a small circle around points (n, 2).
 
-    Badoiu and Clarkson, Smaller core-sets for balls, 2003: steps to the farthest point, each shorter.
+    Badoiu and Clarkson, Smaller core-sets for balls, 2003: successively shorter steps to the farthest point.
     """
     centre = best = (points.min(axis=0) + points.max(axis=0)) / 2
     least = np.inf

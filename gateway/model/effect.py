@@ -1,4 +1,4 @@
-"""Definition of an effect: name, texts, where it is searched for, and the quantity that its page shows it over."""
+"""Definition of an effect: name, texts, candidate generators, and the quantity over which its page plots it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 class Over(Enum):
-    """What an effect is drawn over: the one quantity that it is a function of, or itself where there is none."""
+    """Quantity over which an effect is plotted: the quantity that it is a function of, or its own size."""
 
     ANGLE = "angle"
     TORQUE = "torque"
@@ -30,14 +30,14 @@ class Over(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestSetup:
-    """What candidates at rest depend on besides the visits.
+    """Context for candidates at rest, in addition to the visits.
 
     Attributes
     ----------
     gear_ratio : N gear ratios, NaN where unknown
-    common_scale : whether a load or the links are known, so that a common torque scale can be seen
+    common_scale : a load or the links are known, so that a common torque scale is identifiable
     torque_nm : (n, N) modelled torque of the model without effects
-    links : (4 N,) links [m, hx, hy, hz] as the robot model has them, NaN where it says nothing; None = not known
+    links : (4 N,) links [m, hx, hy, hz] of the robot model, NaN where it has no value; None = not known
     """
 
     gear_ratio: tuple[float, ...]
@@ -48,13 +48,13 @@ class RestSetup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionSetup:
-    """What candidates in motion depend on besides the rows.
+    """Context for candidates in motion, in addition to the samples.
 
     Attributes
     ----------
-    drawn : whether anything is known of the links
+    drawn : the robot model has link masses
     loads : labels of the loads that are fitted
-    residual_nm : (n, N) what the present model leaves
+    residual_nm : (n, N) residual of the present model
     """
 
     drawn: bool
@@ -63,27 +63,27 @@ class MotionSetup:
 
 
 def nowhere(rows: object, setup: object) -> Iterable[Term]:
-    """An effect that these rows cannot show as a term."""
+    """Return no candidates: for an effect that these samples cannot show."""
     return ()
 
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect that a model of an arm may lack.
+    """Effect that a model of an arm may lack.
 
     Attributes
     ----------
-    name : as the result file calls it
-    words : what a report calls it, in the middle of a sentence
+    name : name in the result file
+    words : name in a report, within a sentence
     meaning : one line for the table of effects
-    parameters : keys that its shapes report, with unit
-    over : what it is drawn over
-    at_rest, in_motion : candidates that the rows could show, every place and shape
-    by_residual : whether the candidates in motion are read off the residual, again at each step
-    drawn : whether a wrong drawing of the links can imitate it
-    friction : whether it is friction, which has many shapes in any gear
-    mistake : what is wrong and what to do, of a commissioning mistake
-    told : words for parameters whose key does not say what they are
+    parameters : keys that its terms report, with unit
+    over : quantity over which it is plotted
+    at_rest, in_motion : functions that return the candidates for the samples, at every location and in every form
+    by_residual : candidates in motion are derived from the residual, again at each step
+    drawn : wrong link parameters of the robot model can imitate it
+    friction : it is friction, which has many forms in a gear
+    mistake : error and advice, for a commissioning mistake
+    told : descriptions of parameters whose key is not self-explanatory
     """
 
     name: str
@@ -101,19 +101,19 @@ class Effect:
 
 
 def measured_axes(rows: Visits) -> list[int]:
-    """Axes, from 0, whose torque was measured at rest."""
+    """Return the axes (from 0) whose torque was measured at rest."""
     return [int(axis) for axis in np.flatnonzero(np.isfinite(rows.sum_nm).any(axis=0))]
 
 
 def moving_axes(motion: MovingRows) -> list[int]:
-    """Axes, from 0, that are measured and move."""
+    """Return the axes (from 0) that are measured and move."""
     return [int(axis) for axis in np.flatnonzero(motion.measured)]
 
 
 def largest_torque_nm(setup: RestSetup) -> Floats:
-    """Largest modelled torque (N,) of each axis, above 0."""
+    """Return the largest modelled torque (N,) of each axis, always above 0."""
     return np.maximum(np.abs(setup.torque_nm).max(axis=0), LEAST_NM)
 
 
-#: Below what any axis of an arm needs [Nm]; keeps a scale above 0.
+#: Lower limit of a torque scale [Nm], below the torque of any axis.
 LEAST_NM: Final = 1e-6

@@ -1,4 +1,4 @@
-"""Fisher information of rest poses on a load."""
+"""Fisher information of rest poses about a load."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 def payload_information(
     robot: Robot, q_rad: ArrayLike, sigma_nm: ArrayLike, gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2
 ) -> Floats:
-    """Return the information of each pose on [m, hx, hy, hz] of the load, with the unloaded arm measured there too.
+    """Return the information of each pose on [m, hx, hy, hz] of the load, if the unloaded arm is measured there too.
 
     The difference of loaded and unloaded torque has twice the variance of one: `L' W L / 2`. One pose has rank 3.
 

@@ -1,4 +1,4 @@
-"""Frames of links and axes, vectorised over rows of joint positions."""
+"""Forward kinematics: frames of links and axes, vectorised over joint positions."""
 
 from __future__ import annotations
 
@@ -9,20 +9,21 @@ from gateway.model.robot import Robot
 
 Floats = NDArray[np.float64]
 STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
-#: Kinematic calibration moves the axes of one arm by less; another arm, or another convention, is off by more.
+#: Tolerance of axis directions and positions: larger than corrections by kinematic calibration, smaller than between
+#: arms.
 SAME_AXIS_M, SAME_AXIS_RAD = 3e-3, 5e-3
 
 
 def cross_matrix(vector: Floats) -> Floats:
-    """Matrix (3, 3) of the cross product with `vector` from the left."""
+    """Return the matrix (3, 3) of the cross product `vector x`."""
     x, y, z = vector
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def sine_cosine(angle_rad: Floats, sine: Floats, cosine: Floats) -> None:
-    """Sine and cosine of `angle_rad` into two arrays of its shape, to the last digits.
+    """Compute sine and cosine of `angle_rad` into two arrays of its shape, to full precision.
 
-    By the tangent of the half angle: one call in place of two that take seven times as long.
+    Uses the tangent of the half angle: one function call instead of two that take seven times as long.
     """
     half = np.tan(0.5 * angle_rad)
     np.multiply(half, half, out=cosine)
@@ -33,7 +34,7 @@ def sine_cosine(angle_rad: Floats, sine: Floats, cosine: Floats) -> None:
 
 
 def link_frames(robot: Robot, q_rad: Floats) -> Floats:
-    """Pose of every link in the base frame.
+    """Return the pose of every link in the base frame.
 
     Parameters
     ----------
@@ -61,22 +62,22 @@ def link_frames(robot: Robot, q_rad: Floats) -> Floats:
 
 
 def flange_frames(robot: Robot, q_rad: Floats) -> Floats:
-    """Pose (n, 4, 4) of the flange in the base frame [m]; of the last link where the flange is not known."""
+    """Return the pose (n, 4, 4) of the flange in the base frame [m]; of the last link if the flange is not known."""
     last = link_frames(robot, q_rad)[:, -1]
     return last if robot.flange is None else last @ robot.flange
 
 
 def joint_axes_origins(robot: Robot, q_rad: Floats) -> tuple[Floats, Floats]:
-    """Unit direction (n, N, 3) of every joint axis and a point (n, N, 3) on it [m], in the base frame."""
+    """Return the unit direction (n, N, 3) of every joint axis and a point (n, N, 3) on it [m], in the base frame."""
     frames = link_frames(robot, q_rad)
     return np.einsum("nijk,ik->nij", frames[:, :, :3, :3], robot.axis), frames[:, :, :3, 3]
 
 
 def kinematic_difference(first: Robot, second: Robot) -> str:
-    """What is different in the joint axes of two robots at q = 0, in words; empty where they are the same arm.
+    """Return a text with the difference of the joint axes of two robots at q = 0; empty if they are equal.
 
-    Lines are compared, not frames, wherever the base is: a URDF and a table of Denavit-Hartenberg rows may describe
-    one arm.
+    Lines are compared, not frames, for any base frame: a URDF and Denavit-Hartenberg parameters may describe the same
+    arm.
     """
     if first.axes != second.axes:
         return f"one has {first.axes} axes, the other {second.axes}"
@@ -101,13 +102,13 @@ def kinematic_difference(first: Robot, second: Robot) -> str:
 def gravity_in_last_link(
     robot: Robot, q_rad: Floats, gravity_m_s2: tuple[float, float, float] | Floats = STANDARD_GRAVITY_M_S2
 ) -> Floats:
-    """Unit direction (n, 3) of gravity as the load sees it, in the frame of the last link."""
+    """Return the unit direction (n, 3) of gravity in the frame of the last link."""
     direction = np.asarray(gravity_m_s2, dtype=float)
     rotation = link_frames(robot, q_rad)[:, -1, :3, :3]
     return np.einsum("nji,j->ni", rotation, direction / np.linalg.norm(direction))
 
 
 def largest_angle_rad(directions: Floats) -> float:
-    """Largest angle [rad] between any two of the unit vectors (n, 3); 0 for a single one."""
+    """Return the largest angle [rad] between any two of the unit vectors (n, 3); 0 for a single one."""
     products = np.clip(directions @ directions.T, -1.0, 1.0)
     return float(np.arccos(products.min()))

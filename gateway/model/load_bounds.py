@@ -1,7 +1,7 @@
-"""The largest load that is credible on an arm, by its rating, torque, mass and reach.
+"""Largest credible load of an arm, from its rating, torque limits, mass and reach.
 
-Statements (cell file, `--known`) and results are held against it: a value beyond it is in another unit, or of another
-arm. The bounds are wide on purpose, five times what the arm is rated for: they find a factor of 1000.
+Inputs (cell file, `--known`) and results are compared with it: a value beyond it is in a wrong unit, or of another arm.
+The bounds are wide (five times the rating): they detect factors of 1000.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from gateway.model.robot import Robot, reach_m
 
 @dataclass(frozen=True, slots=True)
 class LoadBounds:
-    """Largest credible mass [kg] and distance of the centre of gravity [m], each with what it is derived from."""
+    """Largest credible mass [kg] and distance of the centre of gravity [m], each with its source."""
 
     mass_kg: float = LARGEST_LOAD_KG
-    mass_source: str = "more than any six-axis arm carries"
+    mass_source: str = "more than the payload of any six-axis arm"
     lever_m: float = LARGEST_LEVER_M
-    lever_source: str = "longer than any load"
+    lever_source: str = "longer than the lever of any load"
 
     def violation(
         self,
@@ -37,7 +37,8 @@ class LoadBounds:
         margin_kg: float = 0.0,
         margin_m: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> str:
-        """State how a load violates the bounds, with the likely unit; empty where it is credible or not known.
+        """Return a text with the violation of the bounds and the likely unit; empty if the load is credible or not
+        known.
 
         Parameters
         ----------
@@ -51,8 +52,8 @@ class LoadBounds:
         if mass_kg - np.nan_to_num(margin_kg) > self.mass_kg:
             unit = "grams" if margin_kg == 0.0 else "torque in mNm"
             return (
-                f"{mass_kg:.6g} kg is beyond {self.mass_kg:.4g} kg ({self.mass_source}):"
-                f" {unit}? that is {mass_kg / 1000:.4g} kg"
+                f"{mass_kg:.6g} kg is beyond {self.mass_kg:.4g} kg ({self.mass_source}): {unit}? that is"
+                f" {mass_kg / 1000:.4g} kg"
             )
         nearest = np.maximum(np.abs(com_m) - np.nan_to_num(margin_m), 0.0) if len(com_m) else np.zeros(3)
         if float(np.linalg.norm(nearest)) > self.lever_m:
@@ -64,7 +65,7 @@ class LoadBounds:
         return ""
 
 
-#: Of a load where no arm is known.
+#: Bounds of a load if no arm is known.
 NO_ARM: Final = LoadBounds()
 
 
@@ -77,8 +78,8 @@ def bounds_of(
 ) -> LoadBounds:
     """Derive the bounds of an arm.
 
-    The mass is bounded by five times the rated load, and by five times what the strongest joint holds in the stretched
-    arm; without a rating also by the mass of the arm's links.
+    The mass is bounded by five times the rated load, and by five times the load that the strongest joint holds with the
+    arm stretched out. Without a rating it is also bounded by the mass of the links.
 
     Parameters
     ----------
@@ -86,7 +87,7 @@ def bounds_of(
     torque_nm : float, optional
         Largest torque limit of a joint.
     rating : tuple of float and str, optional
-        Rated load [kg] and what states it.
+        Rated load [kg] and its source.
     trusts_masses : bool
         The masses of the links may be used.
     """
@@ -96,7 +97,7 @@ def bounds_of(
     if rating is not None:
         masses.append((OVERLOAD * rating[0], f"{OVERLOAD:g} x {rating[1]} of {rating[0]:g} kg"))
     elif trusts_masses and robot is not None and np.isfinite(robot.mass_kg).all() and not mass_placeholder(robot):
-        masses.append((float(robot.mass_kg.sum()), "what the links of the arm weigh together"))
+        masses.append((float(robot.mass_kg.sum()), "the total mass of the links"))
     if reach > 0:
         levers.append((reach, "the reach of the arm"))
         if torque_nm is not None:
@@ -109,7 +110,7 @@ def bounds_of(
 
 
 def load_bounds(robot: Robot | None, arm: ArmConfig | None, *, trusts_masses: bool = True) -> LoadBounds:
-    """Derive the bounds of an arm from its description and its cell file; as `bounds_of`."""
+    """Derive the bounds of an arm from its robot model and its cell file; see `bounds_of`."""
     if arm is None:
         return bounds_of(robot, trusts_masses=trusts_masses)
     rating = None if arm.max_load_kg is None else (arm.max_load_kg, "max_load_kg")
@@ -119,19 +120,19 @@ def load_bounds(robot: Robot | None, arm: ArmConfig | None, *, trusts_masses: bo
 
 
 def _strongest_nm(arm: ArmConfig) -> float | None:
-    """Largest torque limit of the joints; None where one of them is a placeholder."""
+    """Return the largest torque limit of the joints; None if one of them is a placeholder."""
     if any(axis.torque_limit_is_assumed for axis in arm.axis):
         return None
     return max(axis.torque_limit_nm for axis in arm.axis)
 
 
 def refuse_stated_loads(arm: ArmConfig, robot: Robot, where: str) -> None:
-    """Hold the loads that a cell file states against the arm, the heaviest against the rated one too.
+    """Refuse loads in the cell file beyond the bounds of the arm; the heaviest is compared with the rated load too.
 
     Raises
     ------
     ConfigError
-        Beyond what the arm can hold: names the key and the likely unit.
+        A load is beyond the bounds; the message names the key and the likely unit.
     """
     trusted, rated = arm.inertials != "ignore", arm.rated_load_kg
     stated = (

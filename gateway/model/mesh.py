@@ -1,4 +1,6 @@
-"""Corners of a convex body around a mesh file: STL (binary and text) and OBJ, regular files of bounded size."""
+"""Compute the corners of a convex body around a mesh file: STL (binary and text) and OBJ, regular files of limited
+size.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +18,12 @@ from gateway.data.regular_file import read_bounded
 
 Floats = NDArray[np.float64]
 
-#: Of a binary STL file of a million triangles.
+#: Largest file size: a binary STL file of a million triangles.
 MOST_BYTES: Final = 50_000_000
 MOST_VERTICES: Final = 3_000_000
-#: A hull of no more corners is kept as it is; one of more is replaced by a slightly larger one of at most half as many.
+#: A hull with at most this many corners is kept; a larger one is replaced by a simpler body around it.
 MOST_CORNERS: Final = 256
-#: Vertices that a hull is computed of at once, and rows of a product that are held at once.
+#: Number of vertices per hull computation, and rows per matrix product.
 _AT_ONCE: Final = 20_000
 _HEAD = 84
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
@@ -31,13 +33,13 @@ _WORDS = {".stl": "vertex", ".obj": "v"}
 
 
 class MeshError(ValueError):
-    """A mesh whose vertices are not to be had; the message says why, in a few words."""
+    """Vertices of a mesh cannot be read; the message states the reason."""
 
 
 def find_mesh(name: str, source: str) -> Path:
-    """Path of a mesh as a URDF names it, from the folder of the URDF on.
+    """Return the path of a mesh named in a URDF, relative to the folder of the URDF.
 
-    `package://NAME/..` is looked for in a folder NAME above the URDF, or beside one of the folders above it, as ROS
+    `package://NAME/..` is searched in a folder NAME above the URDF, or beside one of the folders above it, as ROS
     packages are stored.
 
     Parameters
@@ -60,12 +62,13 @@ def find_mesh(name: str, source: str) -> Path:
 
 
 def mesh_corners(path: Path) -> Floats:
-    """Corners (n, 3) of a convex body that contains a mesh, in the unit of the file; the hull where that is simple.
+    """Return corners (n, 3) of a convex body that contains a mesh, in the unit of the file; the convex hull if it is
+    simple.
 
     Raises
     ------
     MeshError
-        As `read_vertices`.
+        See `read_vertices`.
     """
     try:
         status = path.stat()
@@ -80,10 +83,10 @@ def _mesh_corners(path: Path, _changed_ns: int, _bytes: int) -> Floats:
 
 
 def simple_corners(points: Floats) -> Floats:
-    """At most `MOST_CORNERS` corners (n, 3) whose convex hull contains all points (m, 3).
+    """Return at most `MOST_CORNERS` corners (n, 3) whose convex hull contains all points (m, 3).
 
-    The farthest points in directions all around span a body inside the hull. Enlarged about its middle until no point
-    is outside it is a body around the hull, by about 4 % larger.
+    The farthest points in many directions span a body inside the hull. It is enlarged about its centre, by about 4 %,
+    until it contains all points.
     """
     if len(points) <= _AT_ONCE:
         try:
@@ -111,7 +114,7 @@ def simple_corners(points: Floats) -> Floats:
 
 
 def _directions() -> Floats:
-    """Unit vectors (n, 3) evenly around a ball (a Fibonacci lattice), and those of the axes."""
+    """Return unit vectors (n, 3) evenly distributed on a sphere (a Fibonacci lattice), and those of the axes."""
     count = MOST_CORNERS // 2 - 6
     height = 1.0 - (2.0 * np.arange(count) + 1.0) / count
     angle = np.pi * (1.0 + np.sqrt(5.0)) * np.arange(count)
@@ -120,7 +123,7 @@ def _directions() -> Floats:
 
 
 def _farthest(points: Floats) -> NDArray[np.intp]:
-    """Row of the farthest of the points in each direction."""
+    """Return the index of the farthest point in each direction."""
     directions = _directions()
     best, row = np.full(len(directions), -np.inf), np.zeros(len(directions), dtype=np.intp)
     for number, part in enumerate(_parts(points)):
@@ -137,7 +140,7 @@ def _parts(points: Floats) -> list[Floats]:
 
 
 def _box_around(points: Floats) -> Floats:
-    """Corners (8, 3) of the box along the principal axes that contains flat points."""
+    """Return the corners (8, 3) of the box along the principal axes that contains coplanar points."""
     middle = points.mean(axis=0)
     axes = np.linalg.eigh((points - middle).T @ (points - middle))[1]
     along = (points - middle) @ axes
@@ -149,7 +152,7 @@ def _box_around(points: Floats) -> Floats:
 
 
 def read_vertices(path: Path) -> Floats:
-    """Vertices (n, 3) of a mesh, in the unit of the file.
+    """Read the vertices (n, 3) of a mesh, in the unit of the file.
 
     Raises
     ------
@@ -158,7 +161,7 @@ def read_vertices(path: Path) -> Floats:
     """
     kind = path.suffix.lower()
     if kind not in _WORDS:
-        raise MeshError(f"{path.name} is neither STL nor OBJ")
+        raise MeshError(f"{path.name} is not an STL or OBJ file")
     try:
         data = read_bounded(path, MOST_BYTES)
     except OSError as error:
@@ -171,7 +174,7 @@ def read_vertices(path: Path) -> Floats:
     else:
         points = _from_text(data, _WORDS[kind], path.name)
     if not len(points) or not np.isfinite(points).all():
-        raise MeshError(f"{path.name} has no vertices, or some that are no numbers")
+        raise MeshError(f"{path.name} has no vertices, or vertices that are not numbers")
     return points
 
 

@@ -1,7 +1,7 @@
-"""A moving run prepared for identification: rows of torque, motion and the rigid body regressor.
+"""Prepare moving runs for identification: samples of torque and motion, and the rigid-body regressor.
 
-Friction at a standstill is a set and not a number: on an axis that turns slower than `SLOW` of its own top speed the
-torque of that row is no information on the model, so the row is not judged on that axis. The other axes of the row are.
+Friction at standstill is not determined by the speed. The torque of an axis is therefore not used in samples where it
+turns slower than `SLOW` of its top speed. The other axes of the sample are used.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 SLOW = 0.01
-#: Top speed [rad/s] of an axis that barely moves: 1 % of less is noise of a differentiated encoder.
+#: Smallest top speed [rad/s] that is assumed: 1 % of a lower one is noise of a differentiated encoder.
 LEAST_TOP_RAD_S = 0.1
-#: Coulomb friction in motion is `tanh(qd / SMOOTH_RAD_S)` [rad/s], where it is fitted, planned for and predicted. A
-#: joint at 0.02 rad/s turns well above what differentiated encoder counts are wrong by.
+#: Coulomb friction in motion is `tanh(qd / SMOOTH_RAD_S)` [rad/s], in fits, plans and predictions. A
+#: joint speed of 0.02 rad/s is well above the error of differentiated encoder counts.
 SMOOTH_RAD_S: Final = 0.02
 LARGEST = 1600
 PER_BODY = 10
@@ -35,24 +35,24 @@ STEP_RAD = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingRows:
-    """Rows of one or more moving runs.
+    """Samples of one or more moving runs.
 
     Attributes
     ----------
     robot : Robot
     gravity_m_s2 : array of shape (3,)
     time_s : array of shape (n,)
-        Since the start of the row's own run.
+        Time since the start of the run.
     run : int array of shape (n,)
-        Number of the run; rows of one run follow each other in time. All periods of one excitation under one load are
-        one run.
+        Number of the run; the samples of a run are in time order. All periods of one excitation under one load are one
+        run.
     phase_s : array of shape (n,)
-        Time since the start of the row's period; where nothing repeats, `time_s`.
+        Time since the start of the period; `time_s` if nothing repeats.
     load : str array of shape (n,)
     given : bool array of shape (n,)
-        Row of the hold-out the user gave: no fit sees it.
+        Sample of the hold-out data of the user, which no fit uses.
     q_rad, qd_rad_s, qdd_rad_s2, tau_nm : arrays of shape (n, N)
-        Torque 0 where not measured.
+        Torque is 0 where not measured.
     judged : bool array of shape (n, N)
         The axis is measured and moves.
     sign : array of shape (n, N)
@@ -62,14 +62,14 @@ class MovingRows:
     rigid : array of shape (n, N, 10 N)
         Rigid body regressor, ten columns per link.
     wind_up_rad : array of shape (n, N)
-        Angle of the secondary encoder over that of the motor encoder, NaN where there is none. Where there is one,
-        `q_rad` is the angle of the link.
+        Angle of the secondary encoder minus that of the motor encoder, NaN without one. With one, `q_rad` is the angle
+        of the link.
     temperature_c : array of shape (n, N)
         NaN where absent.
     floor_nm : array of shape (N,)
-        Noise of a torque reading by what differs between periods of one excitation; NaN where nothing repeats.
+        Noise of a torque reading, from the differences between periods of one excitation; NaN if nothing repeats.
     delay_s : array of shape (N,)
-        By how much earlier the motion of an axis was measured than the torque beside it here.
+        Delay of the torque of an axis relative to its motion.
     """
 
     robot: Robot
@@ -103,20 +103,24 @@ class MovingRows:
         return self.q_rad.shape[1]
 
     def by_angle(self, axis: int) -> Floats:
-        """Change of the rigid body regressor with the angle of one axis [1/rad], computed once."""
+        """Return the derivative of the rigid-body regressor with respect to the angle of one axis [1/rad], computed
+        once.
+        """
         if ("angle", axis) not in self._derivatives:
             self._derivatives["angle", axis] = angle_derivative(self, axis)
         return self._derivatives["angle", axis]
 
     def by_tilt(self, direction: int) -> Floats:
-        """Change of the rigid body regressor when the base turns about x (0) or y (1) [1/rad], computed once."""
+        """Return the derivative of the rigid-body regressor with respect to base tilt about x (0) or y (1) [1/rad],
+        computed once.
+        """
         if ("tilt", direction) not in self._derivatives:
             self._derivatives["tilt", direction] = tilt_derivative(self, direction)
         return self._derivatives["tilt", direction]
 
     @property
     def measured(self) -> Mask:
-        """Axes (N,) that have rows to judge."""
+        """Mask of the axes (N,) with usable samples."""
         return np.asarray(self.judged.any(axis=0))
 
     @property
@@ -127,14 +131,14 @@ class MovingRows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Modelled:
-    """What a model says of moving rows.
+    """Modelled torque of moving samples.
 
     Attributes
     ----------
     rigid_nm, total_nm : arrays of shape (n, N)
         Torque of the rigid bodies and all torque.
     body : array of shape (n, 10 N)
-        Link parameters that each row sees, with the load on the last link.
+        Link parameters of each sample, with the load on the last link.
     load_kg : array of shape (n,)
         Mass of the load alone.
     """
@@ -146,39 +150,40 @@ class Modelled:
 
 
 def changed_torque(change: Floats, modelled: Modelled) -> Floats:
-    """Torque (n, N) that a changed regressor (n, N, 10 N) gives with the link parameters of each row."""
+    """Return the torque (n, N) of a changed regressor (n, N, 10 N) with the link parameters of each sample."""
     return np.einsum("nap,np->na", change, modelled.body)
 
 
 def smooth_sign(speed_rad_s: Floats, top_rad_s: float | Floats) -> Floats:
-    """Sign of a velocity, rounded off by the top speed (same shape as `speed_rad_s`)."""
+    """Return the smooth sign of a velocity, scaled by the top speed (same shape as `speed_rad_s`)."""
     return np.tanh(speed_rad_s / rounding_rad_s(top_rad_s))
 
 
 def rounding_rad_s(top_rad_s: float | Floats) -> Floats:
-    """Speed below which the sign of a velocity is rounded off (same shape as `top_rad_s`).
+    """Return the speed below which the sign of a velocity is smoothed (same shape as `top_rad_s`).
 
-    A search of effects rounds by the top speed, because a large arm turns slowly: on a KR300 (0.5 rad/s) `SMOOTH_RAD_S`
-    leaves 238 instead of 178 Nm of J2 in blocks of time held out, and 174 instead of 135 Nm of J4. An estimate uses
-    `SMOOTH_RAD_S`, and the speed limit for slow rows, as plans and predictions with its friction do. Loads of 37
-    simulated arms that turn at 1 to 4 rad/s barely differ: 0.80 % rms of the mass, by the top speed 0.78 %.
+    A search of effects scales it by the top speed, because a large arm turns slowly. On a KR300 (0.5 rad/s),
+    `SMOOTH_RAD_S` gives a residual of 238 instead of 178 Nm on J2 in held-out blocks of time, and 174 instead of 135 Nm
+    on J4. An estimate uses `SMOOTH_RAD_S`, and the speed limit for slow samples, as plans and predictions with its
+    friction do. Loads of 37 simulated arms that turn at 1 to 4 rad/s barely differ: 0.80 % rms of the mass, scaled by
+    the top speed 0.78 %.
     """
     return SLOW * np.maximum(top_rad_s, LEAST_TOP_RAD_S)
 
 
 def turns(qd_rad_s: Floats, top_rad_s: Floats, share: float = SLOW) -> Mask:
-    """Where each axis of some rows (n, N) turns at least as fast as a share of its top speed (N,)."""
+    """Return a mask where each axis of samples (n, N) turns at least at a share of its top speed (N,)."""
     return np.asarray(np.abs(qd_rad_s) >= share * np.maximum(top_rad_s, LEAST_TOP_RAD_S))
 
 
 def behind_gears(table: Table, efficiency: ArrayLike | None, coupling: ArrayLike | None = None) -> Table:
-    """The table with the torque of its moving rows taken through gears of stated efficiency, by direction of motion.
+    """Return the table with the torque of its moving samples behind gears of stated efficiency, by direction of motion.
 
     Parameters
     ----------
     table : Table
     efficiency : array of shape (N,), one for all, or None
-        1 or None where the torque is already that behind the gear.
+        1 or None if the torque is already that behind the gear.
     coupling : array of shape (N, N) or None
         As of `Gears`.
     """
@@ -189,7 +194,7 @@ def behind_gears(table: Table, efficiency: ArrayLike | None, coupling: ArrayLike
 
 
 def at_links(table: Table) -> Table:
-    """The table with the angle of the link where an axis has a secondary encoder: its bodies are there."""
+    """Return the table with the link angle for axes with a secondary encoder, where the bodies are."""
     seen = np.isfinite(table.q2nd_rad).all(axis=0)
     return replace(table, q_rad=np.where(seen, table.q2nd_rad, table.q_rad)) if seen.any() else table
 
@@ -197,12 +202,13 @@ def at_links(table: Table) -> Table:
 def prepare(
     table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats, largest: float = LARGEST
 ) -> MovingRows:
-    """Rows of the moving runs in `table` (to fit) and `given` (never fitted), thinned to at most `largest`.
+    """Return the samples of the moving runs in `table` (to fit) and `given` (never fitted), thinned to at most
+    `largest`.
 
     Raises
     ------
     DataUnusable
-        No axis has torque rows in motion.
+        No axis has torque samples in motion.
     """
     fitted, fitted_run = _in_time_order(table)
     parts, runs = [fitted], [fitted_run]
@@ -232,7 +238,7 @@ def prepare(
     speed = np.abs(fields["qd_rad_s"][~is_given]).max(axis=0)
     judged = np.isfinite(tau) & turns(fields["qd_rad_s"], speed)
     if not judged[~is_given].any():
-        raise DataUnusable("no axis moves while its torque is measured; moving rows need speeds above 0.001 rad/s")
+        raise DataUnusable("no axis moves while its torque is measured; moving samples need speeds above 0.001 rad/s")
     return MovingRows(
         robot=robot,
         gravity_m_s2=np.asarray(gravity_m_s2, dtype=float),
@@ -253,14 +259,16 @@ def prepare(
 
 
 def _in_time_order(table: Table) -> tuple[Table, NDArray[np.int_]]:
-    """Moving rows by run and time, and the number of each row's run."""
+    """Return the moving samples sorted by run and time, and the run number of each sample."""
     moving = table.take(table.moving)
     order, run = time_order(moving)
     return moving.take(order), run
 
 
 def time_order(moving: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Order (n,) of moving rows by run and time, and the number (n,) of each run; periods of an excitation are one."""
+    """Return the order (n,) of moving samples by run and time, and the run number (n,); periods of an excitation are
+    one run.
+    """
     repeated = excitation_runs(moving)
     own = np.where(repeated >= 0, np.char.add("\x00", repeated.astype(str)), moving.run.astype(str))
     names = np.char.add(np.char.add(np.asarray(moving.file, dtype=str), "\x00"), own)
@@ -275,7 +283,9 @@ def _rigid(robot: Robot, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats, gr
 
 
 def angle_derivative(motion: MovingRows, axis: int) -> Floats:
-    """Change of the rigid body regressor with the angle of one axis: (n, N, 10 N) per rad, by central difference."""
+    """Return the derivative of the rigid-body regressor with respect to one joint angle: (n, N, 10 N) per rad,
+    central difference.
+    """
     step = np.zeros(motion.robot.axes)
     step[axis] = STEP_RAD
     ends = [
@@ -286,7 +296,9 @@ def angle_derivative(motion: MovingRows, axis: int) -> Floats:
 
 
 def tilt_derivative(motion: MovingRows, direction: int) -> Floats:
-    """Change of the regressor when the base turns about its x (0) or y (1) axis: (n, N, 10 N) per rad."""
+    """Return the derivative of the regressor with respect to base tilt about its x (0) or y (1) axis: (n, N, 10 N)
+    per rad.
+    """
     turn = np.zeros(3)
     turn[direction] = 1.0
     rest = np.zeros_like(motion.q_rad)

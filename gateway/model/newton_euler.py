@@ -1,10 +1,10 @@
-"""Full regressor rows of one block: screws and spatial motion handed from link to link, wrenches per parameter.
+"""Compute blocks of the full regressor: spatial velocities and accelerations from link to link, then wrenches per
+parameter.
 
-Row first (link, row, small matrix) throughout, because the work is then in matrix products: the step from link to link
-is linear in [1, sin q, 1 - cos q], the wrench of a link in the twelve numbers of its motion.
-
-Spatial vectors are rows [linear, angular] at the origin and in the frame of the link (Featherstone, Rigid Body Dynamics
-Algorithms, ch. 2 and 5).
+Arrays are ordered (link, row, small matrix), so that the work is in matrix products. The step from link to link is
+linear in [1, sin q, 1 - cos q]. The wrench of a link is linear in the twelve numbers of its motion. Spatial vectors are
+rows [linear, angular] at the origin and in the frame of the link (Featherstone, Rigid Body Dynamics Algorithms, ch. 2
+and 5).
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ _MOTION = 12  # fall (3), gain (3), products of the spin xx yy zz xy yz zx
 
 
 def _wrench_map() -> Floats:
-    """Wrench (12, 6 * 10) of a link per unit of its motion: rows of [force; moment] by [m, h (3), I (6)].
+    """Return the map (12, 6 * 10) from the motion of a link to its wrench: rows of [force; moment] by [m, h (3), I
+    (6)].
 
     Force `m fall + ([gain]x + [spin]x [spin]x) h`, moment `h x fall + I gain + spin x (I spin)`.
     """
@@ -53,11 +54,11 @@ _WRENCH_MAP = _wrench_map()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionConstants:
-    """What does not depend on the row.
+    """Constants of an arm that do not depend on the sample.
 
-    `step` (N, 3, 36): spatial step to each link by [1, sin q, cos q]; `turned` (N, 6, 6): spatial cross product with
-    the joint's own axis; `axis` (N, 3); `first` (12, 10): torque of axis 1 per unit of the first link's motion;
-    `parts`: the components of each axis that are not zero as (index, value).
+    `step` (N, 3, 36): spatial step to each link by [1, sin q, cos q]. `turned` (N, 6, 6): spatial cross product with
+    the joint axis. `axis` (N, 3): joint axis. `first` (12, 10): torque of axis 1 per unit of the motion of link 1.
+    `parts`: nonzero components of each axis as (index, value).
     """
 
     step: Floats
@@ -68,7 +69,7 @@ class MotionConstants:
 
     @staticmethod
     def of(robot: Robot) -> MotionConstants:
-        """Constants of an arm: Rodrigues' formula behind the fixed placement of each joint."""
+        """Return the constants of an arm: Rodrigues' formula after the fixed placement of each joint."""
         step, turned = np.zeros((robot.axes, 3, 6, 6)), np.zeros((robot.axes, 6, 6))
         for j in range(robot.axes):
             rotation, cross = robot.placement[j, :3, :3], cross_matrix(robot.axis[j])
@@ -84,7 +85,7 @@ class MotionConstants:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionBuffers:
-    """Arrays for blocks of `n` rows, reused from block to block; what stays zero is never written."""
+    """Work arrays for blocks of `n` rows, reused from block to block; constant zeros are never written."""
 
     phase: Floats
     step: Floats
@@ -96,7 +97,7 @@ class MotionBuffers:
 
     @staticmethod
     def of(constants: MotionConstants, n: int) -> MotionBuffers:
-        """Workspace for blocks of n rows of one arm."""
+        """Return the work arrays for blocks of n rows of one arm."""
         axes = len(constants.axis)
         state = np.zeros((axes, n, 2 + axes, 6))  # velocity, acceleration, a screw for each axis
         for j in range(axes):
@@ -115,13 +116,13 @@ class MotionBuffers:
 def block(
     constants: MotionConstants, work: MotionBuffers, motion: tuple[Floats, Floats, Floats], gravity: Floats, out: Floats
 ) -> None:
-    """Write the rows of one block.
+    """Compute the rows of one block.
 
     Parameters
     ----------
     constants : MotionConstants
     work : MotionBuffers
-        Of exactly the block's length.
+        Work arrays of the length of the block.
     motion : three arrays of shape (n, N)
         Positions [rad], velocities [rad/s], accelerations [rad/s2].
     gravity : array of shape (3,)
@@ -141,7 +142,7 @@ def block(
 def _hand_on(
     constants: MotionConstants, work: MotionBuffers, motion: tuple[Floats, Floats, Floats], gravity: Floats
 ) -> None:
-    """Velocity, acceleration less gravity, and screws of every link, in its frame, into `work.state`."""
+    """Compute velocity, acceleration minus gravity, and screws of every link, in its frame, into `work.state`."""
     q, qd, qdd = (np.ascontiguousarray(value.T) for value in motion)
     sine_cosine(q, work.phase[1], work.phase[2])
     phase, state, rates = work.phase.transpose(1, 2, 0), work.state, motion[1]
@@ -161,9 +162,10 @@ def _hand_on(
 
 
 def _motion_of_links(work: MotionBuffers) -> None:
-    """The twelve numbers of every link's motion into `work.motion`: acceleration of its origin less gravity first.
+    """Compute the twelve numbers of every link's motion into `work.motion`: origin acceleration minus gravity first.
 
-    Vectors in five components x, y, z, x, y: (y, z, x) and (z, x, y) are then slices, a cross product three steps.
+    Vectors are stored in five components x, y, z, x, y: (y, z, x) and (z, x, y) are then slices, and a cross product
+    needs three steps.
     """
     motion, velocity = work.motion.transpose(1, 0, 2), work.velocity
     velocity[:, :3] = work.state[:, :, 0].reshape(*work.state.shape[:2], 2, 3).transpose(2, 3, 0, 1)

@@ -1,4 +1,4 @@
-"""Values of a URDF that exporters fill in: the same effort or mass everywhere, inertia that no body has."""
+"""Detect placeholder values that exporters write to a URDF: equal efforts or masses, and impossible inertia."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from gateway.cell.plausible import LARGEST_TORQUE_NM
 from gateway.model.robot import Robot
 
-#: What rounding in a file may take from the triangle inequality of principal moments.
+#: Tolerance of the triangle inequality of principal moments, for rounding in a file.
 _ROUNDED: Final = 1e-6
 
 
 def placeholders(robot: Robot) -> Iterator[str]:
-    """What of a robot model is a placeholder, each in a sentence that says what to do."""
+    """Return one sentence with an advice for each kind of placeholder in a robot model."""
     for why, advice in (
         (effort_placeholder(robot), "take torque limits from the data sheet of the gears"),
         (mass_placeholder(robot), "correct the masses, or give --inertials ignore"),
@@ -26,7 +26,7 @@ def placeholders(robot: Robot) -> Iterator[str]:
 
 
 def effort_placeholder(robot: Robot) -> str:
-    """Why the efforts of a URDF are not limits of this arm; empty where they may be."""
+    """Return the reason why the efforts of a URDF are not limits of this arm; empty if they may be."""
     stated = robot.effort_nm[np.isfinite(robot.effort_nm)].tolist()
     absurd = [effort for effort in stated if not 0.0 < effort <= LARGEST_TORQUE_NM]
     if absurd:
@@ -37,7 +37,7 @@ def effort_placeholder(robot: Robot) -> str:
 
 
 def mass_placeholder(robot: Robot) -> str:
-    """Why the masses of a URDF are not those of this arm; empty where they may be."""
+    """Return the reason why the masses of a URDF are not those of this arm; empty if they may be."""
     stated = robot.mass_kg[np.isfinite(robot.mass_kg)]
     if len(stated) > 2 and np.ptp(stated) <= 1e-9 * stated[0]:
         return f"the URDF states the same mass of {stated[0]:g} kg for every link"
@@ -45,7 +45,7 @@ def mass_placeholder(robot: Robot) -> str:
 
 
 def inertia_placeholder(robot: Robot) -> str:
-    """Which links have an inertia that no body has; empty where none has."""
+    """Return a text that names the links with an impossible inertia; empty if there is none."""
     names: list[str] = []
     for name, tensor in zip(robot.link_names, robot.inertia_kg_m2, strict=True):
         if np.isfinite(tensor).all():
@@ -55,6 +55,7 @@ def inertia_placeholder(robot: Robot) -> str:
     if not names:
         return ""
     return (
-        f"the inertia of {', '.join(names)} is none of a body (a principal moment is not positive, or above the sum of"
+        f"the inertia of {', '.join(names)} is not possible for a body (a principal moment is not positive, or above"
+        " the sum of"
         " the others)"
     )

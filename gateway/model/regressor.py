@@ -1,10 +1,10 @@
-"""Torque of an arm of N axes as rows linear in the inertial parameters of its links.
+"""Regressor: torque of an arm with N axes, linear in the inertial parameters of its links.
 
-Full rows: `tau = Y(q, qd, qdd) phi`, ten columns a link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], first moment
-`h = m c` and inertia about the link frame's origin. Rest rows: four columns a link [m, hx, hy, hz]. The torque is that
-of the actuator, positive in +q, and holds the arm against gravity.
+Full rows: `tau = Y(q, qd, qdd) phi`, ten columns per link [m, hx, hy, hz, Ixx, Ixy, Ixz, Iyy, Iyz, Izz], first moment
+`h = m c` and inertia about the origin of the link frame. Rest rows: four columns per link [m, hx, hy, hz]. The torque
+is that of the actuator, positive in +q, and holds the arm against gravity.
 
-Rows are handled in blocks, so that the work arrays stay in cache and memory beyond the result does not grow with them.
+Rows are computed in blocks, so that the work arrays fit the cache and memory does not grow beyond the result.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 FULL_PER_LINK = ("m", "hx", "hy", "hz", "Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")
 GRAVITY_PER_LINK = FULL_PER_LINK[:4]
-#: Columns of what the last link carries, among rest rows.
+#: Columns of the last link and its load in the rest rows.
 LOAD_COLUMNS = slice(-4, None)
 
 # Rows in a block: work arrays fill the second-level cache. Not powers of two: such strides fall into the same cache
@@ -30,12 +30,12 @@ _REST_BLOCK = 520
 
 
 def full_names(axes: int) -> tuple[str, ...]:
-    """Names of the full columns: m_1, hx_1 .. Izz_N."""
+    """Return the names of the full columns: m_1, hx_1 .. Izz_N."""
     return _names(axes, FULL_PER_LINK)
 
 
 def gravity_names(axes: int) -> tuple[str, ...]:
-    """Names of the rest columns: m_1, hx_1 .. hz_N."""
+    """Return the names of the rest columns: m_1, hx_1 .. hz_N."""
     return _names(axes, GRAVITY_PER_LINK)
 
 
@@ -51,7 +51,7 @@ def regressor(
     gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
     out: Floats | None = None,
 ) -> Floats:
-    """Full rows of a moving arm.
+    """Return the full regressor rows of a moving arm.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def gravity_regressor(
     gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
     out: Floats | None = None,
 ) -> Floats:
-    """Rows of an arm at rest.
+    """Return the regressor rows of an arm at rest.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def load_regressor(
     gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
     out: Floats | None = None,
 ) -> Floats:
-    """Columns (n, N, 4) of a body carried by the last link at rest: Nm per [kg, kg m, kg m, kg m]."""
+    """Return the columns (n, N, 4) of a load on the last link at rest: Nm per [kg, kg m, kg m, kg m]."""
     q = np.asarray(q_rad, dtype=float)
     return _rest_rows(robot, q, gravity_m_s2, _checked(robot, q, out, 4))
 
@@ -128,7 +128,9 @@ def _checked(robot: Robot, q: Floats, out: Floats | None, columns: int) -> Float
 
 
 def _blocks(count: int, most: int) -> tuple[int, list[int]]:
-    """Size of the blocks and their starts; the last one goes back over rows of the one before, so that all fit."""
+    """Return the size and the starts of the blocks; the last one overlaps the one before, so that all are of equal
+    size.
+    """
     size = min(count, most)
     if not size:
         return 0, []

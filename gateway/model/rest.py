@@ -1,9 +1,9 @@
-"""Predicted torque readings of an arm at rest, with every effect that a hypothesis may contain.
+"""Predict torque readings of an arm at rest, with every effect that a hypothesis may contain.
 
 An `AlteredModel` holds all quantities that effects change; `neutral(n)` is the model without effects. `Model.predict`
-follows the torque: gravity in the joints, springs and cables, friction by the side of approach, gear, torque constant,
-report of the drive. Then it applies the conversion of a measurement. Every column of a fit is a derivative of this
-prediction, so it contains modelled torque only, never measured torque.
+follows the path of the torque: gravity at the joints, springs and cables, friction by approach direction, gear, torque
+constant, report of the drive. Then it applies the conversion of a measurement. Every column of a fit is a derivative of
+this prediction, so it contains modelled torque only, never measured torque.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 _WIND_UP_STEPS = 6
 _NEAR_RAD = 1e-3
-#: Step of a joint [rad] by which slopes of the rows are taken.
+#: Joint step [rad] for numerical derivatives of the rows.
 _SLOPE_STEP_RAD = 1e-5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlteredModel:
-    """Everything that effects change, for n visits.
+    """Quantities that effects change, for n visits.
 
     Attributes
     ----------
@@ -42,8 +42,8 @@ class AlteredModel:
     offset_nm : (n, N) added to the reading
     coupling : (N, N) reported axis i shows sum_j coupling[i, j] * axis j
     load_friction : (N,) nu of nu |tau|
-    one_efficiency : (N,) how far these losses are those of one efficiency both ways, 1, rather than even, 0
-    bias_nm : (N,) by how much friction upwards exceeds friction downwards, halved
+    one_efficiency : (N,) 1: losses of one efficiency in both directions; 0: symmetric losses
+    bias_nm : (N,) half the difference of upward and downward friction
     band_gain : (n, N) factor on the friction band
     gain_per_nm : (N,) added to the gain per Nm of motor torque
     pull_n : (N, 3) force in the base frame on the origin of each link
@@ -68,7 +68,7 @@ class AlteredModel:
 
 
 def neutral(n: int, axes: int) -> AlteredModel:
-    """The setting of `n` visits in which nothing is added to rigid links, a rigid load and a constant band."""
+    """Return the model of `n` visits without effects: rigid links, a rigid load and a constant friction band."""
     none = np.zeros(axes)
     return AlteredModel(
         tilt_rad=np.zeros(2),
@@ -92,7 +92,9 @@ def neutral(n: int, axes: int) -> AlteredModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Modelled readings (n, N): half sums, half differences (0 for one-sided visits), and torque behind them."""
+    """Modelled readings (n, N): half-sums, half-differences (0 for one-sided visits), and the torque behind the
+    gears.
+    """
 
     sum_nm: Floats
     difference_nm: Floats
@@ -101,8 +103,10 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Bent:
-    """Elastic gears in equilibrium: torque (n, N), `matrix` (n, N, N) that a torque is divided by, gravity rows
-    (n, N, 4 N) with their slopes (n, N, N, 4 N) at angles close by, and how far `away` (n, N) those are.
+    """Elastic gears in equilibrium: torque (n, N) and compliance factor `matrix` (n, N, N).
+
+    `rows` (n, N, 4 N) are the gravity rows at nearby angles, with derivatives (n, N, N, 4 N); `away` (n, N) is the
+    distance from these angles.
     """
 
     torque: Floats
@@ -113,7 +117,7 @@ class _Bent:
 
 
 class Model:
-    """Rows of one robot at given visits; regressors of the same geometry are computed once.
+    """Model of one robot at fixed visits; regressors of the same geometry are computed once.
 
     Parameters
     ----------
@@ -131,7 +135,7 @@ class Model:
         self._bent: tuple[Floats, Floats, Floats] | None = None
 
     def regressor(self, setting: AlteredModel) -> Floats:
-        """Gravity rows (n, N, 4 N) at the true joint angles and the true gravity of a setting with stiff gears."""
+        """Return gravity rows (n, N, 4 N) at the true joint angles and the true gravity, with stiff gears."""
         if not (setting.tilt_rad.any() or setting.zero_offset_rad.any()):
             return self.nominal
         q = self.rows.q_rad + setting.zero_offset_rad
@@ -145,7 +149,7 @@ class Model:
         return self._geometry[1]
 
     def bodies(self, setting: AlteredModel, links: Floats, load: Floats) -> Floats:
-        """Parameters (n, 4 N) of the links with the load on the last link, visit by visit."""
+        """Return the parameters (n, 4 N) of the links with the load on the last link, for each visit."""
         carried = load + setting.load_extra
         carried[:, 1:] += carried[:, :1] * setting.moment_factor
         bodies = np.repeat((links + setting.link_extra)[None], len(load), axis=0)
@@ -153,7 +157,9 @@ class Model:
         return bodies
 
     def joint_torque(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
-        """Torque (n, N) that the gears transmit, and its derivative (n, N, 4 N) by the parameters of the bodies."""
+        """Return the torque (n, N) that the gears transmit, and its derivative (n, N, 4 N) with respect to the body
+        parameters.
+        """
         if not setting.compliance_rad_nm.any():
             rows = self.regressor(setting)
             return _dot(rows, bodies) - self.passive(setting), rows
@@ -162,14 +168,14 @@ class Model:
         return bent.torque, np.linalg.solve(bent.matrix, rows)
 
     def passive(self, setting: AlteredModel) -> Floats:
-        """Torque (n, N) that springs, cables and pulls exert on the joints."""
+        """Return the torque (n, N) of springs, cables and pulls on the joints."""
         if not setting.pull_n.any():
             return setting.passive_nm
         return setting.passive_nm + np.einsum("nijk,jk->ni", self.levers, setting.pull_n)
 
     @property
     def levers(self) -> Floats:
-        """Torque (n, N, N, 3) on axis i of a unit force on the origin of link j."""
+        """Return the torque (n, N, N, 3) on axis i of a unit force at the origin of link j."""
         if self._levers is None:
             directions, origins = joint_axes_origins(self.robot, self.rows.q_rad)
             count = self.rows.axes
@@ -181,7 +187,9 @@ class Model:
         return self._levers
 
     def _wound_up(self, setting: AlteredModel, bodies: Floats) -> _Bent:
-        """Equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, bent until it fits."""
+        """Return the equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, iterated to
+        convergence.
+        """
         straight = self.rows.q_rad + setting.zero_offset_rad
         steps = 0
         while True:
@@ -203,7 +211,7 @@ class Model:
             self._bend(bent + away)
 
     def _bend(self, q: Floats) -> None:
-        """Remember rows (n, N, 4 N) and their slopes (n, N, N, 4 N) by the joint angles at the bent arm."""
+        """Return rows (n, N, 4 N) and derivatives (n, N, N, 4 N) at the deflected joint angles, from a cache."""
         q = np.clip(q, self.rows.q_rad - 1.0, self.rows.q_rad + 1.0)
         count = self.rows.axes
         steps = _SLOPE_STEP_RAD * np.eye(count)
@@ -214,7 +222,7 @@ class Model:
         self._bent = q, rows[0], np.ascontiguousarray(slopes.transpose(1, 2, 0, 3))
 
     def predict(self, setting: AlteredModel, links: Floats, load: Floats, band_nm: Floats) -> Prediction:
-        """Modelled readings.
+        """Return the modelled readings.
 
         Parameters
         ----------
@@ -229,7 +237,7 @@ class Model:
         return self.readings(setting, self.joint_torque(setting, bodies)[0], band_nm)
 
     def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:
-        """Readings from the torque (n, N) the gears transmit."""
+        """Return the readings for the torque (n, N) that the gears transmit."""
         two = self.rows.two_sided[:, None]
         band = band_nm * setting.band_gain
         friction = band + setting.load_friction * np.abs(torque) + self._lost_in_gear(setting, torque, band)
@@ -248,24 +256,24 @@ class Model:
         return Prediction(half_sum, np.where(two, (up - down) / 2.0, 0.0), carried)
 
     def _left_by_gear(self, setting: AlteredModel, torque: Floats, band: Floats) -> Floats:
-        """What a gear that loses more when it is driven leaves in the middle of both sides (n, N).
+        """Return the contribution (n, N) of direction-dependent gear losses to the half-sum.
 
-        The motor gives `(tau + band) / eta` upwards and `(tau - band) eta` downwards where it lifts: half their sum
-        holds `(sqrt(1 + nu^2) - 1) tau + nu band` more than `tau`, of `nu = (1 / eta - eta) / 2`; where the torque is
-        within the band the motor lifts on both sides, and `nu tau` stands for `nu band`.
+        The motor torque is `(tau + band) / eta` upwards and `(tau - band) eta` downwards if it lifts. With `nu = (1 /
+        eta - eta) / 2`, the half-sum exceeds `tau` by `(sqrt(1 + nu^2) - 1) tau + nu band`. If the torque is within the
+        band the motor lifts in both directions, and `nu tau` replaces `nu band`.
         """
         nu = setting.load_friction
         within = np.clip(torque, -np.abs(band), np.abs(band))
         return setting.one_efficiency * (_mean_loss(nu) * torque + nu * within)
 
     def _lost_in_gear(self, setting: AlteredModel, torque: Floats, band: Floats) -> Floats:
-        """What half the difference of both sides (n, N) then holds more than `band + nu |tau|`."""
+        """Return the contribution (n, N) of the gear to the half-difference beyond `band + nu |tau|`."""
         nu = setting.load_friction
         below = np.maximum(np.abs(band) - np.abs(torque), 0.0)
         return setting.one_efficiency * (_mean_loss(nu) * band + nu * below)
 
     def _straight(self, setting: AlteredModel) -> bool:
-        """Whether the conversion undoes all effects between the gear and the reading."""
+        """Return True if the conversion cancels all effects between gear and reading."""
         if setting.gain_per_nm.any():
             return False
         return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(self.rows.axes)))
@@ -280,7 +288,7 @@ class Model:
         return gears.behind(seen, direction)
 
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:
-        """Derivative (n, N, N) of the half sums by the transmitted torque of each axis."""
+        """Return the derivative (n, N, N) of the half-sums with respect to the transmitted torque of each axis."""
         if self._straight(setting) and not self.rows.side.any():
             nu, within = setting.load_friction, np.abs(torque) < np.abs(band_nm * setting.band_gain)
             left = 1.0 + setting.one_efficiency * (_mean_loss(nu) + nu * within)
@@ -298,12 +306,12 @@ class Model:
 
 
 def _mean_loss(nu: Floats) -> Floats:
-    """By how much the mean of an efficiency and its inverse exceeds 1."""
+    """Return the excess over 1 of the mean of an efficiency and its inverse."""
     return np.sqrt(1.0 + nu**2) - 1.0
 
 
 def rotation(vector_rad: Floats) -> Floats:
-    """Rotation matrix (3, 3) of a rotation vector (3,) (Rodrigues)."""
+    """Return the rotation matrix (3, 3) of a rotation vector (3,) (Rodrigues)."""
     angle = float(np.linalg.norm(vector_rad))
     if angle < 1e-15:
         return np.eye(3)

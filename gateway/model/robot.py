@@ -1,7 +1,7 @@
-"""A serial arm of two to eight revolute axes as plain arrays, read from a URDF or a table of Denavit-Hartenberg rows.
+"""Robot model: a serial arm of two to eight revolute axes as arrays, from a URDF or Denavit-Hartenberg parameters.
 
-Link `i` turns with joint `i`; its frame has its origin on that joint's axis (the URDF convention) and the pose
-`placement[i] @ rotation(axis[i], q[i])` in the frame of the link before it, the root link for `i = 0`. Unknown
+Link `i` turns with joint `i`. The origin of its frame is on the axis of that joint (the URDF convention). Its pose in
+the frame of the previous link is `placement[i] @ rotation(axis[i], q[i])`; for `i = 0` in the root link. Unknown
 quantities are NaN: a link without inertial is unknown, not massless.
 """
 
@@ -22,9 +22,9 @@ from gateway.model.urdf_shapes import Shape
 
 Floats = NDArray[np.float64]
 SHORTEST_M = 0.1
-#: Longer than any arm of this kind [m]; from where on only millimetres give a number like that.
+#: Largest plausible length of an arm [m], and length from which the unit must be millimetres.
 LONGEST_M, MILLIMETRES_FROM_M = 20.0, 600.0
-#: More than the moving links of the heaviest arms weigh, 8 t at a payload of 2.3 t [kg].
+#: Largest plausible mass of the moving links [kg]: the heaviest arms have 8 t at a payload of 2.3 t.
 HEAVIEST_KG = 20_000.0
 #: Mass of the moving links over the cube of the reach: the densest arms have 200; one of 4 kg in grams has 20 000.
 #: A reach below half a metre counts as that, and turntables of few axes, whose reach is none, are left alone.
@@ -33,7 +33,7 @@ DENSEST_KG_M3, SMALLEST_REACH_M, MOST_AXES_OF_TABLES = 4000.0, 0.5, 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkShape:
-    """One shape of a link's body.
+    """Collision shape of a link.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class LinkShape:
         Frame of the shape [m] in the link.
     shape : Shape
     own : bool
-        Of the link itself, not of something fixed to it.
+        True if the shape belongs to the link itself, not to a body fixed to it.
     """
 
     pose: Floats
@@ -66,22 +66,22 @@ class Robot:
     inertia_kg_m2 : array of shape (N, 3, 3)
         About the centre of mass, axes of the link's frame.
     lower_rad, upper_rad : arrays of shape (N,)
-        Joint limits, -inf and inf where the source gives none.
+        Joint limits, -inf and inf if not defined.
     velocity_rad_s, effort_nm : arrays of shape (N,)
-        Joint limits, NaN where the source gives none (0 counts as none).
+        Joint limits, NaN if not defined (0 counts as not defined).
     flange : array of shape (4, 4) or None
         Pose [m] of the flange in the last link.
     link_names, joint_names : tuples of N str
     shapes : tuple of N tuples of LinkShape
-        What the source gives of each link's body; empty where it gives none.
+        Collision shapes of each link; empty if not defined.
     base_shapes : tuple of LinkShape
-        The same of the fixed base below joint 1, in the base frame.
+        Collision shapes of the fixed base below joint 1, in the base frame.
     source : str
-        File the arm was read from: names of meshes start beside it.
+        File of the robot model; mesh paths are relative to it.
     frames : tuple of (str, array of shape (4, 4))
         Links fixed to the last link, and their poses [m] in it.
     remarks : tuple of str
-        What the source says and is not used as written.
+        Remarks on content of the source that is not used as written.
     """
 
     name: str
@@ -105,17 +105,17 @@ class Robot:
 
     @property
     def axes(self) -> int:
-        """How many axes the arm has."""
+        """Number of axes of the arm."""
         return len(self.axis)
 
     @property
     def last_link(self) -> str:
-        """Name of the frame that a load is given in: `link_6` of an arm of six axes."""
+        """Name of the frame in which a load is stated: `link_6` for an arm with six axes."""
         return frame_of_load(self.axes)
 
 
 class DhRows(Protocol):
-    """What a table of Denavit-Hartenberg rows offers; theta = q + theta_offset."""
+    """Table of Denavit-Hartenberg parameters; theta = q + theta_offset."""
 
     @property
     def convention(self) -> str: ...
@@ -130,12 +130,12 @@ class DhRows(Protocol):
 
 
 def frame_of_load(axes: int) -> str:
-    """Name of the frame of the last link of an arm of so many axes."""
+    """Return the name of the last link's frame of an arm with `axes` axes."""
     return f"link_{axes}"
 
 
 def transform(rotation: Floats, translation: Floats | Sequence[float]) -> Floats:
-    """4 x 4 pose from a (3, 3) rotation and a translation [m] of shape (3,)."""
+    """Return the 4 x 4 pose of a (3, 3) rotation and a translation [m] of shape (3,)."""
     pose = np.eye(4)
     pose[:3, :3] = rotation
     pose[:3, 3] = translation
@@ -143,7 +143,9 @@ def transform(rotation: Floats, translation: Floats | Sequence[float]) -> Floats
 
 
 def rotation_rpy(rpy_rad: Sequence[float] | Floats) -> Floats:
-    """Rotation (3, 3) of fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll), as URDF defines it."""
+    """Return the rotation (3, 3) of fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll), as URDF defines
+    it.
+    """
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
     return np.array(
         [
@@ -155,20 +157,20 @@ def rotation_rpy(rpy_rad: Sequence[float] | Floats) -> Floats:
 
 
 def with_flange(robot: Robot, xyz_m: Sequence[float], rpy_rad: Sequence[float] = (0.0, 0.0, 0.0)) -> Robot:
-    """The same arm with its flange at `xyz_m`, `rpy_rad` of the last link."""
+    """Return a copy of the arm with its flange at `xyz_m`, `rpy_rad` of the last link."""
     return replace(robot, flange=transform(rotation_rpy(rpy_rad), xyz_m))
 
 
 def reach_m(robot: Robot) -> float:
-    """Length of an arm: sum of the steps from joint to joint [m]."""
+    """Return the length of an arm: sum of the distances from joint to joint [m]."""
     return float(np.linalg.norm(robot.placement[1:, :3, 3], axis=1).sum())
 
 
 def link_lengths_m(robot: Robot) -> Floats:
-    """Length (N,) [m] of every link, what an error of its first moment is measured by.
+    """Return the length (N,) [m] of every link, the scale of errors of its first moment.
 
-    To the next joint or to the centre of mass, whichever is further; the last link reaches to the flange, and counts no
-    less than the step before it, since what it carries is never smaller than the wrist. At least 0.1 m.
+    Distance to the next joint or to the centre of mass, whichever is larger. The last link reaches to the flange, and
+    is at least as long as the step before it, because a load is not smaller than the wrist. At least 0.1 m.
     """
     steps = np.linalg.norm(robot.placement[:, :3, 3], axis=1)
     last = 0.0 if robot.flange is None else float(np.linalg.norm(robot.flange[:3, 3]))
@@ -179,9 +181,9 @@ def link_lengths_m(robot: Robot) -> Floats:
 def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
     """Read an arm from URDF text.
 
-    Fixed joints are merged: bodies on them belong to the link before. A fixed link without inertial is taken
-    as a mere frame, a link that a joint moves without inertial as unknown. Joints that could move and are not the
-    arm's are taken as fixed at zero, which is among the remarks.
+    Fixed joints are merged: bodies on them belong to the link before. A fixed link without inertial is a mere frame; a
+    moved link without inertial is unknown. Other movable joints that are not part of the arm are fixed at zero, with a
+    remark.
 
     Parameters
     ----------
@@ -189,13 +191,13 @@ def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
     where : str
         Name of the file, for messages.
     tip : str, optional
-        Last link of the arm, where the file does not make it clear.
+        Last link of the arm, if the file leaves it ambiguous.
 
     Raises
     ------
     ConfigError
-        Not XML, entity declarations, not two to eight driven joints in one chain, or a value that is missing or no
-        finite number; names file and element.
+        Not XML, entity declarations, not two to eight driven joints in one chain, or a value that is missing or not
+        finite; the message names file and element.
     """
     chain = urdf.read_chain(text, where, tip)
     count = len(chain.joints)
@@ -236,7 +238,9 @@ def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
 
 
 def _refuse_units(robot: Robot, where: str) -> None:
-    """Refuse lengths and masses that no arm has: a URDF is in metres and kilograms, whatever its exporter drew in."""
+    """Refuse lengths and masses that no arm has: a URDF is in metres and kilograms, whatever unit the CAD system
+    used.
+    """
     from_joints_m = np.linalg.norm(np.nan_to_num(robot.com_m), axis=1).max()
     for what, length_m in (("from joint to joint", reach_m(robot)), ("to a centre of mass", float(from_joints_m))):
         if length_m > LONGEST_M:
@@ -254,7 +258,7 @@ def _refuse_units(robot: Robot, where: str) -> None:
 
 
 def or_another_tip(robot: Robot, axes: int) -> str:
-    """What is typed where an arm of fewer axes is meant than a URDF has; empty where it has no more."""
+    """Return the advice to name another last link, if a URDF has more axes than the arm; else an empty text."""
     if axes >= robot.axes or not robot.source:
         return ""
     more = ", ".join(robot.joint_names[axes:])
@@ -262,7 +266,7 @@ def or_another_tip(robot: Robot, axes: int) -> str:
 
 
 def _remarks(chain: urdf.Chain, where: str) -> Iterator[str]:
-    """What of the file is not used as it is written."""
+    """Return remarks on content of the file that is not used as written."""
     if chain.fixed_at_zero:
         yield f"{where}: joints taken as fixed at zero: {', '.join(chain.fixed_at_zero)}"
     if chain.unused_shapes:
@@ -270,7 +274,7 @@ def _remarks(chain: urdf.Chain, where: str) -> Iterator[str]:
 
 
 def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
-    """Arm from Denavit-Hartenberg rows; links are unknown, limits open.
+    """Return an arm from Denavit-Hartenberg parameters; links are unknown, limits open.
 
     Modified (Craig): `Rx(alpha_i) Tx(a_i) Rz(theta_i) Tz(d_i)`, link frame = DH frame.
     Standard (Paul): `Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i)`; frames of all links but the last are on their
@@ -279,8 +283,8 @@ def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
     Raises
     ------
     ConfigError
-        Unknown convention, not two to eight rows, columns of different length, a value that is not finite, or a
-        standard table whose last a is not 0 (that frame would not be on its axis: give the length in the flange).
+        Unknown convention, not two to eight rows, columns of different length, or a value that is not finite. Also a
+        standard table whose last a is not 0: that frame would not be on its axis (give the length in the flange).
     """
     columns = [
         np.asarray(column, dtype=float) for column in (table.alpha_rad, table.a_m, table.d_m, table.theta_offset_rad)
@@ -288,10 +292,10 @@ def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
     axes = len(table.alpha_rad)
     if any(column.shape != (axes,) or not np.isfinite(column).all() for column in columns):
         raise ConfigError(
-            f"DH table of '{name}': alpha_rad, a_m, d_m and theta_offset_rad need one finite number for each axis"
+            f"DH table of '{name}': alpha_rad, a_m, d_m and theta_offset_rad need one finite number per axis"
         )
     if not FEWEST_AXES <= axes <= MOST_AXES:
-        raise ConfigError(f"DH table of '{name}' has {axes} rows; {FEWEST_AXES} to {MOST_AXES} axes are handled")
+        raise ConfigError(f"DH table of '{name}' has {axes} rows; {FEWEST_AXES} to {MOST_AXES} axes are supported")
     alpha, a, d, offset = columns
     axis = np.tile([0.0, 0.0, 1.0], (axes, 1))
     if table.convention == "modified":
@@ -310,7 +314,7 @@ def robot_from_dh(table: DhRows, name: str = "dh") -> Robot:
         placement[-1] = placement[-1] @ _rz(offset[-1]) @ _move(0.0, d[-1]) @ _rx(alpha[-1])
         axis[-1] = _rx(-alpha[-1])[:3, :3] @ axis[-1]
     else:
-        raise ConfigError(f"DH table of '{name}': convention '{table.convention}' is neither 'modified' nor 'standard'")
+        raise ConfigError(f"DH table of '{name}': convention '{table.convention}' must be 'modified' or 'standard'")
     unknown, open_ = np.full(axes, np.nan), np.full(axes, np.inf)
     return Robot(
         name=name,
@@ -342,7 +346,7 @@ def _move(x: float, z: float) -> Floats:
 
 
 def _chained(poses: Sequence[Pose]) -> Floats:
-    """Pose (4, 4) at the end of a chain of poses."""
+    """Return the pose (4, 4) at the end of a chain of poses."""
     frame = np.eye(4)
     for pose in poses:
         frame = frame @ transform(rotation_rpy(pose.rpy_rad), pose.xyz_m)
@@ -355,7 +359,7 @@ def _shapes(link: urdf.MovedLink) -> tuple[LinkShape, ...]:
 
 
 def _merged(link: urdf.MovedLink) -> tuple[float, Floats, Floats]:
-    """Mass [kg], centre of mass [m] and inertia about it [kg m2] of a link with all that is fixed to it."""
+    """Return mass [kg], centre of mass [m] and inertia about it [kg m2] of a link with all bodies fixed to it."""
     if link.own is None:
         return np.nan, np.full(3, np.nan), np.full((3, 3), np.nan)
     parts = []

@@ -15,22 +15,22 @@ from gateway.model.urdf_shapes import Box, Cylinder, Mesh
 
 Floats = NDArray[np.float64]
 
-#: A cylinder is a prism of so many sides around it, wider by 1 / cos(pi / sides) - 1 = 0.9 % at its edges.
+#: Number of sides of the prism around a cylinder, wider by 1 / cos(pi / sides) - 1 = 0.9 % at its edges.
 CYLINDER_SIDES = 24
 _CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solid:
-    """A convex body and a capsule around it.
+    """Convex body, and a capsule around it.
 
     Attributes
     ----------
     points_m : array of shape (v, 3)
-        The body is their convex hull, thicker by `radius_m` on all sides.
+        The body is their convex hull, enlarged by `radius_m` on all sides.
     radius_m : float
     around : Capsule
-        Contains the body; is the body where there are no more than two points.
+        Capsule that contains the body; equal to the body for one or two points.
     """
 
     points_m: Floats
@@ -39,29 +39,30 @@ class Solid:
 
     @property
     def plain(self) -> bool:
-        """Whether the body is a capsule or a ball, and distances to `around` are those to the body."""
+        """True if the body is a capsule or a ball, so that distances to `around` are exact."""
         return len(self.points_m) <= 2
 
 
 def solid_capsule(capsule: Capsule) -> Solid:
-    """A capsule as a body."""
+    """Return a capsule as a body."""
     return Solid(np.array([capsule.start_m, capsule.end_m]), capsule.radius_m, capsule)
 
 
 def solid_box(size_m: Floats, pose: Floats) -> Solid:
-    """A box of that size (3,) about the origin of a pose (4, 4)."""
+    """Return a box of a size (3,) about the origin of a pose (4, 4)."""
     size = (float(size_m[0]), float(size_m[1]), float(size_m[2]))
     return solid_of(LinkShape(pose, Box(size), True), "")
 
 
 def solid_of(body: LinkShape, source: str) -> Solid:
-    """Body, in the link's frame, of one shape of a link; of a mesh its convex hull, or a simpler body around that.
+    """Return the body, in the link's frame, of one shape of a link; for a mesh its convex hull or a simpler body around
+    it.
 
     Parameters
     ----------
     body : LinkShape
     source : str
-        File that names the shape; meshes are looked for from there.
+        File that names the shape; mesh paths are relative to it.
 
     Raises
     ------

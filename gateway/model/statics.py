@@ -1,8 +1,9 @@
-"""Regressor rows of an arm at rest, one block at a time.
+"""Compute blocks of regressor rows of an arm at rest.
 
-What a body weighs on an axis is `k . (p - o)`, with `p` its place, `o` a point of the axis and `k = up x axis` times
-the strength of gravity, a level vector: only the two level components of every pose enter. Of each link these are kept
-as columns [origin, x, y, z], which are handed on by a matrix that is linear in [1, sin q, cos q].
+The gravity torque of a body on an axis is `k . (p - o)`, with its position `p`, a point `o` of the axis, and the
+horizontal vector `k = up x axis` times the gravitational acceleration. Only the two horizontal components of every pose
+are needed. For each link they are stored as columns [origin, x, y, z] and propagated by a matrix that is linear in [1,
+sin q, cos q].
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestConstants:
-    """What does not depend on the row.
+    """Constants of an arm that do not depend on the sample.
 
-    `step` (N, 3, 16): by [1, sin q, cos q], what hands [origin, x, y, z] on; `first` (3, 12): what makes those of
-    link 1, level x, level y and a row that counts origins; `axis` (N, 3); `gravity_m_s2`: its strength.
+    `step` (N, 3, 16): propagation of [origin, x, y, z] by [1, sin q, cos q]. `first` (3, 12): columns of link 1,
+    horizontal x, horizontal y and a row that counts origins. `axis` (N, 3): joint axis. `gravity_m_s2`: magnitude of
+    gravity.
     """
 
     step: Floats
@@ -33,7 +35,7 @@ class RestConstants:
 
     @staticmethod
     def of(robot: Robot, gravity_m_s2: Floats) -> RestConstants:
-        """Constants of an arm in a field of gravity (3,), base frame."""
+        """Return the constants of an arm in a gravity field (3,), base frame."""
         step = np.zeros((robot.axes, 3, 4, 4))
         for j in range(robot.axes):
             rotation, cross = robot.placement[j, :3, :3], cross_matrix(robot.axis[j])
@@ -49,7 +51,7 @@ class RestConstants:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestBuffers:
-    """Arrays for blocks of `n` rows, reused from block to block."""
+    """Work arrays for blocks of `n` rows, reused from block to block."""
 
     phase: Floats
     step: Floats
@@ -58,7 +60,7 @@ class RestBuffers:
 
     @staticmethod
     def of(axes: int, n: int) -> RestBuffers:
-        """Workspace for blocks of n rows of an arm of so many axes."""
+        """Return the work arrays for blocks of n rows of an arm."""
         return RestBuffers(
             phase=np.ones((3, axes, n)),
             step=np.empty((axes - 1, n, 16)),
@@ -68,7 +70,7 @@ class RestBuffers:
 
 
 def block(constants: RestConstants, work: RestBuffers, q: Floats, out: Floats) -> None:
-    """Write the rows of the last links of one block: positions [rad] (n, N), `out` (n, N, 4 * links)."""
+    """Compute the rows of the last links of one block: positions [rad] (n, N), `out` (n, N, 4 * links)."""
     n, axes = q.shape
     first = axes - out.shape[2] // 4
     angle = np.ascontiguousarray(q.T)
@@ -85,7 +87,9 @@ def block(constants: RestConstants, work: RestBuffers, q: Floats, out: Floats) -
 
 
 def _push(constants: RestConstants, work: RestBuffers) -> None:
-    """For every axis the level vector k and -k . o, as rows that act on [origin, x, y, z], into `work.push`."""
+    """Compute, for every axis, the horizontal vector k and -k . o as rows that act on [origin, x, y, z], into
+    `work.push`.
+    """
     x, y = np.ascontiguousarray(work.places[:, :2].transpose(1, 2, 0)).reshape(2, len(constants.axis), 4, -1)
     axis_x = np.zeros((x.shape[0], x.shape[2]))
     axis_y = np.zeros_like(axis_x)
@@ -100,7 +104,7 @@ def _push(constants: RestConstants, work: RestBuffers) -> None:
 
 
 def _level(gravity: Floats) -> Floats:
-    """The two level unit vectors (2, 3) x, y that form a right-handed set with "up" as z."""
+    """Return two horizontal unit vectors (2, 3) x, y that form a right-handed frame with "up" as z."""
     length = float(np.linalg.norm(gravity))
     if length == 0.0:
         return np.zeros((2, 3))

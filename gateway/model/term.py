@@ -1,9 +1,9 @@
-"""An effect in one place and shape, for visits at rest and for rows in motion.
+"""Term: an effect at one location and in one form, for visits at rest and for samples in motion.
 
-`theta` are the parameters of a term, those that the torque is linear in first. At rest a term puts them into an
-`AlteredModel`; in motion it gives columns of torque beside the rigid bodies, its other parameters held where they
-begin. Both faces report the same parameters. A column never holds a measured torque: with one in it the residual
-explains itself.
+`theta` are the parameters of a term; those in which the torque is linear come first. At rest a term writes them to an
+`AlteredModel`. In motion it returns torque columns in addition to the rigid bodies; its other parameters are fixed at
+their start values. Both report the same parameters. A column never contains a measured torque, because the residual
+would then explain itself.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ NO_BOUNDS: Mapping[str, tuple[float, float]] = {}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What the rows of a moving run show beside an effect, for it to judge whether it can be.
+    """Data of a moving run with which an effect checks its own plausibility.
 
     Attributes
     ----------
     motion : MovingRows
     modelled : Modelled
     drawn_nm : array of shape (n, N)
-        Torque of the links as they are drawn, 0 where nothing is known of them.
+        Torque of the links of the robot model, 0 if they are unknown.
     friction_nm : function of (axis, columns (n, k), value (k,))
-        Coulomb and viscous friction (n,) of an axis, refitted beside the effect, and the effect itself [Nm].
+        Coulomb and viscous friction (n,) of an axis, refitted together with the effect, plus the effect [Nm].
     """
 
     motion: MovingRows
@@ -49,30 +49,30 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """One effect in one place and shape.
+    """Effect at one location and in one form.
 
     Attributes
     ----------
     name : str
-        Effect as the result file calls it.
+        Name of the effect in the result file.
     parameters : tuple of str
         Names of `theta`, with unit.
     linear : tuple of bool
-        Whether the torque is linear in each; the linear ones come first.
+        True for parameters in which the torque is linear; they come first.
     SPREAD : tuple of float
-        Standard deviation of the prior about `start`; NaN = as far as ten noise floors reach.
+        Standard deviation of the prior about `start`; NaN = range that corresponds to ten noise floors.
     bounds : mapping
-        What an arm can have, smallest and largest, of parameters that are reported.
+        Smallest and largest plausible value of reported parameters.
     modelled : bool
-        Whether the columns in motion depend on the modelled torque.
+        True if the columns in motion depend on the modelled torque.
     ordinary : bool
-        Whether any gear has it: it needs less evidence than a fault or an extra part.
+        True for a property of any gear: it needs less evidence than a fault or an additional part.
     scales_reading : bool
-        Whether the columns of the bodies are read in the scale that is fitted.
+        True if the columns of the bodies are scaled by the fitted factor.
     with_friction : bool
-        Whether Coulomb and viscous friction of its axis belong to what is reported.
+        True if Coulomb and viscous friction of its axis are part of the report.
     takes_over : str
-        What every arm has on that axis and the effect is too much of: "gain", "bias", "load_friction" or "cogging".
+        Nuisance parameter of that axis that the effect replaces: "gain", "bias", "load_friction" or "cogging".
     """
 
     name: ClassVar[str] = ""
@@ -88,27 +88,27 @@ class Term:
 
     @property
     def joints(self) -> tuple[int, ...]:
-        """Joints counted from 1; empty for the base and the load."""
+        """Joint numbers from 1; empty for the base and the load."""
         return ()
 
     @property
     def label(self) -> Label:
-        """Name and joints: what a reader calls the effect. Shapes of one effect share it."""
+        """Name and joints of the effect for the reader; all forms of an effect share it."""
         return self.name, self.joints
 
     @property
     def start(self) -> tuple[float, ...]:
-        """Where the parameters begin; 0 for linear ones."""
+        """Start values of the parameters; 0 for linear ones."""
         return (0.0,) * len(self.linear)
 
     @property
     def spread(self) -> tuple[float, ...]:
-        """Plausible size of each parameter, NaN = no opinion."""
+        """Prior standard deviation of each parameter; NaN = not defined."""
         return self.SPREAD
 
     @property
     def tries(self) -> int:
-        """How many shapes were looked through for this one, which is paid for where it is weighed."""
+        """Number of forms that were tested to find this one; its evidence is corrected for it."""
         return 1
 
     @property
@@ -117,54 +117,54 @@ class Term:
         return sum(self.linear)
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
-        """The setting with the effect in it."""
+        """Return the model with the effect."""
         raise NotImplementedError
 
     def switched(self) -> tuple[Term, float] | None:
-        """For a change point: the same effect as if it had always been there, and the time [s] from which it acts."""
+        """For a change point: return the same effect as if always present, and the time [s] from which it acts."""
         return None
 
     def enters(self, axes: int) -> tuple[int, ...]:
-        """Axes, from 0, of an arm of so many whose torque the columns in motion enter."""
+        """Return the axes (from 0) whose torque the columns in motion affect."""
         return tuple(joint - 1 for joint in self.joints) or tuple(range(axes))
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
-        """Torque (n, axes entered, linear parameters) [Nm] per unit of each parameter."""
+        """Return the torque (n, affected axes, linear parameters) [Nm] per unit of each parameter."""
         raise NotImplementedError
 
     def bodies(self, value: Floats, count: int) -> Floats:
-        """What linear parameters (k,) add to the parameters (count,) of the links, or one 0."""
+        """Return the change of the link parameters (count,) by linear parameters (k,), or one 0."""
         return np.zeros(1)
 
     def plausible(self, theta: Floats, rows: Visits) -> bool:
-        """Whether the mechanism can do that at rest: a spring that pushes where it should pull cannot."""
+        """Return True if the mechanism is possible at rest; a spring that pushes instead of pulling is not."""
         return self.within_bounds(theta)
 
     def exists(self, theta: Floats, std: Floats) -> bool:
-        """Whether parameters (k,) at rest, within their standard deviations (k,), can belong to a real part."""
+        """Return True if parameters (k,) at rest, within their standard deviations (k,), can belong to a real part."""
         return True
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """Whether linear parameters (k,) with their standard deviations (k,) mean something physical in motion."""
+        """Return True if linear parameters (k,) with standard deviations (k,) are physically possible in motion."""
         return self.within_bounds(self.completed(value))
 
     def within_bounds(self, theta: Floats) -> bool:
-        """Whether what is reported of `theta` is what an arm can have."""
+        """Return True if the reported values of `theta` are within `bounds`."""
         if not self.bounds:
             return True
         values, _ = self.report(theta, np.zeros((len(theta), len(theta))))
         return all(low < values[key] < high for key, (low, high) in self.bounds.items())
 
     def completed(self, value: Floats) -> Floats:
-        """All parameters, of which the linear ones are `value`."""
+        """Return all parameters, with `value` for the linear ones."""
         return np.concatenate([value, np.array(self.start)[self.count :]])
 
     def shaped(self, values: Floats) -> Self:
-        """The member of the family whose parameters that are not linear begin at `values`."""
+        """Return the term with start values `values` for the nonlinear parameters."""
         return self
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        """Parameters and standard deviations by name."""
+        """Return parameters and standard deviations by name."""
         std = np.sqrt(np.maximum(np.diag(covariance), 0.0))
         return (
             dict(zip(self.parameters, theta.tolist(), strict=True)),
@@ -174,7 +174,7 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class OnAxis(Term):
-    """An effect of one axis, counted from 0."""
+    """Effect on one axis (from 0)."""
 
     axis: int
 
@@ -185,10 +185,10 @@ class OnAxis(Term):
 
 @dataclass(frozen=True, slots=True)
 class ReadingTorque(OnAxis):
-    """A torque that the reading of one axis has too much."""
+    """Additional torque in the reading of one axis."""
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
-        """Torque (n, k) at joint angles (n, N) per unit of the linear parameters, the others `fixed`."""
+        """Return the torque (n, k) at joint angles (n, N) per unit of the linear parameters; the others are `fixed`."""
         raise NotImplementedError
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
@@ -201,10 +201,10 @@ class ReadingTorque(OnAxis):
 
 @dataclass(frozen=True, slots=True)
 class PassiveTorque(OnAxis):
-    """A torque that a part beside the gear exerts on one joint: the motor gives as much less."""
+    """Torque of a part beside the gear on one joint: the motor torque is lower by this amount."""
 
     def shape(self, q_rad: Floats, fixed: Floats) -> Floats:
-        """Torque (n, k) at joint angles (n, N) per unit of the linear parameters, the others `fixed`."""
+        """Return the torque (n, k) at joint angles (n, N) per unit of the linear parameters; the others are `fixed`."""
         raise NotImplementedError
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
@@ -216,19 +216,19 @@ class PassiveTorque(OnAxis):
 
 
 def on_axis(*columns: Floats) -> Floats:
-    """Columns (n,) of one axis as (n, 1, k)."""
+    """Return columns (n,) of one axis as (n, 1, k)."""
     return np.stack(columns, axis=1)[:, None, :]
 
 
 def plus(values: Floats, index: object, change: Floats | float) -> Floats:
-    """A copy of `values` with `change` added at `index`."""
+    """Return a copy of `values` with `change` added at `index`."""
     moved = values.copy()
     moved[index] += change  # type: ignore[index]
     return moved
 
 
 def propagated(convert: Callable[[Floats], Named], theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-    """What `convert` makes of parameters (k,), and its standard deviations to first order."""
+    """Return converted parameters (k,) and their standard deviations to first order."""
     here = convert(theta)
     step = 1e-6 * np.maximum(np.abs(theta), np.sqrt(np.maximum(np.diag(covariance), 0.0))) + 1e-12
     slope = np.empty((len(here), len(theta)))
@@ -241,5 +241,5 @@ def propagated(convert: Callable[[Floats], Named], theta: Floats, covariance: Fl
 
 
 def wrist(axes: int) -> tuple[int, ...]:
-    """The last axes, from 0, that turn the tool: three of six."""
+    """Return the last axes (from 0), which orient the tool: three of six."""
     return tuple(range(max(3, axes - 3), axes))

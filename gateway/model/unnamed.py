@@ -1,7 +1,6 @@
-"""Structure that no effect of the library explains: smooth shapes that a residual may have, without a cause.
+"""Smooth residual structure without a named cause, as a rival of the named effects.
 
-They are rivals of the named effects: where one of them beats every effect, something is there that has no name here,
-and that is what is said.
+If such a shape explains the residual better than every named effect, the result reports an unexplained structure.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ UNNAMED: Final = "unnamed"
 
 @dataclass(frozen=True, slots=True)
 class PositionTorque(PassiveTorque):
-    """A torque on one axis that depends on the angle of one joint: three harmonics."""
+    """Torque on one axis that depends on the angle of one joint: three harmonics."""
 
     joint: int = 0
     name: ClassVar[str] = UNNAMED
@@ -39,7 +38,7 @@ class PositionTorque(PassiveTorque):
 
 @dataclass(frozen=True, slots=True)
 class SumTorque(PassiveTorque):
-    """A torque on one axis that depends on the sum of the angles of joints 2 and 3: two harmonics and a constant."""
+    """Torque on one axis that depends on the sum of the angles of joints 2 and 3: two harmonics and a constant."""
 
     name: ClassVar[str] = UNNAMED
     linear: ClassVar[tuple[bool, ...]] = (True,) * 5
@@ -52,7 +51,7 @@ class SumTorque(PassiveTorque):
 
 @dataclass(frozen=True, slots=True)
 class Pull(OnAxis):
-    """A constant force in the base frame on the origin of link `axis`."""
+    """Constant force in the base frame on the origin of link `axis`."""
 
     name: ClassVar[str] = UNNAMED
     linear: ClassVar[tuple[bool, ...]] = (True,) * 3
@@ -64,7 +63,7 @@ class Pull(OnAxis):
 
 @dataclass(frozen=True, slots=True)
 class UnevenGain(OnAxis):
-    """A gain of one axis that swings with its own angle."""
+    """Gain of one axis that varies with its own angle."""
 
     name: ClassVar[str] = UNNAMED
     linear: ClassVar[tuple[bool, ...]] = (True,) * 2
@@ -78,7 +77,7 @@ class UnevenGain(OnAxis):
 
 @dataclass(frozen=True, slots=True)
 class BentGain(OnAxis):
-    """A gain of one axis that depends on its modelled torque (a motor that saturates)."""
+    """Gain of one axis that depends on its modelled torque (motor saturation)."""
 
     largest_nm: float = 1.0
     name: ClassVar[str] = UNNAMED
@@ -104,12 +103,12 @@ class UnevenBand(OnAxis):
 
 
 def harmonics(angle_rad: Floats, count: int) -> Floats:
-    """Cosine and sine (n, 2 count) of so many multiples of an angle (n,)."""
+    """Return cosine and sine (n, 2 count) of the first `count` multiples of an angle (n,)."""
     return np.column_stack([wave(k * angle_rad) for k in range(1, count + 1) for wave in (np.cos, np.sin)])
 
 
 def unnamed_terms(rows: Visits, setup: RestSetup) -> list[Term]:
-    """Smooth shapes without a cause, the rivals of the named effects; gravity does not turn a vertical first axis."""
+    """Return the smooth shapes without a cause; gravity causes no torque on a vertical first axis."""
     measured, count = measured_axes(rows), rows.axes
     largest = largest_torque_nm(setup)
     carrying = [axis for axis in measured if axis > 0]

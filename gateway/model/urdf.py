@@ -1,7 +1,7 @@
-"""URDF text -> the chain of its driven joints, as written: no arithmetic, only structure and refusal.
+"""Parse URDF text to the chain of its driven joints, as written: structure and refusals only, no arithmetic.
 
-A driven joint is revolute or continuous and mimics no other. The arm is the path from the root to the last link, its
-tip. Every other joint that could move (linear track, finger, balancer, branch) is taken as fixed at zero, and listed.
+A driven joint is revolute or continuous and mimics no other joint. The arm is the path from the root to the last link,
+its tip. Every other movable joint (linear track, finger, balancer, branch) is fixed at zero, and listed.
 """
 
 from __future__ import annotations
@@ -20,23 +20,25 @@ from gateway.model.urdf_shapes import Shape, Unknown, shapes_of
 from gateway.model.urdf_text import parse_urdf
 
 TURNING = ("revolute", "continuous")
-#: Joint types that are not fixed and not driven: taken as fixed at zero outside the arm.
+#: Joint types that are not fixed and not driven: fixed at zero outside the arm.
 PASSIVE: Final = ("prismatic", "floating", "planar")
-#: Of a whole humanoid with two hands, and more than twice as many.
+#: Largest number of joints: more than twice that of a humanoid with two hands.
 MOST_JOINTS: Final = 500
-#: Names of the plane that a tool is bolted to, the better one first: what turns beyond it is not an axis of the arm.
+#: Names of the mounting plane of a tool, in order of preference: joints beyond it are not axes of the arm.
 FLANGES: Final = ("tool0", "flange")
-#: Words of a link that ends an arm, beside those of a flange.
+#: Names of a link at the end of an arm, in addition to those of a flange.
 _HANDS: Final = frozenset({*FLANGES, "tool", "hand", "tcp", "ee", "eef", "effector"})
-#: A jaw has no more joints one after another.
+#: Largest number of joints in series in a gripper jaw.
 _JOINTS_OF_A_JAW: Final = 2
-#: What is in the name of a joint or link of a gripper.
+#: Parts of names of joints or links of a gripper.
 _GRIPPER: Final = re.compile(r"finger|gripper|jaw|knuckle|claw|thumb", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
 class Inertial:
-    """`<inertial>`: tensor as (xx, xy, xz, yy, yz, zz) [kg m2] about the centre of mass, in the frame of `pose`."""
+    """Element `<inertial>`: tensor as (xx, xy, xz, yy, yz, zz) [kg m2] about the centre of mass, in the frame of
+    `pose`.
+    """
 
     pose: Pose
     mass_kg: float
@@ -45,7 +47,7 @@ class Inertial:
 
 @dataclass(frozen=True, slots=True)
 class Joint:
-    """A turning joint; `fixed_before` are the fixed joints between the moved link before it and itself."""
+    """Revolute joint; `fixed_before` are the fixed joints between the previous moved link and this joint."""
 
     name: str
     child: str
@@ -61,7 +63,7 @@ class Joint:
 
 @dataclass(frozen=True, slots=True)
 class PlacedShape:
-    """A shape of `<collision>` and the poses that lead to it from the moved link."""
+    """Shape of `<collision>` and the poses that lead to it from the moved link."""
 
     poses: tuple[Pose, ...]
     shape: Shape
@@ -69,7 +71,7 @@ class PlacedShape:
 
 @dataclass(frozen=True, slots=True)
 class MovedLink:
-    """A link that a joint moves: its own inertial and shapes, and those of links fixed to it with the poses between."""
+    """Link moved by a joint: its own inertial and shapes, and those of links fixed to it with the poses between."""
 
     name: str
     own: Inertial | None
@@ -80,7 +82,7 @@ class MovedLink:
 
 @dataclass(frozen=True, slots=True)
 class FixedFrame:
-    """A link fixed to the last link of the arm, and the poses that lead to it from there."""
+    """Link fixed to the last link of the arm, and the poses that lead to it from there."""
 
     name: str
     poses: tuple[Pose, ...]
@@ -97,11 +99,11 @@ class Chain:
     links : tuple of MovedLink
     base_shapes : tuple of PlacedShape
     fixed_at_zero : tuple of str
-        Joints that could move and are taken as fixed, each with its kind.
+        Movable joints that are fixed at zero, each with its kind.
     unused_shapes : tuple of str
-        Shapes of `<collision>` that cannot be used, and why.
+        Shapes of `<collision>` that cannot be used, with the reason.
     frames : tuple of FixedFrame
-        Links that fixed joints alone join to the last link, in the order of the file.
+        Links connected to the last link by fixed joints only, in the order of the file.
     """
 
     name: str
@@ -114,7 +116,7 @@ class Chain:
 
 
 def read_chain(text: str, where: str, tip: str | None = None) -> Chain:
-    """The chain of driven joints of a URDF.
+    """Return the chain of driven joints of a URDF.
 
     Parameters
     ----------
@@ -122,19 +124,19 @@ def read_chain(text: str, where: str, tip: str | None = None) -> Chain:
     where : str
         Name of the file, for messages.
     tip : str, optional
-        Last link of the arm. Without it the arm must be clear: one path of driven joints, none of them of a gripper.
+        Last link of the arm. Without it there must be only one path of driven joints, without a gripper.
 
     Raises
     ------
     ConfigError
-        No usable URDF, or it is not clear which joints are the arm's; names file and element, and what to type.
+        The URDF is not usable, or the joints of the arm are ambiguous; the message names file, element and option.
     """
     tree = _Tree(parse_urdf(text, where), where)
     return tree.chain(tree.path_to(tip) if tip is not None else tree.only_path())
 
 
 def name_the_tip(link: str) -> str:
-    """What a person types to say where the arm ends."""
+    """Return the advice how to name the last link of the arm."""
     return f'name the last link of the arm: --tip {link}, in a cell file tip = "{link}"'
 
 
@@ -153,7 +155,8 @@ class _Tree:
             if joint.get("type") not in (*TURNING, *PASSIVE, "fixed"):
                 known = ", ".join((*TURNING, *PASSIVE, "fixed"))
                 raise ConfigError(
-                    f"{where}: joint '{name}' is of type '{joint.get('type')}', which is none of {known}; correct it"
+                    f"{where}: joint '{name}' is of type '{joint.get('type')}', which must be one of {known}; correct"
+                    " it"
                 )
             above, child = (_reference(joint, tag, name, self.links, where) for tag in ("parent", "child"))
             if child in self.parent:
@@ -176,7 +179,7 @@ class _Tree:
             self.reached += map(_child, self.children[link])
 
     def path_to(self, tip: str) -> list[ET.Element]:
-        """Joints from the root to a link."""
+        """Return the joints from the root to a link."""
         if tip not in self.links:
             near = difflib.get_close_matches(tip, self.links, 3, 0.5) or list(self.links)[-8:]
             raise ConfigError(f"{self.where}: there is no link '{tip}' for the tip; links are {', '.join(near)}")
@@ -189,7 +192,9 @@ class _Tree:
         return path[::-1]
 
     def likely_tip(self) -> str:
-        """Last link of what is likely the arm: down the longest branch, to a gripper or to two equal short branches."""
+        """Return the probable last link of the arm: along the longest branch, to a gripper or to two equal short
+        branches.
+        """
         below = dict.fromkeys(self.reached, 0)
         for link in reversed(self.reached[1:]):
             above = _parent(self.parent[link])
@@ -206,7 +211,7 @@ class _Tree:
         return last
 
     def only_path(self) -> list[ET.Element]:
-        """Joints from the root to the last driven link, where there is one such path and no gripper at its end."""
+        """Return the joints from the root to the last driven link, if there is only one path without a gripper."""
         driven = {link for link in self.reached[1:] if _is_driven(self.parent[link])}
         above: set[str] = set()  # links from which driven joints are reached
         for link in driven:
@@ -217,8 +222,8 @@ class _Tree:
             if len(onward) > 1:
                 names = " and ".join(f"'{joint.get('name')}'" for joint in onward)
                 raise ConfigError(
-                    f"{self.where}: joints {names} both turn on link '{current}', or carry what turns, and one of them"
-                    f" alone can be the arm's: {name_the_tip(self.likely_tip())}"
+                    f"{self.where}: joints {names} both start at link '{current}' and lead to driven joints, but only"
+                    f" one can belong to the arm: {name_the_tip(self.likely_tip())}"
                 )
             path.append(onward[0])
             current = _child(onward[0])
@@ -226,7 +231,7 @@ class _Tree:
         return path
 
     def _refuse_gripper(self, path: Sequence[ET.Element]) -> None:
-        """Refuse to count a joint as an axis that seems to belong to a tool."""
+        """Refuse to count a joint that seems to belong to a tool as an axis."""
         last, axes = "", 0
         for joint in path:
             name, child = joint.get("name", ""), _child(joint)
@@ -240,7 +245,7 @@ class _Tree:
                 axes, last = axes + 1, child
 
     def _of_a_tool(self, joint: ET.Element, above: str) -> str:
-        """Why a driven joint seems to belong to a tool; empty where it does not."""
+        """Return the reason why a driven joint seems to belong to a tool; empty if it does not."""
         if not _is_driven(joint):
             return ""
         if _GRIPPER.search(joint.get("name", "")) or _GRIPPER.search(_child(joint)):
@@ -252,7 +257,7 @@ class _Tree:
         return f"is beyond '{above}'"
 
     def chain(self, path: Sequence[ET.Element]) -> Chain:
-        """The chain along a path; everything else is fixed to it."""
+        """Return the chain along a path; all other links are fixed to it."""
         axes = self._axes(path)
         joints: list[Joint] = []
         links: list[MovedLink] = []
@@ -303,21 +308,21 @@ class _Tree:
         )
 
     def _axes(self, path: Sequence[ET.Element]) -> list[ET.Element]:
-        """Driven joints of a path; between them nothing else may move."""
+        """Return the driven joints of a path; no other movable joint may be between them."""
         driven = [row for row, joint in enumerate(path) if _is_driven(joint)]
         for joint in path[driven[0] : driven[-1]] if driven else ():
             if joint.get("type") != "fixed" and not _is_driven(joint):
                 before = next(_child(each) for each in reversed(path[: list(path).index(joint)]) if _is_driven(each))
                 what = f"is of type '{joint.get('type')}'" if joint.find("mimic") is None else "mimics another one"
                 raise ConfigError(
-                    f"{self.where}: joint '{joint.get('name')}' {what}; only revolute and fixed joints are handled"
+                    f"{self.where}: joint '{joint.get('name')}' {what}; only revolute and fixed joints are supported"
                     f" between the axes of the arm; to end the arm before it, {name_the_tip(before)}"
                 )
         return [path[row] for row in driven]
 
 
 def flange_kind(link: str) -> str | None:
-    """Which of the usual names of the flange a link has, without its prefix."""
+    """Return the usual flange name that a link name contains, without its prefix."""
     return next((name for name in FLANGES if _words(link)[-1] == name), None)
 
 
@@ -330,7 +335,7 @@ def _is_driven(joint: ET.Element) -> bool:
 
 
 def _kind(joint: ET.Element) -> str:
-    """Name of a joint, and what it is."""
+    """Return the name of a joint and its kind."""
     mimic = joint.find("mimic")
     what = joint.get("type", "of no type") if mimic is None else f"mimics '{mimic.get('joint', '')}'"
     return f"'{joint.get('name')}' ({what})"
@@ -397,7 +402,7 @@ def _turning(joint: ET.Element, poses: tuple[Pose, ...], where: str) -> Joint:
 
 
 def _softened(joint: ET.Element, lower: float, upper: float, where: str) -> tuple[float, float]:
-    """Joint limits narrowed by those of a `<safety_controller>`; one without a range of its own changes nothing."""
+    """Return the joint limits narrowed by a `<safety_controller>`; one without a range changes nothing."""
     soft = joint.find("safety_controller")
     if soft is None:
         return lower, upper
@@ -415,7 +420,7 @@ def _inertial(link: ET.Element, name: str, where: str) -> Inertial | None:
     mass_element, tensor = element.find("mass"), element.find("inertia")
     if mass_element is None or tensor is None:
         raise ConfigError(
-            f"{where}: {label}: <mass> and <inertia> are both needed (or no inertial: then it is unknown)"
+            f"{where}: {label}: <mass> and <inertia> are both needed; without <inertial> the link counts as unknown"
         )
     mass = number(mass_element, "value", f"{label} <mass>", where, None)
     if mass < 0:

@@ -1,4 +1,4 @@
-"""Values of URDF elements: numbers, triples and poses, refused by file and element where they are none."""
+"""Parse values of URDF elements: numbers, triples and poses; errors name file and element."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ ZERO: Three = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """`<origin>`: translation [m], fixed-axis roll, pitch, yaw [rad]."""
+    """Element `<origin>`: translation [m], fixed-axis roll, pitch, yaw [rad]."""
 
     xyz_m: Three = ZERO
     rpy_rad: Three = ZERO
 
 
 def origin(element: ET.Element, label: str, where: str) -> Pose:
-    """`<origin>` of an element; identity where there is none."""
+    """Return the pose `<origin>` of an element; identity if missing."""
     found, label = element.find("origin"), f"{label} <origin>"
     if found is None:
         return Pose()
@@ -29,7 +29,7 @@ def origin(element: ET.Element, label: str, where: str) -> Pose:
 
 
 def three(element: ET.Element, key: str, label: str, where: str, default: Three | None) -> Three:
-    """Three numbers of an attribute; raises ConfigError naming file, element and attribute."""
+    """Return three numbers of an attribute; raises ConfigError naming file, element and attribute."""
     text = element.get(key)
     if text is None:
         if default is None:
@@ -37,13 +37,13 @@ def three(element: ET.Element, key: str, label: str, where: str, default: Three 
         return default
     words = text.split()
     if len(words) != 3:
-        raise ConfigError(f'{where}: {label}: {key}="{text}" needs three numbers; write three, apart by spaces')
+        raise ConfigError(f'{where}: {label}: {key}="{text}" needs three numbers; write three, separated by spaces')
     x, y, z = (finite(word, f"{label} {key}", where) for word in words)
     return x, y, z
 
 
 def number(element: ET.Element, key: str, label: str, where: str, default: float | None) -> float:
-    """A number of an attribute; raises ConfigError naming file, element and attribute."""
+    """Return a number of an attribute; raises ConfigError naming file, element and attribute."""
     text = element.get(key)
     if text is None:
         if default is None:
@@ -53,7 +53,7 @@ def number(element: ET.Element, key: str, label: str, where: str, default: float
 
 
 def finite(text: str, label: str, where: str) -> float:
-    """A finite number; raises ConfigError naming file, element and attribute."""
+    """Return a finite number; raises ConfigError naming file, element and attribute."""
     try:
         value = float(text)
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""`<collision>` of a link as written: spheres, cylinders, boxes and the names of meshes; no arithmetic."""
+"""Parse `<collision>` of a link as written: spheres, cylinders, boxes and names of meshes; no arithmetic."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from gateway.model.urdf_elements import Pose, Three, number, origin, three
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A ball about its frame's origin."""
+    """Sphere about the origin of its frame."""
 
     radius_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class Cylinder:
-    """A cylinder along z, its middle in the origin; `rounded` has half a ball at both ends in addition."""
+    """Cylinder along z, centred at the origin; `rounded` adds a half sphere at both ends."""
 
     radius_m: float
     length_m: float
@@ -28,14 +28,14 @@ class Cylinder:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box along the axes, its middle in the origin."""
+    """Box along the axes, centred at the origin."""
 
     size_m: Three
 
 
 @dataclass(frozen=True, slots=True)
 class Mesh:
-    """A mesh in a file of its own."""
+    """Mesh in a separate file."""
 
     file: str
     scale: Three
@@ -43,7 +43,7 @@ class Mesh:
 
 @dataclass(frozen=True, slots=True)
 class Unknown:
-    """A shape that is not understood, or has no size; `what` names it."""
+    """Shape of unknown kind, or without size; `what` names it."""
 
     what: str
 
@@ -52,12 +52,12 @@ Shape = Sphere | Cylinder | Box | Mesh | Unknown
 
 
 def shapes_of(link: ET.Element, name: str, where: str) -> Iterator[tuple[Pose, Shape]]:
-    """Shapes of a link with their poses in it; what cannot be used, for want of a size, is `Unknown`.
+    """Return the shapes of a link with their poses in it; a shape that cannot be used is `Unknown`.
 
     Raises
     ------
     ConfigError
-        A pose that is none; names file and element.
+        A pose is invalid; the message names file and element.
     """
     label = f"link '{name}' <collision>"
     for collision in link.findall("collision"):

@@ -1,7 +1,8 @@
-"""From the file of a robot description to its elements: encoding, format, limits; xacro, MJCF and SDF are recognised.
+"""Read a robot description file and parse it to XML elements: encoding, format, limits; xacro, MJCF and SDF are
+recognised.
 
-Documents with a DTD are refused before anything is expanded, so that no entity can blow up. Prefixes that no namespace
-declares are read as they are written, as robotics software does.
+Documents with a DTD are refused before anything is expanded, which prevents entity expansion attacks. Undeclared
+namespace prefixes are accepted as written, as in robotics software.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ MOST_BYTES: Final = 20_000_000
 MAX_DEPTH: Final = 100
 _MARKS: Final = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"), (codecs.BOM_UTF16_BE, "utf-16"))
 _DECLARED: Final = re.compile(rb"""<\?xml[^>]*?\bencoding\s*=\s*["']([A-Za-z0-9._:-]+)["']""")
-#: Beginnings of Python's names of the encodings that hold text, one pass each.
+#: Prefixes of Python's names of text encodings.
 _TEXT: Final = ("utf-8", "utf-16", "iso8859", "cp", "ascii", "gb", "big5", "shift_jis", "euc", "koi8", "mac-")
-#: Content of attributes of a xacro file until it is expanded.
+#: Pattern of attribute values in a xacro file that is not expanded.
 _MACRO: Final = re.compile(r"\$[({]")
-#: Outermost elements of other formats: what the file is, and how a URDF is made of it (`{file}`, `{urdf}`).
+#: Root elements of other formats: kind of the file, and how to convert it to a URDF (`{file}`, `{urdf}`).
 _SDF: Final = (
     "an SDF file",
     "convert it first: `rosrun pysdf sdf2urdf.py {file} {urdf}`, or name the URDF or xacro that it was made from",
@@ -45,12 +46,12 @@ _OTHERS: Final = {
 
 
 def read_urdf(path: Path) -> str:
-    """Text of a robot description, in the encoding that its first line declares, else UTF-8.
+    """Return the text of a robot description, in the encoding declared in its first line, else UTF-8.
 
     Raises
     ------
     ConfigError
-        It cannot be read, is not a regular file, is too large, or is not in the encoding that it declares.
+        The file cannot be read, is not a regular file, is too large, or is not in the declared encoding.
     """
     try:
         data = read_bounded(path, MOST_BYTES)
@@ -80,15 +81,19 @@ def _decoded(data: bytes, where: str) -> str:
 
 
 def parse_urdf(text: str, where: str) -> ET.Element:
-    """The outermost element, `<robot>`, of a URDF.
+    """Return the root element `<robot>` of a URDF.
 
     Raises
     ------
     ConfigError
-        No XML, document type or entities, too deep, or another format; names the file and what to do.
+        Not XML, document type or entities, nested too deep, or another format; the message names the file and an
+        advice.
     """
     if len(text) > MOST_BYTES:
-        raise ConfigError(f"{where}: {len(text)} characters are no robot description (limit {MOST_BYTES})")
+        raise ConfigError(
+            f"{where}: {len(text)} characters are too many for a robot description (limit {MOST_BYTES}); name the"
+            " URDF of the arm"
+        )
     root = _elements(text, where)
     if root.tag in _OTHERS:
         what, advice = _OTHERS[root.tag]
@@ -108,13 +113,13 @@ def parse_urdf(text: str, where: str) -> ET.Element:
 
 
 def _beside(where: str, suffix: str) -> str:
-    """Name of the URDF that is made of a file: of another name than the file itself."""
+    """Return a name for the URDF made from a file, different from the name of the file."""
     stem = where.removesuffix(suffix).removesuffix(".sdf").removesuffix(".urdf")
     return f"{stem}.urdf" if f"{stem}.urdf" != where else f"{stem}.expanded.urdf"
 
 
 def _is_xacro(root: ET.Element) -> bool:
-    """Whether macros are left; an expanded file may still declare the namespace."""
+    """Return True if the file contains macros; an expanded file may still declare the namespace."""
     if any(element.tag.startswith("xacro:") for element in root.iter()):
         return True
     described = (part for tag in ("link", "joint") for element in root.findall(tag) for part in element.iter())
@@ -122,7 +127,7 @@ def _is_xacro(root: ET.Element) -> bool:
 
 
 def _elements(text: str, where: str) -> ET.Element:
-    """Elements with their names as they are written, prefix and all."""
+    """Return the elements with their names as written, including the prefix."""
     builder, depth = ET.TreeBuilder(), 0
 
     def refuse(*_: object) -> None:

@@ -1,7 +1,8 @@
-"""Rest visits: both sides of a pose as half their sum (gravity) and half their difference (friction band).
+"""Rest visits: both approaches to a pose as half-sum (gravity) and half-difference (friction band) of the torque.
 
-Each side goes through the gear by its own direction first: the motor driving, `tau = eta u`; driven back, `tau = u/eta`
-(Li et al., static load identification from servo torque, eq. (9)). Halving `u` first would leave (eta + 1/eta)/2.
+Each torque is first converted through the gear by its own direction: driving, `tau = eta u`; back-driven, `tau = u/eta`
+(Li et al., static load identification from servo torque, eq. (9)). A half-sum of `u` would leave a factor (eta +
+1/eta)/2.
 """
 
 from __future__ import annotations
@@ -19,18 +20,19 @@ from gateway.data.rows import Table
 Floats = NDArray[np.float64]
 Mask = NDArray[Any]
 
-#: Joint angles closer than this are one pose [rad], in all commands. Within 0.01 rad gravity changes by at most 1 % of
-#: its torque, less than friction scatters; an arm that friction holds on either side of a pose rests closer.
+#: Largest difference of joint angles within one pose [rad], in all commands. Within 0.01 rad gravity changes by at most
+#: 1 % of
+#: its torque, less than the scatter of friction; the rest positions after both approaches differ by less.
 SAME_POSE_RAD: Final = 0.01
-#: From one visit to the next [s] where no time is given: an order in which nothing warms up.
+#: Assumed time between visits [s] if the table has none: short, so that no warm-up is assumed.
 _ORDER_S = 1e-3
-#: Entry of an inverted coupling up to which it is rounding.
+#: Largest entry of an inverted coupling that counts as rounding.
 _NO_SHARE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gears:
-    """Gear efficiencies of N motors, and how their gear outputs act on the joints.
+    """Gear efficiencies of N motors, and the coupling of their gear outputs to the joints.
 
     Attributes
     ----------
@@ -44,19 +46,21 @@ class Gears:
 
     @staticmethod
     def of(efficiency: ArrayLike | None, axes: int, coupling: ArrayLike | None = None) -> Gears:
-        """Of N axes: one efficiency for all or one each, None = 1; a coupling that mixes nothing is none."""
+        """Return the gears of N axes from one efficiency for all or one each (None = 1); an identity coupling counts
+        as None.
+        """
         eta = np.broadcast_to(np.asarray(1.0 if efficiency is None else efficiency, dtype=float), (axes,))
         mixed = None if coupling is None else np.asarray(coupling, dtype=float)
         return Gears(eta, None if mixed is None or np.array_equal(mixed, np.eye(axes)) else mixed)
 
     def behind(self, reported_nm: Floats, direction: Floats | float) -> Floats:
-        """Joint torque (n, N) [Nm] behind the gears, of the torque that loss-free gears would give.
+        """Return the joint torque (n, N) [Nm] behind the gears for the torque that loss-free gears would give.
 
         Parameters
         ----------
         reported_nm : array of shape (n, N)
         direction : array of shape (n, N), or one for all
-            Direction or velocity of each joint; a gear whose direction is unknown, 0, passes its torque unchanged.
+            Direction or velocity of each joint; with an unknown direction (0) a gear leaves the torque unchanged.
         """
         output, facing = self._outputs(reported_nm, direction)
         work = output * facing
@@ -64,19 +68,21 @@ class Gears:
         return self._joints(output * np.where(work > 0, eta, np.where(work < 0, 1.0 / eta, 1.0)))
 
     def before(self, behind_nm: Floats, direction: float) -> Floats:
-        """Joint torque (n, N) [Nm] that loss-free gears would give, of the torque behind them; inverse of `behind`."""
+        """Return the joint torque (n, N) [Nm] that loss-free gears would give for the torque behind them; inverse of
+        `behind`.
+        """
         output, facing = self._outputs(behind_nm, direction)
         eta = self.efficiency
         return self._joints(np.where(output * facing > 0, output / eta, output * eta))
 
     def open_range(self, reported_nm: Floats, direction: Floats) -> Floats:
-        """Half the range (n, N) [Nm] that gears with an unknown direction leave; 0 where all directions are known."""
+        """Return half the torque range (n, N) [Nm] caused by unknown directions; 0 if all directions are known."""
         output, facing = self._outputs(reported_nm, direction)
         half = np.where(facing == 0, np.abs(output) * (1.0 / self.efficiency - self.efficiency) / 2.0, 0.0)
         return half if self.coupling is None else _mixed(half, np.asarray(np.abs(self.coupling), dtype=float))
 
     def _outputs(self, joint_nm: Floats, direction: Floats | float) -> tuple[Floats, Floats]:
-        """Torque and direction (n, N) of the gear outputs."""
+        """Return torque and direction (n, N) of the gear outputs."""
         facing = np.broadcast_to(np.asarray(direction, dtype=float), np.shape(joint_nm))
         if self.coupling is None:
             return joint_nm, facing
@@ -95,30 +101,30 @@ class Visits:
     load, run : str arrays of shape (n,)
     pose : int array of shape (n,)
     time_s : array of shape (n,)
-        Middle of the visit; where a time is missing all are in their order, a millisecond apart.
+        Middle of the visit; if a time is missing, all visits are numbered a millisecond apart.
     q_rad : array of shape (n, N)
-        By the secondary encoder of a joint where all visits have it, else by the motor's.
+        From the secondary encoder of a joint if all visits have it, else from that of the motor.
     sum_nm : array of shape (n, N)
-        Half the sum of both sides behind the gear, or the one side there is; NaN = axis not measured.
+        Half-sum of both approaches behind the gear, or the torque of the only approach; NaN = axis not measured.
     difference_nm : array of shape (n, N)
-        Half the difference of the sides in the direction of motion. NaN where there is only one side, and on axes that
-        stayed at rest in between.
+        Half-difference of both approaches in the direction of motion. NaN for a single approach, and for axes that
+        rested in between.
     side : array of shape (n, N)
-        Direction of approach of an axis that came from one side alone; 0 = both, or unknown.
+        Approach direction of an axis approached in one direction only; 0 = both, or unknown.
     two_sided : bool array of shape (n,)
-        At least one axis came from both sides: those with a half-difference.
+        True if at least one axis was approached in both directions.
     sample_std_nm : array of shape (n, N)
-        Standard deviation of `sum_nm` by the averaged samples alone; NaN where unknown.
+        Standard deviation of `sum_nm` from the averaged samples only; NaN if unknown.
     gear_nm : array of shape (n, N)
-        Half the range that an unknown direction leaves through the gear's efficiency; 0 where the side is known.
+        Half the torque range caused by an unknown direction and the gear efficiency; 0 if the direction is known.
     temperature_c : array of shape (n, N)
         NaN where absent.
     wind_up_rad : array of shape (n, N)
-        Angle of the secondary encoder less that of the motor encoder; NaN where there is none.
+        Angle of the secondary encoder minus that of the motor encoder; NaN without one.
     where : str array of shape (n,)
         `file:line` of the first row, for messages.
     gears : Gears
-        By which the reported torque was brought behind the gears.
+        Gears used to convert the reported torque.
     """
 
     load: NDArray[np.str_]
@@ -143,20 +149,20 @@ class Visits:
 
     @property
     def axes(self) -> int:
-        """How many axes the arm has."""
+        """Number of axes of the arm."""
         return self.q_rad.shape[1]
 
     @property
     def band_nm(self) -> Floats:
-        """Friction band (N,): median of the half-differences; NaN where no axis was approached from both sides."""
+        """Friction band (N,): median of the half-differences; NaN for an axis without approaches in both directions."""
         return column_medians(self.difference_nm)
 
     def take(self, rows: NDArray[Any]) -> Visits:
-        """The chosen visits (mask or indices)."""
+        """Return the chosen visits (mask or indices)."""
         return Visits(gears=self.gears, **{name: getattr(self, name)[rows] for name in _OF_VISITS})
 
     def unmeasured(self, entries: NDArray[np.bool_]) -> Visits:
-        """The visits with these entries (n, N) as if they had not been measured."""
+        """Return a copy of the visits with entries (n, N) marked as not measured."""
         sums, halves = (np.where(entries, np.nan, values) for values in (self.sum_nm, self.difference_nm))
         return replace(self, sum_nm=sums, difference_nm=halves)
 
@@ -188,13 +194,13 @@ _OF_VISITS: Final = tuple(field.name for field in fields(Visits) if field.name !
 
 
 def joined(parts: Sequence[Visits]) -> Visits:
-    """Visits of several tables as one, in the order given."""
+    """Return the visits of several tables as one, in their order."""
     merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_VISITS}
     return Visits(gears=parts[0].gears, **merged)
 
 
 def column_medians(values: Floats) -> Floats:
-    """Median (N,) of what is known in each column of (n, N); NaN of nothing."""
+    """Return the median (N,) of the known values in each column of (n, N); NaN for an empty column."""
     known = np.isfinite(values)
     return np.array(
         [np.median(column[here]) if here.any() else np.nan for column, here in zip(values.T, known.T, strict=True)]
@@ -202,26 +208,26 @@ def column_medians(values: Floats) -> Floats:
 
 
 def _mixed(values: Floats, matrix: Floats) -> Floats:
-    """`values @ matrix`, NaN only where a NaN takes part."""
+    """Return `values @ matrix`, NaN only where a NaN has a nonzero factor."""
     known = np.isfinite(values)
     missing = (~known).astype(float) @ (np.abs(matrix) > _NO_SHARE).astype(float) > 0
     return np.where(missing, np.nan, np.where(known, values, 0.0) @ matrix)
 
 
 def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: ArrayLike | None = None) -> Visits:
-    """Visits of the rest rows of a table.
+    """Pair the rest samples of a table to visits.
 
-    Rows of one run, load and pose at the same joint angles, approached from opposite sides, make one visit, in the
-    order of time. Then those of which some axes came from opposite sides and the others from the same, which are both
-    sides for those axes alone; and, numbered as one pose or not, those of a sweep of a single joint that passes the
-    same angle both ways. What finds no partner stays one-sided.
+    Two samples of one run, load and pose at the same joint angles, approached in opposite directions, make one visit,
+    in time order. Next are pairs in which only some axes reversed; they are two-sided for those axes only. Last are
+    sweeps of a single joint that passes the same angle in both directions, whatever their pose numbers. Remaining
+    samples make one-sided visits.
 
     Parameters
     ----------
     table : Table
-        Moving rows are left out.
+        Moving samples are left out.
     efficiency : array of shape (N,), optional
-        Gear efficiency of each motor; 1 where the table's torque is already that behind the gear.
+        Gear efficiency of each motor; 1 if the torque of the table is already that behind the gear.
     coupling : array of shape (N, N), optional
         As of `Gears`.
     """
@@ -258,7 +264,7 @@ def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: Arr
 
 
 def _pairs(rest: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Row of the first side and of the second; the same row twice for a one-sided visit."""
+    """Return the rows of the first and second approach; the same row twice for a one-sided visit."""
     by_pose: dict[tuple[str, str, int], list[int]] = {}
     for row in range(len(rest)):
         by_pose.setdefault((str(rest.run[row]), str(rest.load[row]), int(rest.pose[row])), []).append(row)
@@ -278,24 +284,24 @@ def _pairs(rest: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
 
 
 def _reversed(facing: Mask, others: Mask) -> Mask:
-    """Whether all that moved came the other way: directions (N,) against (k, N)."""
+    """Return True where all axes that moved have the opposite direction: directions (N,) against (k, N)."""
     return (others == -facing).all(axis=1) & facing.any()
 
 
 def _partly_reversed(facing: Mask, others: Mask) -> Mask:
-    """Whether some axes came the other way and the rest as before, or stayed at rest."""
+    """Return True where some axes reversed and the others moved as before, or rested."""
     return (np.abs(others) == np.abs(facing)).all(axis=1) & (others != facing).any(axis=1)
 
 
 def _one_reversed(facing: Mask, others: Mask) -> Mask:
-    """Whether one axis alone came the other way, the rest as before or not at all."""
+    """Return True where only one axis reversed, and the others moved as before or rested."""
     return _partly_reversed(facing, others) & ((others != facing).sum(axis=1) == 1) & (len(facing) > 1)
 
 
 def _matched(
     rest: Table, members: list[int], opposite: Callable[[Mask, Mask], Mask]
 ) -> tuple[list[tuple[int, int]], list[int]]:
-    """Rows at the same angles that `opposite` makes both sides of a visit, in the order of time; and those alone."""
+    """Return row pairs at the same angles that `opposite` accepts, in time order; and the unpaired rows."""
     order = np.array(sorted(members, key=lambda row: (np.nan_to_num(rest.time_s[row]), row)), dtype=int)
     waiting = np.ones(len(order), dtype=bool)
     pairs: list[tuple[int, int]] = []

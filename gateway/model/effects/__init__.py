@@ -1,4 +1,4 @@
-"""The effects of the diagnosis: one file each, named as its effect, that holds an `EFFECT`."""
+"""Effects of the diagnosis: one file per effect, named after it, with an `EFFECT`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _read() -> dict[str, Effect]:
 
 #: Effects by name.
 LIBRARY: Final[Mapping[str, Effect]] = _read()
-#: Effects that a wrong drawing of the links can imitate.
+#: Effects that wrong link parameters of the robot model can imitate.
 DRAWN: Final = frozenset(effect.name for effect in LIBRARY.values() if effect.drawn)
 #: Effects that are friction.
 FRICTION: Final = frozenset(effect.name for effect in LIBRARY.values() if effect.friction)
@@ -30,17 +30,19 @@ MISTAKES: Final = {effect.name: effect.mistake for effect in LIBRARY.values() if
 
 
 def terms_at_rest(rows: Visits, setup: RestSetup, allowed: Iterable[str] = LIBRARY) -> list[Term]:
-    """Every effect in every place and shape that rest visits can show."""
+    """Return every effect at every location and in every form that rest visits can show."""
     return [term for name in sorted(allowed) for term in LIBRARY[name].at_rest(rows, setup)]
 
 
 def terms_in_motion(motion: MovingRows, setup: MotionSetup, allowed: Iterable[str] = LIBRARY) -> list[Term]:
-    """Every effect in every place and shape that moving rows can show, but those read off the residual."""
+    """Return every effect at every location and in every form that moving samples can show, except residual-based
+    ones.
+    """
     effects = [LIBRARY[name] for name in sorted(allowed) if not LIBRARY[name].by_residual]
     return [term for effect in effects for term in effect.in_motion(motion, setup)]
 
 
 def terms_by_residual(motion: MovingRows, setup: MotionSetup, allowed: Iterable[str] = LIBRARY) -> list[Term]:
-    """Candidates in motion that what the present model leaves suggests."""
+    """Return the candidates in motion that the residual of the present model suggests."""
     effects = [LIBRARY[name] for name in sorted(allowed) if LIBRARY[name].by_residual]
     return [term for effect in effects for term in effect.in_motion(motion, setup)]

@@ -1,4 +1,4 @@
-"""The angle of a joint is reported with that of the joint before it, as controllers of parallel linkages show it."""
+"""Effect: the reported angle of a joint includes that of the previous joint, as in controllers of parallel linkages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two drives are in each other's place."""
+"""Effect: two drives are swapped."""
 
 from __future__ import annotations
 
@@ -9,6 +9,6 @@ from gateway.model.effect import Effect
 EFFECT: Final = Effect(
     name="axes_swapped",
     words="two axes swapped",
-    meaning="two drives are in each other's place",
-    mistake=("drives are in each other's place", "swap the node ids of these axes in the cell file, or their cables"),
+    meaning="two drives are swapped",
+    mistake=("drives are swapped", "swap the node ids of these axes in the cell file, or their cables"),
 )

@@ -1,8 +1,8 @@
-"""A motor turns with another joint: friction, inertia or torque of one axis shows on another.
+"""Effect: a motor also turns with another joint, so that friction, inertia or torque of one axis appears on another.
 
-Trains and linkages run within the wrist, through the upper arm to its first axis, and from axis 2 to axis 3 and on to
-axis 4 (parallel links, cable drives). Several of them add up: axis i shows its own torque and a share of each other's.
-The weight of a parallelogram is not a coupling: it is in the span of the serial links.
+Gear trains and linkages run within the wrist, through the upper arm to its first axis, and from axis 2 to axis 3 and on
+to axis 4 (parallel links, cable drives). Several couplings add up: axis i shows its own torque and a share of each
+other one. The weight of a parallelogram is not a coupling: the serial links span it.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: Ratios that trains of an arm have, tried first.
+#: Usual coupling ratios of gear trains, tried first.
 COEFFICIENTS: Final = (-1.0, -0.5, 0.5, 1.0)
-#: Smallest and largest share of one axis's torque that another is charged with.
+#: Smallest and largest share of one axis' torque that appears on another.
 SMALLEST_SHARE: Final = 0.02
 LARGEST_SHARE: Final = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class _Coupling(Term):
-    """Joint `inner` turns the motor of joint `outer`, both from 0."""
+    """Coupling: joint `inner` turns the motor of joint `outer`, both from 0."""
 
     inner: int
     outer: int
@@ -44,7 +44,7 @@ class _Coupling(Term):
 
 @dataclass(frozen=True, slots=True)
 class TorqueMixing(_Coupling):
-    """The inner axis shows `coefficient` times the whole torque of the outer one."""
+    """Torque coupling: the inner axis shows `coefficient` times the whole torque of the outer one."""
 
     parameters: ClassVar[tuple[str, ...]] = ("coefficient",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.7,)
@@ -65,7 +65,10 @@ class TorqueMixing(_Coupling):
 
 @dataclass(frozen=True, slots=True)
 class MotorCoupling(_Coupling):
-    """The outer motor turns at `qd_outer + c qd_inner`: its friction and rotor act on both joints, `c` times inside."""
+    """Motor coupling: the outer motor turns at `qd_outer + c qd_inner`; its friction and rotor act on both joints.
+
+    On the inner joint they act `c` times.
+    """
 
     coefficient: float
     parameters: ClassVar[tuple[str, ...]] = ("motor_coulomb_nm", "motor_viscous_nm_s_rad", "motor_inertia_kg_m2")
@@ -82,7 +85,7 @@ class MotorCoupling(_Coupling):
         return np.stack([c * own, own], axis=1)
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """Motor friction dissipates energy, so at most one of both coefficients may be below zero."""
+        """Return True if at most one coefficient is significantly negative: motor friction dissipates energy."""
         return bool((value[:2] > -2.0 * std[:2]).all() and (value[:2] > 0).any())
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
@@ -95,7 +98,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    """The motor of the outer axis turns with the inner joint; the reverse needs a train that reaches back."""
+    """Return couplings of the outer motor to the inner joint; the reverse needs a train that reaches back."""
     neighbours = {(axis, axis + 1) for axis in range(motion.axes - 1)}
     moving = set(moving_axes(motion))
     for pair in sorted(neighbours | _within(wrist(motion.axes)) | _along_the_arm(motion.axes)):
@@ -109,7 +112,7 @@ def _within(axes: tuple[int, ...]) -> set[tuple[int, int]]:
 
 
 def _along_the_arm(axes: int) -> set[tuple[int, int]]:
-    """Axes 2, 3 and 4: a parallel link whose motor carries both, or cables that pass from one to the next."""
+    """Return the axes 2, 3 and 4: a parallel link whose motor carries both, or cables from one axis to the next."""
     return _within(tuple(range(1, min(axes, 4))))
 
 

@@ -1,10 +1,11 @@
-"""A coil or gas balancer between base and link 2 that the model does not have.
+"""Effect: a coil or gas balancer between base and link 2 that the model does not contain.
 
-It hooks to link 2 at `lever` from axis 2 and to the base at `anchor` from it, and is shortest at q2 = phase. In units
-of its reach `R = sqrt(lever^2 + anchor^2)` the length is `l = sqrt(1 - ratio cos(q2 - phase))` with
-`ratio = 2 lever anchor / R^2`, and the torque on link 2 is `-F(l) lever anchor sin(q2 - phase) / (R l)`. Torque alone
-shows stiffness times lever times anchor: the stiffness is stated for a balancer of the reach `REACH_M`, and is that
-of a balancer of another reach times (REACH_M / reach)^2.
+It is attached to link 2 at distance `lever` from axis 2 and to the base at distance `anchor`, and is shortest at q2 =
+phase. In units of its reach `R = sqrt(lever^2 + anchor^2)` the length is `l = sqrt(1 - ratio cos(q2 - phase))` with
+`ratio = 2 lever anchor / R^2`. The torque on link 2 is `-F(l) lever anchor sin(q2 - phase) / (R l)`.
+
+The torque determines stiffness times lever times anchor only. The stiffness is stated for a balancer with reach
+`REACH_M`. For another reach it is multiplied by (REACH_M / reach)^2.
 """
 
 from __future__ import annotations
@@ -24,23 +25,23 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: A lever of 0.2 m anchored 0.7 m from the axis, as on arms for some 150 kg.
+#: Reach of a lever of 0.2 m with an anchor 0.7 m from the axis [m], as on arms for about 150 kg.
 REACH_M: Final = 0.728
-#: Free length of a coil over its reach in the search of its shape: no coil is longer unloaded than between its hooks.
+#: Free length of a coil divided by its reach in the search: an unloaded coil is not longer than between its ends.
 USUAL_FREE: Final = 0.5
-#: Least share of the gravity torque on axis 2 that a balancer compensates (RMS over RMS).
+#: Smallest share of the gravity torque on axis 2 that a balancer compensates (RMS divided by RMS).
 SMALLEST: Final = 0.15
-#: Most that a balancer may resemble gravity's own torque where it does not oppose it.
+#: Largest correlation of a balancer with the gravity torque if it does not oppose it.
 MOST_ALIKE: Final = 0.5
 #: Exponent of the gas law: between isothermal (1) and adiabatic (1.4 of nitrogen).
 POLYTROPIC: Final = 1.3
-#: Shapes that are tried: ratio, phase [rad], stroke of the rod over the length of the gas column.
+#: Forms to test: ratio, phase [rad], stroke of the rod divided by the length of the gas column.
 RATIOS: Final = (0.35, 0.7, 0.9)
 PHASES_RAD: Final = tuple(float(value) for value in np.arange(-6, 6) * np.pi / 6)
 STROKES: Final = (0.35, 0.7)
 #: Ratio of a balancer of 0.2 m and 0.7 m, from which a moving run starts.
 USUAL_RATIO: Final = 0.53
-#: How far shapes are open: phase between two that are tried [rad], ratio and stroke as logit, free length over reach.
+#: Prior standard deviations of the form: phase [rad], ratio and stroke as logit, free length divided by reach.
 PHASE_SPREAD_RAD: Final = 0.4
 RATIO_SPREAD: Final = 0.8
 STROKE_SPREAD: Final = 0.8
@@ -49,7 +50,7 @@ FREE_SPREAD: Final = 0.25
 
 @dataclass(frozen=True, slots=True)
 class _Balancer(PassiveTorque):
-    """A spring shortest at q2 = phase."""
+    """Balancer spring, shortest at q2 = phase."""
 
     axis: int = 1
     ratio: float = USUAL_RATIO
@@ -59,7 +60,7 @@ class _Balancer(PassiveTorque):
     ordinary: ClassVar[bool] = True
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """A balancer takes a good part off the torque that gravity puts on its axis."""
+        """Return True if the balancer compensates a substantial share of the gravity torque of its axis."""
         push = self.columns(seen.motion, seen.modelled)[:, 0] @ value
         still = seen.drawn_nm[:, self.axis]
         if not still.any():
@@ -68,7 +69,7 @@ class _Balancer(PassiveTorque):
         return bool(large and (push @ still < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < MOST_ALIKE))
 
     def lengths(self, q_rad: Floats, fixed: Floats) -> tuple[Floats, Floats, float]:
-        """Angle from the shortest place, length over reach (n,) and ratio."""
+        """Return the angle from the shortest position, length divided by reach (n,), and ratio."""
         angle = q_rad[:, self.axis] - fixed[0]
         ratio = _share(fixed[1])
         return angle, np.sqrt(1.0 - ratio * np.cos(angle)), ratio
@@ -76,7 +77,7 @@ class _Balancer(PassiveTorque):
 
 @dataclass(frozen=True, slots=True)
 class HarmonicBalancer(_Balancer):
-    """What every balancer is to first order, `-a sin(q2 - phase)`: its lever and free length are as open as before."""
+    """First-order balancer, `-a sin(q2 - phase)`; lever and free length are not identifiable."""
 
     parameters: ClassVar[tuple[str, ...]] = ("cosine_nm", "sine_nm", "ratio_logit", "free_share")
     linear: ClassVar[tuple[bool, ...]] = (True, True, False, False)
@@ -105,7 +106,7 @@ class HarmonicBalancer(_Balancer):
 
 @dataclass(frozen=True, slots=True)
 class CoilBalancer(_Balancer):
-    """Coil spring: force `k (l - free)`, as the part of a coil of the usual free length and what it has beyond."""
+    """Coil spring with force `k (l - free)`, as a coil of the usual free length and the deviation from it."""
 
     parameters: ClassVar[tuple[str, ...]] = ("usual_nm", "beyond_nm", "phase_rad", "ratio_logit")
     linear: ClassVar[tuple[bool, ...]] = (True, True, False, False)
@@ -127,11 +128,11 @@ class CoilBalancer(_Balancer):
         return replace(self, phase_rad=float(values[0]), ratio=_share(values[1]))
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """As every balancer, and a spring pulls harder the longer it is."""
+        """Return True if the balancer is possible and the spring force increases with length."""
         return bool(value[0] > 0) and _Balancer.possible(self, value, std, seen)
 
     def plausible(self, theta: Floats, rows: Visits) -> bool:
-        """The spring is under tension wherever the arm was, and pulls harder the longer it is."""
+        """Return True if the spring is under tension in all postures and its force increases with length."""
         _, length, _ = self.lengths(rows.q_rad, theta[2:])
         force = theta[0] * (length - USUAL_FREE) + theta[1]
         return bool(theta[0] > 0 and (force > -0.1 * np.abs(force).max()).all())
@@ -153,7 +154,7 @@ class CoilBalancer(_Balancer):
 
 @dataclass(frozen=True, slots=True)
 class GasBalancer(_Balancer):
-    """Gas spring: a column of gas that the pull shortens, `force = F0 (1 - x / column)^-1.3`."""
+    """Gas spring: a gas column compressed by the pull, `force = F0 (1 - x / column)^-1.3`."""
 
     stroke: float = 0.5
     parameters: ClassVar[tuple[str, ...]] = ("force_nm", "phase_rad", "ratio_logit", "stroke_logit")
@@ -177,14 +178,16 @@ class GasBalancer(_Balancer):
         return replace(self, phase_rad=float(values[0]), ratio=_share(values[1]), stroke=_stroke(values[2]))
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """As every balancer, and gas pushes."""
+        """Return True if the balancer is possible and the gas pressure is positive."""
         return bool(value[0] > 0) and _Balancer.possible(self, value, std, seen)
 
     def plausible(self, theta: Floats, rows: Visits) -> bool:
         return bool(theta[0] > 0)
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        """Stiffness at the shortest length; `gas_stroke` = full stroke of the rod over the length of the gas column."""
+        """Return the stiffness at the shortest length, and `gas_stroke` = full rod stroke divided by the gas column
+        length.
+        """
 
         def named(value: Floats) -> Named:
             ratio, stroke = _share(value[2]), _stroke(value[3])
@@ -201,12 +204,12 @@ class GasBalancer(_Balancer):
 
 
 def _share(logit: float) -> float:
-    """A share from its logit, kept off 0 and 1."""
+    """Return a share from its logit, limited to values between 0 and 1."""
     return float(1.0 / (1.0 + np.exp(-np.clip(logit, -5.0, 5.0))))
 
 
 def _stroke(logit: float) -> float:
-    """The rod stops before the column is gone."""
+    """Return the rod stroke, limited below the length of the gas column."""
     return _share(min(float(logit), 3.0))
 
 
@@ -252,12 +255,12 @@ EFFECT: Final = Effect(
     in_motion=_in_motion,
     drawn=True,
     told={
-        "stiffness_n_m": "stiffness of the spring, if it has the size below",
-        "reach_m": "size it is stated for: √(a² + b²), a and b how far from axis 2 it is hooked to link and base",
+        "stiffness_n_m": "stiffness of the spring, if it has the reach below",
+        "reach_m": "reach it is stated for: √(a² + b²), a and b the distances of its ends on link and base from axis 2",
         "lever_ratio": "2 a b / (a² + b²) of these distances",
         "phase_rad": "angle of axis 2 at which the spring is shortest",
-        "free_length_m": "length of the unloaded spring, if it has that size",
-        "gas_stroke": "full stroke of the rod over the length of the gas column",
+        "free_length_m": "length of the unloaded spring, if it has that reach",
+        "gas_stroke": "full stroke of the rod divided by the length of the gas column",
         "amplitude_nm": "largest torque on axis 2",
     },
 )

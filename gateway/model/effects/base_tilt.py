@@ -1,4 +1,4 @@
-"""The base is not level: gravity is rotated by two angles."""
+"""Effect: the base is tilted, so that gravity is rotated by two angles."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class BaseTilt(Term):
-    """Rotation vector (x, y) of the base, to first order in motion."""
+    """Rotation vector (x, y) of the base; to first order in motion."""
 
     name: ClassVar[str] = "base_tilt"
     parameters: ClassVar[tuple[str, ...]] = ("tilt_x_rad", "tilt_y_rad")
     linear: ClassVar[tuple[bool, ...]] = (True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (0.1, 0.1)
-    #: Largest tilt, 11 degrees, of an arm that is stated as level.
+    #: Largest tilt of an arm that is stated as level: 11 degrees.
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"tilt_x_rad": (-0.2, 0.2), "tilt_y_rad": (-0.2, 0.2)}
     modelled: ClassVar[bool] = True
 

@@ -1,4 +1,4 @@
-"""A dress pack that is wound up by a wrist axis."""
+"""Effect: a dress pack that a wrist axis twists."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class _Cable(PassiveTorque):
 
 @dataclass(frozen=True, slots=True)
 class LinearCable(_Cable):
-    """`-k (q - neutral)`, as slope and constant."""
+    """Linear cable torque `-k (q - neutral)`, as slope and constant."""
 
     parameters: ClassVar[tuple[str, ...]] = ("slope_nm_rad", "constant_nm")
     linear: ClassVar[tuple[bool, ...]] = (True, True)
@@ -43,7 +43,7 @@ class LinearCable(_Cable):
 
 @dataclass(frozen=True, slots=True)
 class CableSlope(_Cable):
-    """The same where the constant is that of the axis and its friction: the neutral angle is not seen."""
+    """Linear cable torque whose constant is part of axis and friction: the neutral angle is not identifiable."""
 
     parameters: ClassVar[tuple[str, ...]] = ("slope_nm_rad",)
 
@@ -51,7 +51,7 @@ class CableSlope(_Cable):
         return q_rad[:, [self.axis]]
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """A cable pulls back."""
+        """Return True if the cable torque acts towards the neutral position."""
         return bool(value[0] < 0)
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
@@ -60,7 +60,7 @@ class CableSlope(_Cable):
 
 @dataclass(frozen=True, slots=True)
 class HarmonicCable(_Cable):
-    """`-k sin(q - neutral)`, as sine and cosine."""
+    """Sinusoidal cable torque `-k sin(q - neutral)`, as sine and cosine."""
 
     parameters: ClassVar[tuple[str, ...]] = ("sine_nm", "cosine_nm")
     linear: ClassVar[tuple[bool, ...]] = (True, True)

@@ -1,4 +1,6 @@
-"""An rms value was taken for a peak value or the reverse: a factor of sqrt 2 that a wrong constant seldom has."""
+"""Effect: an rms current was interpreted as a peak value or the reverse: a factor of sqrt 2, rare for a wrong
+constant.
+"""
 
 from __future__ import annotations
 
@@ -7,15 +9,15 @@ from typing import Final
 
 from gateway.model.effect import Effect
 
-#: Reported over true current.
+#: Reported divided by true current.
 FACTOR: Final = math.sqrt(2.0)
-#: How near a scale has to be to it, and in its own standard deviations.
+#: Largest relative distance of a scale from that factor, and largest distance in standard deviations.
 TOLERANCE: Final = 0.05
 WITHIN: Final = 3.0
 
 
 def is_rms_peak(scale: float, std: float) -> bool:
-    """Whether a scale of the torque (true over stored) with its standard deviation is this mistake."""
+    """Return True if a torque scale (true divided by stored) agrees with this error within its standard deviation."""
     near = min(abs(scale * factor - 1.0) for factor in (FACTOR, 1.0 / FACTOR))
     return near < min(TOLERANCE, WITHIN * std / scale)
 
@@ -23,10 +25,10 @@ def is_rms_peak(scale: float, std: float) -> bool:
 EFFECT: Final = Effect(
     name="current_rms_peak",
     words="rms and peak current confused",
-    meaning="an rms value was taken for a peak value or the reverse",
+    meaning="an rms value is used as a peak value or the reverse",
     parameters=("factor",),
     mistake=(
-        "current is off by a factor of sqrt 2: an rms value was taken for a peak value or the reverse",
+        "current is wrong by a factor of sqrt 2: an rms value is used as a peak value or the reverse",
         "check current_reference and torque_constant_per of the drive profile",
     ),
 )

@@ -1,4 +1,4 @@
-"""A joint deflects under load: the angle of the link lags behind that of the motor."""
+"""Effect: a joint deflects under load, so that the link angle differs from the motor angle."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: No gear of an arm winds up further than this under its largest torque [rad].
+#: Largest gear deflection under the largest torque [rad].
 LARGEST_WIND_UP_RAD: Final = 0.05
-#: Axes, from 0, that carry enough for their wind-up to show in the torque of a moving arm.
+#: Axes (from 0) with enough torque for their deflection to be visible in the torque of a moving arm.
 STRONG_AXES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
 class JointElasticity(OnAxis):
-    """The link angle is `q - compliance tau`, to first order in motion."""
+    """Joint compliance: the link angle is `q - compliance tau`; to first order in motion."""
 
     largest_nm: float = 1.0
     name: ClassVar[str] = "joint_elasticity"

@@ -1,4 +1,4 @@
-"""An encoder zero is wrong: the link is further than reported."""
+"""Effect: an encoder zero is wrong, so that the true joint angle differs from the reported one by a constant."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class JointZeroOffset(OnAxis):
-    """True angle over the reported one, to first order in motion."""
+    """Difference between true and reported angle; to first order in motion."""
 
     name: ClassVar[str] = "joint_zero_offset"
     parameters: ClassVar[tuple[str, ...]] = ("offset_rad",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.1,)
-    #: A zero that is off by more than 11 degrees is seen by eye.
+    #: Largest zero error: more than 11 degrees is visible.
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"offset_rad": (-0.2, 0.2)}
     modelled: ClassVar[bool] = True
 
@@ -50,7 +50,7 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
 EFFECT: Final = Effect(
     name="joint_zero_offset",
     words="a shifted joint zero",
-    meaning="an encoder zero is off",
+    meaning="an encoder zero is wrong",
     parameters=("offset_rad",),
     at_rest=_at_rest,
     in_motion=_in_motion,

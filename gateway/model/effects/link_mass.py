@@ -1,4 +1,4 @@
-"""A body on a link that the drawing does not have, such as a welder or a hose."""
+"""Effect: a body on a link that the robot model does not contain, such as a welding unit or a hose."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: A body further than this from the link's origin [m] is not on the link.
+#: Largest distance of a body on a link from the origin of the link [m].
 FARTHEST_M: Final = 2.0
-#: Standard deviations beyond a bound from which a body on a link cannot be: one in a thousand by chance.
+#: Standard deviations beyond a bound from which a body is impossible: one in a thousand by chance.
 SURE_STD: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class LinkMass(OnAxis):
-    """[m, hx, hy, hz] bolted to one link; it is seen as far as the trust in the links says.
+    """Additional body [m, hx, hy, hz] on one link; identifiable as far as the prior of the links allows.
 
-    `drawn` [m, hx, hy, hz] is the link as the robot model has it, `arm_kg` the mass of all links; None = not known.
+    `drawn` [m, hx, hy, hz] is the link in the robot model, `arm_kg` the mass of all links; None = not known.
     """
 
     drawn: tuple[float, float, float, float] | None = None
@@ -59,7 +59,10 @@ class LinkMass(OnAxis):
         return added
 
     def exists(self, theta: Floats, std: Floats) -> bool:
-        """A negative mass corrects a CAD mass that is too large; it may not exceed the mass of the link."""
+        """Return True if the mass is physically possible: a negative mass may not exceed the mass of the link.
+
+        A negative mass corrects a CAD mass that is too large.
+        """
         if self.drawn is None:
             return True
         mass, moment = np.split(np.array(self.drawn) + theta, [1])
@@ -68,7 +71,7 @@ class LinkMass(OnAxis):
         return bool(most > 0.0 and far < FARTHEST_M * most and theta[0] - SURE_STD * std[0] < self.arm_kg)
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """At rest the same columns take up what the drawing has too much: there the sign is free."""
+        """Return True: at rest the same columns correct a CAD mass that is too large, so that the sign is free."""
         arm = float(np.nansum(seen.motion.robot.mass_kg))
         return bool(0.0 < value[0] < arm and np.linalg.norm(value[1:]) < FARTHEST_M * value[0])
 
@@ -81,7 +84,7 @@ class LinkMass(OnAxis):
 
 
 def _links(axes: int) -> range:
-    """Links, from 0, that carry the wrist: those that something is bolted to."""
+    """Return the links (from 0) that carry the wrist: those on which bodies are mounted."""
     return range(1, axes - 2)
 
 

@@ -1,4 +1,4 @@
-"""Gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
+"""Effect: gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class LoadDependentFriction(OnAxis):
-    """`nu |tau| sign(dir)`."""
+    """Gear loss `nu |tau| sign(dir)`."""
 
     name: ClassVar[str] = "load_dependent_friction"
     takes_over: ClassVar[str] = "load_friction"
@@ -48,7 +48,7 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
 EFFECT: Final = Effect(
     name="load_dependent_friction",
     words="friction that grows with the transmitted torque",
-    meaning="gear losses in proportion to the transmitted torque (at rest: what is left once a joint has settled)",
+    meaning="gear losses in proportion to the transmitted torque (at rest: the part that remains after settling)",
     parameters=("coefficient",),
     over=Over.TORQUE_BY_DIRECTION,
     at_rest=_at_rest,

@@ -1,4 +1,4 @@
-"""The load moves or leaks during the run."""
+"""Effect: the load moves or leaks during the run."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: Visits under a load before a jump and after it, that the jump may show.
+#: Smallest number of visits under a load before and after a jump.
 FEWEST_BEFORE: Final = 2
-#: What the spread of a shift reaches [m]: a sack that slides in its gripper.
+#: Prior standard deviation of a shift [m]: a sack that slides in its gripper.
 SPREAD_M: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class PayloadShift(Term):
-    """The load's centre of gravity jumps at `time_s`, or drifts from then until `until_s`; of one `load`, or all."""
+    """Shift of the load's centre of gravity: a jump at `time_s`, or a drift until `until_s`; of one `load`, or all."""
 
     time_s: float
     until_s: float | None = None
@@ -47,7 +47,7 @@ class PayloadShift(Term):
         return (replace(self, time_s=-np.inf), self.time_s) if self.until_s is None else None
 
     def _moved(self, time_s: Floats) -> Floats:
-        """Share (n,) of the shift that has happened."""
+        """Return the completed share (n,) of the shift."""
         after = np.where(time_s >= self.time_s - 1e-9, 1.0, 0.0)
         if self.until_s is None:
             return after
@@ -60,7 +60,7 @@ class PayloadShift(Term):
 
 
 def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
-    """Jumps between the visits of the loads, and a drift over them."""
+    """Return jumps between the visits of the loads, and a drift over all visits."""
     loaded = rows.load != "none"
     times = np.unique(rows.time_s[loaded])
     if len(times) < 2 * FEWEST_BEFORE or len(times) != loaded.sum():
@@ -70,7 +70,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    """A drift over the run."""
+    """Return a drift over the run."""
     yield from (PayloadShift(0.0, motion.duration_s, load) for load in setup.loads)
 
 

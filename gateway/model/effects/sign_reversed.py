@@ -1,4 +1,4 @@
-"""A drive reports torque with the wrong sign: friction then seems to push."""
+"""Effect: a drive reports torque with the wrong sign, so that friction seems to drive the joint."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ EFFECT: Final = Effect(
     name="sign_reversed",
     words="a reversed torque sign",
     meaning="a drive reports torque with the wrong sign",
-    mistake=("torque sign is reversed", "turn torque_sign of this axis in the cell file, or check its wiring"),
+    mistake=("torque sign is reversed", "change torque_sign of this axis in the cell file, or check its wiring"),
 )

@@ -1,4 +1,4 @@
-"""Friction at rest that differs between the two directions; its evidence is in the sides of one-sided visits."""
+"""Effect: static friction that differs between the two directions; one-sided visits are its evidence."""
 
 from __future__ import annotations
 

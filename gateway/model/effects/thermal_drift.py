@@ -1,4 +1,4 @@
-"""Torque constant or friction drifts with temperature, or with time where none was recorded."""
+"""Effect: torque constant or friction drifts with temperature, or with time if no temperature was recorded."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: Rise of a temperature [K] that visits must span, and a moving run, whose friction changes faster than it settles.
+#: Smallest temperature range [K] of visits, and of a moving run, where friction changes before it settles.
 WARMED_AT_REST_K: Final = 0.5
 WARMED_IN_MOTION_K: Final = 2.0
-#: A run shorter than this [s] has no time to drift.
+#: Shortest run [s] for which a drift is considered.
 LONG_S: Final = 60.0
-#: Change of a reading per kelvin (copper and magnets: some 0.4 % each) and per second that is not surprising.
+#: Prior standard deviation of the change per kelvin (copper and magnets: about 0.4 % each) and per second.
 SPREAD_PER_K: Final = 0.02
 SPREAD_PER_S: Final = 3e-4
 
 
 @dataclass(frozen=True, slots=True)
 class ThermalDrift(OnAxis):
-    """Change since the first visit of the reading (`on` torque) or of the friction of one axis, `by` one cause."""
+    """Drift of the reading (`on` torque) or of the friction of one axis since the first visit, `by` one cause."""
 
     by: str = "time"
     on: str = "torque"
@@ -52,7 +52,7 @@ class ThermalDrift(OnAxis):
         return on_axis(friction * self._since(motion))
 
     def _since(self, rows: Visits | MovingRows) -> Floats:
-        """Temperature rise [K] or time [s] (n,) since the first row."""
+        """Return the temperature rise [K] or time [s] (n,) since the first sample."""
         values = rows.temperature_c[:, self.axis] if self.by == "temperature" else rows.time_s
         return values - values[int(np.argmin(rows.time_s))]
 

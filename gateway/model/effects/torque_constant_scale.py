@@ -1,4 +1,4 @@
-"""A stored torque constant is off: all torque of an axis is read in another scale."""
+"""Effect: a stored torque constant is wrong, so that all torque of an axis is scaled."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class TorqueConstantScale(Term):
-    """Torque per ampere, true over stored (`scale`), of one axis or (`axis` None) of all."""
+    """Ratio of true to stored torque constant (`scale`), of one axis or (`axis` None) of all."""
 
     axis: int | None = None
     name: ClassVar[str] = "torque_constant_scale"
     takes_over: ClassVar[str] = "gain"
     parameters: ClassVar[tuple[str, ...]] = ("scale",)
     SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
-    #: Beyond this a drive model is confused with another, or a gear ratio.
+    #: Largest scale; beyond it the drive model or the gear ratio must be wrong.
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"scale": (0.4, 2.5)}
     modelled: ClassVar[bool] = True
     scales_reading: ClassVar[bool] = True
@@ -61,7 +61,7 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
 EFFECT: Final = Effect(
     name="torque_constant_scale",
     words="a wrong torque constant",
-    meaning="a stored torque constant is off (common to all axes: only against a known mass)",
+    meaning="a stored torque constant is wrong (common to all axes: identifiable only with a known mass)",
     parameters=("scale",),
     over=Over.TORQUE,
     at_rest=_at_rest,

@@ -1,4 +1,4 @@
-"""A constant torque in the reading of one axis."""
+"""Effect: a constant torque in the reading of one axis."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class TorqueOffset(ReadingTorque):
-    """`offset`, whatever the arm does."""
+    """Constant torque offset, independent of the motion."""
 
     name: ClassVar[str] = "torque_offset"
     takes_over: ClassVar[str] = "bias"

@@ -1,7 +1,7 @@
-"""Motor or wave-generator harmonics: the reading swings several times per turn of the joint.
+"""Effect: torque ripple, harmonics of motor or wave generator several times per turn of the joint.
 
-Where the gear ratio is known the swings are its first two harmonics. Where it is not, the order is read off what the
-model leaves (order analysis), and the number of orders that were looked through is paid for.
+With a known gear ratio its first two harmonics are tested. Without it the order is taken from the residual (order
+analysis), and the evidence is corrected for the number of tested orders.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
 
-#: Swings that are tried on each axis of a moving run, the strongest first.
+#: Number of ripples to test on each axis of a moving run, the strongest first.
 SWINGS: Final = 2
-#: An axis that turns less than this [rad] shows no swing.
+#: Smallest travel of an axis for which ripple is considered [rad].
 LEAST_REACH_RAD: Final = 0.2
-#: No motor or gear swings oftener per turn of the joint.
+#: Largest number of ripple periods per turn of the joint.
 MOST_PER_REVOLUTION: Final = 600.0
-#: Nor less often at rest, where a few slow swings are any smooth torque: gears of arms reduce by 30 and more.
+#: Smallest number at rest, where slow ripple resembles any smooth torque: gears of arms reduce by 30 and more.
 LEAST_PER_REVOLUTION: Final = 25.0
-#: Phase [rad] over half the reach of an axis by which two orders next to each other differ.
+#: Phase difference [rad] of two neighbouring orders over half the travel of an axis.
 ORDER_STEP_RAD: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueRipple(ReadingTorque):
-    """`a sin(w q) + b cos(w q)`, `w` swings per turn; `orders` is the number of orders that were looked through."""
+    """Ripple `a sin(w q) + b cos(w q)` with `w` periods per turn; `orders` is the number of tested orders."""
 
     per_revolution: float = 100.0
     orders: int = field(default=1, compare=False)
@@ -78,7 +78,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
-    """The strongest swings of each axis's residual over its own angle, as far as the sampling resolves them."""
+    """Return the strongest ripples of each axis' residual over its own angle, as far as the sampling resolves them."""
     for axis in moving_axes(motion):
         rows = motion.judged[:, axis] & ~motion.given
         q, rest = motion.q_rad[rows, axis], setup.residual_nm[rows, axis]

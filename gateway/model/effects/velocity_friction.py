@@ -1,4 +1,4 @@
-"""Friction that changes with speed beyond Coulomb and viscous: only a moving run shows it."""
+"""Effect: friction that changes with speed beyond Coulomb and viscous friction; visible only in a moving run."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from gateway.model.term import Named, OnAxis, Seen, Term, on_axis
 
 Floats = NDArray[np.float64]
 
-#: Decay of the Stribeck curve over the top speed of the axis: from a peak at standstill to half the range.
+#: Decay speed of the Stribeck curve divided by the top speed of the axis: from a peak at standstill to half the range.
 FRACTIONS: Final = (0.03, 0.06, 0.12, 0.25, 0.5)
-#: Share of the rows in which friction has to take power: what is fitted may push a little where it is small.
+#: Smallest share of the samples in which friction dissipates power; fitted friction may be slightly negative if small.
 TAKES_POWER: Final = 0.9
 
 
@@ -28,7 +28,7 @@ class _OverSpeed(OnAxis):
     with_friction: ClassVar[bool] = True
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
-        """Friction takes power at most speeds, with the Coulomb and viscous part that go with it."""
+        """Return True if friction dissipates power at most speeds, including its Coulomb and viscous part."""
         columns = self.columns(seen.motion, seen.modelled)[:, 0]
         power = seen.friction_nm(self.axis, columns, value) * seen.motion.qd_rad_s[:, self.axis]
         return bool((power[seen.motion.judged[:, self.axis]] > 0).mean() > TAKES_POWER)
@@ -36,7 +36,7 @@ class _OverSpeed(OnAxis):
 
 @dataclass(frozen=True, slots=True)
 class Stribeck(_OverSpeed):
-    """`c exp(-|qd|/v) sign(qd)`: a peak near standstill (c > 0) or a law that flattens (c < 0)."""
+    """Stribeck friction `c exp(-|qd|/v) sign(qd)`: a peak near standstill (c > 0) or a law that flattens (c < 0)."""
 
     decay_rad_s: float
     parameters: ClassVar[tuple[str, ...]] = ("stribeck_nm",)
@@ -52,7 +52,7 @@ class Stribeck(_OverSpeed):
 
 @dataclass(frozen=True, slots=True)
 class RootFriction(_OverSpeed):
-    """`c |qd|^(1/2) sign(qd)`."""
+    """Square-root friction `c |qd|^(1/2) sign(qd)`."""
 
     parameters: ClassVar[tuple[str, ...]] = ("root_nm_s05_rad05",)
 
@@ -62,7 +62,7 @@ class RootFriction(_OverSpeed):
 
 @dataclass(frozen=True, slots=True)
 class SquareFriction(_OverSpeed):
-    """`c qd^2 sign(qd)`."""
+    """Quadratic friction `c qd^2 sign(qd)`."""
 
     parameters: ClassVar[tuple[str, ...]] = ("square_nm_s2_rad2",)
 

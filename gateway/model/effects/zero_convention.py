@@ -1,4 +1,4 @@
-"""The zero of a joint is a quarter or half a turn from that of the robot model, as other conventions have it."""
+"""Effect: the zero of a joint differs by a quarter or half turn from the robot model, as in other conventions."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from gateway.model.effect import Effect
 EFFECT: Final = Effect(
     name="zero_convention",
     words="another zero convention",
-    meaning="the zero of a joint is a multiple of 90 degrees from that of the robot model",
+    meaning="the zero of a joint differs from the robot model by a multiple of 90 degrees",
     parameters=("offset_rad",),
     mistake=(
-        "the zero of this joint is a multiple of 90 degrees from that of the robot model",
+        "the zero of this joint differs from the robot model by a multiple of 90 degrees",
         "correct `zero_offset_rad` in the cell file, or the angles of this joint in the table",
     ),
 )

@@ -34,9 +34,12 @@ def test_a_stated_model_holds_no_placeholder():
         (lambda text: re.sub(r'<mass value="[^"]*"', '<mass value="1"', text), "same mass of 1 kg for every link"),
         (
             lambda text: re.sub(r'ixx="[^"]*"', 'ixx="900"', text, count=1),
-            r"inertia of link_1 is none of a body.*correct it",
+            r"inertia of link_1 is not possible for a body.*correct it",
         ),
-        (lambda text: re.sub(r'iyy="[^"]*"', 'iyy="-0.1"', text, count=1), "inertia of link_1 is none of a body"),
+        (
+            lambda text: re.sub(r'iyy="[^"]*"', 'iyy="-0.1"', text, count=1),
+            "inertia of link_1 is not possible for a body",
+        ),
         (lambda text: re.sub(r'(i[xyz]{2})="[^"]*"', r'\1="0"', text), "inertia of link_1, link_2, link_3"),
     ],
 )

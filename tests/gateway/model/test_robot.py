@@ -179,7 +179,10 @@ BOMB = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;&a;&a;&a;&a
         ),
         (lambda text: text.replace('<child link="link_3"/>', '<child link="nowhere"/>'), "'nowhere'"),
         (lambda text: text.replace('<child link="link_3"/>', '<child link="link_2"/>'), "child of two joints"),
-        (lambda text: text.replace('<parent link="link_5"/>', '<parent link="link_4"/>'), "both turn on link 'link_4'"),
+        (
+            lambda text: text.replace('<parent link="link_5"/>', '<parent link="link_4"/>'),
+            "both start at link 'link_4'",
+        ),
         (lambda text: text.replace('<parent link="base"/>', '<parent link="link_6"/>'), "0 moving joints"),
         (lambda text: text.replace('<link name="base"/>', '<link name="base"/><link name="spare"/>'), "one root link"),
         (lambda text: re.sub(r'<mass value="[^"]*"/>', '<mass value="-1"/>', text, count=1), "negative"),
@@ -203,7 +206,7 @@ COLUMNS = ("alpha_rad", "a_m", "d_m", "theta_offset_rad")
 
 @pytest.mark.parametrize(
     ("change", "says"),
-    [({"convention": "khalil"}, "khalil"), ({"a_m": [0.0] * 5}, "for each axis"), ({"d_m": [np.nan] * 6}, "finite"),
+    [({"convention": "khalil"}, "khalil"), ({"a_m": [0.0] * 5}, "per axis"), ({"d_m": [np.nan] * 6}, "finite"),
      ({key: [0.0] for key in COLUMNS}, "has 1 rows"), ({key: [0.0] * 9 for key in COLUMNS}, "has 9 rows"),
      ({"convention": "standard", "a_m": [0.1] * 6}, "row 6")],
 )  # fmt: skip

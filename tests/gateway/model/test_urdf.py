@@ -98,7 +98,9 @@ def test_an_arm_on_a_track_is_read_with_the_track_at_zero(kind: str):
 
 def test_a_branch_that_turns_is_refused_with_the_tip_to_type_and_read_with_it():
     text = arm(3, joint("rocker", "link_1", "revolute"), joint("rod", "rocker_link", "revolute"))
-    with pytest.raises(ConfigError, match=r"'rocker' and 'joint_2' both turn on link 'link_1'.*--tip link_6") as caught:
+    with pytest.raises(
+        ConfigError, match=r"'rocker' and 'joint_2' both start at link 'link_1'.*--tip link_6"
+    ) as caught:
         robot_from_urdf(text, "r.urdf")
     assert 'tip = "link_6"' in str(caught.value)
     robot = robot_from_urdf(text, "r.urdf", "link_6")

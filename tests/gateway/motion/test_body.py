@@ -149,11 +149,11 @@ def test_meshes_are_read_and_lie_inside_their_capsules(small_cell, tmp_path, nam
     ("name", "data", "words"),
     [
         ("none.stl", None, "none.stl cannot be read"),
-        ("part.dae", b"<COLLADA/>", "part.dae is neither STL nor OBJ"),
+        ("part.dae", b"<COLLADA/>", "part.dae is not an STL or OBJ file"),
         ("cut.stl", binary_stl(TRIANGLES)[:-7], "cut.stl has no vertices"),
         ("bad.obj", b"v 1 2 three\n", "bad.obj has a vertex that is not three numbers"),
         ("two.obj", b"v 1 2\nv 1 2 3\n", "two.obj has a vertex that is not three numbers"),
-        ("nan.obj", b"v 1 2 nan\n", "nan.obj has no vertices, or some that are no numbers"),
+        ("nan.obj", b"v 1 2 nan\n", "nan.obj has no vertices, or vertices that are not numbers"),
     ],
 )
 def test_a_mesh_that_cannot_be_read_is_not_guessed(small_cell, tmp_path, name, data, words):

@@ -136,7 +136,7 @@ def test_candidates_chosen_first_then_by_their_held_out_error(result):
 def test_parameters_carry_their_unit(result):
     effect = view(read(result)).effects[0]
     # 84210, 1.96 * 1900
-    assert effect.parameters[0] == ("stiffness of the spring, if it has the size below", "84200", "3700", "N/m")
+    assert effect.parameters[0] == ("stiffness of the spring, if it has the reach below", "84200", "3700", "N/m")
     assert effect.parameters[1][3] == "m"
     assert "next best candidate: a wrong torque constant" in effect.evidence[-1]
 
