@@ -11,8 +11,8 @@ import numpy as np
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import MoveInwards, MoveTo, Plan, plan_to
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.run import MemoryStore, VisitStation
-from gateway.acquire.runner import run_transfer
+from gateway.acquire.powered_run import run_transfer
+from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
 from gateway.motion.joint_path import angles

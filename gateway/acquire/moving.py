@@ -13,9 +13,9 @@ from gateway.acquire.events import Event, Listener, PeriodDone
 from gateway.acquire.moving_run import DrivenLeg, MovingRun, legs_from
 from gateway.acquire.passes import passes_of
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.run import VisitStation
-from gateway.acquire.runner import Powered, tracked_state, under_power
+from gateway.acquire.powered_run import Powered, tracked_state, under_power
 from gateway.acquire.session import RecordRequest, arm_header, keeping
+from gateway.acquire.station import VisitStation
 from gateway.data.recording.reader import read
 from gateway.errors import InputError
 from gateway.excite.excitation import MovingPlan, fingerprint

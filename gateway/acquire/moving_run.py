@@ -21,12 +21,13 @@ from gateway.acquire.plan import (
     step_durations,
     travel_limits,
 )
-from gateway.acquire.run import VisitStation, refuse_sunk
+from gateway.acquire.rest_run import refuse_sunk
+from gateway.acquire.station import VisitStation
 from gateway.cell.config import ArmConfig
 from gateway.data.period import Period, PeriodLog
 from gateway.data.sample import ArmSample
+from gateway.data.visit import Visit
 from gateway.motion.state import Phase, StateTracker
-from gateway.motion.stops import StopKind, StopRequest
 from gateway.motion.stream import FIRST_SHARE, Stream
 from gateway.motion.trajectory import MotionLimits, straight
 
@@ -136,17 +137,6 @@ class MovingRun:
             self.missed += tuple((leg.driven.excitation.name, period) for period in self._incomplete)
         self._tell(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
 
-    def disk(self) -> StopRequest | None:
-        """Report the periods that are on disk; return a stop request if the disk is too slow. Called at every SYNC.
-
-        The motion loop asks at every SYNC.
-        """
-        for period in self._store.written():
-            if isinstance(period, Period):
-                self._announce(period)
-        trouble = self._store.trouble()
-        return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
-
     def report(self, what: str, row: int, rows: int) -> None:
         """Report the progress of the run; called by the motion loop at intervals."""
         done_s = self._now_s * max(row, 0) / rows
@@ -218,7 +208,10 @@ class MovingRun:
             self.broken = log.period() if log is not None and len(log) else None
             raise
 
-    def _announce(self, period: Period) -> None:
+    def announce(self, period: Visit | Period, /) -> None:
+        """Report a period that is on disk."""
+        if not isinstance(period, Period):
+            return
         self._tell(
             PeriodDone(
                 number=period.number,

@@ -19,8 +19,8 @@ from gateway.acquire.blackbox import BlackBoxWatch, black_box
 from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
-from gateway.acquire.run import VisitStation
-from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.station import VisitStation
 from gateway.cell.config import LoadedCell
 from gateway.data.blackbox.part import BoxHeader
 from gateway.data.period import Measured, Period

@@ -16,9 +16,9 @@ from drives.busload import cycle_bits_worst, load_percent
 from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.run import MemoryStore, VisitStation
-from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.powered_run import RunRequest, run_plan
 from gateway.acquire.start_posture import refuse_start
+from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.check.torque import Scales, judge_torque
 from gateway.check.wiring import Moves, WiredArm, Wiring
 from gateway.check.wiring_judge import Verdict, WiringView, judge_wiring

@@ -49,7 +49,7 @@ TORQUE_PATH: Final = (
     ("drives/epoch.py", "readings"),
     ("gateway/motion/arm.py", "torque_nm"),
     ("gateway/data/sample.py", "joint_torque_nm"),
-    ("gateway/acquire/run.py", "samples"),
+    ("gateway/acquire/rest_run.py", "samples"),
     ("gateway/data/visit.py", "motor_torque_nm"),
     ("gateway/data/recording/writer.py", "motor_torque_nm"),
     ("gateway/data/recording/samples.py", "motor_torque_nm"),

@@ -10,9 +10,10 @@ import numpy as np
 
 from gateway.acquire.events import Listener, Narrowed
 from gateway.acquire.plan import SIDES
-from gateway.acquire.run import Run, VisitStation, VisitStore
-from gateway.acquire.runner import execute
+from gateway.acquire.powered_run import execute
+from gateway.acquire.rest_run import Run
 from gateway.acquire.session import RecordingSummary, arm_header, keeping
+from gateway.acquire.station import VisitStation, VisitStore
 from gateway.acquire.until.messages import ended, narrowed
 from gateway.acquire.until.search import LoadSearch, NextStep, decide
 from gateway.data.recording.recorded import ArmRecording, Recording

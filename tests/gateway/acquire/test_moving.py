@@ -14,7 +14,7 @@ from gateway.acquire.moving import run_legs
 from gateway.acquire.moving_run import legs_from
 from gateway.acquire.passes import TRIED_SPEED, passes_of
 from gateway.acquire.plan import VisitSettings
-from gateway.acquire.run import MemoryStore, VisitStation
+from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.errors import InputError, LimitExceeded, PlanRefused
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest

@@ -18,8 +18,8 @@ from typing import Any
 from drives.bus import SDO_ANSWER_BASE, BusSpec
 from drives.realtime import RealTime
 from gateway.acquire.events import Started
-from gateway.acquire.run import MemoryStore, VisitStation
-from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.commands.console import Session
 from gateway.motion.opening import BusOverride, OpenArm, frame_log_watched, open_arm
 from gateway.motion.stops import StopDesk

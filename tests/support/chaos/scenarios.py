@@ -24,8 +24,8 @@ from drives.realtime import RealTime
 from gateway.acquire.events import Event, Started, StateChanged
 from gateway.acquire.plan import Plan, plan_poses
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.run import MemoryStore, VisitStation
-from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.check.brakes import try_brakes
 from gateway.check.moves import check_moves
 from gateway.check.stop import prove_stop

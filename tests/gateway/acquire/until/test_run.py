@@ -9,7 +9,7 @@ from drives.errors import DriveFault
 from gateway.acquire.events import Narrowed, PoseDone, Progress, StateChanged
 from gateway.acquire.plan import VisitSettings
 from gateway.acquire.poses import DISTANCE_RAD, PoseRequest
-from gateway.acquire.run import MemoryStore, VisitStation
+from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.acquire.until.choice import LEAST_POSES
 from gateway.acquire.until.goal import Goal, half_widths
 from gateway.acquire.until.messages import ended, narrowed

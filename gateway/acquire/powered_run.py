@@ -8,14 +8,15 @@ from typing import Protocol
 
 from gateway.acquire.events import StateChanged, Stopped
 from gateway.acquire.plan import Plan, check_plan, plan_from
-from gateway.acquire.run import Run, VisitStation
+from gateway.acquire.rest_run import Run
+from gateway.acquire.station import VisitStation
 from gateway.data.period import Period
 from gateway.data.visit import Visit
 from gateway.errors import GatewayError
 from gateway.motion.arms import Arms
 from gateway.motion.power import powered
 from gateway.motion.state import StateTracker
-from gateway.motion.stops import StopRequest
+from gateway.motion.stops import StopKind, StopRequest
 from gateway.motion.stream import MoveOptions, Station, Stream
 
 
@@ -111,8 +112,8 @@ class PoweredRun(Protocol):
         """State of the arm during the run."""
         ...
 
-    def disk(self) -> StopRequest | None:
-        """Report what is on disk; return a stop request if the disk is too slow."""
+    def announce(self, kept: Visit | Period, /) -> None:
+        """Report a visit or period that is on disk."""
         ...
 
     def report(self, what: str, row: int, rows: int) -> None:
@@ -140,17 +141,26 @@ def under_power(station: VisitStation, run: PoweredRun, what: Powered, drive: Ca
     drive : callable
         Called with the stream once the arm is under power.
     """
-    station.options.desk.watch(run.disk)
+
+    def disk() -> StopRequest | None:
+        for kept in station.store.written():
+            run.announce(kept)
+        trouble = station.store.trouble()
+        return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
+
+    station.options.desk.watch(disk)
     try:
         with powered(Stream(_moved(station, run, what))) as stream:
             drive(stream)
     except BaseException as error:
         _keep_the_rest(station, run, what.arm, error)
+        disk()
+        station.tell(Stopped(str(error) or type(error).__name__))
         raise
     finally:
-        station.options.desk.forget(run.disk)
+        station.options.desk.forget(disk)
     station.store.flush()
-    run.disk()
+    disk()
 
 
 def _moved(station: VisitStation, run: PoweredRun, what: Powered) -> Station:
@@ -165,7 +175,7 @@ def _moved(station: VisitStation, run: PoweredRun, what: Powered) -> Station:
 
 
 def _keep_the_rest(station: VisitStation, run: PoweredRun, arm: str, failure: BaseException) -> None:
-    """After the stop, store an interrupted visit or period and report the reason of the end."""
+    """After the stop, store an interrupted visit or period; an error of this becomes a note of the failure."""
     try:
         if run.broken is not None:
             station.store.add(arm, run.broken)
@@ -173,5 +183,3 @@ def _keep_the_rest(station: VisitStation, run: PoweredRun, arm: str, failure: Ba
     except GatewayError as error:
         if error is not failure:
             failure.add_note(str(error))
-    run.disk()
-    station.tell(Stopped(str(failure) or type(failure).__name__))

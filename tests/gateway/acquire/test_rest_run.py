@@ -8,8 +8,8 @@ import pytest
 from drives.errors import DriveFault, IncompleteEpochs
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.run import MemoryStore, VisitStation
-from gateway.acquire.runner import RunRequest, run_plan
+from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
 from gateway.motion.state import SAFE, Phase

@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import accumulate
-from typing import Protocol
 
 import numpy as np
 
 from drives.errors import IncompleteEpochs
-from drives.exchange import Pacing
 from gateway.acquire.events import (
-    Event,
-    Listener,
     PoseDone,
     Progress,
     SampleRepeated,
@@ -32,18 +28,16 @@ from gateway.acquire.plan import (
     travel_limits,
 )
 from gateway.acquire.settle import SettleTest
-from gateway.data.period import Measured, Period
+from gateway.acquire.station import VisitStation
+from gateway.data.period import Period
 from gateway.data.sample import ArmSample
 from gateway.data.visit import Visit, VisitLabel, visit_from_samples
-from gateway.errors import GatewayError, PlanRefused, PoseNeverSettles
+from gateway.errors import PlanRefused, PoseNeverSettles
 from gateway.motion.arm import Arm
 from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import Phase, StateTracker
-from gateway.motion.stops import StopKind, StopRequest, guarded
-from gateway.motion.stream import FIRST_SHARE, MoveOptions, Stream
-from gateway.motion.temperature import MotorTemperatures
+from gateway.motion.stream import FIRST_SHARE, Stream
 from gateway.motion.trajectory import straight
-from gateway.motion.workspace import Workspace
 
 #: Largest number of incomplete SYNCs while sampling, as a share of the requested samples.
 REPEATED_SHARE = ARM_RULES["repeats"].limit
@@ -57,104 +51,6 @@ PHASES = {
 }
 #: Largest drop of a joint when its brakes open [rad] for which the checked plan still holds.
 SINK_RAD = ARM_RULES["sinks"].limit
-
-
-class VisitStore(Protocol):
-    """Store for visits and periods; only `flush` may block the motion loop."""
-
-    def add(self, arm: str, visit: Measured) -> Measured:
-        """Add a visit or period; return it with its number."""
-        ...
-
-    def written(self) -> Sequence[Visit | Period]:
-        """Return what has been stored permanently since the last call."""
-        ...
-
-    def trouble(self) -> GatewayError | None:
-        """Return the reason to stop measuring, such as a full or slow disk; None if all is well."""
-        ...
-
-    def flush(self) -> None:
-        """Block until everything is stored permanently.
-
-        Raises
-        ------
-        InputError
-            The data cannot be stored.
-        """
-        ...
-
-
-class MemoryStore:
-    """Store that keeps visits and periods in memory."""
-
-    def __init__(self) -> None:
-        self.visits: list[Visit] = []
-        self.periods: list[Period] = []
-        self._untold: list[Visit | Period] = []
-
-    def add(self, arm: str, visit: Measured) -> Measured:
-        """Add a visit or period."""
-        del arm
-        kept = replace(visit, number=len(self.visits) + len(self.periods) + 1)
-        if isinstance(kept, Period):
-            self.periods.append(kept)
-        else:
-            self.visits.append(kept)
-        self._untold.append(kept)
-        return kept
-
-    def written(self) -> Sequence[Visit | Period]:
-        """Return what was added since the last call."""
-        since, self._untold = self._untold, []
-        return since
-
-    def trouble(self) -> None:
-        """Return None: memory is assumed to be sufficient."""
-
-    def flush(self) -> None:
-        """Return at once: memory needs no flush."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class VisitStation:
-    """Arm, workspace, store and listeners of a run.
-
-    Attributes
-    ----------
-    arm : Arm
-        Connected and configured, not enabled.
-    workspace : Workspace
-    store : VisitStore
-    listeners : tuple of Listener
-        Called with every event, in the thread of the run.
-    options : MoveOptions
-    pacing : "lockstep" or "real"
-    temperatures : MotorTemperatures or None
-        Asked while the arm is sampled; None = no drive reports one.
-    """
-
-    arm: Arm
-    workspace: Workspace
-    store: VisitStore
-    listeners: tuple[Listener, ...] = ()
-    options: MoveOptions = field(default_factory=MoveOptions)
-    pacing: Pacing = "lockstep"
-    temperatures: MotorTemperatures | None = None
-
-    def temperatures_c(self) -> np.ndarray | None:
-        """Temperatures (N,) [deg C] since the sampling began."""
-        return None if self.temperatures is None else self.temperatures.read_c
-
-    def tell(self, event: Event) -> None:
-        """Send an event to all listeners, then to the observers; the first error is raised after all are notified and
-        stops the arm.
-
-        All others are still notified.
-        """
-        for listener in self.listeners:
-            guarded(listener, self.options.desk)(event)
-        self.options.observers.reported(event)
 
 
 class Run:
@@ -245,17 +141,6 @@ class Run:
             else:
                 self._sample(step)
 
-    def disk(self) -> StopRequest | None:
-        """Report the visits that are on disk; return a stop request if the disk is too slow. Called at every SYNC.
-
-        The motion loop asks at every SYNC.
-        """
-        for visit in self._store.written():
-            if isinstance(visit, Visit):
-                self._announce(visit)
-        trouble = self._store.trouble()
-        return None if trouble is None else StopRequest(StopKind.ALONG_PATH, trouble)
-
     def _move(self, target_rad: Sequence[float], what: str, speed_rad_s: float | np.ndarray | None = None) -> None:
         limits = travel_limits(self._workspace)
         if speed_rad_s is not None:
@@ -320,8 +205,9 @@ class Run:
             visit = with_half_sums(self._arm, first, visit)
         self._settle_s[self._store.add(self.plan.arm, visit).number] = self._settled_s
 
-    def _announce(self, visit: Visit) -> None:
-        if not visit.complete:
+    def announce(self, visit: Visit | Period, /) -> None:
+        """Report a complete visit that is on disk, and the pose if it is complete."""
+        if not isinstance(visit, Visit) or not visit.complete:
             return
         torque = visit.joint_torque_nm
         self._tell(
