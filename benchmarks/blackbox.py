@@ -221,7 +221,7 @@ def figures(found: Sequence[Stop]) -> dict[str, dict]:
     }
 
 
-def _told(each: Stop) -> Stop:
+def _in_words(each: Stop) -> Stop:
     """The same, printed."""
     said = each.wrong or ("ok" if each.stopped else "not stopped")
     lost = f", {each.lost_s:.2f} s missing" if each.lost_s else ""
@@ -243,15 +243,15 @@ def main(argv: list[str]) -> int:
         made = stack.enter_context(rig())
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="blackbox-")))
         for each in (stop_by(made, kind, folder) for kind in wanted if kind not in MASTERS):
-            found.append(_told(each))
+            found.append(_in_words(each))
     if masters:
-        found += [_told(each) for each in of_masters(masters, arguments.kills)]
-    told = figures(found)
+        found += [_in_words(each) for each in of_masters(masters, arguments.kills)]
+    report = figures(found)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    (arguments.out / "summary.json").write_text(json.dumps({"figures": told}, indent=1) + "\n")
-    for name, each in told.items():
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": report}, indent=1) + "\n")
+    for name, each in report.items():
         print(f"{name}: {each['value']} ({each['goal']})")
-    return 0 if all(each["met"] for each in told.values()) else 1
+    return 0 if all(each["met"] for each in report.values()) else 1
 
 
 if __name__ == "__main__":

@@ -88,7 +88,7 @@ def next_load(task: tuple[int, str]) -> dict:
     bare, loaded = drawn.blocks
     length_s = loaded.start_s - bare.start_s
     again = LoadBlock("none", "again", 2.0 * length_s, load="none")
-    told: dict = {"seed": seed, "centre": centre}
+    figures_: dict = {"seed": seed, "centre": centre}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         write_cell_file(drawn, folder)
@@ -99,11 +99,11 @@ def next_load(task: tuple[int, str]) -> dict:
         drawn.blocks = [bare, loaded]
         drawn.columns = measure(drawn)
         write_cell(drawn, folder)
-        told["before"] = judged(folder, drawn.loads["tool"][0])
+        figures_["before"] = judged(folder, drawn.loads["tool"][0])
         known = ",".join(f"{value:.9g}" for value in (weight if centre == "known" else weight[:1]))
-        told["calibrated"], told["axes"] = calibrated(folder, table, known, drawn.gain)
-        told["after"] = judged(folder, drawn.loads["tool"][0])
-    return json.loads(json.dumps(told))
+        figures_["calibrated"], figures_["axes"] = calibrated(folder, table, known, drawn.gain)
+        figures_["after"] = judged(folder, drawn.loads["tool"][0])
+    return json.loads(json.dumps(figures_))
 
 
 def write_cell_file(drawn, folder: Path) -> None:
@@ -157,10 +157,10 @@ def figures(answers: list[dict], centre: str) -> dict[str, dict]:
     stored = [answer for answer in own if answer["calibrated"] == 0]
     out = {f"centre {centre}: calibrations stored [share]": figure(len(stored) / len(own), ">= 0.98")}
     for when in ("before", "after"):
-        told = [answer[when] for answer in stored if answer[when]["error"] is not None]
-        error, std = np.array([[each["error"], each["std"]] for each in told]).T
+        figures_ = [answer[when] for answer in stored if answer[when]["error"] is not None]
+        error, std = np.array([[each["error"], each["std"]] for each in figures_]).T
         holds = float(np.mean(np.abs(error) < HALF_WIDTH * std))
-        half = HALF_WIDTH * np.sqrt(max(holds * (1 - holds), 1e-9) / len(told))
+        half = HALF_WIDTH * np.sqrt(max(holds * (1 - holds), 1e-9) / len(figures_))
         name = f"centre {centre}, {when}"
         median = figure(100 * float(np.median(np.abs(error))), "<= 0.4", "%")
         rows = {

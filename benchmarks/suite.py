@@ -24,7 +24,7 @@ FAST = ("-n", "2", "--dist", "loadgroup", "-m", "not slow")
 
 def main(argv: list[str]) -> int:
     """Exit with the code of pytest."""
-    argv, _, given = (argv[: argv.index("--")], "--", argv[argv.index("--") + 1 :]) if "--" in argv else (argv, "", [])
+    argv, _, passed = (argv[: argv.index("--")], "--", argv[argv.index("--") + 1 :]) if "--" in argv else (argv, "", [])
     parser = argparse.ArgumentParser(prog="python -m benchmarks.suite", description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/suite"))
     parser.add_argument("--most", type=int, default=25, help="rows of each table")
@@ -33,7 +33,7 @@ def main(argv: list[str]) -> int:
     for old in arguments.out.glob("times-*.jsonl"):
         old.unlink()
     begin_s, before = time.monotonic(), os.times()
-    line = [sys.executable, "-m", "pytest", "-p", "tests.support.time_log", *(given or FAST)]
+    line = [sys.executable, "-m", "pytest", "-p", "tests.support.time_log", *(passed or FAST)]
     code = subprocess.run(line, env=os.environ | {"TEST_TIMES": str(arguments.out.resolve())}, check=False).returncode
     wall_s, after = time.monotonic() - begin_s, os.times()
     total_s = sum(after[2:4]) - sum(before[2:4])

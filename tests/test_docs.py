@@ -69,8 +69,8 @@ def test_a_page_that_was_edited_is_not_current(tmp_path: Path) -> None:
 def test_every_key_says_what_it_is() -> None:
     for name in ("reference/cell-file.md", "reference/drive-profile.md"):
         page = PAGES[name]()
-        silent = [line for line in page.splitlines() if re.match(r"\| `\w+` \|  \|", line)]
-        assert not silent
+        undocumented = [line for line in page.splitlines() if re.match(r"\| `\w+` \|  \|", line)]
+        assert not undocumented
 
 
 def test_kinds_are_said_in_words() -> None:

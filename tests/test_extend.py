@@ -58,7 +58,7 @@ class MadeUpBus(UdpMulticastBus):
 
 
 @pytest.fixture
-def house(tmp_path) -> House:
+def repository(tmp_path) -> House:
     return House(tmp_path / "house")
 
 
@@ -71,26 +71,26 @@ def test_every_row_of_the_table_is_proven():
 
 
 @pytest.mark.slow
-def test_a_drive_model_is_one_file(house):
-    text = (house.root / "drives" / "profiles" / "maxon-epos4.toml").read_text()
-    house.add("drives/profiles/newcomer-one.toml", re.sub(r'(?m)^name = ".*"', 'name = "newcomer-one"', text))
-    listed = house.command("profiles", "list")
+def test_a_drive_model_is_one_file(repository):
+    text = (repository.root / "drives" / "profiles" / "maxon-epos4.toml").read_text()
+    repository.add("drives/profiles/newcomer-one.toml", re.sub(r'(?m)^name = ".*"', 'name = "newcomer-one"', text))
+    listed = repository.command("profiles", "list")
     assert "newcomer-one" in listed.stdout, listed.stderr
     loop = "tests/drives/test_conformance.py"
-    done = house.run("-m", "pytest", "-v", "-p", "no:cacheprovider", "-n", "0", "-k", "newcomer", loop)
+    done = repository.run("-m", "pytest", "-v", "-p", "no:cacheprovider", "-n", "0", "-k", "newcomer", loop)
     assert done.returncode == 0, done.stdout
     assert "1 passed" in done.stdout
 
 
 @pytest.mark.slow
-def test_an_estimator_is_one_file_and_one_line(house, tmp_path):
-    house.add("gateway/estimate/twice.py", ESTIMATOR)
-    house.change(
+def test_an_estimator_is_one_file_and_one_line(repository, tmp_path):
+    repository.add("gateway/estimate/twice.py", ESTIMATOR)
+    repository.change(
         "gateway/estimate/__init__.py",
         '    "coefficient": estimate_coefficient,\n',
         '    "coefficient": estimate_coefficient,\n    "twice": _of_visits(estimate_twice),\n',
     )
-    house.change(
+    repository.change(
         "gateway/estimate/__init__.py",
         "from gateway.estimate.posture import estimate_posture\n",
         "from gateway.estimate.posture import estimate_posture\nfrom gateway.estimate.twice import estimate_twice\n",
@@ -99,7 +99,7 @@ def test_an_estimator_is_one_file_and_one_line(house, tmp_path):
     write_csv(bench.both(), tmp_path / "run.csv")
     (tmp_path / "robot.urdf").write_text(bench.arm.urdf)
     line = ("estimate", "run.csv", "--robot", "robot.urdf", "--method", "twice", "--json", "out.json")
-    done = house.command(*line, cwd=tmp_path)
+    done = repository.command(*line, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     body = json.loads((tmp_path / "out.json").read_text())
     assert body["method"] == "twice"
@@ -131,12 +131,12 @@ def test_another_fieldbus_is_one_class():
         assert not any("can" in type(drives).__module__.split(".") for drives in pair.drives)
         stream = Stream(pair.link.station(pair.cell, MoveOptions()))
         with powered(stream):
-            ways = []
+            answers = []
             for index, workspace in enumerate(stream.station.workspaces):
                 limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
                 at = stream.q_rad[index]
-                ways.append(straight(at, at + AWAY_RAD, limits, pair.cell.sync_period_s))
-            stream.move(ways, "move")
+                answers.append(straight(at, at + AWAY_RAD, limits, pair.cell.sync_period_s))
+            stream.move(answers, "move")
         for index, arm in enumerate(pair.cell.arms):
             assert pair.part.q_rad[index] == pytest.approx(arm.start_rad + AWAY_RAD, abs=1e-6)
         assert [drives.log for drives in pair.drives] == [["enable", "disable"]] * 2
@@ -144,7 +144,7 @@ def test_another_fieldbus_is_one_class():
         pair.arms.close()
 
 
-def test_the_copy_is_the_product(house):
+def test_the_copy_is_the_product(repository):
     """What is proven on the copy is proven on the product: it imports nothing from beside itself."""
-    where = house.run("-c", "import gateway, drives, sim; print(gateway.__file__, drives.__file__, sim.__file__)")
-    assert all(Path(path).is_relative_to(house.root) for path in where.stdout.split())
+    where = repository.run("-c", "import gateway, drives, sim; print(gateway.__file__, drives.__file__, sim.__file__)")
+    assert all(Path(path).is_relative_to(repository.root) for path in where.stdout.split())

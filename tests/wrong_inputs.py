@@ -737,14 +737,14 @@ def complaints(kind: Kind, folder: Path) -> list[str]:
                     done = CliRunner().invoke(program, kind.arguments)
     finally:
         os.chdir(here)
-    told = done.stderr
+    message = done.stderr
     return [
         *([] if done.exit_code == kind.code else [f"exit code {done.exit_code}, not {kind.code}"]),
-        *(f"does not say {say!r}" for say in kind.says if not re.search(say, told, re.DOTALL)),
+        *(f"does not say {say!r}" for say in kind.says if not re.search(say, message, re.DOTALL)),
         *(f"says {word!r}" for word in ("defect", "Traceback", "pydantic", "Input should") if word in done.output),
-        *([f"{len(told.splitlines())} lines"] if len(told.splitlines()) > MOST_LINES else []),
+        *([f"{len(message.splitlines())} lines"] if len(message.splitlines()) > MOST_LINES else []),
         *([] if _files(folder) == before else ["files are lost, changed or left over"]),
-        *([told] if told else ["says nothing"]),
+        *([message] if message else ["says nothing"]),
     ]
 
 

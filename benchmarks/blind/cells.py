@@ -125,10 +125,10 @@ def _score(
         kind = "one"
     after = np.array(result.after.holdout_rms_nm)
     over = float(np.sqrt(np.nanmean((after / cell.arm.floor_nm) ** 2)))
-    loads, told, inside = [], [], []
+    loads, loads_with_effects, inside = [], [], []
     if result.loads and kind != "off":
         loads = _errors(cell, result.loads[0])
-        told = _errors(cell, told_loads(cell, robot, options, table, [entry[:2] for entry in truth])[0])
+        loads_with_effects = _errors(cell, told_loads(cell, robot, options, table, [entry[:2] for entry in truth])[0])
         inside = _inside(cell, result.loads[0])
     return Score(
         seed=cell.seed,
@@ -140,7 +140,7 @@ def _score(
         rounds=times[2],
         holdout_over_floor=over,
         load_errors=loads,
-        told_errors=told,
+        told_errors=loads_with_effects,
         inside=inside,
         first_s=times[0],
         total_s=times[1],

@@ -42,14 +42,14 @@ def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
         for number in range(plan.cells)
         for condition in plan.conditions
     ]
-    ordinary = run(run_ordinary, tasks, jobs, out / "ordinary.jsonl") if tasks else []
+    nuisance_cells = run(run_ordinary, tasks, jobs, out / "ordinary.jsonl") if tasks else []
     seeds = range(plan.first, plan.first + plan.effects)
     effects = run(run_effect, list(seeds), jobs, out / "effects.jsonl") if seeds else []
     timed = run(run_timed, list(range(plan.first, plan.first + plan.timed)), 1, out / "timed.jsonl")
-    return report(ordinary, effects, timed, out)
+    return report(nuisance_cells, effects, timed, out)
 
 
-def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Path) -> int:
+def report(nuisance_cells: list[dict], effects: list[dict], timed: list[dict], out: Path) -> int:
     """Print tables and figures, write summary.json; 1 when a goal is missed."""
     from rich.console import Console
     from rich.table import Table
@@ -63,20 +63,20 @@ def report(ordinary: list[dict], effects: list[dict], timed: list[dict], out: Pa
     )
     for name in ("condition", "cells", "estimate", "width", "diagnose", "width", "named", "gross found", "thrown out"):
         conditions.add_column(name)
-    for row in figures.by_condition(ordinary):
+    for row in figures.by_condition(nuisance_cells):
         conditions.add_row(*row)
     console.print(conditions)
     for title, rows in (
-        ("named where only the ordinary is there", figures.falsely_named(ordinary)),
+        ("named where only the ordinary is there", figures.falsely_named(nuisance_cells)),
         ("one mechanism", figures.confusion(effects)),
     ):
         table = Table("what is there", "what was said", "cells", title=title)
         for there, said, count in rows:
             table.add_row(there, said, str(count))
         console.print(table)
-    found: Figures = figures.ordinary_figures(ordinary) if ordinary else {}
+    found: Figures = figures.ordinary_figures(nuisance_cells) if nuisance_cells else {}
     found |= figures.effect_figures(effects) if effects else {}
-    found |= figures.gross_figures([*ordinary, *effects]) | figures.time_figures(timed)
+    found |= figures.gross_figures([*nuisance_cells, *effects]) | figures.time_figures(timed)
     console.print(figure_table(found))
     (out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
     return 0 if all(entry["met"] is not False for entry in found.values()) else 1

@@ -126,10 +126,10 @@ def _load(row: Callable[[np.random.Generator], Floats]) -> Callable[[ConflictCel
     """A load that is another one than the one entered: [mass, x, y, z] grow by an amount along a direction."""
 
     def of(drawn: ConflictCell, rng: np.random.Generator) -> Change:
-        way = row(rng)
+        path = row(rng)
 
         def change(amplitude: float) -> ConflictCell:
-            loads = {**drawn.loads, "tool": drawn.loads["tool"] + amplitude * way}
+            loads = {**drawn.loads, "tool": drawn.loads["tool"] + amplitude * path}
             return _like(drawn, loads=loads)
 
         return change

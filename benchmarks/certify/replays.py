@@ -52,7 +52,7 @@ def replay_figures(replays: list[dict]) -> dict[str, dict]:
     for place in PLACES:
         lists = [replay.get(place) for replay in replays]
         loads = sum(each is None or any(row["where"].startswith("loads") for row in each) for each in lists)
-        whole = sum(each is None or bool(each) for each in lists)
-        found[f"replay, {place}: of {len(replays)} measurements, differ beyond 1e-9"] = figure(whole, "== 0")
+        replayed_count = sum(each is None or bool(each) for each in lists)
+        found[f"replay, {place}: of {len(replays)} measurements, differ beyond 1e-9"] = figure(replayed_count, "== 0")
         found[f"replay, {place}: of {len(replays)} measurements, loads differ beyond 1e-9"] = figure(loads, "== 0")
     return found

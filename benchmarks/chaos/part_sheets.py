@@ -18,7 +18,7 @@ def figures(scope: Any) -> dict[str, dict]:
     """Write, read and judge every sheet; the seeds are 0 to 999."""
     count = scope.count(SHEETS)
     bar = scope.bar("data sheets", count)
-    silent = crashed = late = 0
+    unreported = crashed = delayed = 0
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(count):
             sheet = mutated(seed)
@@ -28,14 +28,14 @@ def figures(scope: Any) -> dict[str, dict]:
                 crashed += 1
                 scope.print(f"sheet {seed} ({', '.join(sheet.what)}): {type(error).__name__}: {error}", markup=False)
             else:
-                silent += bool(words)
-                late += duration_s > LONGEST_S
+                unreported += bool(words)
+                delayed += duration_s > LONGEST_S
                 if words:
                     scope.print(f"sheet {seed} ({', '.join(sheet.what)}): {'; '.join(words)}", markup=False)
             bar.step()
     return {
         "mutated data sheets": figure(count, ">= 0"),
-        "mutated data sheets, a value differs and is not named": figure(silent, "== 0"),
+        "mutated data sheets, a value differs and is not named": figure(unreported, "== 0"),
         "mutated data sheets, crash": figure(crashed, "== 0"),
-        "mutated data sheets, over 1 s": figure(late, "== 0"),
+        "mutated data sheets, over 1 s": figure(delayed, "== 0"),
     }

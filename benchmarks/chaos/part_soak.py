@@ -109,16 +109,16 @@ class Swung:
     began_s: float = field(default_factory=time.monotonic)
 
 
-def _swing(served: Drives, seconds: float, told: Callable[[float], None]) -> Swung:
+def _swing(served: Drives, seconds: float, on_progress: Callable[[float], None]) -> Swung:
     swung = Swung()
     with RealTime():
         while time.monotonic() - swung.began_s < seconds:
-            _swing_once(served, swung.began_s + seconds, swung, told)
+            _swing_once(served, swung.began_s + seconds, swung, on_progress)
     swung.grown_bytes = resident_bytes() - (swung.warm_bytes or resident_bytes())
     return swung
 
 
-def _swing_once(served: Drives, until_s: float, swung: Swung, told: Callable[[float], None]) -> None:
+def _swing_once(served: Drives, until_s: float, swung: Swung, on_progress: Callable[[float], None]) -> None:
     """Swing until the time is over, or until the arm was stopped because this computer was held up."""
     setups = axis_setups(served.loaded, served.loaded.cell.arm[0])
     try:
@@ -127,7 +127,7 @@ def _swing_once(served: Drives, until_s: float, swung: Swung, told: Callable[[fl
             group.configure()
             start = [reading.position_rad for reading in group.enable().readings if reading is not None]
             try:
-                _swing_on(group, start, until_s, swung, told)
+                _swing_on(group, start, until_s, swung, on_progress)
             finally:
                 swung.overruns += group.statistics.overruns
     except MasterStalled:
@@ -139,7 +139,7 @@ def _swing_once(served: Drives, until_s: float, swung: Swung, told: Callable[[fl
 
 
 def _swing_on(
-    group: DriveGroup, start: list[float], until_s: float, swung: Swung, told: Callable[[float], None]
+    group: DriveGroup, start: list[float], until_s: float, swung: Swung, on_progress: Callable[[float], None]
 ) -> None:
     row = 0
     warm_s = time.monotonic() + min(WARM_UP_S, (until_s - time.monotonic()) / 2)
@@ -153,4 +153,4 @@ def _swing_on(
         if not swung.warm_bytes and now_s > warm_s:
             swung.warm_bytes = resident_bytes()
         if row % 100 == 0:
-            told(100 * PERIOD_S)
+            on_progress(100 * PERIOD_S)

@@ -93,13 +93,13 @@ def _drawn(seed: int) -> Case:
 
 def _one_sided(seed: int) -> Case:
     """The same arms, each pose approached from one side."""
-    whole = _drawn(seed)
-    side = np.random.default_rng([seed, 5]).integers(0, 2, whole.table.pose.max() + 1)
-    keep = (whole.table.direction[:, 0] > 0) == (side[whole.table.pose] > 0)
+    drawn_cell = _drawn(seed)
+    side = np.random.default_rng([seed, 5]).integers(0, 2, drawn_cell.table.pose.max() + 1)
+    keep = (drawn_cell.table.direction[:, 0] > 0) == (side[drawn_cell.table.pose] > 0)
     # friction of each axis by direction is in every one-sided table, and may be named
-    friction = tuple(there(["static_friction"], [axis + 1], 0.0) for axis in range(whole.table.axes))
-    effects = None if whole.effects is None else (*whole.effects, *friction)
-    return replace(whole, table=whole.table.take(keep), effects=effects)
+    friction = tuple(there(["static_friction"], [axis + 1], 0.0) for axis in range(drawn_cell.table.axes))
+    effects = None if drawn_cell.effects is None else (*drawn_cell.effects, *friction)
+    return replace(drawn_cell, table=drawn_cell.table.take(keep), effects=effects)
 
 
 def _several(seed: int) -> Case:
@@ -139,14 +139,14 @@ def _nature_effects(seed: int) -> Case:
 
 def _stored_bare(seed: int) -> Case:
     """Loaded poses of a nature arm, against a stored identification of the bare arm."""
-    whole = _nature(seed)
-    bare_rows = np.asarray(whole.table.load) == "none"
-    bare = estimate(whole.table.take(bare_rows), whole.robot, whole.estimate).bare
+    drawn_cell = _nature(seed)
+    bare_rows = np.asarray(drawn_cell.table.load) == "none"
+    bare = estimate(drawn_cell.table.take(bare_rows), drawn_cell.robot, drawn_cell.estimate).bare
     return replace(
-        whole,
-        table=whole.table.take(~bare_rows),
-        estimate=replace(whole.estimate, bare=bare),
-        diagnose=replace(whole.diagnose, bare=bare),
+        drawn_cell,
+        table=drawn_cell.table.take(~bare_rows),
+        estimate=replace(drawn_cell.estimate, bare=bare),
+        diagnose=replace(drawn_cell.diagnose, bare=bare),
     )
 
 

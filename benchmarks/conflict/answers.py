@@ -29,16 +29,16 @@ def answer_of(task: tuple[int, str, str, str]) -> dict:
     begin = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         code, output, result = typed(cell, Path(folder), command)
-    told = {"seed": seed, "condition": condition, "variant": variant, "exit": code, "rated_kg": cell.arm.rated_kg}
-    told["time_s"] = time.process_time() - begin
-    told["findings"] = [
+    record = {"seed": seed, "condition": condition, "variant": variant, "exit": code, "rated_kg": cell.arm.rated_kg}
+    record["time_s"] = time.process_time() - begin
+    record["findings"] = [
         [finding["severity"], check_of(finding), finding["where"], finding["what"]] for finding in result["findings"]
     ]
-    told["message"] = output.strip()[-400:] if code not in (0, 7) else ""
-    told["effects"] = [f"{effect['name']} {effect['joints']}" for effect in result["effects"]]
-    told["gross"] = cell.gross
-    told["loads"] = [_judged(load, _truths(cell, load["label"])) for load in result["loads"]]
-    return json.loads(json.dumps(told))
+    record["message"] = output.strip()[-400:] if code not in (0, 7) else ""
+    record["effects"] = [f"{effect['name']} {effect['joints']}" for effect in result["effects"]]
+    record["gross"] = cell.gross
+    record["loads"] = [_judged(load, _truths(cell, load["label"])) for load in result["loads"]]
+    return json.loads(json.dumps(record))
 
 
 def measured_cell(seed: int, condition: str, variant: str = "floor") -> ConflictCell:
@@ -110,13 +110,13 @@ def _truths(cell: ConflictCell, label: str) -> list[list[float]]:
 def _judged(load: dict, truths: list[list[float]]) -> dict:
     """Mass error and stated standard deviation over the true mass; which 95 % intervals hold, the worst truth's."""
     mass, std, centre, spread = (load.get(key) for key in ("mass_kg", "mass_std_kg", "com_m", "com_std_m"))
-    told: dict = {"label": load["label"], "refused": load.get("refused"), "mass_kg": truths[0][0]}
+    record: dict = {"label": load["label"], "refused": load.get("refused"), "mass_kg": truths[0][0]}
     if mass is None or std is None:
-        return told | {"off": None}
+        return record | {"off": None}
     worst = max(truths, key=lambda truth: abs(mass - truth[0]))
-    told |= {"error": mass / worst[0] - 1.0, "std": std / worst[0], "off": abs(mass - worst[0]) / max(std, 1e-12)}
-    told["holds"] = told["off"] < HALF_WIDTH
+    record |= {"error": mass / worst[0] - 1.0, "std": std / worst[0], "off": abs(mass - worst[0]) / max(std, 1e-12)}
+    record["holds"] = record["off"] < HALF_WIDTH
     if centre is not None and spread is not None and None not in (*centre, *spread):
         pairs = zip(centre, spread, worst[1:], strict=True)
-        told["centre_holds"] = [abs(value - true) < HALF_WIDTH * std for value, std, true in pairs]
-    return told
+        record["centre_holds"] = [abs(value - true) < HALF_WIDTH * std for value, std, true in pairs]
+    return record

@@ -14,7 +14,7 @@ from tests.support.blind.shares import Figures, middle, share
 #: Median standard deviation of the mass on clean cells that may be reached, over the true mass.
 CLEAN_STD = 1.25 * 0.0159
 FALSE_ALARMS = {"clean": "<= 0.02", "clean, nature": "<= 0.03", "known mass": "<= 0.02"}
-SILENT, HOLD, HOLD_POOLED = "<= 0.01", ">= 0.88", ">= 0.93"
+UNREPORTED, HOLD, HOLD_POOLED = "<= 0.01", ">= 0.88", ">= 0.93"
 
 
 def checks(answer: dict) -> set[str]:
@@ -38,7 +38,7 @@ def false_alarm(answer: dict) -> bool:
     return answer["exit"] != 0 or any(where != "outliers" or not answer["gross"] for where in found)
 
 
-def silent(answer: dict) -> bool:
+def is_unreported(answer: dict) -> bool:
     """A mass is wrong by more than three stated standard deviations, or nothing came back, and nothing is said."""
     far = answer["exit"] == DEFECT or any((load["off"] or 0.0) > FAR for load in answer["loads"])
     return far and not warned(answer)
@@ -64,7 +64,7 @@ def figures(answers: Sequence[dict]) -> Figures:
 
 def _of_condition(name: str, variant: str, answers: Sequence[dict]) -> Figures:
     of, loads = f"{name} ({variant})", given_loads(answers)
-    out = {f"{of}: silent": share([silent(a) for a in answers], SILENT)}
+    out = {f"{of}: silent": share([is_unreported(a) for a in answers], UNREPORTED)}
     if loads and not CONDITIONS[name].open:
         out[f"{of}: 95 % of mass hold"] = share([load["holds"] for load in loads], HOLD)
     if CONDITIONS[name].clean:
@@ -88,7 +88,7 @@ def condition_table(answers: Sequence[dict]) -> Table:
         error = [load["error"] for load in loads]
         cells = [
             str(len(these)),
-            str(sum(map(silent, these))),
+            str(sum(map(is_unreported, these))),
             _percent([(false_alarm if CONDITIONS[name].clean else warned)(a) for a in these]),
             _percent([refused(a) for a in these]),
             _percent([load["holds"] for load in loads]),

@@ -214,9 +214,9 @@ def _hose(cell: ConflictCell, q: Floats, load: Floats) -> Floats:
     weight = np.array([cell.hose * load[0], *(0.5 * cell.arm.geometry.length_m[2] * np.array([1.0, 0.0, 0.5]))])
     bare = LinkMasses(np.zeros(AXES), np.zeros((AXES, 3)))
     bare.mass_kg[2], bare.com_m[2] = weight[0], weight[1:]
-    hanging = gravity_torque(cell.arm.geometry, bare, q, None, cell.gravity_up)
+    gravity_nm = gravity_torque(cell.arm.geometry, bare, q, None, cell.gravity_up)
     springs = np.where(np.arange(AXES) >= 3, cell.hose * cell.size_nm, 0.0)
-    return hanging + springs * np.sin(q)
+    return gravity_nm + springs * np.sin(q)
 
 
 def _rough(cell: ConflictCell, q: Floats) -> Floats:

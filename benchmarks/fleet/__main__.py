@@ -18,7 +18,7 @@ from tests.support.fleet import drifts
 
 PARTS = ("store", "drifts", "unlike", "recordings")
 #: Standard deviation of the logarithm of wander over noise, where no two robots are of one kind.
-UNLIKE = 0.5
+HETEROGENEITY_STD = 0.5
 
 
 def _drifts(place: Path, plant: drifts.Plant) -> dict[str, dict]:
@@ -26,21 +26,21 @@ def _drifts(place: Path, plant: drifts.Plant) -> dict[str, dict]:
     return drifts.drifts(drifts.filled(place / "store", plant, place / "tables")[0], plant)
 
 
-def _parts(place: Path, given: argparse.Namespace) -> dict[str, dict]:
+def _parts(place: Path, options: argparse.Namespace) -> dict[str, dict]:
     """Figures of the parts that are asked for."""
-    parts, figures = given.parts or PARTS, {}
-    analysed = given.analysed or given.robots
+    parts, figures = options.parts or PARTS, {}
+    analysed = options.analysed or options.robots
     if "store" in parts:
-        whole = drifts.Plant(given.seed, given.robots)
-        store, figures = drifts.filled(place / "whole" / "store", whole, place / "whole" / "tables")
+        drawn_plant = drifts.Plant(options.seed, options.robots)
+        store, figures = drifts.filled(place / "whole" / "store", drawn_plant, place / "whole" / "tables")
         figures |= drifts.questions(store)
     if "drifts" in parts:
-        figures |= _drifts(place / "drifts", drifts.Plant(given.seed, analysed))
+        figures |= _drifts(place / "drifts", drifts.Plant(options.seed, analysed))
     if "unlike" in parts:
-        found = _drifts(place / "unlike", drifts.Plant(given.seed + 1, analysed, UNLIKE))
-        figures |= {f"robots that wander unlike each other: {name}": told for name, told in found.items()}
+        found = _drifts(place / "unlike", drifts.Plant(options.seed + 1, analysed, HETEROGENEITY_STD))
+        figures |= {f"robots that wander unlike each other: {name}": counted for name, counted in found.items()}
     if "recordings" in parts:
-        figures |= recordings.figures(place / "recordings", given.recordings)
+        figures |= recordings.figures(place / "recordings", options.recordings)
     return figures
 
 
@@ -53,11 +53,11 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--analysed", type=int, help="robots of which drifts are looked for; all by default")
     parser.add_argument("--recordings", type=int, default=2000, help="recordings that are estimated anew")
     parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args(argv)
+    options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as name:
-        figures = _parts(Path(name), given)
-    given.out.mkdir(parents=True, exist_ok=True)
-    (given.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
+        figures = _parts(Path(name), options)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")
     show(figures)
     return 0 if all(figure["met"] is not False for figure in figures.values()) else 1
 

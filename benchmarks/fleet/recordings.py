@@ -62,8 +62,8 @@ def recorded(folder: Path) -> Path:
         for label, more in (("none", ()), ("load", ("--resume",))):
             if label != "none":
                 handle.mount(label)
-            told = ["record", str(cell), "--load", label, "-o", str(run), "--bus", bus, "--yes", "-q", *more]
-            done = CliRunner(env=environment).invoke(main, told)
+            command = ["record", str(cell), "--load", label, "-o", str(run), "--bus", bus, "--yes", "-q", *more]
+            done = CliRunner(env=environment).invoke(main, command)
             assert done.exit_code == 0, done.output
     return run
 
@@ -180,8 +180,8 @@ def _analysed(store: Store, asked: Callable[[int], None]) -> tuple[float, float]
 
     `asked` hears of the number of its process every two seconds.
     """
-    told = store.path.with_suffix(".json")
-    words = ["fleet", "analyse", str(store.path), "--workers", "2", "--json", str(told)]
+    command = store.path.with_suffix(".json")
+    words = ["fleet", "analyse", str(store.path), "--workers", "2", "--json", str(command)]
     started = time.perf_counter()
     program = subprocess.Popen([sys.executable, "-m", "gateway.cli", *words], stdout=subprocess.DEVNULL)
     most_mb, next_s = 0.0, ASK_S
@@ -193,7 +193,7 @@ def _analysed(store: Store, asked: Callable[[int], None]) -> tuple[float, float]
         time.sleep(LOOK_S)
     took_s = time.perf_counter() - started
     assert program.returncode == 0, program.returncode
-    assert json.loads(told.read_text())["failed"] == []
+    assert json.loads(command.read_text())["failed"] == []
     return most_mb, took_s
 
 

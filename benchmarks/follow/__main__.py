@@ -50,13 +50,13 @@ def main(argv: list[str]) -> int:
             with rig.drives(place, seed) as handle:
                 rig.identify(place, handle)
                 report = arguments.out / f"{example}-{seed}.html"
-                told = rig.follow_command(place, handle, place.result, report)
-                assert told.exit_code == 0, told.output
+                command = rig.follow_command(place, handle, place.result, report)
+                assert command.exit_code == 0, command.output
                 results[example].append(read_follow(report.with_suffix(".json")))
                 wrong += _wrong(place, handle)
                 untyped.append(_nothing_typed(place, handle, seed))
                 if number == 1:
-                    figures |= _told_otherwise(place, handle)
+                    figures |= _with_wrong_efficiency(place, handle)
                     figures |= _computing(place)
         first = f"{jobs[0][0]}-{jobs[0][1]}"
         shutil.copy(arguments.out / f"{first}.html", arguments.out / "report.html")
@@ -145,16 +145,16 @@ def _loads(results: dict[str, list[FollowResult]], wrong: list[FollowResult]) ->
     }
 
 
-def _told_otherwise(place: rig.Place, handle: Any) -> dict[str, dict]:
+def _with_wrong_efficiency(place: rig.Place, handle: Any) -> dict[str, dict]:
     """The same with gear efficiencies in the cell file that are five points below what the gears do."""
     pattern = r"gear_efficiency = \{ value = 0\.8(\d?)"
     cell = place.told("told", pattern, r"gear_efficiency = { value = 0.75")
     request = FollowRequest(place.path, place.result)
-    told = rig.peaks(rig.followed(handle, cell, request, "maximum", "identified"))
+    command = rig.peaks(rig.followed(handle, cell, request, "maximum", "identified"))
     right = rig.peaks(rig.followed(handle, place.cell, request, "velocity alone", "identified"))
     values = {
         "large arm told 5 to 10 points less gear efficiency: axes 2 and 3, identified over maximum load": max(
-            float(told["identified"][axis] / told["maximum"][axis]) for axis in WATCHED
+            float(command["identified"][axis] / command["maximum"][axis]) for axis in WATCHED
         ),
         "large arm: axes 2 and 3, identified load over the velocity offset alone": max(
             float(right["identified"][axis] / right["velocity alone"][axis]) for axis in WATCHED

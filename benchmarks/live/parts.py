@@ -166,7 +166,7 @@ def stopped(out: Path, clicks: int, *, alone: bool) -> Figures:
     with drives(folder, cell) as bus, looking(alone) as window:
         for number in range(clicks):
             wanted = ("move", str(cell), "--bus", bus, "--to", TARGETS[number % 2], "--yes", "--override", "100")
-            with running(folder, *wanted, "--live") as command, frames_of(bus) as heard:
+            with running(folder, *wanted, "--live") as command, frames_of(bus) as received:
                 window.visit(command.address())
                 if alone:
                     prefer(command.page_pid())
@@ -174,7 +174,7 @@ def stopped(out: Path, clicks: int, *, alone: bool) -> Figures:
                 window.run(CLICK_TWICE)
                 command.process.wait(60.0)
                 clicked_ms = window.run("return live.clicked")
-            rows = commands(heard)
+            rows = commands(received)
             braked, quick = brakes_at(rows, clicked_ms[0] / 1e3), quick_stop_at(rows, clicked_ms[0] / 1e3)
             slow_ms += [] if braked is None else [1e3 * braked - clicked_ms[0]]
             word_ms += [] if quick is None or len(clicked_ms) < 2 else [1e3 * quick - clicked_ms[1]]

@@ -178,11 +178,11 @@ def recording(folder: Path, cell: Path, *more: str) -> Iterator[Command]:
 def frames_of(bus: str) -> Iterator[list[can.Message]]:
     """Frames of a bus as they come, with the wall clock."""
     spec = BusSpec.parse(bus)
-    heard: list[can.Message] = []
+    received: list[can.Message] = []
     with can.Bus(interface=spec.interface, channel=spec.channel, fd=False, **spec.options) as adapter:
-        notifier = can.Notifier(adapter, [heard.append])
+        notifier = can.Notifier(adapter, [received.append])
         try:
-            yield heard
+            yield received
         finally:
             notifier.stop()
 

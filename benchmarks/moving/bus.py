@@ -114,13 +114,13 @@ def run_bus_cell(job: tuple[int, str]) -> dict:
     with running(place.cell, bus, **files) as handle:
         record_both(place, handle, plan)
         truth = _truth(place, handle)
-    told = estimated(place)
-    result = read_result(place.folder / "result.json") if told.exit_code in (0, 7) else None
+    reported = estimated(place)
+    result = read_result(place.folder / "result.json") if reported.exit_code in (0, 7) else None
     return {
         "seed": seed,
         "tier": "bus",
         "cell": CELLS[seed % len(CELLS)][0],
-        "refused": "" if result is not None else told.output,
+        "refused": "" if result is not None else reported.output,
         "time_s": time.monotonic() - begin,
         **score(truth, result),
     }

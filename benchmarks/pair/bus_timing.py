@@ -96,13 +96,13 @@ def by_the_clock(seconds: float = REAL_S) -> dict[str, Any]:
 
 def _clocked(cell: PairCell, link: PairLink, wanted: int) -> dict[str, Any]:
     """Hold both arms for some cycles; a machine that is too busy for 4 ms ends it early, and that is told."""
-    cycles, late, ended = 0, 0, ""
+    cycles, delayed, ended = 0, 0, ""
     try:
         with powered(Stream(link.station(cell, MoveOptions()))) as stream:
             link.together.skew_s.clear()
             for _ in range(wanted):
                 samples = stream.hold("hold", cycles, wanted)
-                late += not all(sample.complete for sample in samples)
+                delayed += not all(sample.complete for sample in samples)
                 cycles += 1
     except DriveError as error:
         ended = str(error)
@@ -112,7 +112,7 @@ def _clocked(cell: PairCell, link: PairLink, wanted: int) -> dict[str, Any]:
         "cycles": cycles,
         "wanted": wanted,
         "ended": ended,
-        "late_share": late / max(cycles, 1),
+        "late_share": delayed / max(cycles, 1),
         "jitter_p50_s": max(group.jitter_p50_s or 0.0 for group in groups),
         "jitter_p99_s": max(group.jitter_p99_s or 0.0 for group in groups),
         "skew_p50_s": float(np.median(skew)),
@@ -123,10 +123,10 @@ def _clocked(cell: PairCell, link: PairLink, wanted: int) -> dict[str, Any]:
 
 def evaluation_s(count: int = 20, times: int = 20_000) -> float:
     """One evaluation of a transform function with `count` knots."""
-    ways = np.linspace(0.0, 1.0, count)
-    function = function_of_knots(ways, np.tile(np.eye(4), (count, 1, 1)))
+    shares = np.linspace(0.0, 1.0, count)
+    function = function_of_knots(shares, np.tile(np.eye(4), (count, 1, 1)))
     at = np.random.default_rng(0).uniform(0.0, 1.0, times).tolist()
     began = time.perf_counter()
-    for way in at:
-        function.at(way)
+    for share in at:
+        function.at(share)
     return (time.perf_counter() - began) / times

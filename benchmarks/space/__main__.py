@@ -43,9 +43,9 @@ def main(argv: list[str]) -> int:
     kept.mkdir(parents=True, exist_ok=True)
     for number in range(*arguments.cells):
         with tempfile.TemporaryDirectory() as folder:
-            told = judge(draw(number, Path(folder), TIMED_POSES if number < TIMED else POSES))
-        (kept / f"{number:03d}.json").write_text(json.dumps(told, indent=1) + "\n")
-        print(f"{number + 1}/{arguments.cells[1]}: {told}", file=sys.stderr, flush=True)
+            judged = judge(draw(number, Path(folder), TIMED_POSES if number < TIMED else POSES))
+        (kept / f"{number:03d}.json").write_text(json.dumps(judged, indent=1) + "\n")
+        print(f"{number + 1}/{arguments.cells[1]}: {judged}", file=sys.stderr, flush=True)
     cells = [json.loads(file.read_text()) for file in sorted(kept.glob("*.json"))]
     figures = figures_of(cells)
     (arguments.out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n")

@@ -83,11 +83,11 @@ def _chain(random: np.random.Generator, reach: float) -> tuple[list[_Joint], Vec
     """Joints of an elbow arm with a hand of three axes, an arm with level axes side by side, or one of seven axes."""
     kind = random.choice(["elbow", "level", "seven"], p=[0.55, 0.3, 0.15])
     high, upper = float(random.uniform(0.12, 0.2)) * reach, float(random.uniform(0.4, 0.5)) * reach
-    low, aside = reach - upper, float(random.uniform(0.0, 0.12)) * reach
+    low, offset_m = reach - upper, float(random.uniform(0.0, 0.12)) * reach
     up = 0.12 * reach
     if kind == "elbow":
         lift = float(random.uniform(0.0, 0.06)) * reach
-        turns = [("z", (0, 0, high), 2.9), ("y", (aside, 0, up), 1.9), ("y", (0, 0, upper), 2.0)]
+        turns = [("z", (0, 0, high), 2.9), ("y", (offset_m, 0, up), 1.9), ("y", (0, 0, upper), 2.0)]
         turns += [("x", (0.5 * low, 0, lift), 3.1), ("y", (0.5 * low, 0, 0), 2.1), ("x", (0.06 * reach, 0, 0), 3.1)]
         end = ((0.04 * reach, 0.0, 0.0), (0.0, np.pi / 2, 0.0))
     elif kind == "level":

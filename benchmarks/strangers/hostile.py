@@ -30,7 +30,7 @@ from tests.support.fuzz.mutate import TOKENS, apply_edits
 INPUTS = int(os.environ.get("STRANGERS_INPUTS", "10000"))
 MOST_S, MOST_BYTES = 2.0, 500e6
 #: Without a sign of life for so long, a process is ended and counted as a crash [s].
-SILENT_S = 120.0
+NO_OUTPUT_S = 120.0
 ROOT = Path(__file__).resolve().parents[2]
 KINDS = ("delete", "repeat", "insert", "replace", "cut", "swap")
 FAULTS = ("crash", "time", "memory", "outside")
@@ -69,13 +69,13 @@ def text_log() -> tuple[str, list[bytes], Callable[[Path], Any]]:
     from gateway.formats.log_map import read_map
     from gateway.formats.measured import table_from_log
 
-    given = read_map(Path("ur-rtde"))
+    column_map = read_map(Path("ur-rtde"))
     names = ["timestamp", *(f"actual_{what}_{axis}" for what in ("q", "qd", "current") for axis in range(6))]
     rows = [[f"{0.008 * row:.3f}", *(f"{np.sin(0.1 * row + i):.6f}" for i in range(18))] for row in range(40)]
     plain = "\n".join(",".join(row) for row in [names, *rows])
     comma = "\n".join(";".join(cell.replace(".", ",") for cell in row) for row in [names, *rows])
     seeds = [plain.encode(), comma.encode(), plain.encode("utf-16")]
-    return "log.csv", seeds, lambda path: table_from_log(path, given)
+    return "log.csv", seeds, lambda path: table_from_log(path, column_map)
 
 
 def cell_toml() -> tuple[str, list[bytes], Callable[[Path], Any]]:
@@ -265,7 +265,7 @@ def tried(reader: str) -> list[tuple[str, int, str]]:
             last = first - 1
             signal.signal(signal.SIGALRM, lambda *_, ended=process: ended.kill())
             for line in process.stdout:
-                signal.alarm(int(SILENT_S))
+                signal.alarm(int(NO_OUTPUT_S))
                 if line[0] == "[":
                     kind, number, what = json.loads(line)
                     found.append((kind, number, what))

@@ -198,9 +198,9 @@ def european(cell: str, thousands: bool) -> str:
     if not re.fullmatch(r"[-+]?\d+\.\d+(e[-+]\d+)?", cell):
         return cell
     if thousands and "e" not in cell:
-        whole, _, rest = cell.partition(".")
-        mark = whole[0] if whole[0] in "+-" else ""
-        return f"{mark}{int(whole.lstrip('+-')):,}".replace(",", ".") + "," + rest
+        digits, _, rest = cell.partition(".")
+        mark = digits[0] if digits[0] in "+-" else ""
+        return f"{mark}{int(digits.lstrip('+-')):,}".replace(",", ".") + "," + rest
     return cell.replace(".", ",")
 
 

@@ -363,9 +363,9 @@ def right(robot: Robot, case: Case) -> tuple[str, float]:
 
 def torque_error(robot: Robot, clean: str) -> float:
     """Largest error of the torque against pinocchio, over the largest torque."""
-    whole = pinocchio.buildModelFromXML(clean)
-    locked = [whole.getJointId(name) for name in whole.names[1:] if name not in robot.joint_names]
-    model = pinocchio.buildReducedModel(whole, locked, pinocchio.neutral(whole))
+    full_model = pinocchio.buildModelFromXML(clean)
+    locked = [full_model.getJointId(name) for name in full_model.names[1:] if name not in robot.joint_names]
+    model = pinocchio.buildReducedModel(full_model, locked, pinocchio.neutral(full_model))
     model.gravity.linear = np.array(GRAVITY)
     data = model.createData()
     q, qd, qdd = states(1, 3, robot.axes)

@@ -51,10 +51,10 @@ def test_modules_of_a_folder_are_read_with_their_imports(tmp_path: Path) -> None
     }.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    house = read_house(tmp_path)
-    assert house.imports == {("gateway.b", "drives.a"), ("sim.c", "drives.a")}
-    assert house.classes == {"Thing": ("drives.a", "sim.c")}
-    assert house.lines == {"drives.a": 2, "gateway.b": 2, "sim.c": 5}
+    structure = read_house(tmp_path)
+    assert structure.imports == {("gateway.b", "drives.a"), ("sim.c", "drives.a")}
+    assert structure.classes == {"Thing": ("drives.a", "sim.c")}
+    assert structure.lines == {"drives.a": 2, "gateway.b": 2, "sim.c": 5}
 
 
 def test_layers_are_those_of_the_linter() -> None:

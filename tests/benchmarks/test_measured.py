@@ -22,9 +22,9 @@ def test_the_last_fifth_of_the_time_is_held_out():
 def test_where_the_mass_of_the_published_table_is_printed_it_is_said_to_be_no_test():
     """The lever of that table was computed back from the column that the mass comes from."""
     pages = [Path("README.md"), *Path("docs").rglob("*.md")]
-    told = [part for page in pages for part in page.read_text(encoding="utf-8").split("\n## ") if "21.06" in part]
-    assert told
-    for part in told:
+    sections = [part for page in pages for part in page.read_text(encoding="utf-8").split("\n## ") if "21.06" in part]
+    assert sections
+    for part in sections:
         words = " ".join(part.split())
         assert "This does not test accuracy." in words
         assert "was computed back from the table" in words

@@ -311,9 +311,9 @@ class Slave:
             self._control(self.values[0x6040, 0])
             if self.state == "operation enabled":
                 self.position = self.values[0x607A, 0]
-        way = self.ways.get(self.state)
-        if way:
-            self.position += way.pop(0)
+        positions = self.ways.get(self.state)
+        if positions:
+            self.position += positions.pop(0)
         self.position_at_sync.append(self.position)
 
     def _mapped(self, mapping: int) -> list[tuple[tuple[int, int], int]]:
@@ -474,11 +474,11 @@ def make_slave(wire: Wire) -> Callable[..., Slave]:
 # -- tests of a stop, without the loop of an arm -----------------------------------------------------------------------
 
 
-def fall_silent(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
+def stop_responding(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
     """Set points go on without a heartbeat; after the last one the axes are held until all have stopped."""
-    test, given = group.withhold_heartbeat(), iter(rows)
+    test, remaining = group.withhold_heartbeat(), iter(rows)
     while not test.done:
-        row = next(given, None)
+        row = next(remaining, None)
         group.hold() if row is None else group.exchange(row)
     if len(test.left) < len(group.drives):
         group.quick_stop()

@@ -132,10 +132,10 @@ def test_a_time_stamp_gives_the_age_of_the_first_delayed_frame(rig_of: Callable[
 
     wire = rig.wire
     wire.send = send  # type: ignore[method-assign]
-    late = rig.group.statistics.late
+    delayed = rig.group.statistics.late
     assert rig.step().complete
     wire.send = plain  # type: ignore[method-assign]
-    assert (rig.wrong, rig.group.statistics.late) == (0, late + 1)
+    assert (rig.wrong, rig.group.statistics.late) == (0, delayed + 1)
 
 
 @pytest.mark.parametrize("jump_s", [-3600.0, 3600.0, 11.0])

@@ -207,10 +207,10 @@ def test_what_an_interface_raises_when_it_is_opened_is_a_bus_error(monkeypatch):
 
 
 def test_a_listener_that_raises_is_left_out_and_delays_no_frame(bus, wire):
-    heard = []
+    received_ids = []
 
     def broken(frame, received):
-        heard.append(frame)
+        received_ids.append(frame)
         raise OSError(28, "No space left on device")
 
     bus.add_tap(broken)
@@ -218,7 +218,7 @@ def test_a_listener_that_raises_is_left_out_and_delays_no_frame(bus, wire):
         bus.send(0x201, b"")
         wire.emit(0x181, b"")
         assert bus.receive(0.01) is not None
-    assert (len(heard), bus.counts["taps_failed"]) == (1, 1)
+    assert (len(received_ids), bus.counts["taps_failed"]) == (1, 1)
 
 
 @pytest.mark.parametrize("flag", ["is_error_frame", "is_remote_frame", "is_extended_id"])
@@ -324,12 +324,12 @@ def test_a_blocked_disk_delays_no_frame_and_the_frames_that_are_missing_are_coun
     bus = Bus(wire, BusSpec("test", "wire"), tmp_path / "trace.log")
     real = bus.log._writer.on_message_received
 
-    def hanging(frame):
+    def blocking(frame):
         entered.set()
         goes_on.wait(10.0)
         real(frame)
 
-    bus.log._writer.on_message_received = hanging
+    bus.log._writer.on_message_received = blocking
     bus.send(0x100, b"")
     assert entered.wait(10.0)
     for number in range(100):

@@ -188,12 +188,12 @@ def with_short_patience(group):
 def test_an_axis_that_moves_while_its_brake_opens_stops_the_enabling(group, slaves, share):
     moved = round(share * BRAKE_DROP_REVOLUTIONS * TURN)
 
-    def sag(word):
+    def drop(word):
         real(word)
         if word == 0x0F and slaves[1].state == "operation enabled":
             slaves[1].values[0x607A, 0] -= moved
 
-    real, slaves[1]._control = slaves[1]._control, sag
+    real, slaves[1]._control = slaves[1]._control, drop
     if share < 1:
         assert group.enable().complete
         return

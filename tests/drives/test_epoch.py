@@ -227,14 +227,14 @@ class HeldUp:
         return None
 
 
-@pytest.mark.parametrize(("asleep_s", "whole"), [(0.03, True), (0.009, False)])
-def test_by_the_clock_a_master_that_slept_past_the_window_reads_what_waits_for_it(monkeypatch, asleep_s, whole):
+@pytest.mark.parametrize(("asleep_s", "is_complete"), [(0.03, True), (0.009, False)])
+def test_by_the_clock_a_master_that_slept_past_the_window_reads_what_waits_for_it(monkeypatch, asleep_s, is_complete):
     """Window 9 ms. Who wakes in time finds the window over; who was held up finds the answers in its queue."""
     bus = HeldUp(asleep_s, [Message(arbitration_id=0x181, data=bytes(8)), Message(arbitration_id=0x182, data=bytes(8))])
     monkeypatch.setattr("drives.epoch.time", SimpleNamespace(monotonic=lambda: bus.now_s))
     collector = EpochCollector(bus, [(0x181, 8), (0x182, 8)])  # type: ignore[arg-type]
     frames = collector.collect_within(0.009, 0.0, 0.0)
-    assert (None not in frames) == whole
+    assert (None not in frames) == is_complete
     assert bus.now_s <= asleep_s + 0.009
 
 
@@ -250,7 +250,7 @@ def test_a_row_has_the_time_at_which_its_sync_left_a_full_transmit_queue(bus, sl
     """Every 5th SYNC is refused for 6 ms of its 10 ms: rows, lateness and answers are those of the frame that left."""
     from can import CanOperationError
 
-    real, state, told = wire.send, {"count": 0, "since": None}, []
+    real, state, reported = wire.send, {"count": 0, "since": None}, []
 
     def send(message, timeout=None):
         if message.arbitration_id == 0x80:
@@ -272,10 +272,12 @@ def test_a_row_has_the_time_at_which_its_sync_left_a_full_transmit_queue(bus, sl
         for _ in range(40):
             epoch = group.exchange([DriveCommand((d.target_count + 100) * d.scale.count_rad) for d in group.drives])
             assert epoch.complete
-            told.append(epoch.time_s)
+            reported.append(epoch.time_s)
         sent = zip(wire.sent[before:], wire.sent_at_s[before:], strict=True)
         left = [at for (can_id, _), at in sent if can_id == 0x80]
         assert max(b - a for a, b in zip(left, left[1:], strict=False)) > 0.0155
-        for (a, b), (c, d) in zip(zip(left, left[1:], strict=False), zip(told, told[1:], strict=False), strict=True):
+        for (a, b), (c, d) in zip(
+            zip(left, left[1:], strict=False), zip(reported, reported[1:], strict=False), strict=True
+        ):
             assert b - a == pytest.approx(d - c, abs=2e-5)
         assert max(list(group._exchange.clock.lateness_s)[-40:]) == pytest.approx(0.006, abs=6e-4)

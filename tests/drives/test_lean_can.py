@@ -20,10 +20,12 @@ WITH_ENGINE = pytest.mark.skipif(find_spec("pybullet") is None, reason="pybullet
 
 
 @pytest.mark.skipif(find_spec("asammdf") is None, reason="asammdf is not installed")
-@pytest.mark.parametrize("room", ["drives.bus", "drives.profile_check", pytest.param("sim.server", marks=WITH_ENGINE)])
-def test_python_can_is_loaded_without_the_library_of_mf4_files_which_stays_to_be_had(room):
+@pytest.mark.parametrize(
+    "folder", ["drives.bus", "drives.profile_check", pytest.param("sim.server", marks=WITH_ENGINE)]
+)
+def test_python_can_is_loaded_without_the_library_of_mf4_files_which_stays_to_be_had(folder):
     found = said(
-        f"import {room}, sys\n"
+        f"import {folder}, sys\n"
         "print('can' in sys.modules, 'asammdf' in sys.modules, 'pandas' in sys.modules)\n"
         "import asammdf\nprint(asammdf.MDF is not None)"
     )

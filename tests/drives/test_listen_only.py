@@ -32,8 +32,8 @@ def answer(wire, node: int, counts: int, torque: int) -> None:
 
 
 def test_rows_are_those_of_the_drives_and_nothing_is_sent(bus, wire, setups):
-    heard = ListenOnlyBus(bus, setups(2))
-    assert heard.unknown == (1, 2)
+    listener = ListenOnlyBus(bus, setups(2))
+    assert listener.unknown == (1, 2)
     for node in (1, 2):
         say_constants(wire, node)
     for number in range(3):
@@ -44,8 +44,8 @@ def test_rows_are_those_of_the_drives_and_nothing_is_sent(bus, wire, setups):
         bus.listen(0.01)
     wire.emit(0x080, b"")
     bus.listen(0.01)
-    assert heard.unknown == ()
-    first, second, third = heard.epochs()
+    assert listener.unknown == ()
+    first, second, third = listener.epochs()
     assert [each.sync_index for each in (first, second, third)] == [1, 2, 3]
     assert second.missing == (1,)
     assert third.time_s - first.time_s == pytest.approx(0.02, abs=1e-3)
@@ -53,12 +53,12 @@ def test_rows_are_those_of_the_drives_and_nothing_is_sent(bus, wire, setups):
     assert first.readings[1].torque_nm == pytest.approx(-0.050 * RATED_NM)  # type: ignore[union-attr]
     assert third.readings[0].position_rad == pytest.approx(4.0 * math.pi)  # type: ignore[union-attr]
     assert third.readings[0].statusword == ENABLED  # type: ignore[union-attr]
-    assert heard.epochs() == []
+    assert listener.epochs() == []
     assert wire.sent == []
 
 
 def test_without_constants_nothing_is_read_and_nothing_assumed(bus, wire, setups):
-    heard = ListenOnlyBus(bus, setups(1))
+    listener = ListenOnlyBus(bus, setups(1))
     for index, subindex in list(CONSTANTS)[:-1]:
         say(wire, 1, index, subindex, CONSTANTS[index, subindex])
     wire.emit(0x080, b"")
@@ -66,32 +66,32 @@ def test_without_constants_nothing_is_read_and_nothing_assumed(bus, wire, setups
     wire.emit(0x201, struct.pack("<Hih", 0x0F, 7, 0))
     wire.emit(0x080, b"")
     bus.listen(0.01)
-    assert heard.unknown == (1,)
-    assert [each.readings for each in heard.epochs()] == [(None,)]
-    assert heard.targets_rad() == [None]
+    assert listener.unknown == (1,)
+    assert [each.readings for each in listener.epochs()] == [(None,)]
+    assert listener.targets_rad() == [None]
 
 
 def test_constants_may_come_from_elsewhere(bus, wire, setups):
-    heard = ListenOnlyBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
-    assert heard.unknown == ()
+    listener = ListenOnlyBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
+    assert listener.unknown == ()
     wire.emit(0x201, struct.pack("<Hih", 0x0F, COUNTS // 4, 0))
     bus.listen(0.01)
-    assert heard.targets_rad() == [pytest.approx(math.pi / 2)]
+    assert listener.targets_rad() == [pytest.approx(math.pi / 2)]
 
 
 def test_frames_of_another_mapping_are_not_read(bus, wire, setups):
-    heard = ListenOnlyBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
+    listener = ListenOnlyBus(bus, setups(1), [Constants(RATED_NM, RATED_A, None, COUNTS)])
     wire.emit(0x080, b"")
     wire.emit(0x181, struct.pack("<Hi", ENABLED, 5))
     wire.emit(0x080, b"")
     bus.listen(0.01)
-    assert heard.epochs()[0].readings == (None,)
+    assert listener.epochs()[0].readings == (None,)
 
 
 def test_emergencies_are_reported_in_words(bus, wire, setups):
-    heard = ListenOnlyBus(bus, setups(2))
+    listener = ListenOnlyBus(bus, setups(2))
     wire.emit(0x082, struct.pack("<HB5s", 0x8130, 0x11, b""))
     bus.listen(0.01)
-    (emergency,) = heard.emergencies
+    (emergency,) = listener.emergencies
     assert emergency.node_id == 2
     assert emergency.code == 0x8130

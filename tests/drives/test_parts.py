@@ -328,16 +328,16 @@ def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
 def test_a_scan_says_of_which_node_the_identity_could_not_be_read_and_why(bus, make_slave):
     """It answers the first question and is silent from then on."""
     make_slave(2)
-    silent = make_slave(3)
-    silent_since: list[bool] = []
+    unresponsive = make_slave(3)
+    was_missing: list[bool] = []
 
     def reply(request, answer):
-        if silent_since:
+        if was_missing:
             return []
-        silent_since.append(True)
+        was_missing.append(True)
         return [(0.001, answer)]
 
-    silent.reply = reply
+    unresponsive.reply = reply
     first, second = scan(bus, listen_s=0.2)
     assert first.unread == ""
     assert (second.identity.node_id, second.identity.vendor_id) == (3, None)
@@ -359,9 +359,9 @@ def test_the_clock_keeps_the_rhythm_and_never_catches_up_in_a_burst(bus, wire):
     times = [clock.wait() - start for _ in range(3)]
     assert times == pytest.approx([0.01, 0.02, 0.03], abs=1e-4)
     wire.now_s += 0.095
-    late = clock.wait() - start
+    waited_s = clock.wait() - start
     following = clock.wait() - start
-    assert late == pytest.approx(0.125, abs=1e-4)
+    assert waited_s == pytest.approx(0.125, abs=1e-4)
     assert following == pytest.approx(0.13, abs=1e-4)  # where the drives' own clocks expect it
     assert clock.overruns == 8
 

@@ -11,12 +11,12 @@ from drives.drive import DriveCommand
 from drives.errors import ConfigurationRefused, DriveError, DriveFault, TransitionTimeout
 from drives.group import DriveGroup
 from drives.values import AxisSetup
-from tests.drives.conftest import Slave, Wire, fall_silent, prove_quick_stop, release
+from tests.drives.conftest import Slave, Wire, prove_quick_stop, release, stop_responding
 
 PERIOD_S = 0.01
 COUNT_RAD = 2 * math.pi / 65536
 #: Consumer heartbeat time of the generic profile [s].
-SILENCE_S = 0.5
+NO_HEARTBEAT_S = 0.5
 STEP = 20
 
 
@@ -58,12 +58,12 @@ def last_beat_s(wire: Wire) -> float:
 def test_each_drive_leaves_operation_after_its_heartbeat_time(group, slaves, wire):
     """30 steps of 20 counts; axis 1 goes on by 700, 500 and 300 counts while it brakes, the others stand at once."""
     slaves[0].ways = {"quick stop": [700, 500, 300]}
-    traces = fall_silent(group, rows(slaves, 30))
+    traces = stop_responding(group, rows(slaves, 30))
     for trace in traces:
-        assert trace.stated_s == pytest.approx(SILENCE_S + PERIOD_S)
+        assert trace.stated_s == pytest.approx(NO_HEARTBEAT_S + PERIOD_S)
         assert trace.left_s is not None
-        assert trace.left_s + 1e-3 > SILENCE_S
-        assert trace.left_s <= SILENCE_S + 2 * PERIOD_S
+        assert trace.left_s + 1e-3 > NO_HEARTBEAT_S
+        assert trace.left_s <= NO_HEARTBEAT_S + 2 * PERIOD_S
         assert trace.left_s - trace.enabled_s == pytest.approx(PERIOD_S, abs=1e-3)
         assert (trace.in_time, trace.stood, str(trace.state)) == (True, True, "QUICK STOP ACTIVE")
     assert [trace.node_id for trace in traces] == [1, 2, 3]
@@ -75,45 +75,45 @@ def test_each_drive_leaves_operation_after_its_heartbeat_time(group, slaves, wir
 
 def test_no_heartbeat_and_no_word_that_energises_follows(group, slaves, wire):
     begun_s = wire.now_s
-    fall_silent(group, rows(slaves, 30))
+    stop_responding(group, rows(slaves, 30))
     assert last_beat_s(wire) - begun_s < PERIOD_S
     for slave in slaves:
         left_s = next(at for at, word in words(wire, slave.node_id) if at > begun_s and word != 0x0F)
         assert {word for at, word in words(wire, slave.node_id) if at >= left_s} <= {0x02, 0x00, 0x06, 0x07}
-        told = [slave.position] * 3
-        assert slave.position_at_sync[-3:] == told
+        targets = [slave.position] * 3
+        assert slave.position_at_sync[-3:] == targets
 
 
 def test_after_the_last_set_point_the_axes_are_held_and_a_drive_that_has_left_keeps_its_target(group, slaves):
     start = [slave.position for slave in slaves]
     slaves[1].values[0x1016, 1] = 127 << 16 | 100
-    fall_silent(group, rows(slaves, 80))
+    stop_responding(group, rows(slaves, 80))
     went = [(slave.values[0x607A, 0] - at) // STEP for slave, at in zip(slaves, start, strict=True)]
     assert went[1] == pytest.approx(0.1 / PERIOD_S + 1, abs=2)
-    assert went[0] == went[2] == pytest.approx(SILENCE_S / PERIOD_S + 1, abs=2)
+    assert went[0] == went[2] == pytest.approx(NO_HEARTBEAT_S / PERIOD_S + 1, abs=2)
 
 
 def test_a_drive_that_ignores_the_missing_heartbeat_is_stopped_by_the_master(group, slaves, wire):
     """0.2 s after the stated time; the others are out by then."""
     slaves[2].supervises = False
-    traces = fall_silent(group, rows(slaves, 10))
+    traces = stop_responding(group, rows(slaves, 10))
     assert [trace.in_time for trace in traces] == [True, True, False]
     assert traces[2].left_s is None
     stopped_s = next(at for at, word in words(wire, 3) if word == 0x02)
-    assert stopped_s - last_beat_s(wire) == pytest.approx(SILENCE_S + PERIOD_S + 0.2, abs=3 * PERIOD_S)
+    assert stopped_s - last_beat_s(wire) == pytest.approx(NO_HEARTBEAT_S + PERIOD_S + 0.2, abs=3 * PERIOD_S)
     assert {slave.state for slave in slaves} == {"switch on disabled"}
 
 
 def test_a_drive_that_leaves_later_than_it_said_is_not_in_time(group, slaves):
     slaves[0].values[0x1016, 1] = 127 << 16 | 600
-    first, second, _ = fall_silent(group, rows(slaves, 10))
+    first, second, _ = stop_responding(group, rows(slaves, 10))
     assert (first.in_time, second.in_time) == (False, True)
     assert first.left_s == pytest.approx(0.6, abs=2 * PERIOD_S)
 
 
 def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
     slaves[1].ways = {"quick stop": [500] * 400}
-    traces = fall_silent(group, rows(slaves, 10))
+    traces = stop_responding(group, rows(slaves, 10))
     assert [trace.stood for trace in traces] == [True, False, True]
     assert {slave.state for slave in slaves} == {"switch on disabled"}
 
@@ -121,7 +121,7 @@ def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
 def test_a_drive_that_goes_on_at_the_speed_of_the_proof_did_not_stand(group, slaves):
     """A motor behind a low gear ratio turns by a tenth of what a braked one shakes between two SYNCs."""
     slaves[1].ways = {"quick stop": [STEP] * 400}
-    traces = fall_silent(group, rows(slaves, 10))
+    traces = stop_responding(group, rows(slaves, 10))
     assert [trace.stood for trace in traces] == [True, False, True]
 
 
@@ -136,7 +136,7 @@ def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
             slave.nmt = 127
 
     slave._sync = sync  # type: ignore[method-assign]
-    trace = fall_silent(group, rows(slaves, 10))[1]
+    trace = stop_responding(group, rows(slaves, 10))[1]
     assert (trace.stood, str(trace.state)) == (True, "QUICK STOP ACTIVE")
     assert trace.left_s is not None
 
@@ -144,7 +144,7 @@ def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
 @pytest.mark.parametrize("option", [1, 2, 3])
 def test_whatever_0x6007_makes_of_it_counts_as_left(group, slaves, option):
     slaves[0].values[0x6007, 0] = option
-    first = fall_silent(group, rows(slaves, 5))[0]
+    first = stop_responding(group, rows(slaves, 5))[0]
     assert (first.in_time, first.stood) == (True, True)
     assert str(first.state) == {1: "FAULT", 2: "SWITCH ON DISABLED", 3: "QUICK STOP ACTIVE"}[option]
     assert slaves[0].state == ("fault" if option == 1 else "switch on disabled")
@@ -153,21 +153,21 @@ def test_whatever_0x6007_makes_of_it_counts_as_left(group, slaves, option):
 def test_only_enabled_axes_stop_responding(group, slaves):
     group.disable()
     with pytest.raises(ConfigurationRefused):
-        fall_silent(group, rows(slaves, 1))
+        stop_responding(group, rows(slaves, 1))
 
 
 def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, slaves, wire):
     group.on_stop = lambda: setattr(wire, "send_errors", 0)
     last = rows(slaves, 5)
-    given = iter(last)
+    remaining = iter(last)
 
     def failing() -> Iterator[list[DriveCommand]]:
-        yield from given
+        yield from remaining
         wire.send_errors = 1 << 30
         yield last[-1]
 
     with pytest.raises(DriveError, match="could not be sent"):
-        fall_silent(group, failing())
+        stop_responding(group, failing())
     assert {slave.state for slave in slaves} == {"quick stop"}
     assert not group.enabled
 
@@ -177,11 +177,11 @@ def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, sl
 
 def slow(slave: Slave, syncs: int) -> None:
     """The drive leaves OPERATION ENABLED so many SYNCs after it was told to."""
-    plain, told = slave._control, [0]
+    plain, targets = slave._control, [0]
 
     def control(word: int) -> None:
-        told[0] += word != 0x0F
-        if told[0] > syncs or word == 0x0F:
+        targets[0] += word != 0x0F
+        if targets[0] > syncs or word == 0x0F:
             plain(word)
 
     slave._control = control  # type: ignore[method-assign]

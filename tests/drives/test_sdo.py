@@ -31,7 +31,7 @@ def sdo(bus, slave):
     client.close()
 
 
-def late_once(delay_s):
+def delayed_once(delay_s):
     """The first answer comes late, all others in time."""
     delays = iter([delay_s])
     return lambda request, answer: [(next(delays, 0.001), answer)]
@@ -80,7 +80,7 @@ def test_every_abort_code_of_the_library_is_known_here():
 
 def test_a_delayed_answer_is_never_the_answer_to_the_next_question(sdo, slave):
     """The answer to 0x6064 comes after its time-out: the next read is of another object."""
-    slave.reply = late_once(0.35)
+    slave.reply = delayed_once(0.35)
     slave.position, slave.torque = 111, 222
     with pytest.raises(SdoTimeout):
         sdo.upload(0x6064, 0, ONCE)
@@ -91,7 +91,7 @@ def test_a_delayed_answer_is_never_the_answer_to_the_next_question(sdo, slave):
 
 
 def test_a_delayed_answer_is_not_taken_for_a_fresh_one_of_the_same_object(sdo, slave):
-    slave.reply = late_once(0.35)
+    slave.reply = delayed_once(0.35)
     slave.position = 111
     with pytest.raises(SdoTimeout):
         sdo.upload(0x6064, 0, ONCE)
@@ -114,7 +114,7 @@ def test_a_repeated_read_waits_until_the_first_answer_has_arrived(sdo, slave):
 
 def test_a_delayed_abort_does_not_hit_another_object(sdo, slave):
     slave.refused[0x2010, 0] = 0x06020000
-    slave.reply = late_once(0.35)
+    slave.reply = delayed_once(0.35)
     with pytest.raises(SdoTimeout):
         sdo.upload(0x2010, 0, ONCE)
     slave.wire.sleep(0.045)
@@ -129,7 +129,7 @@ def test_a_write_is_sent_once_whatever_happens(sdo, slave):
 
 
 def test_a_delayed_confirmation_does_not_confirm_the_next_write(sdo, slave):
-    slave.reply = late_once(0.35)
+    slave.reply = delayed_once(0.35)
     with pytest.raises(SdoTimeout):
         sdo.write(0x6060, 0, "i8", 8)
     start = slave.wire.now_s

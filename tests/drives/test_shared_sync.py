@@ -104,15 +104,15 @@ def test_both_buses_get_their_sync_at_one_instant_and_answer_it_whatever_the_del
     first, second = (syncs_s(each)[start:] for each, start in zip(wires, before, strict=True))
     assert len(first) == len(second) == 12
     assert max(abs(one - other) for one, other in zip(first, second, strict=True)) < 1e-4
-    late = [(at - first[0]) % PERIOD_S for at in first[7:]]
-    assert max(min(each, PERIOD_S - each) for each in late) < 2e-4  # the rhythm is the one from before
+    phases = [(at - first[0]) % PERIOD_S for at in first[7:]]
+    assert max(min(each, PERIOD_S - each) for each in phases) < 2e-4  # the rhythm is the one from before
     assert [slave.position for slave in wires[0].slaves] == [drive.target_count for drive in groups[0].drives]
 
 
 def test_an_axis_that_does_not_respond_on_one_bus_leaves_the_answers_of_the_other_bus_whole(groups, wires):
-    silent = wires[0].slaves[1]
-    for sync in (silent.sync_seen + 1, silent.sync_seen + 2):
-        silent.tpdo_delay_s[sync] = None
+    unresponsive = wires[0].slaves[1]
+    for sync in (unresponsive.sync_seen + 1, unresponsive.sync_seen + 2):
+        unresponsive.tpdo_delay_s[sync] = None
     rows = [together(groups) for _ in range(3)]
     assert [first.missing for first, _ in rows[:2]] == [(1,), (1,)]
     assert [second.missing for _, second in rows] == [()] * 3
@@ -120,14 +120,14 @@ def test_an_axis_that_does_not_respond_on_one_bus_leaves_the_answers_of_the_othe
 
 def test_what_one_arm_refuses_is_not_begun_by_the_other(groups, wires):
     together(groups)
-    told = [drive.target_count for drive in groups[0].drives]
+    targets = [drive.target_count for drive in groups[0].drives]
     sent = [len(syncs_s(each)) for each in wires]
     groups[0].begin(commands(groups[0], 50))
     assert not free(groups[0])
     with pytest.raises(CommandRefused):
         groups[1].begin([DriveCommand(math.nan)] * 3)
     groups[0].abandon()
-    assert [drive.target_count for drive in groups[0].drives] == told
+    assert [drive.target_count for drive in groups[0].drives] == targets
     assert [len(syncs_s(each)) for each in wires] == sent
     assert free(groups[0])
     assert free(groups[1])
@@ -137,7 +137,7 @@ def test_what_one_arm_refuses_is_not_begun_by_the_other(groups, wires):
 def test_no_thread_leaves_a_cycle_that_another_thread_has_begun(groups):
     """One thread may be stopping an arm while another one clears up what was begun with it."""
     together(groups)
-    told, first = [drive.target_count for drive in groups[0].drives], groups[0]
+    targets, first = [drive.target_count for drive in groups[0].drives], groups[0]
     begun, go_on, brought = threading.Event(), threading.Event(), []
 
     def cycle() -> None:
@@ -156,14 +156,14 @@ def test_no_thread_leaves_a_cycle_that_another_thread_has_begun(groups):
     go_on.set()
     thread.join()
     assert brought[0].complete
-    assert [drive.target_count for drive in first.drives] == [count + 50 for count in told]
+    assert [drive.target_count for drive in first.drives] == [count + 50 for count in targets]
     assert free(first)
 
 
 def test_a_stall_while_both_move_stops_before_the_sync_and_takes_the_targets_back(groups, wires):
     for _ in range(3):
         together(groups)
-    told = [[drive.target_count for drive in group.drives] for group in groups]
+    targets = [[drive.target_count for drive in group.drives] for group in groups]
     for group in groups:
         group.begin(commands(group, 50))
     wires[0].now_s += 0.1
@@ -171,7 +171,7 @@ def test_a_stall_while_both_move_stops_before_the_sync_and_takes_the_targets_bac
         groups[0].prepare()
     groups[1].abandon()
     groups[1].quick_stop()
-    assert [[drive.target_count for drive in group.drives] for group in groups] == told
+    assert [[drive.target_count for drive in group.drives] for group in groups] == targets
     assert {slave.state for each in wires for slave in each.slaves} == {"quick stop"}
     assert free(groups[0])
     assert free(groups[1])

@@ -94,11 +94,11 @@ def test_a_master_that_was_held_up_while_moving_stops_and_sends_no_further_set_p
     assert {slave.state for slave in slaves} == {"switch on disabled"}
 
 
-@pytest.mark.parametrize(("late_s", "stops"), [(0.019, False), (0.0225, True)])
-def test_a_delay_of_two_periods_is_the_limit(real, slaves, wire, late_s, stops):
+@pytest.mark.parametrize(("delay_s", "stops"), [(0.019, False), (0.0225, True)])
+def test_a_delay_of_two_periods_is_the_limit(real, slaves, wire, delay_s, stops):
     assert DRIVE_RULES["stalled"].limit == 2
     move(real, 3)
-    wire.now_s += PERIOD_S + late_s - 1e-3
+    wire.now_s += PERIOD_S + delay_s - 1e-3
     if stops:
         with pytest.raises(MasterStalled):
             move(real)
@@ -252,14 +252,14 @@ def test_one_axis_that_does_not_obey_leaves_the_others_led_down(group, slaves):
 def test_an_axis_that_answers_sdo_alone_is_brought_to_rest_before_it_is_disabled(group, slaves):
     """It has left NMT state OPERATIONAL and hears no SYNC; what it does is asked for, and told, by SDO."""
     move(group, 3)
-    way = iter([4000, 3000, 1500, 500, 100, 10])
+    positions = iter([4000, 3000, 1500, 500, 100, 10])
     slave = slaves[1]
     slave.nmt = 127
     plain, read = slave.get, []
 
     def get(address: tuple[int, int]) -> int:
         if address == (0x6064, 0):
-            slave.position += next(way, 0)
+            slave.position += next(positions, 0)
             read.append((slave.position, slave.state))
         return plain(address)
 
@@ -296,11 +296,11 @@ def test_a_ramp_is_waited_for_two_seconds(group, slaves, syncs, enough):
 
 def slow_to_obey(slave: Slave, syncs: int) -> None:
     """It leaves OPERATION ENABLED so many SYNCs after it was told to."""
-    plain, told = slave._control, [0]
+    plain, commanded = slave._control, [0]
 
     def control(word: int) -> None:
-        told[0] += word != 0x0F
-        if told[0] > syncs or word == 0x0F:
+        commanded[0] += word != 0x0F
+        if commanded[0] > syncs or word == 0x0F:
             plain(word)
 
     slave._control = control  # type: ignore[method-assign]
@@ -442,13 +442,13 @@ def test_no_heartbeat_after_a_stop_that_is_not_confirmed(bus, slaves, setups, wi
             slaves[5].reply = lambda request, answer: []
         else:
             wire.send_errors = 1 << 30
-        told_s = wire.now_s
+        commanded_s = wire.now_s
         with pytest.raises(DriveError):
             group.quick_stop()
         wire.send_errors = 0
         with pytest.raises(DriveError) if what != "send" else contextlib.nullcontext():
             group.disable()
-        assert max(beats_s(wire)) - told_s <= 0.2 + PERIOD_S
+        assert max(beats_s(wire)) - commanded_s <= 0.2 + PERIOD_S
         with pytest.raises(ConfigurationRefused):
             group.enable()
 
@@ -549,8 +549,8 @@ def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(gro
     with pytest.raises(DriveError, match="node 5.*OPERATION ENABLED"):
         prove_quick_stop(group, rows)
     words = [(data[0], at) for (can_id, data), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == 0x205]
-    told_s = next(at for word, at in words if word == 0x02)
-    assert max(beats_s(wire)) - told_s <= 0.2 + PERIOD_S
+    commanded_s = next(at for word, at in words if word == 0x02)
+    assert max(beats_s(wire)) - commanded_s <= 0.2 + PERIOD_S
     assert {slave.state for slave in slaves if slave.node_id != 5} == {"switch on disabled"}
 
 

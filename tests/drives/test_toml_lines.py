@@ -141,8 +141,8 @@ def test_a_problem_names_line_key_and_what_to_write(old, new, said):
 
 
 def test_failed_checks_of_a_table_are_reported_beside_missing_keys():
-    told = problems(('name = "a"\n', ""), ("limit = [-1, 1]", "limit = [1, -1]"), ("node = 2", "node = 1"))
-    assert [re.sub(r" \(.*", "", line.partition(": ")[2]) for line in told] == [
+    found = problems(('name = "a"\n', ""), ("limit = [-1, 1]", "limit = [1, -1]"), ("node = 2", "node = 1"))
+    assert [re.sub(r" \(.*", "", line.partition(": ")[2]) for line in found] == [
         'name is missing: write name = "..."',
         "limit: the lower one first",
         "node: given twice",
@@ -155,9 +155,11 @@ def test_what_was_put_in_to_look_further_is_not_complained_of():
 
 
 def test_one_problem_on_several_lines_is_reported_once_and_ten_lines_are_the_most():
-    told = problems((', source = "x"', ""), (', source = "x"', ""))
-    assert told == ('f.toml lines 4, 8, J1, J2: ratio: source is missing: write ratio = { value = 2, source = "..." }',)
+    found = problems((', source = "x"', ""), (', source = "x"', ""))
+    assert found == (
+        'f.toml lines 4, 8, J1, J2: ratio: source is missing: write ratio = { value = 2, source = "..." }',
+    )
     many = "".join(f"key{number} = 1\n" for number in range(30))
-    told = problems(('name = "a"\n', f'name = "a"\n{many}'))
-    assert len(told) == 10
-    assert all(f"key{number}: " in "\n".join(told) for number in range(30))
+    found = problems(('name = "a"\n', f'name = "a"\n{many}'))
+    assert len(found) == 10
+    assert all(f"key{number}: " in "\n".join(found) for number in range(30))

@@ -129,8 +129,8 @@ class FakeDrives:
     def brake_drop_rad(self):
         return (0.0,) * 6
 
-    def when_stopping(self, tell):
-        self.tell_others = tell
+    def when_stopping(self, notify):
+        self.tell_others = notify
 
     def align(self, at_s):
         self.aligned_s = at_s

@@ -232,10 +232,12 @@ def test_effects_add_up(plant, chain):
 
 def test_couplings_of_one_arm_are_shares_of_what_each_axis_gives_by_itself(plant, chain):
     before = seen(chain, plant)
-    felt = plant
+    driven = plant
     for joints, share in (([2, 3], -0.4), ([3, 4], 0.5), ([2, 4], -0.6)):
-        felt = effect_from_dict({"name": "axis_coupling", "joints": joints, "parameters": {"coefficient": share}})(felt)
-    after = seen(chain, felt)
+        driven = effect_from_dict({"name": "axis_coupling", "joints": joints, "parameters": {"coefficient": share}})(
+            driven
+        )
+    after = seen(chain, driven)
     np.testing.assert_allclose(after[1], before[1] - 0.4 * before[2] - 0.6 * before[3])
     np.testing.assert_allclose(after[2], before[2] + 0.5 * before[3])
     np.testing.assert_allclose(np.delete(after, [1, 2]), np.delete(before, [1, 2]))

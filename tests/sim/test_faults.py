@@ -188,10 +188,10 @@ def test_a_delayed_answer_is_delayed_by_time_where_a_time_is_given(rig: Rig) -> 
     begin_s = time.monotonic()
     assert ids(rig.cycle(1)) == [0x182, 0x183]
     assert ids(rig.cycle(2)) == ALL
-    while not (late := rig.seen()):
+    while not (delayed := rig.seen()):
         rig.wire.recv(0.01)
         assert time.monotonic() - begin_s < 5.0
-    assert ids(late) == [0x181]
+    assert ids(delayed) == [0x181]
 
 
 def test_the_reaction_by_the_clock_may_be_another_one() -> None:
@@ -216,8 +216,8 @@ def test_commands_that_reach_no_drive(rig: Rig) -> None:
     rig.wire.arm(Fault("rpdo_lost", node=2, at_sync=0, syncs=0))
     for node in NODES:
         rig.master.send(can.Message(arbitration_id=0x200 + node, data=bytes(8), is_extended_id=False))
-    heard = [rig.wire.recv(0.0) for _ in range(3)]
-    assert [frame.arbitration_id for frame in heard if frame is not None] == [0x201, 0x203]
+    received = [rig.wire.recv(0.0) for _ in range(3)]
+    assert [frame.arbitration_id for frame in received if frame is not None] == [0x201, 0x203]
     rig.wire.clear()
     rig.wire.arm_in(Fault("sync_lost"), 1)
     assert rig.cycle(1) == []
@@ -255,11 +255,11 @@ def test_a_full_queue_is_waited_for(rig: Rig, monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_faults_of_a_drive_are_handed_to_it() -> None:
-    told: list[Fault] = []
-    with FaultyWire(can.Bus(interface="virtual", channel=uuid.uuid4().hex), act=told.append) as wire:
+    reported: list[Fault] = []
+    with FaultyWire(can.Bus(interface="virtual", channel=uuid.uuid4().hex), act=reported.append) as wire:
         wire.arm(Fault("drive_fault", node=2, at_sync=3))
         wire.arm(Fault("wrong_rated", node=1))
-    assert [fault.kind for fault in told] == ["wrong_rated"]
+    assert [fault.kind for fault in reported] == ["wrong_rated"]
 
 
 def test_scenario_file(tmp_path: Path) -> None:

@@ -78,12 +78,12 @@ def test_half_width_of_the_band():
 
 def test_a_stuck_joint_creeps_with_the_torque_that_friction_holds_and_comes_to_rest():
     friction = gear(stiction_nm=5.0, coulomb_nm=5.0, creep_rad_s=1e-4)
-    way, omega, speeds = 0.0, 0.0, []
+    angle, omega, speeds = 0.0, 0.0, []
     for _ in range(5000):
         omega = friction.speed(omega, 4.5, 0.0, STEP)
         speeds.append(omega)
-        way += omega * 0.001
-    assert 0.0 < way < 1e-4
+        angle += omega * 0.001
+    assert 0.0 < angle < 1e-4
     assert 0.0 < speeds[-1] < 0.02 * max(speeds)
 
 

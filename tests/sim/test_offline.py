@@ -127,10 +127,10 @@ def test_forty_visits_take_no_time(chain, plant, poses):
 
 def test_urdf_of_a_drawn_arm_is_wrong_by_a_few_percent():
     arm = draw_arm(np.random.default_rng(5))
-    believed = read_chain(arm.urdf, "drawn")
-    off = [b.mass_kg / t.mass_kg - 1 for b, t in zip(believed.bodies, arm.chain.bodies, strict=True) if b and t]
+    drawn = read_chain(arm.urdf, "drawn")
+    off = [b.mass_kg / t.mass_kg - 1 for b, t in zip(drawn.bodies, arm.chain.bodies, strict=True) if b and t]
     assert 0.01 < np.std(off) < 0.1
-    np.testing.assert_allclose(believed.placement, arm.chain.placement, atol=1e-9)
+    np.testing.assert_allclose(drawn.placement, arm.chain.placement, atol=1e-9)
 
 
 @pytest.mark.slow

@@ -240,8 +240,8 @@ def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of
         [pinocchio.rnea(model, data, *row).copy() for row in zip(q[away], qd[away], qdd[away], strict=True)]
     )
     qd, qdd, motor = qd[away], qdd[away], motor[away]
-    standing = (plant.stiction_nm - plant.coulomb_nm) * STRIBECK_RAD_S / (STRIBECK_RAD_S + np.abs(qd))
-    band = plant.coulomb_nm + standing + plant.load_friction * np.abs(rigid)
+    excess_nm = (plant.stiction_nm - plant.coulomb_nm) * STRIBECK_RAD_S / (STRIBECK_RAD_S + np.abs(qd))
+    band = plant.coulomb_nm + excess_nm + plant.load_friction * np.abs(rigid)
     behind = rigid + np.sign(qd) * band + plant.viscous_nm_s_rad * qd + plant.rotor_inertia_kg_m2 * qdd
     expected = np.where(behind * qd > 0, behind / plant.gear_efficiency, behind * plant.gear_efficiency)
     scale = np.sqrt((expected**2).mean(axis=0))

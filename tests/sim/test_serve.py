@@ -265,11 +265,11 @@ def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unb
 
 @pytest.mark.parametrize("held", [0, 9])
 @pytest.mark.parametrize(
-    "late_s",
+    "delay_s",
     [(0.0,), (0.004,), (0.007,), (0.009,), (0.014,), (0.006, 0.006), (0.0061, 0.0049), (0.009, 0.006, 0.006)],
     ids=str,
 )
-def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(late_s, held, channel):
+def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(delay_s, held, channel):
     """By the clock: drives are locked to the SYNC; else two arms with unlike histories would pull at a common part."""
     simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
     unit = simulation.arms[0]
@@ -285,7 +285,7 @@ def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(late_s,
         unit.advance(0.1037)
     start, step = drive.position_counts(), round(0.001 * drive.counts_per_joint_rad)
     came_s = np.arange(1, 31) * period_s
-    came_s[20 : 20 + len(late_s)] += late_s
+    came_s[20 : 20 + len(delay_s)] += delay_s
     came_s = np.maximum.accumulate(came_s)
     now_s = 0.0
     for number, at_s in enumerate(came_s, start=1):

@@ -71,9 +71,9 @@ def test_frames_are_acted_on_in_the_order_in_which_they_came_and_time_is_the_sam
     assert [name for name, *_ in acted] == ["left", "right", "right", "left", "right", "left"]
     came_s = [at_s - now_s + 0.5 for *_, at_s in acted]
     assert came_s == pytest.approx(sorted(left_s + right_s), abs=2e-3)
-    silent = [each for each in log if each[1] is None]
-    assert [name for name, *_ in silent] == ["left", "right"]
-    assert silent[0][2] == silent[1][2] > now_s
+    unresponsive = [each for each in log if each[1] is None]
+    assert [name for name, *_ in unresponsive] == ["left", "right"]
+    assert unresponsive[0][2] == unresponsive[1][2] > now_s
     assert all(server.ended for server in servers)
 
 

@@ -109,9 +109,9 @@ def _imported(tree: ast.Module, files: Mapping[str, Path]) -> Iterable[str]:
             yield from (alias.name for alias in node.names if alias.name in files)
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             for alias in node.names:
-                whole = f"{node.module}.{alias.name}"
-                if whole in files or node.module in files:
-                    yield whole if whole in files else node.module
+                imported = f"{node.module}.{alias.name}"
+                if imported in files or node.module in files:
+                    yield imported if imported in files else node.module
 
 
 def room(module: str) -> str:
@@ -151,40 +151,42 @@ def circles(edges: Iterable[tuple[str, str]]) -> list[list[str]]:
     return sorted(found, key=len, reverse=True)
 
 
-def upward(house: House) -> list[tuple[str, str]]:
+def upward(structure: House) -> list[tuple[str, str]]:
     """Imports of a module of a higher floor by one of a lower floor; rooms that `FLOORS` does not name are left out."""
     floor = {f"gateway.{name}": number for number, names in enumerate(FLOORS) for name in names}
     return sorted(
         (start, end)
-        for start, end in house.imports
+        for start, end in structure.imports
         if room(start) in floor and room(end) in floor and floor[room(start)] < floor[room(end)]
     )
 
 
-def figures(house: House) -> dict[str, dict]:
+def figures(structure: House) -> dict[str, dict]:
     """Numbers, each with what it counts."""
-    rooms = {(room(start), room(end)) for start, end in house.imports if room(start) != room(end)}
+    layers = {(room(start), room(end)) for start, end in structure.imports if room(start) != room(end)}
     named = {f"gateway.{name}" for names in FLOORS for name in names} | {"drives", "gateway", "sim"}
-    bare = sorted({room(module) for module in house.lines} - named)
-    at_root = [name for name in house.lines if room(name) == name and name.startswith("gateway.") and _is_file(name)]
+    bare = sorted({room(module) for module in structure.lines} - named)
+    at_root = [
+        name for name in structure.lines if room(name) == name and name.startswith("gateway.") and _is_file(name)
+    ]
     found: dict[str, dict] = {}
     for package in PACKAGES:
-        here = [lines for module, lines in house.lines.items() if module.split(".")[0] == package]
+        here = [lines for module, lines in structure.lines.items() if module.split(".")[0] == package]
         found[f"{package}: files"] = {"value": len(here)}
         found[f"{package}: lines"] = {"value": sum(here)}
-    repeated = {name: where for name, where in house.classes.items() if len(where) > 1}
+    repeated = {name: where for name, where in structure.classes.items() if len(where) > 1}
     return found | {
         "files at the root of gateway": {"value": len(at_root), "goal": "<= 2", "list": at_root},
-        "circles of imports between rooms": {"value": len(circles(rooms)), "goal": "== 0", "list": circles(rooms)},
+        "circles of imports between rooms": {"value": len(circles(layers)), "goal": "== 0", "list": circles(layers)},
         "circles of imports between files": {
-            "value": len(circles(house.imports)),
+            "value": len(circles(structure.imports)),
             "goal": "== 0",
-            "list": circles(house.imports),
+            "list": circles(structure.imports),
         },
         "imports from a lower room to a higher one": {
-            "value": len(upward(house)),
+            "value": len(upward(structure)),
             "goal": "<= 2",
-            "list": [f"{start} -> {end}" for start, end in upward(house)],
+            "list": [f"{start} -> {end}" for start, end in upward(structure)],
         },
         "files that a torque passes to become a mass": {
             "value": len(TORQUE_PATH),

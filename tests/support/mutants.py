@@ -171,19 +171,21 @@ def mutated(text: str, number: int) -> str:
     return ast.unparse(ast.fix_missing_locations(tree))
 
 
-def draw(count: int, seed: int, rooms: Sequence[str], root: Path = ROOT) -> list[Mutant]:
+def draw(count: int, seed: int, packages: Sequence[str], root: Path = ROOT) -> list[Mutant]:
     """So many mutants of each room, in proportion to the places it has; at least one a room."""
     every: dict[str, list[Mutant]] = {}
-    for room in rooms:
-        for path in sorted((root / room).rglob("*.py")):
+    for package in packages:
+        for path in sorted((root / package).rglob("*.py")):
             name = str(path.relative_to(root))
             found = enumerate(places(ast.parse(path.read_text())))
-            every.setdefault(room, []).extend(Mutant(name, place.line, number, place.what) for number, place in found)
+            every.setdefault(package, []).extend(
+                Mutant(name, place.line, number, place.what) for number, place in found
+            )
     total = sum(map(len, every.values()))
     chosen: list[Mutant] = []
-    for room, mutants in every.items():
+    for package, mutants in every.items():
         share = max(1, round(count * len(mutants) / total))
-        chosen += random.Random(f"{room} {seed}").sample(mutants, min(share, len(mutants)))
+        chosen += random.Random(f"{package} {seed}").sample(mutants, min(share, len(mutants)))
     return chosen
 
 
@@ -322,10 +324,10 @@ def main(argv: list[str]) -> int:
     mutants = draw(arguments.count, arguments.seed, arguments.rooms.split(","))
     seen = tried(mutants, arguments.jobs)
     figures: dict[str, dict] = {}
-    for room in arguments.rooms.split(","):
-        here = [ok for mutant, ok in zip(mutants, seen, strict=True) if mutant.path.startswith(f"{room}/")]
-        figures[f"noticed in {room}"] = figure(
-            100.0 * sum(map(bool, here)) / len(here), f">= {ROOMS.get(room, 85.0):g}", f"% of {len(here)}"
+    for package in arguments.rooms.split(","):
+        here = [ok for mutant, ok in zip(mutants, seen, strict=True) if mutant.path.startswith(f"{package}/")]
+        figures[f"noticed in {package}"] = figure(
+            100.0 * sum(map(bool, here)) / len(here), f">= {ROOMS.get(package, 85.0):g}", f"% of {len(here)}"
         )
     suites = [suite for suite in seen if suite]
     figures["of these by the fast suite"] = figure(

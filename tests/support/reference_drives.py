@@ -28,7 +28,7 @@ def answers_page() -> str:
         ),
     ]
     for question in QUESTIONS:
-        lines += ["", f"## `{question.key}`", "", question.asks, "", *(f"- {way}" for way in question.ways)]
+        lines += ["", f"## `{question.key}`", "", question.asks, "", *(f"- {method}" for method in question.ways)]
     return "\n".join(lines) + "\n"
 
 

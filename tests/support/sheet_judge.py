@@ -27,14 +27,14 @@ def judged(sheet: Mutated, folder: Path) -> tuple[list[str], float]:
     except ProfileError as error:
         return [f"refused as a whole: {error}"], time.perf_counter() - start
     duration_s = time.perf_counter() - start
-    silent = [
+    unreported = [
         f"{address[0]:04X}:{address[1]:02X} {_why(address, found)}"
         for address in sorted(OBJECTS.keys() | found.entries.keys())
         if _why(address, found) and not _is_named(address[0], found, sheet.damaged_lines)
     ]
     if found.node_id != NODE_ID:
-        silent.append(f"node id {found.node_id}")
-    return silent, duration_s
+        unreported.append(f"node id {found.node_id}")
+    return unreported, duration_s
 
 
 def _is_named(index: int, found: Sheet, damaged: frozenset[int]) -> bool:

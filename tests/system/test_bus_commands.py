@@ -66,8 +66,8 @@ def test_scan_names_an_id_that_two_devices_share(gateway, serve):
 
 
 def test_scan_names_a_node_whose_identity_cannot_be_read(gateway, monkeypatch):
-    silent = Identity(3, *[None] * 8)
-    found = (ScanResult(silent, 1, NmtState.OPERATIONAL, (), "node 3: no SDO answer within 300 ms"),)
+    unresponsive = Identity(3, *[None] * 8)
+    found = (ScanResult(unresponsive, 1, NmtState.OPERATIONAL, (), "node 3: no SDO answer within 300 ms"),)
     monkeypatch.setattr("drives.probe.scan", lambda bus, listen_s: found)
     done = gateway("scan", "--bus", "virtual:silent", "--json", "-")
     assert done.exit_code == 4
@@ -129,9 +129,9 @@ def test_scan_and_check_beside_a_running_master_send_nothing(place, gateway, ser
                 assert "another master is active" in done.stderr
                 assert "nothing was sent" in done.stderr
             beating.stop()
-            heard = set()
+            node_ids = set()
             while (message := ear.recv(0.0)) is not None:
-                heard.add(message.arbitration_id)
-        assert not [can_id for can_id in heard if 0x600 < can_id <= 0x67F or can_id == 0]
-        assert frame.arbitration_id in heard
+                node_ids.add(message.arbitration_id)
+        assert not [can_id for can_id in node_ids if 0x600 < can_id <= 0x67F or can_id == 0]
+        assert frame.arbitration_id in node_ids
     assert gateway("scan", "--bus", drives.bus, "--listen", 0.1).exit_code == 0

@@ -7,11 +7,11 @@ import pytest
 pytestmark = pytest.mark.system
 
 KILLED = "".join(f'[[fault]]\nkind = "node_killed"\nnode = {node}\nat_sync = 400\n' for node in range(1, 7))
-SILENT = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 400\n'
+KILLED_NODE = '[[fault]]\nkind = "node_killed"\nnode = 3\nat_sync = 400\n'
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("fault", "named"), [(KILLED, "nodes 1 to 6"), (SILENT, "node 3")])
+@pytest.mark.parametrize(("fault", "named"), [(KILLED, "nodes 1 to 6"), (KILLED_NODE, "node 3")])
 def test_a_failure_is_reported_once_and_shortly(place, gateway, serve, fast_arm, fault, named):
     drives = fast_arm(serve(fault=fault))
     done = gateway("record", place.cell, "--load", "none", "-o", place.run, "--bus", drives.bus, "--yes", "-q")
@@ -21,8 +21,8 @@ def test_a_failure_is_reported_once_and_shortly(place, gateway, serve, fast_arm,
     assert len(lines) <= 10
     assert named in done.stderr
     assert len(done.stderr) < 10 * 140
-    told = [part.strip() for part in re.split(r"[;,]|\(\d\)|: ", done.stderr) if len(part) > 30]
-    assert len(told) == len(set(told)), told
+    parts = [part.strip() for part in re.split(r"[;,]|\(\d\)|: ", done.stderr) if len(part) > 30]
+    assert len(parts) == len(set(parts)), parts
     assert "defect" not in done.stderr
     assert drives.stand_still()
 

@@ -128,7 +128,7 @@ def test_recording_is_refused_where_a_drive_goes_on(place, gateway, serve, commi
 # ------------------------------------------------------------------------------------------------------ small moves
 
 WRONG = '[[effect]]\nname = "{}"\njoints = {}\n'
-LYING = '[[fault]]\nkind = "demand_torque"\nnode = 3\n[[fault]]\nkind = "unsigned_torque"\nnode = 4\n'
+WRONG_TORQUE = '[[fault]]\nkind = "demand_torque"\nnode = 3\n[[fault]]\nkind = "unsigned_torque"\nnode = 4\n'
 
 
 @pytest.mark.slow
@@ -153,7 +153,7 @@ def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gat
 
 @pytest.mark.slow
 def test_a_torque_that_is_a_demand_and_one_without_sign_are_named(place, gateway, serve):
-    done, body = check(gateway, place, serve(fault=LYING), "--move", "--yes")
+    done, body = check(gateway, place, serve(fault=WRONG_TORQUE), "--move", "--yes")
     assert done.exit_code == 7, done.output
     found = {item["where"]: item["what"] for item in failed(body)}
     assert "it is a demand" in found["J3 node 3:6077:00 (torque)"]

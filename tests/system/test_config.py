@@ -80,14 +80,14 @@ def test_what_is_dumped_is_read_back_by_an_independent_reader_as_the_drives_hold
     for node in range(1, 7):
         store, found = store_of(drives, node), read_by_canopen(place.folder / "dcf" / f"{node}.dcf")
         assert (found.node_id, found.bitrate) == (node, 1_000_000)
-        told = 0
+        count = 0
         for index, thing in found.items():
             for variable in thing.values() if hasattr(thing, "values") else [thing]:
                 if variable.value is not None:
-                    told += 1
+                    count += 1
                     held = store.find(index, variable.subindex).get()
                     assert variable.value == held, f"{index:04X}:{variable.subindex}"
-        assert told > 60
+        assert count > 60
         assert found[0x1018][4].value == store.number((0x1018, 4))
         assert found[0x607D][1].value == store.number((0x607D, 1)) < 0, "a number below zero stays one"
     texts = (place.folder / "dcf" / "3.dcf").read_text()
@@ -126,13 +126,13 @@ def test_changed_objects_are_reported_and_exit_7_says_that_something_is(config, 
     done = config("diff", "--json", place.folder / "diff.json", "--junit", place.folder / "junit.xml")
     assert done.exit_code == 7, done.output
     assert "and 3 more" in done.stderr
-    told = {
+    count = {
         (node["node_id"], row["object"]): (row["state"], row["default"], row["dcf"], row["drive"])
         for node in json.loads((place.folder / "diff.json").read_text())["nodes"]
         for row in node["differences"]
     }
     window = store_of(drives, 5).number((0x6065, 0))
-    assert told == {
+    assert count == {
         (2, "6066:00"): ("changed on drive", 20, 20, 33),
         (3, "6066:00"): ("changed in DCF", 20, 40, 20),
         (4, "6066:00"): ("both", 20, 40, 33),

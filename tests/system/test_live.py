@@ -144,14 +144,14 @@ def test_what_is_received_beside_a_run_is_what_the_run_has_recorded(place, serve
     loaded = load_cell(place.cell)
     (config,) = loaded.cell.arm
     with open_bus(BusSpec.parse(drives.bus)) as bus:
-        heard = ListenOnlyBus(bus, axis_setups(loaded, config))
-        assert heard.unknown == tuple(axis.node_id for axis in config.axis)
+        listener = ListenOnlyBus(bus, axis_setups(loaded, config))
+        assert listener.unknown == tuple(axis.node_id for axis in config.axis)
         stop, epochs = threading.Event(), []
 
         def listen() -> None:
             while not stop.is_set():
                 bus.listen(0.01)
-                epochs.extend(heard.epochs())
+                epochs.extend(listener.epochs())
 
         beside = threading.Thread(target=listen)
         beside.start()
@@ -162,10 +162,10 @@ def test_what_is_received_beside_a_run_is_what_the_run_has_recorded(place, serve
             stop.set()
             beside.join()
     assert done.exit_code == 0, done.output
-    assert heard.unknown == ()
+    assert listener.unknown == ()
     side = JointSide(AxisConversion.from_arm(config))
-    heard_q = {tuple(side.sample(epoch).q_rad.tolist()) for epoch in epochs if epoch.complete}
+    received_q = {tuple(side.sample(epoch).q_rad.tolist()) for epoch in epochs if epoch.complete}
     arm = place.recording().arms[0]
     for visit in arm.visits:
         for q_rad in visit.q_rad[::7]:
-            assert tuple(q_rad.tolist()) in heard_q
+            assert tuple(q_rad.tolist()) in received_q

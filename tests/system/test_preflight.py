@@ -142,12 +142,12 @@ def two_arms(place):
     twin = text[start:end].replace("[bus.a]", "[bus.b]").replace('bus = "a"', 'bus = "b"').replace("43114", "43115")
     place.cell.write_text(text[:end] + twin.replace('name = "main"', 'name = "other"') + text[end:], encoding="utf-8")
     channels = [f"virtual:system-{uuid.uuid4().hex}" for _ in range(2)]
-    given = ";".join(f"{name}={channel}" for name, channel in zip("ab", channels, strict=True))
-    simulation = Simulation(place.cell, ServeOptions(bus=given))
+    channels_text = ";".join(f"{name}={channel}" for name, channel in zip("ab", channels, strict=True))
+    simulation = Simulation(place.cell, ServeOptions(bus=channels_text))
     thread = threading.Thread(target=simulation.run, name="two-arms")
     thread.start()
     try:
-        yield given, channels, simulation
+        yield channels_text, channels, simulation
     finally:
         simulation.stop()
         thread.join()
@@ -156,17 +156,17 @@ def two_arms(place):
 
 @pytest.mark.slow
 def test_a_cell_with_two_buses_is_checked_and_recorded_on_other_ones(place, gateway):
-    with two_arms(place) as (given, channels, simulation):
-        done = gateway("check", place.cell, "--bus", given)
+    with two_arms(place) as (channels_text, channels, simulation):
+        done = gateway("check", place.cell, "--bus", channels_text)
         assert done.exit_code == 0, done.output
         assert "arm main" in done.stdout
         assert "arm other" in done.stdout
         words = ["record", place.cell, "--arm", "other", "--load", "none", "-o", place.run, "--yes", "--bus"]
-        done = gateway(*words, given)
+        done = gateway(*words, channels_text)
         assert done.exit_code == 0, done.output
         assert [arm.name for arm in place.recording().arms] == ["other"]
         assert [server.sync_count > 0 for server in simulation.servers] == [False, True]
-        assert gateway("restore", place.cell, "--bus", given).exit_code == 0
+        assert gateway("restore", place.cell, "--bus", channels_text).exit_code == 0
 
 
 @pytest.mark.parametrize("command", ["check", "restore"])

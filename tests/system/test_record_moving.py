@@ -35,7 +35,7 @@ waypoints_rad = [[0.0, -0.2, 0.4, 0.0, 0.3, 0.0], [0.3, 0.2, 0.1, 0.0, 0.3, 0.0]
 speed_share = 0.9
 """
 #: What motion tells, of which joints (friction of those that were swept), and its largest standard deviation, share.
-TOLD = {
+DETERMINED = {
     "coulomb_nm": ([1, 4], 0.05),
     "viscous_nm_s_rad": ([1, 4], 0.1),
     "rotor_inertia_kg_m2": ([0, 1, 2, 3, 4, 5], 0.05),
@@ -59,10 +59,10 @@ def plan(untyped, gateway):
     path = untyped.folder / "plan.json"
     planned = gateway("plan", untyped.cell, "--moving", "--for", "friction", "--json", path)
     assert planned.exit_code == 0, planned.output
-    whole = read_moving_plan(path)
+    moving_plan = read_moving_plan(path)
     loaded = load_cell(untyped.cell)
     workspace = workspace_of(loaded.cell.arm[0], arm_robot(loaded, loaded.cell.arm[0]))
-    sweeps = [each for each in whole.excitations if isinstance(each, Sweep)]
+    sweeps = [each for each in moving_plan.excitations if isinstance(each, Sweep)]
     assert [each.joint for each in sweeps] == [1, 2, 3, 4, 5, 6]
     fewer = tuple(
         replace(each, speeds_rad_s=each.speeds_rad_s[SPEEDS], ends_rad=each.ends_rad[SPEEDS])
@@ -72,7 +72,7 @@ def plan(untyped, gateway):
     series = swing(workspace, period_s=3.0, periods=2, share=0.9)
     plans = {"series": (series,), "whole": (series, *fewer)}
     for name, excitations in plans.items():
-        text = json.dumps(plan_as_plain(replace(whole, excitations=excitations)))
+        text = json.dumps(plan_as_plain(replace(moving_plan, excitations=excitations)))
         (untyped.folder / f"{name}.json").write_text(text, encoding="utf-8")
     return {name: untyped.folder / f"{name}.json" for name in plans}
 
@@ -100,8 +100,8 @@ def test_what_motion_determines_is_what_is_there(untyped, plan, serve, gateway):
     assert "4 periods under load none, 2 already recorded" in swept.output
     _check_recording(untyped.recording())
     result = untyped.folder / "result.json"
-    told = gateway("estimate", untyped.run, "--cell", untyped.cell, "--json", result)
-    assert told.exit_code == 0, told.output
+    done = gateway("estimate", untyped.run, "--cell", untyped.cell, "--json", result)
+    assert done.exit_code == 0, done.output
     _check_load(read_result(result).loads[0], read_payloads(untyped.payload)["load"])
     _check_axes(read_result(result).motion, drives.handle.simulation.arms[0].world.plant)
     _check_diagnosis(untyped, gateway)
@@ -113,10 +113,10 @@ def test_what_motion_determines_is_what_is_there(untyped, plan, serve, gateway):
 def _check_recording(recording):
     """The load is tried slowly first; each period is there once."""
     (arm,) = recording.arms
-    whole = [(each.load, each.name, each.speed, each.period) for each in arm.periods if each.complete]
+    moving_plan = [(each.load, each.name, each.speed, each.period) for each in arm.periods if each.complete]
     series = [("load", "load", 0.25, 1), *((load, "load", 1.0, k) for load in ("load", "none") for k in (1, 2))]
-    assert sorted(whole) == sorted([*series, *(("none", name, 1.0, k) for name in SWEPT for k in (1, 2))])
-    assert len(whole) == len(arm.periods)
+    assert sorted(moving_plan) == sorted([*series, *(("none", name, 1.0, k) for name in SWEPT for k in (1, 2))])
+    assert len(moving_plan) == len(arm.periods)
 
 
 def _check_load(load, true):
@@ -130,11 +130,11 @@ def _check_load(load, true):
 
 
 def _check_axes(motion, plant):
-    for name, (joints, most) in TOLD.items():
+    for name, (joints, most) in DETERMINED.items():
         std = name.replace("_nm", "_std_nm").replace("_kg", "_std_kg")
-        told, spread = (np.array([getattr(motion[joint], key) for joint in joints]) for key in (name, std))
-        _check_scores((told - getattr(plant, name)[joints]) / spread)
-        assert (spread < most * told).all(), name
+        done, spread = (np.array([getattr(motion[joint], key) for joint in joints]) for key in (name, std))
+        _check_scores((done - getattr(plant, name)[joints]) / spread)
+        assert (spread < most * done).all(), name
 
 
 def _check_scores(score):
@@ -145,8 +145,8 @@ def _check_scores(score):
 
 def _check_diagnosis(place, gateway):
     out = place.folder / "diagnosed.json"
-    told = gateway("diagnose", place.run, "--cell", place.cell, "--json", out)
-    assert told.exit_code == 0, told.output
+    done = gateway("diagnose", place.run, "--cell", place.cell, "--json", out)
+    assert done.exit_code == 0, done.output
     result = read_result(out)
     assert {effect.name for effect in result.effects} <= {"velocity_friction"}
     (load,) = result.loads
@@ -155,8 +155,8 @@ def _check_diagnosis(place, gateway):
 
 def _check_page(place, gateway, result):
     page = place.folder / "report.html"
-    told = gateway("report", result, "-o", page)
-    assert told.exit_code == 0, told.output
+    done = gateway("report", result, "-o", page)
+    assert done.exit_code == 0, done.output
     text = page.read_text(encoding="utf-8")
     for heading in ("Inertia about the centre of gravity", "Friction over speed", "One period of the motion"):
         assert heading in text
@@ -166,8 +166,8 @@ def _check_use(place, gateway, drives, result):
     """What is fed comes from the file, and the arm follows better with it."""
     out = place.folder / "follow.json"
     files = ["--path", place.folder / "path.toml", "--load", result, "--identified", result, "--json", out]
-    told = gateway("follow", place.cell, *files, "--bus", drives.bus, "--yes")
-    assert told.exit_code == 0, told.output
+    done = gateway("follow", place.cell, *files, "--bus", drives.bus, "--yes")
+    assert done.exit_code == 0, done.output
     followed = read_follow(out)
     peak = {setting.name: np.array(setting.peak_rad) for setting in followed.settings}
     assert (peak["identified"][[1, 2]] < 0.1 * peak["off"][[1, 2]]).all()

@@ -34,7 +34,7 @@ PATIENT = GroupOptions(**PATIENCE_S)
 pytestmark = [pytest.mark.vcan, pytest.mark.timeout(900)]
 
 
-def short_ways(text: str) -> str:
+def abbreviated_answers(text: str) -> str:
     """Edit of a cell's text: few SYNCs, since each takes long in a virtual machine."""
     return re.sub(r"approach_offset_rad = [\d.]+", "approach_offset_rad = 0.005", few_samples(text))
 
@@ -42,7 +42,7 @@ def short_ways(text: str) -> str:
 @pytest.fixture(scope="module")
 def served(vcan: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Drives]:
     folder = tmp_path_factory.mktemp("vcan")
-    process = Drives(folder, short_ways, f"socketcan:{vcan}", patience_s=30.0 * PATIENCE)
+    process = Drives(folder, abbreviated_answers, f"socketcan:{vcan}", patience_s=30.0 * PATIENCE)
     profile = folder / "drive.toml"
     times = f"slow_timeout_s = {PATIENCE}"
     profile.write_text(

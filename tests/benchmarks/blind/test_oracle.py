@@ -79,11 +79,11 @@ def _miss(seed: int, condition: str) -> np.ndarray:
     """Error of the posterior mean over its standard deviation, of mass, x, y, z."""
     cell = draw_cell(seed, condition)
     arm, rows = cell.arm, rows_of(cell.visits)
-    columns, gross = cell.measure(cell.visits)
+    columns, outliers = cell.measure(cell.visits)
     tau = reported_nm(arm, rows, (), quiet(arm, rows))[1][0::2]
     design, precision = oracle._design(arm, rows, (), tau)
     weight = oracle._weights(arm, rows, (), tau)
-    for wrong in gross:
+    for wrong in outliers:
         weight[wrong.visit] = oracle._without(weight[wrong.visit], wrong.joint - 1)
     covariance = oracle.posterior(design, weight, precision)
     left = halves(columns["tau_nm"], arm.friction.declared_efficiency).half_sum_nm - _expected(cell)
@@ -99,6 +99,6 @@ def _expected(cell) -> np.ndarray:
     cad = np.concatenate([[b.mass_kg, *(b.mass_kg * b.com_m)] for b in arm.chain.bodies if b])
     middle = np.full(6, np.mean(levels_of(cell.condition).efficiency))
     friction = replace(arm.friction, bias_share=np.zeros(6), driving=middle, driven=middle)
-    believed = replace(arm, links=cad, gain=np.zeros(6), cogging_nm=np.zeros((6, 4)), friction=friction)
-    seen, _ = reported_nm(believed, rows, (), quiet(believed, rows))
+    stated = replace(arm, links=cad, gain=np.zeros(6), cogging_nm=np.zeros((6, 4)), friction=friction)
+    seen, _ = reported_nm(stated, rows, (), quiet(stated, rows))
     return halves(seen, friction.declared_efficiency).half_sum_nm

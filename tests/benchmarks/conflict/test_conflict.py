@@ -8,7 +8,7 @@ import pytest
 from benchmarks.conflict.answers import answer_of, measured_cell, write_cell
 from benchmarks.conflict.arm import GRAVITY_M_S2, LinkMasses
 from benchmarks.conflict.conditions import CONDITIONS
-from benchmarks.conflict.figures import condition_table, false_alarm, figures, silent, warned
+from benchmarks.conflict.figures import condition_table, false_alarm, figures, is_unreported, warned
 from benchmarks.conflict.plant import draw_cell, measure
 
 
@@ -66,24 +66,24 @@ def test_right_cell_is_answered_and_reversed_signs_are_refused():
     assert right["loads"][0]["off"] < 3.0
     assert wrong["exit"] == 7
     assert warned(wrong)
-    assert not silent(wrong)
+    assert not is_unreported(wrong)
 
 
 def answer(off: float | None, *findings: list[str], code: int = 0) -> dict:
     """Return an answer as `answer_of` gives it."""
     load = {"off": off, "holds": off is not None and off < 1.96, "error": 0.01, "std": 0.01, "mass_kg": 1.0}
-    told = {"condition": "clean", "variant": "floor", "seed": 0, "exit": code, "gross": 0, "time_s": 0.1}
-    return told | {"findings": list(findings), "loads": [load]}
+    cell_answer = {"condition": "clean", "variant": "floor", "seed": 0, "exit": code, "gross": 0, "time_s": 0.1}
+    return cell_answer | {"findings": list(findings), "loads": [load]}
 
 
 def test_an_unreported_error_is_far_off_without_a_message():
     warning = ["warn", "some check", "J2", "text"]
-    assert silent(answer(3.1))
-    assert silent(answer(0.0, code=1))
-    assert not silent(answer(2.9))
-    assert not silent(answer(3.1, warning))
-    assert silent(answer(3.1, ["info", "some check", "J2", "text"]))
-    assert not silent(answer(None, code=7))
+    assert is_unreported(answer(3.1))
+    assert is_unreported(answer(0.0, code=1))
+    assert not is_unreported(answer(2.9))
+    assert not is_unreported(answer(3.1, warning))
+    assert is_unreported(answer(3.1, ["info", "some check", "J2", "text"]))
+    assert not is_unreported(answer(None, code=7))
 
 
 def test_figures_of_a_condition():

@@ -48,13 +48,13 @@ def drives(place, tmp_path_factory):
 @pytest.fixture(scope="module")
 def right(place, drives):
     report = place.folder / "right.html"
-    told = rig.follow_command(place, drives, place.result, report)
-    return told, read_follow(report.with_suffix(".json")), report.read_text()
+    command = rig.follow_command(place, drives, place.result, report)
+    return command, read_follow(report.with_suffix(".json")), report.read_text()
 
 
 def test_the_identified_load_is_followed_better_than_the_maximum_and_far_better_than_none(right):
-    told, result, _ = right
-    assert told.exit_code == 0, told.output
+    command, result, _ = right
+    assert command.exit_code == 0, command.output
     found = peaks(result)
     for axis in (1, 2):
         assert found["identified"][axis] <= found["off"][axis] / 3
@@ -95,9 +95,9 @@ def test_the_page_shows_the_three_settings_side_by_side_with_units(right):
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, factor):
     if factor == 1.2:
-        told = rig.follow_command(place, drives, place.result_with("heavy", factor), place.folder / "heavy.html")
-        assert told.exit_code == 7, told.output
-        assert "identify it again" in told.output
+        command = rig.follow_command(place, drives, place.result_with("heavy", factor), place.folder / "heavy.html")
+        assert command.exit_code == 7, command.output
+        assert "identify it again" in command.output
         result = read_follow(place.folder / "heavy.json")
         assert "tag fail" in (place.folder / "heavy.html").read_text()
     else:
@@ -120,9 +120,9 @@ def test_a_drive_that_faults_while_it_is_fed_takes_every_offset_to_zero(place, t
     with rig.drives(place, BUILD_ERRORS, fault=fault) as handle:
         keep_proof_of_stop(place.cell, handle.bus, tmp_path_factory)
         handle.mount("load")
-        told = rig.follow_command(place, handle, place.result, place.folder / "fault.html")
-        assert told.exit_code == 4, told.output
-        assert "brought to zero" in told.output
+        command = rig.follow_command(place, handle, place.result, place.folder / "fault.html")
+        assert command.exit_code == 4, command.output
+        assert "brought to zero" in command.output
         (arm,) = handle.simulation.arms
         assert [(drive.velocity_offset, drive.torque_offset) for drive in arm.drives if drive.node_id != 3] == [
             (0, 0)

@@ -151,11 +151,11 @@ def test_friction_of_the_truth_is_what_the_motor_has_to_give(few):
     """No load: the friction through the gear that drives. Loaded: what both directions differ by, over the load."""
     friction = replace(few.arm.friction, load_power=np.ones(6), bias_share=np.zeros(6))
     truth = drawn_truth(replace(few.arm, friction=friction), few.motion, few.start_s, {}).axes
-    declared, late_s = friction.declared_efficiency, np.array([3100.0])
-    forth = friction.motor_nm(friction.band_nm(np.zeros((1, 6)), late_s), np.ones(1))[0] * declared
+    declared, delay_s = friction.declared_efficiency, np.array([3100.0])
+    forth = friction.motor_nm(friction.band_nm(np.zeros((1, 6)), delay_s), np.ones(1))[0] * declared
     np.testing.assert_allclose(truth["coulomb_nm"], forth, rtol=1e-3)
     heavy = 1e6 * np.ones((1, 6))
-    band = friction.band_nm(heavy, late_s)
+    band = friction.band_nm(heavy, delay_s)
     up, down = (friction.motor_nm(heavy + side * band, np.array([side]))[0] for side in (1.0, -1.0))
     lost = (up * declared - down / declared) / 2e6
     np.testing.assert_allclose(truth["load_friction"], lost, rtol=0.02)

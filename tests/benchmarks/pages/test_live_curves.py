@@ -43,6 +43,6 @@ def test_curves_that_move_along_leave_nothing_behind(tmp_path: Path) -> None:
     page.write_text(PAGE.format(script=CHARTS.read_text(encoding="utf-8")), encoding="utf-8")
     with browser() as window:
         window.open(page)
-        moved, anew = window.run(INKED)
-    assert 0.02 < anew < 0.2
-    assert moved == pytest.approx(anew, rel=0.1)
+        moved, again = window.run(INKED)
+    assert 0.02 < again < 0.2
+    assert moved == pytest.approx(again, rel=0.1)

@@ -70,9 +70,9 @@ def test_a_stop_is_counted_by_who_is_to_blame(error: Exception, counted: str) ->
     def fails(_bench: object) -> None:
         raise error
 
-    told = Told(3, PERIOD_S)
-    attempt(told, lambda: nullcontext(None), fails)  # type: ignore[arg-type]
-    assert {name: len(getattr(told, name)) for name in ("stalled", "late", "stopped")} == {
+    reported = Told(3, PERIOD_S)
+    attempt(reported, lambda: nullcontext(None), fails)  # type: ignore[arg-type]
+    assert {name: len(getattr(reported, name)) for name in ("stalled", "late", "stopped")} == {
         "stalled": 0,
         "late": 0,
         "stopped": 0,

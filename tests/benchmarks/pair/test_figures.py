@@ -8,8 +8,8 @@ from tests.support.pair.bus_figures import figures
 
 
 def row(trouble: str, force_n: float, *, goes_on: bool, stopped: bool = False, named: bool = False) -> dict:
-    told = {"trouble": trouble, "force_n": force_n, "goes_on": goes_on, "stopped": stopped, "named": named}
-    return {"row": "hostile", "seed": 3, "speed": 1.5, "cycle": 0, **told}
+    record = {"trouble": trouble, "force_n": force_n, "goes_on": goes_on, "stopped": stopped, "named": named}
+    return {"row": "hostile", "seed": 3, "speed": 1.5, "cycle": 0, **record}
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def test_a_missing_frame_is_no_value_and_never_the_old_one() -> None:
     assert statistics.incomplete == (0, 0)
 
 
-def falls_silent(rig: GapRig) -> None:
+def stop_responding(rig: GapRig) -> None:
     rig.device.node.unpowered = True
 
 
@@ -108,7 +108,7 @@ def is_too_far(rig: GapRig) -> None:
 @pytest.mark.parametrize(
     ("harm", "said"),
     [
-        (falls_silent, "no distances for 5 cycles, its frames are missing"),
+        (stop_responding, "no distances for 5 cycles, its frames are missing"),
         (sees_nothing, "no distances for 5 cycles, sensor 3 reports no valid value"),
         (is_too_far, "sensor 4 measures 36.00 mm, its range is 5 to 35 mm"),
     ],

@@ -29,9 +29,9 @@ FAST = 3.0
 
 def row(rig: PairRig, name: str, **options: object) -> PairRun:
     """A row of the table at the start of the path, gripped."""
-    given = PairMotionOptions(**{"speed": FAST, "force_limit_n": NO_LIMIT_N, **options})  # type: ignore[arg-type]
+    options_ = PairMotionOptions(**{"speed": FAST, "force_limit_n": NO_LIMIT_N, **options})  # type: ignore[arg-type]
     config = with_gains(EMBODIMENTS[name], cell_gains(rig.cell))
-    return rig.run(config, constant_function(rig.cell.nominal_relation), given)
+    return rig.run(config, constant_function(rig.cell.nominal_relation), options_)
 
 
 def drives(rig: PairRig) -> list[FakeDrive]:
@@ -85,7 +85,7 @@ def test_a_pair_without_errors_feels_next_to_nothing() -> None:
     assert np.linalg.norm(record[:, 1:4], axis=1).max() < 90.0
 
 
-def falls_silent(drive: FakeDrive) -> None:
+def stops_responding(drive: FakeDrive) -> None:
     drive.node.unpowered = True
 
 
@@ -94,7 +94,7 @@ def has_a_fault(drive: FakeDrive) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("arm", "harm"), [(0, has_a_fault), (1, falls_silent)])
+@pytest.mark.parametrize(("arm", "harm"), [(0, has_a_fault), (1, stops_responding)])
 def test_one_arm_fails_and_both_stop(arm: int, harm: Callable[[FakeDrive], None]) -> None:
     with pair_rig(0) as rig:
         run = row(rig, "B", speed=1.5)
@@ -164,14 +164,14 @@ def test_teaching_goes_on_where_it_ended() -> None:
     rule = TeachRule(force_n=40.0, moment_nm=10.0, sweep_s=0.2, path_speed_m_s=0.6)
     with pair_rig(0) as rig:
         indices = rig.cell.path(1.0).uniform(2)
-        lesson, saved = TaughtPath("path", "cell"), []
+        taught, saved = TaughtPath("path", "cell"), []
         for count in (1, 2):
             options = PairMotionOptions(force_limit_n=NO_LIMIT_N)
             stream = Stream(rig.link.station(rig.cell, options.moves))
             teacher = Teacher(PairMotion(rig.cell, stream, options), cell_gains(rig.cell), rule)
             with powered(stream):
-                teacher.run(lesson, indices[:count], lambda _lesson, point: saved.append(point.command - 1))
-            lesson = taught_path_from_json(lesson.to_json(), "points.json")
+                teacher.run(taught, indices[:count], lambda _taught, point: saved.append(point.command - 1))
+            taught = taught_path_from_json(taught.to_json(), "points.json")
     assert saved == indices.tolist()
-    assert len(lesson.function(np.eye(4))) == 2
-    assert all(point.force_n[-1] <= 40.0 for point in lesson.points)
+    assert len(taught.function(np.eye(4))) == 2
+    assert all(point.force_n[-1] <= 40.0 for point in taught.points)

@@ -42,10 +42,10 @@ from tests.support.rigs.pacing import by_the_clock
 pytestmark = pytest.mark.system
 
 #: Real drives take each target in its time; simulated ones that got round to two of them at once do not [s].
-SIMULATOR_LATE_S = 0.02
+SIMULATOR_DELAY_S = 0.02
 
 
-def standing(rig: PairRig, name: str = "B", limit_n: float | None = NO_LIMIT_N, speed: float = 1.5) -> PairRun:
+def rig_at_rest(rig: PairRig, name: str = "B", limit_n: float | None = NO_LIMIT_N, speed: float = 1.5) -> PairRun:
     """A row at the start of the path, gripped, powered."""
     config = with_gains(EMBODIMENTS[name], cell_gains(rig.cell))
     return rig.run(config, constant_function(rig.cell.nominal_relation), PairMotionOptions(speed, None, limit_n))
@@ -69,7 +69,7 @@ def at_time(rig: PairRig, after_s: float, act: Callable[[], Any]) -> None:
     rig.world.after.append(look)
 
 
-def heard(desk: StopDesk) -> list[StopKind]:
+def kinds_of(desk: StopDesk) -> list[StopKind]:
     """Kinds of all wishes from now on."""
     kinds: list[StopKind] = []
     plain = desk.ask
@@ -93,7 +93,7 @@ def test_a_stop_along_the_path_keeps_the_relation() -> None:
 @pytest.mark.slow
 def test_drives_are_disabled_when_the_joints_no_longer_catch_up() -> None:
     with inline_rig(0) as rig:
-        run = standing(rig)
+        run = rig_at_rest(rig)
         at_time(rig, 1.5, lambda: run.motion.stream.station.options.desk.ask(StoppedByPerson("stopped")))
         fastest: list[float] = []
 
@@ -112,7 +112,7 @@ def test_drives_are_disabled_when_the_joints_no_longer_catch_up() -> None:
 @pytest.mark.slow
 def test_a_second_wish_is_a_quick_stop_of_all_twelve() -> None:
     with inline_rig(0) as rig:
-        run, left = standing(rig), []
+        run, left = rig_at_rest(rig), []
         desk, period_s = run.motion.stream.station.options.desk, rig.cell.sync_period_s
         asked: list[float] = []
 
@@ -133,8 +133,8 @@ def test_a_second_wish_is_a_quick_stop_of_all_twelve() -> None:
 @pytest.mark.slow
 def test_a_force_that_still_rises_becomes_a_quick_stop() -> None:
     with inline_rig(0) as rig:
-        run = standing(rig, "A", 20.0)
-        kinds = heard(run.motion.stream.station.options.desk)
+        run = rig_at_rest(rig, "A", 20.0)
+        kinds = kinds_of(run.motion.stream.station.options.desk)
         begin_s = rig.world.time_s + 0.9
         pull = np.zeros(12)
 
@@ -153,8 +153,8 @@ def test_a_force_that_still_rises_becomes_a_quick_stop() -> None:
 @pytest.mark.slow
 def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
     with inline_rig(0) as rig:
-        run = standing(rig, "B", 15.0)
-        kinds = heard(run.motion.stream.station.options.desk)
+        run = rig_at_rest(rig, "B", 15.0)
+        kinds = kinds_of(run.motion.stream.station.options.desk)
         with pytest.raises(PairStopped, match="above 30 N"):
             rig.power.attempt(run.cycle)
     assert kinds == [StopKind.ALONG_PATH]
@@ -164,7 +164,7 @@ def test_a_force_that_does_not_rise_any_more_is_no_quick_stop() -> None:
 def test_a_part_that_is_held_elsewhere_is_detected_during_the_transfer_to_the_start() -> None:
     """A grasp that is 2 mm wrong, the part still held: 300 N if both arms went there."""
     with inline_rig(0) as rig:
-        run = standing(rig, "B", 40.0)
+        run = rig_at_rest(rig, "B", 40.0)
         wrong = rig.cell.nominal_relation.copy()
         wrong[0, 3] += 2e-3
         again = PairRun(rig.cell, run.motion.stream, run.config, constant_function(wrong), run.motion.options)
@@ -178,7 +178,7 @@ def test_a_part_that_is_held_elsewhere_is_detected_during_the_transfer_to_the_st
 @pytest.mark.slow
 def test_an_arm_with_impossible_commands_stops_both() -> None:
     with inline_rig(0) as rig:
-        run = standing(rig)
+        run = rig_at_rest(rig)
         member = run.motion.stream.station.arms.members[1]
         plain = member.command
 
@@ -206,7 +206,7 @@ def test_a_gap_without_a_value_stops_along_the_path_one_outside_its_range_at_onc
 ) -> None:
     with gap_rig(0) as rig:
         run = rig.run("E5", 3.0)
-        kinds = heard(run.motion.stream.station.options.desk)
+        kinds = kinds_of(run.motion.stream.station.options.desk)
         if distances_m is None:
             rig.device.node.unpowered = True
         else:
@@ -278,7 +278,7 @@ def test_ctrl_c_by_the_clock_stops_both_along_the_path(clocked: Path) -> None:
         # gripped afresh at the very start: where a proof leaves the hands the part would be under force
         with serving(clocked, buses) as simulation:
             seen = interrupt(simulation, words, settings)
-        busy = disturbed(seen.said) or seen.simulator_s > SIMULATOR_LATE_S
+        busy = disturbed(seen.said) or seen.simulator_s > SIMULATOR_DELAY_S
         if left == 0 or not busy or (seen.code in (0, 130) and not seen.quick):
             break
     assert seen.code == 130, seen.said
@@ -355,5 +355,5 @@ def interrupt(simulation: Simulation, words: list[str], settings: dict[str, str]
     finally:
         process.kill()
     powered = any(drive.axis.fed or drive.axis.free for drive in drives)
-    late_s = max(server.latest_s for server in simulation.servers)
-    return Interrupted(process.returncode, said, powered, any(quick), late_s)
+    delay_s = max(server.latest_s for server in simulation.servers)
+    return Interrupted(process.returncode, said, powered, any(quick), delay_s)

@@ -265,14 +265,14 @@ def test_a_sheet_of_arrays_that_claim_a_million_elements_is_read_within_bounds(r
 
 def test_no_mutated_sheet_is_read_otherwise_without_a_message(tmp_path):
     """A share of `make chaos`; what the sheet states is known from the table that it was written from."""
-    silent = {seed: judged(mutated(seed), tmp_path)[0] for seed in range(3_000, 3_080)}
-    assert {seed: words for seed, words in silent.items() if words} == {}
+    judgements = {seed: judged(mutated(seed), tmp_path)[0] for seed in range(3_000, 3_080)}
+    assert {seed: words for seed, words in judgements.items() if words} == {}
 
 
 def test_the_judge_of_mutated_sheets_sees_a_reader_without_a_message(tmp_path, monkeypatch):
     monkeypatch.setattr(sheet_judge, "read_sheet", lambda path: replace(reader.read_sheet(path), remarks=()))
-    silent = [seed for seed in range(3_000, 3_060) if judged(mutated(seed), tmp_path)[0]]
-    assert len(silent) > 10
+    judgements = [seed for seed in range(3_000, 3_060) if judged(mutated(seed), tmp_path)[0]]
+    assert len(judgements) > 10
 
 
 def test_the_sheet_that_is_mutated_is_read_whole(tmp_path):

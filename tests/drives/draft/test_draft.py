@@ -197,10 +197,10 @@ def test_a_sheet_without_torque_is_asked_for_one(device):
 def test_questions_follow_from_answers_and_end(device):
     asked: list[str] = []
     answers = ProfileAnswers()
-    given = {key: str(value) for key, value in CURRENT.items()}
+    typed = {key: str(value) for key, value in CURRENT.items()}
     while (question := next_question(device(), answers, asked)) is not None:
         asked.append(question.key)
-        answers = with_answers(answers, {question.key: given[question.key]} if question.key in given else {})
+        answers = with_answers(answers, {question.key: typed[question.key]} if question.key in typed else {})
     assert asked == [
         "torque_kind", "torque_nature", "rated_unit", "current_reference", "torque_constant_per", "torque_source",
         "velocity_unit_rad_s", "lost_heartbeat",

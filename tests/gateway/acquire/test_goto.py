@@ -53,11 +53,11 @@ def config(small_cell):
 
 @pytest.fixture
 def opened(small_cell, config, arm, workspace):
-    def make(pacing="lockstep", room=workspace):
+    def make(pacing="lockstep", surroundings=workspace):
         return SimpleNamespace(
             loaded=small_cell,
             config=config,
-            workspace=room,
+            workspace=surroundings,
             arm=arm,
             group=SimpleNamespace(timing=SimpleNamespace(pacing=pacing, period_s=PERIOD_S)),
         )
@@ -83,13 +83,13 @@ def test_home_and_loading_are_those_of_the_cell(config, workspace):
 
 
 def test_home_that_is_not_configured_is_the_middle_of_the_joint_ranges_and_said_to_be(small_cell, config, workspace):
-    nobody = config.model_copy(update={"home_rad": None})
-    found = destination(nobody, workspace, "home")
+    without_home = config.model_copy(update={"home_rad": None})
+    found = destination(without_home, workspace, "home")
     assert found.q_rad == pytest.approx([(low + high) / 2 for low, high in (a.position_limit_rad for a in config.axis)])
     assert "home_rad is not given" in str(found)
     wall = with_box(small_cell, (-2.0, -2.0, 0.0), (2.0, 2.0, 2.0))
     with pytest.raises(ConfigError, match=r"middle of the joint ranges.*keep_out box 1.*write home_rad"):
-        destination(nobody, wall, "home")
+        destination(without_home, wall, "home")
 
 
 def test_a_loading_posture_that_is_not_configured_is_asked_for(config, workspace):
@@ -119,20 +119,20 @@ def test_a_path_is_planned_again_only_where_the_arm_has_moved_since(opened, fake
     plan = plan_transfer(opened(), to(TARGET))
     assert transfer_from_here(opened(), to(TARGET), plan) is plan
     stand(fake, LEFT)
-    anew = transfer_from_here(opened(), to(TARGET), plan)
-    assert anew.start_rad == pytest.approx(LEFT)
+    replanned = transfer_from_here(opened(), to(TARGET), plan)
+    assert replanned.start_rad == pytest.approx(LEFT)
 
 
 def test_a_path_that_is_not_free_goes_round_and_says_what_it_would_touch(small_cell, opened, fake):
-    room = post(small_cell)
+    surroundings = post(small_cell)
     stand(fake, LEFT)
-    plan = plan_transfer(opened(room=room), to(RIGHT))
+    plan = plan_transfer(opened(surroundings=surroundings), to(RIGHT))
     assert len(plan.steps) == 2
     ends = [np.array(LEFT), *(np.array(step.q_rad) for step in plan.steps)]
     for begin, end in zip(ends, ends[1:], strict=False):
         share = np.linspace(0.0, 1.0, 400)[:, None]
-        assert room.feasible((1 - share) * begin + share * end).all()
-    (said,) = remarks(plan, room)
+        assert surroundings.feasible((1 - share) * begin + share * end).all()
+    (said,) = remarks(plan, surroundings)
     assert "in keep_out box 1" in said
     assert "by way of" in said
 
@@ -143,7 +143,7 @@ def test_without_a_free_path_the_message_names_what_the_straight_one_meets(small
     pinned = replace(pinned, upper_rad=np.array([1.3, -0.15, 0.45, 0.1, 0.1, 0.1]))
     stand(fake, LEFT)
     with pytest.raises(PlanRefused, match=r"on the straight path, at .*in keep_out box 1.*of your choice"):
-        plan_transfer(opened(room=pinned), to(RIGHT))
+        plan_transfer(opened(surroundings=pinned), to(RIGHT))
     assert fake.log == []
 
 
@@ -162,22 +162,22 @@ def test_the_arm_comes_from_outside_its_range_inwards_and_goes_on(opened, fake, 
 
 def test_an_arm_inside_a_box_is_not_moved_and_the_path_out_is_named(small_cell, opened, fake):
     stand(fake, (0.0, -0.2, 0.4, 0.0, 0.0, 0.0))
-    room = post(small_cell)
+    surroundings = post(small_cell)
     with pytest.raises(
         PlanRefused,
         match=r"in keep_out box 1.*move it clear by hand.*joint [1-6] by [+-].*no command of servo-gateway moves it",
     ) as refused:
-        went(opened(room=room), to(LEFT))
+        went(opened(surroundings=surroundings), to(LEFT))
     assert not isinstance(refused.value, WrongPlace), "no command leads out of there"
     assert fake.log == []
-    said = smallest_exit(room, fake.q_rad)
+    said = smallest_exit(surroundings, fake.q_rad)
     joint, turn = int(said.split("joint ")[1][0]), float(said.split(" by ")[1].split(" rad")[0])
     turned = fake.q_rad.copy()
     turned[joint - 1] += turn
-    assert room.why_not(turned) is None
+    assert surroundings.why_not(turned) is None
     less = fake.q_rad.copy()
     less[joint - 1] += turn * (1 - 0.02 / abs(turn))
-    assert room.why_not(less) is not None, "the shortest"
+    assert surroundings.why_not(less) is not None, "the shortest"
 
 
 # ---------------------------------------------------------------------------------------------------- motion and ends
@@ -186,15 +186,15 @@ def test_an_arm_inside_a_box_is_not_moved_and_the_path_out_is_named(small_cell, 
 @pytest.mark.slow
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
 def test_it_goes_there_at_its_share_of_the_speed_and_ends_in_the_brakes(opened, fake, workspace, pacing):
-    told = []
-    went(opened(pacing), to(TARGET), (told.append,), MoveOptions(override=0.3))
+    messages = []
+    went(opened(pacing), to(TARGET), (messages.append,), MoveOptions(override=0.3))
     path = np.array(fake.path)
     assert path[-1] == pytest.approx(TARGET, abs=COUNTS_RAD)
     speed = np.abs(np.diff(path, axis=0)).max(axis=0) / PERIOD_S
     assert (speed <= 0.3 * workspace.speed_rad_s + 2 * COUNTS_RAD / PERIOD_S).all()
     assert fake.log == ["enable", "disable"]
     assert workspace.feasible(path).all()
-    assert told
+    assert messages
 
 
 @pytest.mark.parametrize("pacing", ["lockstep", "real"])
@@ -215,8 +215,8 @@ def test_a_person_stops_it_along_its_path(opened, fake, pacing):
     with pytest.raises(StoppedByPerson):
         went(opened(pacing), to(TARGET), (), MoveOptions(StopDesk(asked)))
     assert fake.log == ["enable", "disable"]
-    way = np.array(TARGET)
-    share = fake.q_rad / way
+    goal = np.array(TARGET)
+    share = fake.q_rad / goal
     assert share.min() > 0.0
     assert share.max() < 1.0
     assert share == pytest.approx(share.mean(), abs=1e-3), "on the line"

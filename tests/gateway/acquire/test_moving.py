@@ -48,8 +48,8 @@ class Unrested:
         return getattr(self.series, name)
 
     def motion(self, sync_period_s):
-        whole = self.series.motion(sync_period_s)
-        q, qd, qdd = (values[:-1] for values in (whole.q_rad, whole.qd_rad_s, whole.qdd_rad_s2))
+        full_motion = self.series.motion(sync_period_s)
+        q, qd, qdd = (values[:-1] for values in (full_motion.q_rad, full_motion.qd_rad_s, full_motion.qdd_rad_s2))
         return Motion(q, qd, qdd, sync_period_s)
 
 
@@ -121,8 +121,8 @@ def test_a_load_is_tried_at_a_quarter_of_the_speed_first(drive, plan, store):
 
 
 def test_what_was_driven_is_left_out(drive, plan, store):
-    way = fingerprint(plan.excitations[0])
-    drive("a", driven=frozenset({(way, TRIED_SPEED, 1), (way, 1.0, 1), (way, 1.0, 3)}))
+    recorded_print = fingerprint(plan.excitations[0])
+    drive("a", driven=frozenset({(recorded_print, TRIED_SPEED, 1), (recorded_print, 1.0, 1), (recorded_print, 1.0, 3)}))
     assert [(period.period, period.speed) for period in store.periods] == [(2, 1.0)]
 
 

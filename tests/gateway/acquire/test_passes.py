@@ -46,13 +46,13 @@ def test_links_rotors_and_typed_friction(small_cell, workspace, motion, links_nm
 def test_friction_in_the_monitor_model_is_left_to_it(small_cell, workspace, motion, links_nm):
     arm = small_cell.cell.arm[0]
     typed = axis_constants(arm, None)
-    told = replace(
+    result = replace(
         typed[1],
         rotor_kg_m2=Known(9.0, "r.json", identified=True),
         coulomb_nm=Known(50.0, "r.json", identified=True),
         viscous_nm_s_rad=Known(20.0, "r.json", identified=True),
     )
-    found = free_torque_nm(workspace, arm, motion, (typed[0], told, *typed[2:]))
+    found = free_torque_nm(workspace, arm, motion, (typed[0], result, *typed[2:]))
     assert found is not None
     assert found[:, 1] == pytest.approx(links_nm[:, 1] + 9.0 * motion.qdd_rad_s2[:, 1], abs=1e-6)
     assert found[:, 0] == pytest.approx(free_torque_nm(workspace, arm, motion)[:, 0])

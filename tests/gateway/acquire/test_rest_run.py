@@ -173,17 +173,17 @@ def test_contact_stops_by_the_drives_ramp(station, plan, fake, workspace):
 
 
 def test_the_state_of_the_cell_is_reported_throughout(station, plan, fake):
-    told = []
-    listening = replace(station, listeners=(told.append,))
+    states = []
+    listening = replace(station, listeners=(states.append,))
     run_plan(listening, RunRequest(plan, "a"))
-    phases = [event.state.phase for event in told if isinstance(event, StateChanged)]
+    phases = [event.state.phase for event in states if isinstance(event, StateChanged)]
     assert phases[:4] == [Phase.HOLDING, Phase.MOVING, Phase.SETTLING, Phase.SAMPLING]
     assert phases[-2:] == [Phase.STOPPING, Phase.IN_BRAKES]
-    told.clear()
+    states.clear()
     fake.fault_at = fake.sync_index + 100
     with pytest.raises(DriveFault) as failed:
         run_plan(listening, RunRequest(plan, "a"))
-    stopping, stopped = [event.state for event in told if isinstance(event, StateChanged)][-2:]
+    stopping, stopped = [event.state for event in states if isinstance(event, StateChanged)][-2:]
     assert (stopping.phase, stopped.phase) == (Phase.STOPPING, Phase.STOPPED)
     assert stopped.phase in SAFE
     assert str(failed.value) in str(stopped)

@@ -124,8 +124,8 @@ def test_every_mistake_is_named_at_once(cell):
     cell["arm"][0]["axis"][3]["node_id"] = 1
     with pytest.raises(ConfigError) as refused:
         parse_cell(as_toml(cell), "cell.toml")
-    told = [line.partition(": ")[2].split(" (")[0] for line in refused.value.lines]
-    assert {text.split(": write")[0] for text in told} == {
+    names = [line.partition(": ")[2].split(" (")[0] for line in refused.value.lines]
+    assert {text.split(": write")[0] for text in names} == {
         "channel is missing",
         "gear_ratio is missing",
         "arm 'main': node id 1 is used for more than one axis",

@@ -105,13 +105,13 @@ def test_the_drive_is_commanded_to_hold_the_axis_where_it_was_measured(rig):
 
     slaves[0]._sync = sync  # type: ignore[method-assign]
     try_brakes(opened, MoveOptions(), Person(opened, slaves))
-    told = slaves[0].told
-    offset = len(seen) - len(told)
-    words = [word for word, _ in told]
+    commanded = slaves[0].told
+    offset = len(seen) - len(commanded)
+    words = [word for word, _ in commanded]
     begin = words.index(0x07, words.index(0x0F))
     end = words.index(0x0F, begin)
-    assert told[end][1] == seen[offset + end - 1]
-    assert abs(told[end][1] - told[begin][1]) > 0.004 * slaves[0]._joint_count
+    assert commanded[end][1] == seen[offset + end - 1]
+    assert abs(commanded[end][1] - commanded[begin][1]) > 0.004 * slaves[0]._joint_count
 
 
 def test_brakes_that_hold_are_left_to_themselves_for_longer_and_longer(rig):
@@ -181,11 +181,11 @@ def test_without_confirmation_the_arm_is_held_for_a_while(rig):
     slaves[0].falls_rad_s2 = 5.0
     texts: list[str] = []
 
-    def nobody(text: str) -> None:
+    def without_confirmation(text: str) -> None:
         texts.append(text)
         slaves[0].falls_rad_s2 = 0.0
 
-    (item,) = try_brakes(opened, MoveOptions(), nobody)
+    (item,) = try_brakes(opened, MoveOptions(), without_confirmation)
     assert item.severity == "fail"
     held = slaves[0].states[: len(slaves[0].states) - slaves[0].states[::-1].index("operation enabled")]
     assert held[-round(SUPPORT_S / PERIOD_S) :] == ["operation enabled"] * round(SUPPORT_S / PERIOD_S)

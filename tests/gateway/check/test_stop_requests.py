@@ -52,7 +52,7 @@ def phases_of(slave: Joint) -> dict[str, int]:
     up = first(0, lambda number: states[number] == "operation enabled")
     moving = first(up, moves)
     left = first(moving, lambda number: states[number] != "operation enabled")
-    silent = slave.last_beats[left]
+    beats = slave.last_beats[left]
     down = first(left, lambda number: states[number] == "switch on disabled")
     again = first(down, lambda number: states[number] == "operation enabled")
     moving_again = first(again, moves)
@@ -63,9 +63,9 @@ def phases_of(slave: Joint) -> dict[str, int]:
         "bring-up": up // 2,
         "brakes open": (up + moving) // 2,
         "begin of the motion": moving + 1,
-        "motion": (moving + silent) // 2,
-        "last heartbeat": silent,
-        "heartbeat withheld": (silent + left) // 2,
+        "motion": (moving + beats) // 2,
+        "last heartbeat": beats,
+        "heartbeat withheld": (beats + left) // 2,
         "before the drives stop": left - 1,
         "drives stop": left,
         "after they have stopped": left + 3,

@@ -57,11 +57,11 @@ class Listener:
 
 @pytest.fixture
 def robot(small_cell, workspace, arm, tmp_path):
-    def make(loading, override=1.0, room=workspace, thermal=None) -> tuple[Any, Listener]:
+    def make(loading, override=1.0, surroundings=workspace, thermal=None) -> tuple[Any, Listener]:
         config = small_cell.cell.arm[0].model_copy(update={"loading_rad": loading})
         timing = SimpleNamespace(pacing="lockstep", period_s=0.01)
         opened: Any = SimpleNamespace(
-            loaded=small_cell, config=config, workspace=room, arm=arm, group=SimpleNamespace(timing=timing)
+            loaded=small_cell, config=config, workspace=surroundings, arm=arm, group=SimpleNamespace(timing=timing)
         )
         listener: Any = Listener()
         job = Job(listener, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), thermal=thermal)
@@ -92,7 +92,7 @@ def test_a_path_that_is_not_free_is_reported_and_ends_nothing(small_cell, robot,
     config = small_cell.cell.arm[0].model_copy(update={"keep_out": (wall,)})
     walled = workspace_of(config, arm_robot(small_cell, config))
     tight = replace(walled, lower_rad=np.array([-0.7, -0.1, -0.1, -0.7, -0.7, -0.7]), upper_rad=np.full(6, 0.7))
-    made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), room=tight)
+    made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), surroundings=tight)
     made.measure_load(Block("a", (POSE,)))
     assert "the arm stays at its current posture, mount the load there: no path" in person.done[0]
     assert person.done[1:] == ["hang a", "measure"]

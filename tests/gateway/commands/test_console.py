@@ -33,7 +33,7 @@ def test_square_brackets_are_units(capsys):
 HOSTILE = "drive\x1b]0;owned\x07\x1b[2J\x9b1A\r\x08\N{RIGHT-TO-LEFT OVERRIDE}end"
 
 
-def _printed_in_every_way(session: Session) -> None:
+def _print_everything(session: Session) -> None:
     session.show(HOSTILE)
     session.note(HOSTILE)
     session.show(grid(HOSTILE, [HOSTILE], [[HOSTILE]]))
@@ -45,7 +45,7 @@ def _printed_in_every_way(session: Session) -> None:
 
 
 def test_nothing_that_is_printed_controls_the_terminal(capsys):
-    _printed_in_every_way(Session())
+    _print_everything(Session())
     out, err = capsys.readouterr()
     assert out.count("drive") >= 5
     assert err.count("drive") >= 3
@@ -56,7 +56,7 @@ def test_a_terminal_gets_the_colours_of_the_program_and_nothing_of_a_name(monkey
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TERM", "xterm-256color")
     monkeypatch.setenv("COLUMNS", "200")
-    _printed_in_every_way(Session())
+    _print_everything(Session())
     out, err = capsys.readouterr()
     assert "\x1b[1;31m" in out  # the severity, red by the program
     for text in (out, err):

@@ -51,8 +51,8 @@ def test_what_is_shown_is_there_as_json_too(tmp_path):
     assert "generic-cia402" in [profile["name"] for profile in listed["profiles"]]
     source, page = tmp_path / "out.json", tmp_path / "r.html"
     source.write_text(json.dumps(RESULT))
-    told = json.loads(run("report", source, "-o", page, "--json", "-").stdout)
-    assert (told["report"], told["robot"]) == (str(page), "r")
+    summary = json.loads(run("report", source, "-o", page, "--json", "-").stdout)
+    assert (summary["report"], summary["robot"]) == (str(page), "r")
     assert page.exists()
 
 

@@ -23,13 +23,13 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(series_choice, name, 1)
 
 
-def told(*words: str) -> Result:
+def plan_moving(*words: str) -> Result:
     return CliRunner().invoke(main, ["plan", str(EXAMPLE), *words], env={"COLUMNS": "200"})
 
 
 def test_a_plan_is_printed_written_and_drawn(tmp_path: Path) -> None:
     file, page = tmp_path / "plan.json", tmp_path / "plan.html"
-    result = told("--moving", "--periods", "2", "--json", str(file), "--view", str(page))
+    result = plan_moving("--moving", "--periods", "2", "--json", str(file), "--view", str(page))
     assert result.exit_code == 0, result.output
     for words in ("20 s of motion", "use of the limits", "best of 100 random", "Ixx", "kept apart"):
         assert words in result.output
@@ -43,7 +43,7 @@ def test_a_plan_is_printed_written_and_drawn(tmp_path: Path) -> None:
 
 def test_friction_is_asked_for_by_sweeps(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    result = told("--moving", "--for", "friction", "--json", str(file))
+    result = plan_moving("--moving", "--for", "friction", "--json", str(file))
     assert result.exit_code == 0, result.output
     assert "friction J6" in result.output
     assert "dry friction [Nm]" in result.output
@@ -62,6 +62,6 @@ def test_friction_is_asked_for_by_sweeps(tmp_path: Path) -> None:
     ],
 )
 def test_what_makes_no_plan_is_refused(words: list[str], code: int, said: str) -> None:
-    result = told(*words)
+    result = plan_moving(*words)
     assert result.exit_code == code
     assert said in " ".join(result.output.replace("│", " ").split())

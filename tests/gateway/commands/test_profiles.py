@@ -53,8 +53,8 @@ def test_a_draft_by_a_file_and_an_option_before_it(sheet, tmp_path):
         'torque_kind = "permille_rated_torque"\ntorque_nature = "measured"\nrated_unit = 0.001\n'
         'torque_source = "manual p. 84"\n'
     )
-    given = ["--answers", tmp_path / "answers.toml", *typed({"rated_unit": "1e-6"})]
-    done = new("--eds", sheet, *given, "-o", tmp_path / "a.toml")
+    typed_options = ["--answers", tmp_path / "answers.toml", *typed({"rated_unit": "1e-6"})]
+    done = new("--eds", sheet, *typed_options, "-o", tmp_path / "a.toml")
     assert done.exit_code == 0, done.output
     assert load_profile(tmp_path / "a.toml").torque.rated.unit == 1e-6
 
@@ -62,10 +62,10 @@ def test_a_draft_by_a_file_and_an_option_before_it(sheet, tmp_path):
 def test_what_stays_open_is_said_in_words_and_as_json(sheet, tmp_path):
     done = new("--eds", sheet, "-o", tmp_path / "mine.toml", "--json", "-")
     assert done.exit_code == 0, done.output
-    told = json.loads(done.stdout)
-    assert {each["key"] for each in told["open"]} >= {"torque_kind", "rated_unit", "lost_heartbeat"}
-    assert all(each["ways"] for each in told["open"])
-    assert "assumed" in told["obstacles"][0]
+    answer = json.loads(done.stdout)
+    assert {each["key"] for each in answer["open"]} >= {"torque_kind", "rated_unit", "lost_heartbeat"}
+    assert all(each["ways"] for each in answer["open"])
+    assert "assumed" in answer["obstacles"][0]
     assert "open: torque_kind" in done.stderr
     assert load_profile(tmp_path / "mine.toml").torque.assumed
 
@@ -168,10 +168,10 @@ def test_beside_a_running_master_nothing_is_sent(sheet, tmp_path):
         finally:
             beating.set()
             thread.join()
-        heard = other.receive(0.0)
+        received = other.receive(0.0)
     assert done.exit_code == 4, done.output
     assert "another master" in done.output
-    assert heard is None
+    assert received is None
 
 
 # -- the schema --------------------------------------------------------------------------------------------------------

@@ -39,9 +39,9 @@ def test_a_series_comes_back_with_speed_and_acceleration():
 
 
 def test_what_is_asked_for_is_that_of_so_much_earlier():
-    late_s = 0.0053
-    q, qd, qdd = series(TIME_S - late_s)
-    found = by_harmonics(series(TIME_S)[0], PERIOD_S, delay_s=late_s)
+    offset_s = 0.0053
+    q, qd, qdd = series(TIME_S - offset_s)
+    found = by_harmonics(series(TIME_S)[0], PERIOD_S, delay_s=offset_s)
     assert np.allclose(found.q_rad, q, atol=1e-5)
     assert np.allclose(found.qd_rad_s, qd, atol=1e-5)
     assert np.allclose(found.qdd_rad_s2, qdd, atol=1e-3)

@@ -71,12 +71,12 @@ def unexplained(text: str) -> list[str]:
         if not isinstance(node, (ast.Assign, ast.AnnAssign)) or node.value is None:
             continue
         above = node.lineno - 2
-        told = above == covered or (above >= 0 and lines[above].startswith("#:"))
+        documented = above == covered or (above >= 0 and lines[above].startswith("#:"))
         target = node.targets[0] if isinstance(node, ast.Assign) else node.target
         names = [each.id for each in ast.walk(target) if isinstance(each, ast.Name) and each.id.isupper()]
-        if names and numbers(node.value) and not told:
+        if names and numbers(node.value) and not documented:
             out += names
-        if told:
+        if documented:
             covered = (node.end_lineno or node.lineno) - 1
     return out
 

@@ -82,12 +82,12 @@ def test_rows_contradict_each_other_where_they_leave_more_than_friction_does(mon
     axis = np.tile(np.arange(6), 20)
     residual = times * difference.CONTRADICTS * sigma[axis] * np.where(axis == 4, 1e6, 1.0)
     visits = SimpleNamespace(difference_nm=None, sum_nm=None)
-    told = difference._contradiction(
+    contradiction = difference._contradiction(
         visits,
         SimpleNamespace(axis=axis),
         SimpleNamespace(residual=residual),
         {"a": 3.0, "b": 9.0},  # type: ignore[arg-type]
     )
-    assert (told is not None) == said
+    assert (contradiction is not None) == said
     for words in (f"{times * difference.CONTRADICTS:.0f} times what the friction leaves", "3 to 9 kg (median 6)"):
-        assert (words in (told or "")) == said
+        assert (words in (contradiction or "")) == said

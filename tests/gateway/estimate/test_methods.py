@@ -93,8 +93,8 @@ def test_the_mass_of_column_a_is_reported_to_be_as_right_as_a_lever_that_was_com
     back = (motor[load] - motor[bare]) * 168 / (9.81 * 21)
     np.testing.assert_allclose(lever[load], back, atol=0.01)
     assert (np.abs(lever[load]) > 2.50).sum() == 3
-    (told,) = [each.what for each in result.findings if "lever" in each.what and each.severity == "info"]
-    assert told == "the mass is as right as the lever column x_k2_m: an error of the lever is not in the uncertainty"
+    (message,) = [each.what for each in result.findings if "lever" in each.what and each.severity == "info"]
+    assert message == "the mass is as right as the lever column x_k2_m: an error of the lever is not in the uncertainty"
 
 
 @pytest.mark.data
@@ -114,7 +114,7 @@ def test_column_b_alone_is_refused_too(measured_data):
     assert [load.label for load in result.loads] == ["b"]
 
 
-def lever_table(table_of, motor_by_load, lever, **given):
+def lever_table(table_of, motor_by_load, lever, **columns):
     """Axis 2 motor torque per pose; the other axes are not measured."""
     labels = [label for label, motor in motor_by_load.items() for _ in motor]
     poses = [k for motor in motor_by_load.values() for k in range(len(motor))]
@@ -122,7 +122,7 @@ def lever_table(table_of, motor_by_load, lever, **given):
     motor[:, 1] = np.concatenate([np.asarray(m, dtype=float) for m in motor_by_load.values()])
     extra = {"x_k": np.tile(lever, len(motor_by_load))}
     blank = np.full((len(labels), 6), np.nan)
-    return table_of(labels, poses, np.zeros((len(labels), 6)), blank, motor=motor, extra=extra, **given)
+    return table_of(labels, poses, np.zeros((len(labels), 6)), blank, motor=motor, extra=extra, **columns)
 
 
 def test_coefficient_by_hand(table_of):

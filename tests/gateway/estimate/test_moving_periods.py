@@ -46,8 +46,8 @@ def torque(time_s, loaded, delay_s):
     if loaded:
         model.appendBodyToJoint(6, pinocchio.Inertia(MASS, COM, TENSOR), pinocchio.SE3.Identity())
         data = model.createData()
-    for axis, late in enumerate(delay_s):
-        q, qd, qdd = states(time_s - late)
+    for axis, delay in enumerate(delay_s):
+        q, qd, qdd = states(time_s - delay)
         rigid = np.array([pinocchio.rnea(model, data, *row)[axis] for row in zip(q, qd, qdd, strict=True)])
         speed = qd[:, axis]
         dry = (COULOMB[axis] + LOSS * np.abs(rigid)) * np.tanh(speed / 0.02)
@@ -174,10 +174,10 @@ def test_a_fall_from_breakaway_of_any_shape_is_not_taken_for_coulomb_friction(cl
 def test_torques_without_stated_constants_may_all_share_one_error(clean, robot):
     """A factor of all torques moves the mass by as much, and does not average over the axes."""
     table, rough = table_of_periods(clean, noise_nm=0.3, seed=4), replace(EXACT, inertials="prior:0.05")
-    told = {std: run(table, robot, replace(rough, gain_std=std)).loads[0] for std in (None, (0.03,) * 6)}
-    assert told[None].mass_std_kg > 1.3 * told[(0.03,) * 6].mass_std_kg
-    assert told[None].mass_std_kg < 0.04 * MASS
-    assert sum(told[None].budget.values()) == pytest.approx(1.0)
+    by_std = {std: run(table, robot, replace(rough, gain_std=std)).loads[0] for std in (None, (0.03,) * 6)}
+    assert by_std[None].mass_std_kg > 1.3 * by_std[(0.03,) * 6].mass_std_kg
+    assert by_std[None].mass_std_kg < 0.04 * MASS
+    assert sum(by_std[None].budget.values()) == pytest.approx(1.0)
 
 
 def test_links_that_share_one_error_are_known_by_their_masses(clean, robot):
@@ -209,9 +209,9 @@ def test_a_touched_period_is_rejected_and_changes_nothing(clean, robot):
 
 def test_a_load_that_slips_during_the_run_is_refused(clean, robot):
     table = table_of_periods(clean, 0.3, periods=5)
-    late = (np.asarray(table.load) == "tool") & (table.extra["x_period"] >= 3)
+    delay = (np.asarray(table.load) == "tool") & (table.extra["x_period"] >= 3)
     moved = table.tau_nm.copy()
-    moved[late] += 0.15 * np.tile(clean["tool"] - clean["none"], (3, 1))
+    moved[delay] += 0.15 * np.tile(clean["tool"] - clean["none"], (3, 1))
     result = run(replace(table, tau_nm=moved), robot, EXACT)
     (load,) = result.loads
     assert np.isnan(load.mass_kg)
@@ -226,9 +226,9 @@ def test_one_period_is_reported_to_determine_no_noise(clean, robot):
 
 def test_a_drive_with_a_delay_is_named(clean, robot):
     time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
-    late = DELAY.copy()
-    late[2] = 0.04
-    tau = {label: torque(time, label == "tool", late) for label in ("none", "tool")}
+    delay = DELAY.copy()
+    delay[2] = 0.04
+    tau = {label: torque(time, label == "tool", delay) for label in ("none", "tool")}
     result = run(table_of_periods(tau, 0.1), robot, EXACT)
     assert numbers(result, "delay_s")[2] == pytest.approx(0.04, abs=0.003)
     (said,) = [finding for finding in result.findings if "late" in finding.what]

@@ -92,14 +92,14 @@ def test_what_is_promised_comes_true(bench, options, stock, choice):
 
 def test_what_is_known_of_the_gains_narrows_by_the_conditional_covariance(stock):
     known = stock.outlook
-    own, given = np.arange(known.load, known.load + 4), known.gain
+    own, gains = np.arange(known.load, known.load + 4), known.gain
     joint = known.covariance
     spread = (
         joint[np.ix_(own, own)]
-        - joint[np.ix_(own, given)] @ np.linalg.inv(joint[np.ix_(given, given)]) @ joint[np.ix_(given, own)]
+        - joint[np.ix_(own, gains)] @ np.linalg.inv(joint[np.ix_(gains, gains)]) @ joint[np.ix_(gains, own)]
     )
-    assert known.std_given(given) == pytest.approx(np.sqrt(np.diag(turned(known) @ spread @ turned(known).T)))
-    assert known.std_given(given)[0] < 0.8 * known.std[0]
+    assert known.std_given(gains) == pytest.approx(np.sqrt(np.diag(turned(known) @ spread @ turned(known).T)))
+    assert known.std_given(gains)[0] < 0.8 * known.std[0]
 
 
 def test_samples_are_the_most_informative_per_second(stock, choice):

@@ -112,8 +112,8 @@ def test_a_motion_that_meets_a_box_is_refused(small_cell, plan: MovingPlan, conf
     """A box about the place of the flange half a period on, which is elsewhere at the start."""
     robot = arm_robot(small_cell, config)
     series = series_of(plan)
-    way = flange_frames(robot, series.at(np.linspace(0.0, 10.0, 100))[0])[:, :3, 3]
-    far = way[np.argmax(np.linalg.norm(way - way[0], axis=1))]
+    positions = flange_frames(robot, series.at(np.linspace(0.0, 10.0, 100))[0])[:, :3, 3]
+    far = positions[np.argmax(np.linalg.norm(positions - positions[0], axis=1))]
     check_moving_plan(plan, workspace_of(config, robot), config)
     box = config.keep_out[0].model_copy(update={"min_m": tuple(far - 0.01), "max_m": tuple(far + 0.01)})
     boxed = config.model_copy(update={"keep_out": (*config.keep_out, box)})

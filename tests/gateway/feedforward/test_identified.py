@@ -40,7 +40,7 @@ AXIS_2 = AxisMotion(
 SOURCE = "identified, result.json of 2026-05-04 10:00 UTC"
 
 
-def told(*axes, **changes):
+def identified_axes(*axes, **changes):
     data = Drawn(cell="large", arm="main", created="2026-05-04 10:00 UTC")
     return Result(**{"robot": "qh165", "motion": axes, "data": data} | changes)
 
@@ -73,7 +73,7 @@ def typed(value):
 
 
 def test_what_was_identified_comes_before_what_was_typed_with_file_and_date(cell, qh165):
-    loaded = cell(told(AXIS_2))
+    loaded = cell(identified_axes(AXIS_2))
     known = constants(loaded, qh165, {"coulomb_nm": typed(80.0)})
     assert [known[1].rotor_kg_m2.value, known[1].coulomb_nm.value, known[1].viscous_nm_s_rad.value] == [
         290.0,
@@ -118,7 +118,7 @@ def test_a_cell_that_names_no_result_keeps_what_is_typed(large, qh165):
     ],
 )
 def test_what_is_missing_or_poorly_known_falls_back_and_is_said(cell, qh165, changes, key, words):
-    known = constants(cell(told(replace(AXIS_2, **changes))), qh165)[1]
+    known = constants(cell(identified_axes(replace(AXIS_2, **changes))), qh165)[1]
     one = getattr(known, key)
     assert one is None if key.startswith("viscous") else (one.value, one.identified) == (305.0, False)
     assert len(known.notes) == 1
@@ -128,7 +128,7 @@ def test_what_is_missing_or_poorly_known_falls_back_and_is_said(cell, qh165, cha
 
 def test_typed_friction_is_not_mixed_with_parts_of_an_identified_curve(cell, qh165):
     half = replace(AXIS_2, coulomb_nm=float("nan"))
-    known = constants(cell(told(half)), qh165, {"coulomb_nm": typed(80.0)})[1]
+    known = constants(cell(identified_axes(half)), qh165, {"coulomb_nm": typed(80.0)})[1]
     assert (known.coulomb_nm.value, known.load_friction) == (80.0, 0.0)
     assert np.isnan([known.breakaway_nm, known.stribeck_rad_s]).all()
 
@@ -142,14 +142,14 @@ def test_typed_friction_is_not_mixed_with_parts_of_an_identified_curve(cell, qh1
     ],
 )
 def test_what_contradicts_is_refused(cell, qh165, changes, cell_says, words):
-    loaded = cell(told(replace(AXIS_2, **changes)))
+    loaded = cell(identified_axes(replace(AXIS_2, **changes)))
     with pytest.raises(InputError, match=words) as raised:
         constants(loaded, qh165, cell_says)
     assert "result.json" in str(raised.value)
 
 
 def test_what_differs_by_more_than_twice_is_used_and_said(cell, qh165):
-    known = constants(cell(told(AXIS_2)), qh165, {"viscous_nm_s_rad": typed(40.0)})[1]
+    known = constants(cell(identified_axes(AXIS_2)), qh165, {"viscous_nm_s_rad": typed(40.0)})[1]
     assert known.viscous_nm_s_rad.value == 90.0
     assert known.notes == ("viscous friction: 90.0 ± 3.9 Nm s/rad was identified and is used; 40 is stated",)
 
@@ -157,13 +157,13 @@ def test_what_differs_by_more_than_twice_is_used_and_said(cell, qh165):
 @pytest.mark.parametrize(
     ("result", "words"),
     [
-        (told(AXIS_2, robot="kr300"), "robot 'kr300', not on 'qh165'"),
-        (told(AXIS_2, data=Drawn(cell="large", arm="left")), "arm 'left', not on 'main'"),
-        (told(AXIS_2, data=Drawn(cell="small", arm="main")), "cell 'small', not on 'large'"),
-        (told(AXIS_2, data=None), "names no cell and arm"),
-        (told(), "record CELL --moving"),
-        (told(AXIS_2, AXIS_2), "joint 2 is given twice"),
-        (told(AXIS_2, replace(AXIS_2, joint=7)), "joint 7"),
+        (identified_axes(AXIS_2, robot="kr300"), "robot 'kr300', not on 'qh165'"),
+        (identified_axes(AXIS_2, data=Drawn(cell="large", arm="left")), "arm 'left', not on 'main'"),
+        (identified_axes(AXIS_2, data=Drawn(cell="small", arm="main")), "cell 'small', not on 'large'"),
+        (identified_axes(AXIS_2, data=None), "names no cell and arm"),
+        (identified_axes(), "record CELL --moving"),
+        (identified_axes(AXIS_2, AXIS_2), "joint 2 is given twice"),
+        (identified_axes(AXIS_2, replace(AXIS_2, joint=7)), "joint 7"),
     ],
 )
 def test_a_result_that_is_not_of_this_arm_is_refused(cell, qh165, result, words):
@@ -173,11 +173,11 @@ def test_a_result_that_is_not_of_this_arm_is_refused(cell, qh165, result, words)
 
 
 def test_a_result_without_checksum_or_edited_is_refused(cell, qh165):
-    loaded = cell(told(AXIS_2), sealed=False)
+    loaded = cell(identified_axes(AXIS_2), sealed=False)
     with pytest.raises(InputError, match=r"checksum|edited"):
         read_identified(loaded, loaded.cell.arm[0], qh165)
     path = loaded.path("result.json")
-    plain = json.loads(to_json(told(AXIS_2)))
+    plain = json.loads(to_json(identified_axes(AXIS_2)))
     path.write_text(json.dumps({key: value for key, value in plain.items() if key != "sha256"}))
     with pytest.raises(InputError, match="checksum"):
         read_identified(loaded, loaded.cell.arm[0], qh165)
@@ -188,16 +188,16 @@ def test_a_result_without_checksum_or_edited_is_refused(cell, qh165):
 
 
 def test_another_file_takes_the_place_of_the_cells(cell, qh165, tmp_path):
-    loaded = cell(told(AXIS_2))
+    loaded = cell(identified_axes(AXIS_2))
     other = tmp_path / "later.json"
-    other.write_text(to_json(told(replace(AXIS_2, coulomb_nm=99.0))))
+    other.write_text(to_json(identified_axes(replace(AXIS_2, coulomb_nm=99.0))))
     changed = with_identified(loaded, "main", other)
     assert constants(changed, qh165)[1].coulomb_nm.value == 99.0
     assert with_identified(loaded, "main", None) is loaded
 
 
 def test_the_offsets_take_it_and_the_rest_poses_only_where_nothing_else_is_known(cell, qh165):
-    loaded = cell(told(AXIS_2))
+    loaded = cell(identified_axes(AXIS_2))
     arm = loaded.cell.arm[0]
     rest = Result(robot="qh165", friction_band_nm=(78.0, 104.0, 63.0, 21.0, 16.0, 11.0))
     identified = read_identified(loaded, arm, qh165)
@@ -222,7 +222,7 @@ ROTATED = np.array([[2.0, 0.4, -0.3], [0.4, 3.0, 0.2], [-0.3, 0.2, 1.5]])
 
 def test_the_identified_inertia_of_a_load_moves_the_arm_as_pinocchio_says(large, qh165):
     """Off-diagonals, frame and centre: torque of the arm with the body on its last link."""
-    load = identified_load(told(loads=(BODY,)), None, "result.json")
+    load = identified_load(identified_axes(loads=(BODY,)), None, "result.json")
     assert load.inertia_source == SOURCE
     parameters = drawn_parameters(qh165, large.cell.arm[0])
     parameters[50:] += load.parameters
@@ -247,7 +247,7 @@ def test_the_identified_inertia_of_a_load_moves_the_arm_as_pinocchio_says(large,
     ],
 )
 def test_an_inertia_that_is_not_whole_or_of_no_body_is_assumed_and_said_so(inertia, words):
-    load = identified_load(told(loads=(replace(BODY, inertia_kg_m2=inertia),)), None, "result.json")
+    load = identified_load(identified_axes(loads=(replace(BODY, inertia_kg_m2=inertia),)), None, "result.json")
     assert load.inertia_source.startswith("assumed: solid cube")
     assert words in load.inertia_source
     assert load.inertia_kg_m2[0, 1] == 0.0

@@ -91,8 +91,8 @@ def test_what_is_not_given_is_left_out_and_said_so(large):
     axes, sources = axis_terms(arm, profiles, result(LOAD, friction_band_nm=(78.0, 104.0, 63.0, 21.0, 16.0, 11.0)))
     assert axes[1].coulomb_nm == 104.0
     assert sources[1].missing == ("viscous friction",)
-    given = {"viscous_nm_s_rad": SourcedNumber(value=90.0, source="identified"), "rotor_inertia_kg_m2": None}
-    first = arm.model_copy(update={"axis": (arm.axis[0].model_copy(update=given), *arm.axis[1:])})
+    numbers = {"viscous_nm_s_rad": SourcedNumber(value=90.0, source="identified"), "rotor_inertia_kg_m2": None}
+    first = arm.model_copy(update={"axis": (arm.axis[0].model_copy(update=numbers), *arm.axis[1:])})
     axes, sources = axis_terms(first, profiles, None)
     assert (axes[0].viscous_nm_s_rad, axes[0].rotor_kg_m2) == (90.0, 0.0)
     assert sources[0].missing == ("rotor inertia", "Coulomb friction")

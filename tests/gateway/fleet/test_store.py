@@ -116,10 +116,10 @@ def test_recording_is_copied_and_is_of_the_robot_that_it_names(store: Store, tmp
 
 
 def test_half_a_recording_is_named_and_the_others_are_added(store: Store, tmp_path: Path) -> None:
-    whole = recording(tmp_path / "whole.h5")
+    complete = recording(tmp_path / "whole.h5")
     half = tmp_path / "half.h5"
-    half.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
-    done = ingest(store, [half, whole, tmp_path / "odd.txt"], NOW)
+    half.write_bytes(complete.read_bytes()[: complete.stat().st_size // 2])
+    done = ingest(store, [half, complete, tmp_path / "odd.txt"], NOW)
     assert done.added == 1
     assert [said.split(": ")[0] for said in done.refused] == [str(half), str(tmp_path / "odd.txt")]
     assert "truncated" in done.refused[0] or "damaged" in done.refused[0]
@@ -148,8 +148,8 @@ def test_recordings_of_a_clock_that_went_back_run_into_each_other(store: Store, 
     """The second was made by a clock that was set back while the first ran, as long as one visit."""
     begun = datetime(2026, 2, 3, 4, 5, 6, tzinfo=UTC)
     paths = [
-        recording(tmp_path / f"run{number}.h5", (begun + timedelta(seconds=late)).isoformat())
-        for number, late in enumerate([0.0, 0.01])
+        recording(tmp_path / f"run{number}.h5", (begun + timedelta(seconds=delay)).isoformat())
+        for number, delay in enumerate([0.0, 0.01])
     ]
     assert ingest(store, paths, NOW).added == 2
     (robot,) = store.robots()
@@ -254,10 +254,10 @@ def test_one_hostile_file_costs_little_and_the_others_are_added(store: Store, tm
     good = write_table(tmp_path / "z.csv", checks("one", days=range(3)))
     changed = change()
     count = len(next(iter(changed.values())))
-    told = {"cell": pa.array(["a"]), "time_utc": pa.array(["2026-03-01"]), "gain1": pa.array([1.0]),
+    table_values = {"cell": pa.array(["a"]), "time_utc": pa.array(["2026-03-01"]), "gain1": pa.array([1.0]),
             "gain2": pa.array([1.0])}  # fmt: skip
-    whole = {name: pa.repeat(values[0], count) for name, values in told.items()} | changed
-    pq.write_table(pa.table(whole), tmp_path / "a.parquet", compression="zstd")
+    complete = {name: pa.repeat(values[0], count) for name, values in table_values.items()} | changed
+    pq.write_table(pa.table(complete), tmp_path / "a.parquet", compression="zstd")
     before, pool = pa.default_memory_pool(), pa.proxy_memory_pool(pa.default_memory_pool())
     pa.set_memory_pool(pool)
     try:

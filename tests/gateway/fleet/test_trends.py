@@ -57,8 +57,8 @@ def test_filter_gives_what_dense_least_squares_gives() -> None:
     seen = np.setdiff1d(np.arange(count), hole)
     columns = np.column_stack([design, value])[:, None, :].copy()
     columns[hole] = np.nan
-    (told,) = sums(time_a, columns, noise[:, None], np.array([count]))
-    fitted = lines(told, np.ones((1, 4), dtype=bool))
+    (summed,) = sums(time_a, columns, noise[:, None], np.array([count]))
+    fitted = lines(summed, np.ones((1, 4), dtype=bool))
     assert fitted.freedom.tolist() == [len(seen) - 4]
     for index, shape in enumerate(SHAPES):
         found, covariance = dense(time_a[seen], design[seen], value[seen], noise[seen], shape.ratio, shape.time_a)
@@ -82,8 +82,8 @@ def test_likelihoods_are_those_of_the_checks_without_what_is_not_known() -> None
     design = np.column_stack([np.ones(count), time_a, rng.normal(size=count), rng.normal(size=count)])
     value = design @ [0.3, 1.5, -0.5, 0.1] + 0.3 * rng.normal(size=count)
     columns = np.column_stack([design, value])[:, None, :]
-    (told,) = sums(time_a, columns, np.ones((count, 1)), np.array([count]))
-    fitted = lines(told, np.ones((1, 4), dtype=bool))
+    (summed,) = sums(time_a, columns, np.ones((count, 1)), np.array([count]))
+    fitted = lines(summed, np.ones((1, 4), dtype=bool))
     rest = null_space(design[:, [0, 2, 3]].T)
     for index in (0, 4):
         shape = SHAPES[index]
@@ -105,7 +105,7 @@ def test_likelihoods_are_those_of_the_checks_without_what_is_not_known() -> None
 def test_no_drift_is_reported_by_chance_more_often_than_promised() -> None:
     """Series of noise that are looked at every three days of a year, with a threshold for one in ten."""
     rng = np.random.default_rng(7)
-    told = 0
+    summed = 0
     for _ in range(5):
         noise = series(rng.normal(0, 0.003, (365, 60)))
         looks, active = looks_of(noise), active_columns(noise)
@@ -113,8 +113,8 @@ def test_no_drift_is_reported_by_chance_more_often_than_promised() -> None:
         most = np.zeros(60)
         for look in looks:
             most = np.fmax(most, np.abs(sigmas(lines(look.sums, active), prior, np.full(60, GAIN.tolerance))))
-        told += int((most > np.sqrt(2.0 * np.log(1.0 / 0.1))).sum())
-    assert 3 <= told <= 0.1 * 300 + 2.0 * np.sqrt(0.1 * 0.9 * 300)
+        summed += int((most > np.sqrt(2.0 * np.log(1.0 / 0.1))).sum())
+    assert 3 <= summed <= 0.1 * 300 + 2.0 * np.sqrt(0.1 * 0.9 * 300)
 
 
 def test_threshold_is_shared_by_all_that_is_looked_at() -> None:
@@ -146,8 +146,8 @@ def test_drift_is_detected_under_temperature_and_load_and_its_day_with_it() -> N
     load = rng.choice([0.0, 5.0, 12.0], (300, 1)) * np.ones(2)
     value = 0.01 + 0.0005 * warm + 0.0001 * load + rng.normal(0, 0.001, (300, 2))
     value[:, 1] += 0.02 * day[:, 0] / 365.25
-    told = series(value, warm, load)
-    quiet, drifting = trends_of(told, noise_shapes_of([seen_likelihoods(told)] * 20), FIRST)[0]
+    summed = series(value, warm, load)
+    quiet, drifting = trends_of(summed, noise_shapes_of([seen_likelihoods(summed)] * 20), FIRST)[0]
     assert quiet.found_on is None
     assert abs(quiet.drift_per_year) < 3 * quiet.drift_std_per_year
     assert drifting.drift_per_year == pytest.approx(0.02, abs=3 * drifting.drift_std_per_year)
@@ -181,10 +181,10 @@ def test_random_walk_of_the_fleet_is_estimated() -> None:
     kept, moved = np.exp(-1 / 30), []
     for _ in range(4):
         steps = rng.normal(size=(200, 6))
-        wander = np.zeros((200, 6))
+        random_walk = np.zeros((200, 6))
         for row in range(1, 200):
-            wander[row] = kept * wander[row - 1] + np.sqrt(1 - kept**2) * steps[row]
-        moved.append(seen_likelihoods(series(2.0 * wander + rng.normal(size=(200, 6)))))
+            random_walk[row] = kept * random_walk[row - 1] + np.sqrt(1 - kept**2) * steps[row]
+        moved.append(seen_likelihoods(series(2.0 * random_walk + rng.normal(size=(200, 6)))))
     ratio = np.array([shape.ratio for shape in SHAPES])
     shares = [np.exp(each.log_share["gain"]) @ ratio for each in (calm, noise_shapes_of(moved))]
     assert shares[0] < 0.2

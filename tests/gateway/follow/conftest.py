@@ -72,7 +72,7 @@ class PerfectDrives:
     def brake_drop_rad(self):
         return (0.0,) * 6
 
-    def when_stopping(self, tell):
+    def when_stopping(self, notify):
         """Nobody is told."""
 
     def align(self, at_s):

@@ -48,13 +48,13 @@ def offsets(commands):
 
 def test_nothing_is_fed_before_the_offsets_are_asked_for(fed, perfect):
     drive(fed, np.full((5, 6), 0.001))
-    assert {offset for told in perfect.told for pair in offsets(told) for offset in pair} == {0.0}
+    assert {offset for row in perfect.told for pair in offsets(row) for offset in pair} == {0.0}
 
 
 def test_the_offsets_ease_in_and_out(fed, perfect, law):
     ramped(fed)
-    whole = np.array(law.offsets([0.0] * 6, [0.0] * 6, [0.0] * 6, [0.0] * 6)[1])
-    shares = np.array([np.array(offsets(told)[1]) @ whole / (whole @ whole) for told in perfect.told])
+    complete = np.array(law.offsets([0.0] * 6, [0.0] * 6, [0.0] * 6, [0.0] * 6)[1])
+    shares = np.array([np.array(offsets(row)[1]) @ complete / (complete @ complete) for row in perfect.told])
     assert shares[0] < 0.1
     assert (np.diff(shares) > 0).all()
     assert shares[-1] == pytest.approx(1.0)
@@ -117,8 +117,8 @@ def test_an_offset_at_its_limit_is_not_sent(fed, feed, perfect):
     with pytest.raises(LimitExceeded, match=r"axis \d: the feedforward requires .* Nm at the motor, its limit"):
         [fed.hold() for _ in range(20)]
     limits = fed._law.limits_nm
-    for told in perfect.told:
-        assert all(abs(c.torque_offset_nm) <= limit for c, limit in zip(told, limits, strict=True))
+    for row in perfect.told:
+        assert all(abs(c.torque_offset_nm) <= limit for c, limit in zip(row, limits, strict=True))
     assert fed.ramp.gain == 0.0
 
 
@@ -153,8 +153,8 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
     def stop():
         if not perfect.told:
             return False
-        whole = law.offsets([0.0] * 6, [0.0] * 6, [0.0] * 6, [0.0] * 6)[1][1]
-        fed = perfect.told[-1][1].torque_offset_nm / whole
+        complete = law.offsets([0.0] * 6, [0.0] * 6, [0.0] * 6, [0.0] * 6)[1][1]
+        fed = perfect.told[-1][1].torque_offset_nm / complete
         moving = abs(perfect.told[-1][1].velocity_offset_rad_s) > 1.0
         return fed > gain if gain < 1.0 else bool(fed) and moving
 
@@ -164,7 +164,7 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
     assert "brought to zero" in note
     assert ("during the ramp of the offsets" in note) == (gain < 1.0)
     assert offsets(perfect.told[-1]) == ([0.0] * 6, [0.0] * 6)
-    fed = np.abs([told[1].torque_offset_nm for told in perfect.told])
+    fed = np.abs([row[1].torque_offset_nm for row in perfect.told])
     still = np.flatnonzero(np.diff(fed) >= 0.0)[-1]
     easing = fed[still:]
     assert np.abs(np.diff(easing)).max() < 5.0 * easing.max() * PERIOD_S / EASED_OUT_S / gain

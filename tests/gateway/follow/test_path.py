@@ -64,9 +64,11 @@ def test_waypoints_are_reached_at_rest_and_repeated(tmp_path, workspace):
 
 
 @pytest.mark.parametrize("share", [1.0, 0.1, 0.01])
-@pytest.mark.parametrize("way_rad", [0.001, 0.05, 1.0])
-def test_no_path_that_is_short_enough_is_called_too_long(tmp_path, workspace, monkeypatch, way_rad, share):
-    text = f"waypoints_rad = [[0,0,0,0,0,0], [{way_rad},0,0,{-way_rad},0,0]]\nspeed_share = {share}\ndwell_s = 0\n"
+@pytest.mark.parametrize("length_rad", [0.001, 0.05, 1.0])
+def test_no_path_that_is_short_enough_is_called_too_long(tmp_path, workspace, monkeypatch, length_rad, share):
+    text = (
+        f"waypoints_rad = [[0,0,0,0,0,0], [{length_rad},0,0,{-length_rad},0,0]]\nspeed_share = {share}\ndwell_s = 0\n"
+    )
     file = write(tmp_path, "p.toml", text)
     taken_s = read_path(file, workspace, PERIOD_S).duration_s
     monkeypatch.setattr("gateway.follow.path.LONGEST_S", taken_s + 1e-6)

@@ -55,22 +55,22 @@ def run(cell, result, *more):
     ],
 )
 def test_a_load_that_may_not_be_fed_is_refused(cell, result, code, words):
-    told = run(cell, result, "--yes")
-    assert told.exit_code == code, told.output
-    assert words in told.output
-    assert told.output.count("error:") == 1
+    done = run(cell, result, "--yes")
+    assert done.exit_code == code, done.output
+    assert words in done.output
+    assert done.output.count("error:") == 1
 
 
 def test_a_profile_without_the_objects_is_refused(cell):
     change(cell, 'profile = "generic-cia402"', 'profile = "kollmorgen-akd-x00606"')
-    told = run(cell, RESULT, "--yes")
-    assert (told.exit_code, "axis 1 (node 1, kollmorgen-akd-x00606)" in told.output) == (3, True)
+    done = run(cell, RESULT, "--yes")
+    assert (done.exit_code, "axis 1 (node 1, kollmorgen-akd-x00606)" in done.output) == (3, True)
 
 
 def test_a_cell_that_does_not_say_what_the_arm_may_carry_is_refused(cell):
     change(cell, "rated_load_kg", "# rated_load_kg")
-    told = run(cell, RESULT, "--yes")
-    assert (told.exit_code, "rated_load_kg is missing" in told.output) == (3, True)
+    done = run(cell, RESULT, "--yes")
+    assert (done.exit_code, "rated_load_kg is missing" in done.output) == (3, True)
 
 
 @pytest.mark.parametrize(
@@ -87,6 +87,6 @@ def test_constants_that_cannot_be_are_refused(cell, old, new):
 
 
 def test_it_asks_before_it_moves(cell):
-    told = run(cell, RESULT)
-    assert told.exit_code == 130
-    assert "will move" in told.output
+    done = run(cell, RESULT)
+    assert done.exit_code == 130
+    assert "will move" in done.output

@@ -66,12 +66,12 @@ def expected(group: h5py.Group) -> dict[str, list[Any]]:
     """Columns of a group: datasets and attributes, None where the drive sends no such word."""
     samples = len(group["time_s"])
     out: dict[str, list[Any]] = {}
-    whole = {name: np.full((samples, *np.shape(value)), value, dtype=object) for name, value in group.attrs.items()}
+    columns = {name: np.full((samples, *np.shape(value)), value, dtype=object) for name, value in group.attrs.items()}
     for name, dataset in group.items():
-        whole[name] = dataset[()].astype(object)
+        columns[name] = dataset[()].astype(object)
         if "missing" in dataset.attrs:
-            whole[name][dataset[()] == dataset.attrs["missing"]] = None
-    for name, values in whole.items():
+            columns[name][dataset[()] == dataset.attrs["missing"]] = None
+    for name, values in columns.items():
         if values.ndim == 1:
             out[name] = values.tolist()
         else:
@@ -118,8 +118,8 @@ def test_parquet_carries_units_and_the_whole_cell(path):
         for name, text in file.attrs.items():
             assert schema.metadata[name.encode()].decode() == str(text)
         arm = next(iter(file["arms"]))
-        told = schema.metadata[f"arms/{arm}/constants".encode()]
-        assert json.loads(told) == json.loads(file[f"arms/{arm}"].attrs["constants"])
+        constants = schema.metadata[f"arms/{arm}/constants".encode()]
+        assert json.loads(constants) == json.loads(file[f"arms/{arm}"].attrs["constants"])
 
 
 def test_duckdb_reads_the_parquet_file(path):
@@ -156,11 +156,11 @@ def test_mcap_holds_every_value(path):
             assert sample["group"] == kind
             assert set(sample) == {"group", "number", *held, *group.attrs}
             for name, values in held.items():
-                told = np.asarray(sample[name], dtype=object)
+                constants = np.asarray(sample[name], dtype=object)
                 missing = group[name].attrs.get("missing")
                 null = values[row] != values[row] if values.dtype.kind == "f" else values[row] == missing
-                assert np.array_equal(told == None, np.broadcast_to(null, told.shape)), name  # noqa: E711
-                assert (told[told != None] == values[row][~np.asarray(null)]).all(), name  # noqa: E711
+                assert np.array_equal(constants == None, np.broadcast_to(null, constants.shape)), name  # noqa: E711
+                assert (constants[constants != None] == values[row][~np.asarray(null)]).all(), name  # noqa: E711
             for name, value in group.attrs.items():
                 assert np.array_equal(sample[name], value), name
             stamp, state = next(rows[f"/{arm}/joint_states"])
@@ -175,10 +175,10 @@ def test_mcap_holds_every_value(path):
 
 def test_mcap_says_units_and_the_whole_cell(path):
     reader = make_reader(io.BytesIO(export(path, "mcap").read_bytes()))
-    told = {record.name: record.metadata for record in reader.iter_metadata()}
+    constants = {record.name: record.metadata for record in reader.iter_metadata()}
     with h5py.File(path) as file:
-        assert told["recording"] == {name: str(text) for name, text in file.attrs.items()}
-        assert {name for name in told if name != "recording"} == {f"arms/{arm}" for arm in file["arms"]}
+        assert constants["recording"] == {name: str(text) for name, text in file.attrs.items()}
+        assert {name for name in constants if name != "recording"} == {f"arms/{arm}" for arm in file["arms"]}
     for channel in reader.get_summary().channels.values():
         if channel.message_encoding == "json":
             schema = json.loads(reader.get_summary().schemas[channel.schema_id].data)
@@ -196,9 +196,11 @@ def test_mf4_holds_every_value(path):
             for name, values in (held | {"group": [kind] * len(group["time_s"])}).items():
                 signal = file.get(name, group=numbers[arm], ignore_invalidation_bits=True)
                 absent = signal.invalidation_bits
-                told = [value.decode() if isinstance(value, bytes) else value for value in signal.samples[at].tolist()]
-                lost = [False] * len(told) if absent is None else absent[at].tolist()
-                read = [None if gone else value for gone, value in zip(lost, told, strict=True)]
+                constants = [
+                    value.decode() if isinstance(value, bytes) else value for value in signal.samples[at].tolist()
+                ]
+                lost = [False] * len(constants) if absent is None else absent[at].tolist()
+                read = [None if gone else value for gone, value in zip(lost, constants, strict=True)]
                 assert all(map(same, read, values)), name
                 assert np.array_equal(signal.timestamps[at], group["time_s"][()])
             starts[arm] = at.stop

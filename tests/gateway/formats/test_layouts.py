@@ -100,9 +100,9 @@ LAYOUTS: dict[str, str | bytes] = {
 }  # fmt: skip
 
 
-def imported(folder: Path, log: str | bytes, given: str = MAP, *words: str):
+def imported(folder: Path, log: str | bytes, column_map: str = MAP, *words: str):
     (folder / "log.csv").write_bytes(log if isinstance(log, bytes) else log.encode())
-    (folder / "map.toml").write_text(given)
+    (folder / "map.toml").write_text(column_map)
     command = ["import", folder / "log.csv", "--map", folder / "map.toml", "-o", folder / "table.csv", *words]
     return CliRunner().invoke(main, list(map(str, command)))
 
@@ -219,9 +219,9 @@ def test_a_map_that_is_neither_a_file_nor_ready_is_named(tmp_path):
 # -- the preview -------------------------------------------------------------------------------------------------------
 
 
-def previewed(folder: Path, log: str, given: str = MAP) -> str:
+def previewed(folder: Path, log: str, column_map: str = MAP) -> str:
     (folder / "log.csv").write_text(log)
-    (folder / "map.toml").write_text(given)
+    (folder / "map.toml").write_text(column_map)
     words = ["import", folder / "log.csv", "--map", folder / "map.toml", "--dry-run"]
     done = CliRunner(env={"COLUMNS": "200"}).invoke(main, list(map(str, words)))
     assert done.exit_code == 0, done.output
@@ -255,8 +255,8 @@ def test_a_preview_says_what_looks_wrong(tmp_path, change, says):
                                               (1.0, None)])  # fmt: skip
 def test_a_preview_holds_speeds_against_angles(tmp_path, factor, says):
     log = "\n".join([f"{HEAD},v1,v2", *(f"{line},{factor * math.cos(float(line.split(',')[0]))},0.5" for line in REST)])
-    given = MAP + '[[column]]\nlog = "v{}"\ntable = "qd{}_rad_s"\nunit = "rad/s"\n'
-    said = previewed(tmp_path, log, given)
+    column_map = MAP + '[[column]]\nlog = "v{}"\ntable = "qd{}_rad_s"\nunit = "rad/s"\n'
+    said = previewed(tmp_path, log, column_map)
     assert (says or "qd1_rad_s v1 [rad/s] 1 ") in said
 
 

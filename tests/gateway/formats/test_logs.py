@@ -129,8 +129,8 @@ def kuka_log() -> tuple[bytes, list[tuple[float, float]]]:
     lines = ["Trace KR C4", "Zeit [ms];A1 Ist [°];A2 Ist [°];A1 Moment [%];A2 Moment [%];Werkzeug"]
     at, number = (0.0, 0.0), 0
     for stop in stops:
-        way = [np.linspace(at, stop, 50, endpoint=False), np.tile(stop, (100, 1))]
-        for place in np.concatenate(way):
+        angles = [np.linspace(at, stop, 50, endpoint=False), np.tile(stop, (100, 1))]
+        for place in np.concatenate(angles):
             cells = [12.0 * number, *place, 40.0 + 0.01 * (-1) ** number, -25.0]
             lines.append(";".join([*(f"{cell:.6f}".replace(".", ",") for cell in cells), "greifer"]))
             number += 1
@@ -354,9 +354,9 @@ def test_bags_that_cannot_be_used(tmp_path, suffix):
     path.write_bytes(b"nothing")
     assert "is damaged, or no bag" in said(path)
     path.unlink()
-    late = [(number, message) for number, message in states() if "finger" not in message["name"]]
-    late[50] = (50, late[50][1] | {"effort": [1.0, math.nan]})
-    path = bag(tmp_path / f"bag{suffix}", late)
+    arm_states = [(number, message) for number, message in states() if "finger" not in message["name"]]
+    arm_states[50] = (50, arm_states[50][1] | {"effort": [1.0, math.nan]})
+    path = bag(tmp_path / f"bag{suffix}", arm_states)
     assert f"bag{suffix}:message 51: effort/base: 'nan' is not a finite number" in said(path)
 
 

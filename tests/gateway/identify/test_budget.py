@@ -39,10 +39,10 @@ def test_shares_are_those_of_the_variance_when_one_source_alone_varies():
             drawn = Prior(mean * rng.standard_normal(4), prior.std, prior.rows, right)
             values.append(direction @ solve(design, noise, weight, drawn).value)
     variance = {source: np.var(values) for source, values in draws.items()}
-    whole = direction @ covariance @ direction
-    assert sum(variance.values()) == pytest.approx(whole, rel=0.06)
+    total = direction @ covariance @ direction
+    assert sum(variance.values()) == pytest.approx(total, rel=0.06)
     for source, share in found.items():
-        assert share == pytest.approx(variance[source] / whole, abs=0.03)
+        assert share == pytest.approx(variance[source] / total, abs=0.03)
     assert sum(found.values()) == pytest.approx(1.0)
 
 

@@ -42,8 +42,8 @@ def test_the_inertia_is_turned_into_the_axes_of_the_flange():
     load = load_from_moment(
         "a", 10.0 * np.array([1.0, 0.1, 0.0, 0.2]), np.zeros((4, 4)), np.ones(4), np.ones(4, dtype=bool), 2.0
     )
-    told = load_result(replace(load, inertia=LoadInertia(moments, np.full(6, 0.01))), robot)  # type: ignore[arg-type]
-    xx, yy, zz, xy, xz, yz = told.inertia_flange_kg_m2
+    result = load_result(replace(load, inertia=LoadInertia(moments, np.full(6, 0.01))), robot)  # type: ignore[arg-type]
+    xx, yy, zz, xy, xz, yz = result.inertia_flange_kg_m2
     seen = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     # a spin about an axis has the same energy however the axes are named
     for spin in np.random.default_rng(2).normal(size=(5, 3)):
@@ -76,13 +76,13 @@ def test_what_the_data_do_not_determine_is_unknown_and_named():
 
 def test_a_coordinate_with_an_uncertainty_above_the_arm_length_is_a_guess():
     spread, found = np.diag([1e-4, 1e-4, 1e-4, 900.0]), np.array([True, False, True, True])
-    load, told = (load_from_moment("a", MOMENT, spread, np.ones(4), found, length_m) for length_m in (4.0, 1.5))
+    load, result = (load_from_moment("a", MOMENT, spread, np.ones(4), found, length_m) for length_m in (4.0, 1.5))
     assert load.unidentifiable == ("com_x_m",)
-    assert told.unidentifiable == ("com_x_m", "com_z_m")
-    assert np.isnan(told.com_m).tolist() == [True, False, True]
-    assert np.isnan(told.com_std_m[2])
-    assert np.isnan(told.correlation[3]).all()
-    assert told.correlation[0, 2] == pytest.approx(load.correlation[0, 2])
+    assert result.unidentifiable == ("com_x_m", "com_z_m")
+    assert np.isnan(result.com_m).tolist() == [True, False, True]
+    assert np.isnan(result.com_std_m[2])
+    assert np.isnan(result.correlation[3]).all()
+    assert result.correlation[0, 2] == pytest.approx(load.correlation[0, 2])
 
 
 @pytest.mark.parametrize(("std_kg", "refused"), [(0.32, True), (0.34, False)])

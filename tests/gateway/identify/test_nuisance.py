@@ -23,10 +23,10 @@ def test_exact_constants_are_held_and_not_divided_by():
     assert stds[1] == 0.02
 
 
-@pytest.mark.parametrize("given", [[0.5], [0.3], [-0.01], [float("nan")], [0.01, 0.01]])
-def test_constants_that_say_nothing_are_refused(given):
+@pytest.mark.parametrize("stated", [[0.5], [0.3], [-0.01], [float("nan")], [0.01, 0.01]])
+def test_constants_that_say_nothing_are_refused(stated):
     with pytest.raises(ConfigError):
-        gain_stds(given, 1)
+        gain_stds(stated, 1)
 
 
 def test_options_in_words():

@@ -25,11 +25,11 @@ def test_a_nuisance_is_one_entry_that_estimate_and_diagnose_fit(tmp_path):
     table.tau_nm[:, 1] += ZERO_NM
     write_csv(table, tmp_path / "data.csv")
     (tmp_path / "robot.urdf").write_text(bench.arm.urdf)
-    house = House(tmp_path / "house")
-    house.change("gateway/identify/rest/rest_nuisance.py", ")\nKINDS: Final =", MADE_UP)
+    copy = House(tmp_path / "copy")
+    copy.change("gateway/identify/rest/rest_nuisance.py", ")\nKINDS: Final =", MADE_UP)
     for command in ("estimate", "diagnose"):
         line = (command, "data.csv", "--robot", "robot.urdf", "--inertials", "prior:0.05", "--json", f"{command}.json")
-        done = house.command(*line, cwd=tmp_path)
+        done = copy.command(*line, cwd=tmp_path)
         assert done.returncode == 0, done.stdout + done.stderr
         zero = json.loads((tmp_path / f"{command}.json").read_text())["nuisance"]["sensor_zero"]
         away = (np.array(zero["value"]) - [0.0, ZERO_NM, 0.0, 0.0, 0.0, 0.0]) / np.array(zero["std"])

@@ -131,7 +131,7 @@ def test_the_answer_moves_less_than_half_a_standard_deviation():
         measured.disturb(1, np.random.default_rng([seed, 8]))
         found = estimate(measured.table, measured.robot, options)
         after = found.loads[0]
-        assert {(aside.pose, aside.joint - 1, aside.load) for aside in found.set_aside} == {
+        assert {(rejected.pose, rejected.joint - 1, rejected.load) for rejected in found.set_aside} == {
             (measured.visits[visit].pose, axis, measured.visits[visit].load) for visit, axis in measured.outliers
         }
         moved.append(abs(after.mass_kg - before.mass_kg) / before.mass_std_kg)
@@ -185,9 +185,9 @@ def test_an_entry_says_by_how_many_bands_and_in_what(kind, reason, bands):
     assert reason in found.entries[0].reason
     # the band as seen is a fifth smaller than that in motion, what has settled
     assert found.entries[0].bands == pytest.approx(bands, rel=0.4)
-    aside = set_aside(found, ["r"] * 24, [v.load for v in measured.visits], [v.pose for v in measured.visits])
-    assert (aside[0].load, aside[0].pose, aside[0].joint) == ("tool", 3, 5)
-    assert "pose 3 under tool, J5 by" in outlier_findings(found, aside)[0].what
+    rejected = set_aside(found, ["r"] * 24, [v.load for v in measured.visits], [v.pose for v in measured.visits])
+    assert (rejected[0].load, rejected[0].pose, rejected[0].joint) == ("tool", 3, 5)
+    assert "pose 3 under tool, J5 by" in outlier_findings(found, rejected)[0].what
 
 
 @pytest.mark.slow

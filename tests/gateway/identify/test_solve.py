@@ -50,8 +50,8 @@ def test_what_rows_cannot_determine_is_named(problem):
     design = np.column_stack([design, design[:, 0] + 3 * design[:, 3], np.zeros(40)])
     found = solve(design, target, 1 / std)
     assert found.rank == 5
-    sure = determined(found, np.eye(7))
-    assert sure.tolist() == [False, True, True, False, True, False, False]
+    found_directions = determined(found, np.eye(7))
+    assert found_directions.tolist() == [False, True, True, False, True, False, False]
     combination = np.zeros((1, 7))
     combination[0, [0, 5]] = 1.0, 1.0  # what lumps with the sixth column
     assert determined(found, combination).all()

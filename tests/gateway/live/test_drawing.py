@@ -41,8 +41,8 @@ def test_a_box_has_six_faces_and_its_volume():
 def test_a_capsule_is_drawn_a_little_smaller_than_it_is(length_m):
     start = np.array([0.1, 0.0, 0.2])
     body = shown_body(0, solid_capsule(Capsule(start, start + [0.0, length_m, 0.0], 0.1)))
-    whole = np.pi * 0.1**2 * length_m + 4.0 / 3.0 * np.pi * 0.1**3
-    assert 0.85 * whole < volume(body) < whole
+    volume_m3 = np.pi * 0.1**2 * length_m + 4.0 / 3.0 * np.pi * 0.1**3
+    assert 0.85 * volume_m3 < volume(body) < volume_m3
 
 
 def test_a_fine_mesh_is_drawn_with_few_corners():

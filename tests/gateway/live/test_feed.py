@@ -15,15 +15,15 @@ from tests.observed import ENABLED, PERIOD_S, observed
 Q_RAD = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
 
 
-def rows(heard: list) -> list[np.ndarray]:
-    return [each for each in heard if isinstance(each, np.ndarray)]
+def rows(received: list) -> list[np.ndarray]:
+    return [each for each in received if isinstance(each, np.ndarray)]
 
 
 def test_a_row_holds_what_the_loop_saw(rig, scene):
     rig.feed.began(scene)
     rig.feed.sampled(observed(6, Q_RAD))
     rig.later(PERIOD_S)
-    rig.feed.sampled(observed(7, Q_RAD + 0.01, silent=2))
+    rig.feed.sampled(observed(7, Q_RAD + 0.01, unresponsive=2))
     shown, _, row = rig.heard()
     assert isinstance(shown, ShownCell)
     assert [arm.name for arm in shown.arms] == ["main"]
@@ -129,6 +129,6 @@ def test_the_end_says_why(rig, scene):
     rig.feed.ended(None)
     rig.feed.ended(StoppedByPerson("stopped by SIGINT"))
     rig.feed.close("The command has ended.")
-    told = rig.heard()
-    assert [each.reason for each in told if isinstance(each, Ended)] == ["", "stopped by SIGINT"]
-    assert told[-1] == CommandOver("The command has ended.")
+    received = rig.heard()
+    assert [each.reason for each in received if isinstance(each, Ended)] == ["", "stopped by SIGINT"]
+    assert received[-1] == CommandOver("The command has ended.")

@@ -41,8 +41,8 @@ def page() -> Iterator[LivePage]:
 
 
 def answer(address: str) -> tuple[int, str]:
-    with contextlib.closing(urllib.request.urlopen(address, timeout=PATIENCE_S)) as told:
-        return told.status, told.read().decode()
+    with contextlib.closing(urllib.request.urlopen(address, timeout=PATIENCE_S)) as response:
+        return response.status, response.read().decode()
 
 
 def wait_for(what) -> None:

@@ -83,21 +83,21 @@ def test_events_progress_and_poses(show, workspace):
     show.take(Happened(SampleRepeated(17, (2, 3))))
     show.take(Happened(StateChanged(CellState("main", Phase.MOVING, None))))  # type: ignore[arg-type]
     show.take(PoseSeen(PoseDone(2, "none", (5.0,) * 6, (0.5,) * 6), np.full(6, 4.0)))
-    told = [json.loads(text) for text in show.news()]
-    events = [each["event"]["text"] for each in told if "event" in each]
+    messages = [json.loads(text) for text in show.news()]
+    events = [each["event"]["text"] for each in messages if "event" in each]
     assert events[0] == "SYNC 17 not answered by J2, J3; sample repeated"
-    (pose,) = [each["pose"] for each in told if "pose" in each]
+    (pose,) = [each["pose"] for each in messages if "pose" in each]
     assert pose == {"pose": 2, "load": "unloaded arm", "band_nm": [0.5] * 6, "residual_nm": [1.0] * 6}
-    frame = next(each["frame"] for each in told if "frame" in each)
+    frame = next(each["frame"] for each in messages if "frame" in each)
     assert (frame["what"], frame["left_s"]) == ("approach pose 2", 63.2)
 
 
 def test_a_stop_is_reported_with_its_reason(show):
     show.take(Happened(Stopped("joint 3 is 0.12 rad off its target")))
     show.take(Ended("joint 3 is 0.12 rad off its target"))
-    told = [json.loads(text) for text in show.news()]
-    assert [each["event"]["grave"] for each in told if "event" in each] == ["fail"]
-    assert told[-1]["frame"]["phase"] == "stopped, in its brakes"
+    messages = [json.loads(text) for text in show.news()]
+    assert [each["event"]["grave"] for each in messages if "event" in each] == ["fail"]
+    assert messages[-1]["frame"]["phase"] == "stopped, in its brakes"
 
 
 def test_a_page_that_is_opened_later_sees_the_same(show):

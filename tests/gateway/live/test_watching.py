@@ -24,7 +24,7 @@ ENABLED, QUICK_STOP, READY = 0x1237, 0x1217, 0x1231
 STEP_RAD = 0.01
 
 
-class HeardBus:
+class FakeListenOnlyBus:
     """What `ListenOnlyBus` tells, as a test has it; motor angles of six axes."""
 
     def __init__(self) -> None:
@@ -41,10 +41,10 @@ class HeardBus:
     def targets_rad(self) -> list[float | None]:
         return list(self.told)
 
-    def sync(self, number: int, word: int = ENABLED, silent: int | None = None, motor_rad: float = 0.0) -> None:
+    def sync(self, number: int, word: int = ENABLED, unresponsive: int | None = None, motor_rad: float = 0.0) -> None:
         readings = tuple(
             None
-            if axis == silent
+            if axis == unresponsive
             else DriveReading(axis + 1, number, word, 0, 0, None, None, motor_rad, 0.0, None, None)
             for axis in range(6)
         )
@@ -52,8 +52,8 @@ class HeardBus:
 
 
 @pytest.fixture
-def heard() -> HeardBus:
-    return HeardBus()
+def received() -> FakeListenOnlyBus:
+    return FakeListenOnlyBus()
 
 
 @pytest.fixture
@@ -62,8 +62,8 @@ def config(small_cell):
 
 
 @pytest.fixture
-def watched(config, workspace, heard) -> WatchedArm:
-    return WatchedArm(config, workspace, heard)
+def watched(config, workspace, received) -> WatchedArm:
+    return WatchedArm(config, workspace, received)
 
 
 @pytest.fixture
@@ -85,10 +85,10 @@ def test_the_page_receives_first_what_is_watched(watching, rig, watched):
     assert [arm.name for arm in stage.arms] == [watched.name]
 
 
-def test_a_sync_becomes_a_row_on_the_side_of_the_joints(watching, rig, heard, config):
+def test_a_sync_becomes_a_row_on_the_side_of_the_joints(watching, rig, received, config):
     axes = AxisConversion.from_arm(config)
-    heard.sync(1, motor_rad=2.0)
-    heard.told = [3.0] * 6
+    received.sync(1, motor_rad=2.0)
+    received.told = [3.0] * 6
     watching.turn()
     (row,) = rows(rig)
     assert row[1] == 1
@@ -98,8 +98,8 @@ def test_a_sync_becomes_a_row_on_the_side_of_the_joints(watching, rig, heard, co
     assert status.tolist() == [ENABLED] * 6
 
 
-def test_a_drive_that_does_not_respond_is_nan_in_its_place_alone(watching, rig, heard):
-    heard.sync(1, silent=2)
+def test_a_drive_that_does_not_respond_is_nan_in_its_place_alone(watching, rig, received):
+    received.sync(1, unresponsive=2)
     watching.turn()
     (row,) = rows(rig)
     status = row[HEAD:].reshape(PER_AXIS, 6)[4]
@@ -115,17 +115,17 @@ def test_a_drive_that_does_not_respond_is_nan_in_its_place_alone(watching, rig, 
         (READY, 0.0, Phase.IN_BRAKES),
     ],
 )
-def test_the_state_of_an_arm_is_read_from_its_drives_and_their_commands(watching, rig, heard, word, step_rad, phase):
+def test_the_state_of_an_arm_is_read_from_its_drives_and_their_commands(watching, rig, received, word, step_rad, phase):
     for number in (1, 2, 3):
-        heard.sync(number, word)
-        heard.told = [number * step_rad] * 6
+        received.sync(number, word)
+        received.told = [number * step_rad] * 6
         rig.later(0.01)
         watching.turn()
     assert PHASES[int(rows(rig)[-1][3])] is phase
 
 
-def test_without_frames_nothing_is_reported_until_that_is_news(watching, rig, heard):
-    heard.sync(1)
+def test_without_frames_nothing_is_reported_until_that_is_news(watching, rig, received):
+    received.sync(1)
     watching.turn()
     rig.heard()
     rig.later(0.9 * SILENT_S)
@@ -135,16 +135,16 @@ def test_without_frames_nothing_is_reported_until_that_is_news(watching, rig, he
     watching.turn()
     watching.turn()
     assert [word.text for word in words(rig)] == ["no SYNC received: no master is controlling these drives"]
-    heard.sync(2)
+    received.sync(2)
     watching.turn()
     assert len(rows(rig)) == 1
 
 
-def test_constants_that_were_not_received_are_named_once(watching, watched, rig, heard):
-    heard.unknown = (1, 3)
+def test_constants_that_were_not_received_are_named_once(watching, watched, rig, received):
+    received.unknown = (1, 3)
     again = Watching((watched,), rig.feed, 0.01, lambda: rig.now_s[0])
     for number in (1, 2):
-        heard.sync(number)
+        received.sync(number)
         again.turn()
     (word,) = words(rig)
     assert word.grave == "warn"
@@ -152,20 +152,20 @@ def test_constants_that_were_not_received_are_named_once(watching, watched, rig,
     assert "--constants" in word.text
 
 
-def test_an_emergency_is_reported_with_its_node(watching, rig, heard):
-    heard.emergencies.append(Emergency(4, 7, 0x7305, 0x20, b"", "incremental sensor 1", "check the encoder"))
-    heard.emergencies.append(Emergency(4, 8, 0x0000, 0x00, b"", "no error", ""))
+def test_an_emergency_is_reported_with_its_node(watching, rig, received):
+    received.emergencies.append(Emergency(4, 7, 0x7305, 0x20, b"", "incremental sensor 1", "check the encoder"))
+    received.emergencies.append(Emergency(4, 8, 0x0000, 0x00, b"", "no error", ""))
     watching.turn()
     assert [word.grave for word in words(rig)] == ["fail", "plain"]
-    assert not heard.emergencies
+    assert not received.emergencies
 
 
-def test_torque_of_the_model_is_unknown_where_a_joint_is(watched, heard):
+def test_torque_of_the_model_is_unknown_where_a_joint_is(watched, received):
     assert all(map(math.isnan, watched.modelled_nm()))
-    heard.sync(1, silent=0)
+    received.sync(1, unresponsive=0)
     watched.listen()
     assert all(map(math.isnan, watched.modelled_nm()))
-    heard.sync(2)
+    received.sync(2)
     watched.listen()
     assert np.isfinite(watched.modelled_nm()).all() == (watched.workspace.links is not None)
 

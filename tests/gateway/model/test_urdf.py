@@ -42,10 +42,10 @@ def on_a_track(text: str, kind: str = "prismatic") -> str:
 
 def assert_torque_as_pinocchio(text: str, robot: Robot, seed: int = 5) -> None:
     """Inverse dynamics of what was read, against pinocchio with the same joints free and all others locked at zero."""
-    whole = pinocchio.buildModelFromXML(text)
+    full_model = pinocchio.buildModelFromXML(text)
     # a joint that mimics another is one of its own for pinocchio, unless it is asked otherwise
-    locked = [whole.getJointId(name) for name in whole.names[1:] if name not in robot.joint_names]
-    model = pinocchio.buildReducedModel(whole, locked, pinocchio.neutral(whole))
+    locked = [full_model.getJointId(name) for name in full_model.names[1:] if name not in robot.joint_names]
+    model = pinocchio.buildReducedModel(full_model, locked, pinocchio.neutral(full_model))
     data = model.createData()
     assert tuple(model.names[1:]) == robot.joint_names
     q, qd, qdd = states(seed, 5, robot.axes)

@@ -179,8 +179,8 @@ def test_a_sweep_under_another_load_or_beside_it_is_another(rest_table):
     facing = [one_moves(2, 1), one_moves(2, -1)]
     q = np.zeros((2, 6))
     q[1, 0] = 0.01
-    for given in ({"load": ["a", "b"]}, {"run": ["r", "s"]}, {"q": q}):
-        table = rest_table(**({"load": ["a"] * 2} | given), pose=[1, 2], direction=facing, tau=[12.0, 8.0])
+    for change in ({"load": ["a", "b"]}, {"run": ["r", "s"]}, {"q": q}):
+        table = rest_table(**({"load": ["a"] * 2} | change), pose=[1, 2], direction=facing, tau=[12.0, 8.0])
         assert not pair_visits(table).two_sided.any()
 
 
@@ -214,11 +214,11 @@ def test_gears_of_coupled_axes_lose_by_the_direction_of_the_motors(rest_table):
     # how far joint 5 is off where each joint's torque is taken by its own direction
     for facing, off in ((np.ones(6), 0.05), (np.array([1.0, 1.0, 1.0, 1.0, 1.0, -1.0]), 0.0)):
         torque = np.array([reported(gravity, side * facing, eta) for side in (1, -1)])
-        given = {"load": ["a"] * 2, "pose": [1, 1], "direction": np.array([facing, -facing]), "tau": torque}
-        visits = pair_visits(rest_table(**given), np.full(6, eta), COUPLING)
+        change = {"load": ["a"] * 2, "pose": [1, 1], "direction": np.array([facing, -facing]), "tau": torque}
+        visits = pair_visits(rest_table(**change), np.full(6, eta), COUPLING)
         np.testing.assert_allclose(visits.sum_nm[0], gravity, atol=1e-9)
         np.testing.assert_allclose(visits.difference_nm[0], 0.0, atol=1e-9)
-        joint_by_joint = pair_visits(rest_table(**given), np.full(6, eta))
+        joint_by_joint = pair_visits(rest_table(**change), np.full(6, eta))
         assert np.abs(joint_by_joint.sum_nm[0] - gravity)[4] >= off * gravity[4]
 
 

@@ -240,10 +240,10 @@ def test_by_the_clock_each_part_of_a_sync_is_done_for_all_arms_before_the_next_o
         for part in PARTS:
             plain = getattr(each, part)
 
-            def noted(*told, index=index, part=part, plain=plain):
+            def noted(*arguments, index=index, part=part, plain=plain):
                 seen.append((part, index, threading.current_thread()))
-                due_s.extend(told if part == "prepare" else ())
-                return plain(*told)
+                due_s.extend(arguments if part == "prepare" else ())
+                return plain(*arguments)
 
             setattr(each, part, noted)
     for _ in range(2):
@@ -261,7 +261,7 @@ def test_a_sync_that_one_arm_cannot_take_part_in_is_left_by_all(drives, part):
     up(arms)
     before = [each.q_rad for each in drives]
 
-    def fails(*_told):
+    def fails(*_arguments):
         raise KeyboardInterrupt
 
     setattr(drives[1], part, fails)
@@ -301,8 +301,8 @@ def test_in_lockstep_the_arms_are_served_in_turn_by_one_thread(drives):
     seen = []
     for index, each in enumerate(drives):
         plain = each.exchange
-        each.exchange = lambda told, index=index, plain=plain: (  # type: ignore[method-assign]
-            seen.append((index, threading.current_thread())) or plain(told)
+        each.exchange = lambda arguments, index=index, plain=plain: (  # type: ignore[method-assign]
+            seen.append((index, threading.current_thread())) or plain(arguments)
         )
     for _ in range(3):
         arms.exchange(commands(arms))

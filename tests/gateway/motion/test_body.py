@@ -12,14 +12,14 @@ from gateway.model.robot import reach_m
 from gateway.motion.body import body_of_parts, moving_parts
 from gateway.motion.workspace import workspace_of
 
-ASIDE = '<origin xyz="0.1 0.2 0.3" rpy="0.4 -0.5 0.6"/>'
+SHIFTED = '<origin xyz="0.1 0.2 0.3" rpy="0.4 -0.5 0.6"/>'
 
 
 def arm_of(cell, **changed):
     return cell.cell.arm[0].model_copy(update=changed)
 
 
-def with_shape(cell, link: int, shape: str, place: str = ASIDE) -> str:
+def with_shape(cell, link: int, shape: str, place: str = SHIFTED) -> str:
     text = robot_text(cell, cell.cell.arm[0])
     collision = f"<collision>{place}<geometry>{shape}</geometry></collision>"
     head = f'<link name="link_{link}">'
@@ -31,9 +31,9 @@ def outside_by(capsules: list, points: np.ndarray) -> float:
     """How far the farthest of the points lies outside all capsules [m]."""
     gap = np.full(len(points), np.inf)
     for start, end, radius in capsules:
-        way = end - start
-        share = np.clip((points - start) @ way / max(way @ way, 1e-30), 0, 1)
-        gap = np.minimum(gap, np.linalg.norm(points - start - share[:, None] * way, axis=1) - radius)
+        segment = end - start
+        share = np.clip((points - start) @ segment / max(segment @ segment, 1e-30), 0, 1)
+        gap = np.minimum(gap, np.linalg.norm(points - start - share[:, None] * segment, axis=1) - radius)
     return float(gap.max())
 
 

@@ -68,8 +68,8 @@ def test_a_cube_of_100_mm_on_a_link_is_seen(large_cell, link, share):
     frames = link_frames(workspace.robot, q_rad[None])[0]
     origin = frames[link, :3, 3]
     onward = frames[link + 1, :3, 3] if link < 5 else origin
-    aside = np.linalg.svd((onward - origin)[None])[2][2] * 0.19
-    for centre in (origin + share * (onward - origin), origin + share * (onward - origin) + aside):
+    offset = np.linalg.svd((onward - origin)[None])[2][2] * 0.19
+    for centre in (origin + share * (onward - origin), origin + share * (onward - origin) + offset):
         if link == 1 and share < 0.3:
             continue  # the shoulder is carried by link 1
         boxed = replace(among_boxes(workspace, cube(centre, 0.1)), links=None)
@@ -196,9 +196,9 @@ def test_paths_are_clear_exactly_where_fine_sampling_is(workspace):
     found = space.blocked_at(start, end)
     share = np.linspace(0, 1, 1001)[:, None]
     for row in range(len(start)):
-        way = start[row] + share * (end[row] - start[row])
+        samples = start[row] + share * (end[row] - start[row])
         if np.isnan(found[row]):
-            assert not space.touching(way).any()
+            assert not space.touching(samples).any()
         else:
             at = start[row] + found[row] * (end[row] - start[row])
             assert every_gap(space, at[None], 1.0).min() <= PATH_RESOLUTION_M

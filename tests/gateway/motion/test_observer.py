@@ -82,8 +82,8 @@ def test_every_sync_is_handed_on_once_with_its_targets_and_model(arm, workspace,
     assert last.samples[0].q_rad == pytest.approx(TARGET, abs=1e-4)
     gravity_nm = gravity_regressor(workspace.robot, TARGET[None], workspace.gravity_m_s2) @ workspace.links
     assert last.modelled_nm[0] == pytest.approx(gravity_nm[0])
-    told = [event for event in seen.events if isinstance(event, MotionProgress)]
-    assert {event.what for event in told} == {"open the brakes", "move"}
+    progress = [event for event in seen.events if isinstance(event, MotionProgress)]
+    assert {event.what for event in progress} == {"open the brakes", "move"}
 
 
 def test_the_sync_that_ends_a_motion_is_handed_on_before_anything_is_stopped(arm, workspace, fake):

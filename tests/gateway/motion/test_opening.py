@@ -91,10 +91,10 @@ def test_an_arm_reads_positions_by_sdo_and_is_notified_of_a_drop():
     assert list(seen.brake_drop_rad()) == [0.1] * 6
     seen.align(3.0)
     assert (group.aligned, seen.sync_sent_s()) == ([3.0], 12.5)
-    told = []
-    seen.when_stopping(lambda: told.append(1))
+    configured = []
+    seen.when_stopping(lambda: configured.append(1))
     group.on_stop()
-    assert told == [1]
+    assert configured == [1]
 
 
 @pytest.mark.parametrize("harder", ["ramp", "motion"])
@@ -126,8 +126,8 @@ def test_where_a_ramp_is_not_known_no_torque_is_limited(small_cell, workspace, m
     assert [drive.setup.torque_limit_nm for drive in group.drives] == [None] * 6
 
 
-@pytest.mark.parametrize("given", [None, BusSpec("virtual", "elsewhere")])
-def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, monkeypatch, given):
+@pytest.mark.parametrize("bus_name", [None, BusSpec("virtual", "elsewhere")])
+def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, monkeypatch, bus_name):
     class Opened(Exception):  # noqa: N818 - ends what is tried
         pass
 
@@ -138,11 +138,11 @@ def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, mon
         raise Opened
 
     monkeypatch.setattr(opening, "open_bus", open_bus)
-    with pytest.raises(Opened), opening.open_arm(small_cell, BusOverride(spec=given)):
+    with pytest.raises(Opened), opening.open_arm(small_cell, BusOverride(spec=bus_name)):
         pass
     bus = small_cell.cell.bus[small_cell.cell.arm[0].bus]
     own = BusSpec(bus.interface, bus.channel, bus.bitrate_bit_s, dict(bus.options))
-    assert asked == [(given or own, None)]
+    assert asked == [(bus_name or own, None)]
 
 
 @pytest.mark.parametrize(

@@ -22,11 +22,11 @@ ZERO = np.zeros(6)
 COULOMB, VISCOUS, ROTOR = 4.0, 3.0, 1.5
 
 
-def told(value):
+def identified_number(value):
     return Known(value, "identified, r.json", identified=True)
 
 
-IDENTIFIED = AxisConstants(told(ROTOR), told(COULOMB), told(VISCOUS))
+IDENTIFIED = AxisConstants(identified_number(ROTOR), identified_number(COULOMB), identified_number(VISCOUS))
 TYPED = AxisConstants(Known(ROTOR, "datasheet"), Known(COULOMB, "datasheet"))
 
 
@@ -117,7 +117,9 @@ def test_what_the_arm_takes_itself_is_no_contact_and_a_smaller_jump_is(axes, wor
 
 
 def test_the_watch_is_never_blunter_than_without(axes, workspace):
-    rough = AxisConstants(told(ROTOR), told(float(workspace.torque_nm[1])), told(VISCOUS))
+    rough = AxisConstants(
+        identified_number(ROTOR), identified_number(float(workspace.torque_nm[1])), identified_number(VISCOUS)
+    )
     own = OwnTorque((rough,) * 6, axes, workspace, PERIOD_S)
     watch = Watch("main", workspace, PERIOD_S, own=own)
     still = ArmSample(0, 0.0, ZERO, ZERO, (ANSWER,) * 6)

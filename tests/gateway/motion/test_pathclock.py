@@ -18,16 +18,16 @@ angles = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 def driven(motion: Motion, start: np.ndarray, stop_at: int | None, most: float = 1.0) -> np.ndarray:
     """Set points as they go out, from the start on; `stop_at` = SYNC at which a stop is asked for."""
-    way = MotionSetpoints([start], [motion])
-    clock = PathClock(way.count, PERIOD_S, LIMITS.acceleration_rad_s2, LIMITS.jerk_rad_s3, most)
+    driven_path = MotionSetpoints([start], [motion])
+    clock = PathClock(driven_path.count, PERIOD_S, LIMITS.acceleration_rad_s2, LIMITS.jerk_rad_s3, most)
     sent = [start]
     while not clock.done:
         if stop_at is not None and len(sent) > stop_at:
             clock.stop()
-        at = clock.advance(*way.rates(clock.at))
+        at = clock.advance(*driven_path.rates(clock.at))
         if clock.done and not clock.arrived:
             break
-        sent.append(way.targets(at, clock.rate)[0])
+        sent.append(driven_path.targets(at, clock.rate)[0])
         assert len(sent) < 100_000
     return np.array(sent)
 

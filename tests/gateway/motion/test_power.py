@@ -18,17 +18,17 @@ TARGET = np.array([0.3, 0.2, -0.2, 0.1, 0.2, -0.3])
 
 
 @pytest.fixture
-def told() -> list:
+def reported() -> list:
     return []
 
 
 @pytest.fixture
-def station(arm, workspace, told) -> Station:
+def station(arm, workspace, reported) -> Station:
     return Station(
         arms=Arms((arm,), "lockstep"),
         workspaces=(workspace,),
         period_s=PERIOD_S,
-        state=StateTracker("main", lambda state: told.append(state.phase)),
+        state=StateTracker("main", lambda state: reported.append(state.phase)),
         options=MoveOptions(),
     )
 
@@ -48,13 +48,13 @@ def asked_at(fake, sync: int, kind: StopKind) -> MoveOptions:
     return MoveOptions(StopDesk(lambda: wish if fake.sync_index >= sync else None))
 
 
-def test_a_motion_ends_with_the_brakes_on(station, workspace, fake, told):
+def test_a_motion_ends_with_the_brakes_on(station, workspace, fake, reported):
     with powered(Stream(station)) as stream:
         assert station.options.desk.under_power
         move(stream, workspace)
     assert fake.log == ["enable", "disable"]
     assert fake.q_rad == pytest.approx(TARGET, abs=1e-5)
-    assert told == [Phase.HOLDING, Phase.STOPPING, Phase.IN_BRAKES]
+    assert reported == [Phase.HOLDING, Phase.STOPPING, Phase.IN_BRAKES]
     assert not station.options.desk.under_power
 
 
@@ -157,18 +157,18 @@ def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(s
 
 
 def test_a_joint_that_sinks_in_its_brake_is_reported(station, fake):
-    keeper = station.state
+    tracker = station.state
     fake.brake_drop_rad = lambda: fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
     with powered(Stream(station)):
         pass
-    assert "joint 2 sank by 0.0080 rad" in keeper.state.reason
+    assert "joint 2 sank by 0.0080 rad" in tracker.state.reason
 
 
 @pytest.mark.parametrize(("sunk_rad", "said"), [(0.9, False), (1.1, True)])
 def test_a_joint_sinks_from_a_limit_on(station, fake, sunk_rad, said):
-    sag = np.zeros(6)
-    sag[3] = sunk_rad * BRAKE_DROP_RAD
-    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(sag)).tolist()
+    drop_rad = np.zeros(6)
+    drop_rad[3] = sunk_rad * BRAKE_DROP_RAD
+    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(drop_rad)).tolist()
     with powered(Stream(station)):
         pass
     assert ("joint 4 sank" in station.state.state.reason) == said

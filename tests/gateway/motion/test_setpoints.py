@@ -27,12 +27,12 @@ def test_arms_that_move_together_need_motions_of_one_length():
 @pytest.mark.parametrize("at", [-1.0, -0.4, 0.0, 0.3, 7.5, 22.25, 38.0, 39.0])
 def test_between_the_rows_a_cubic_is_met_exactly_and_its_rates_linearly(at):
     """The interpolation is of third order; the time of a place is at + 1 periods."""
-    way = MotionSetpoints([np.zeros(6), np.zeros(6)], [cubic(1.0), cubic(-2.0)])
+    path = MotionSetpoints([np.zeros(6), np.zeros(6)], [cubic(1.0), cubic(-2.0)])
     t = (at + 1) * PERIOD_S
-    first, second = way.targets(at, 1.0)
+    first, second = path.targets(at, 1.0)
     assert first == pytest.approx(np.full(6, t**3), abs=1e-12)
     assert second == pytest.approx(np.full(6, -2 * t**3), abs=1e-12)
-    speed, acceleration = way.rates(at)
+    speed, acceleration = path.rates(at)
     assert speed.shape == acceleration.shape == (12,)
     assert acceleration == pytest.approx(np.repeat([6 * t, -12 * t], 6), abs=1e-9)
     share = at - np.floor(at)
@@ -44,43 +44,43 @@ def test_between_the_rows_a_cubic_is_met_exactly_and_its_rates_linearly(at):
     ("at", "rate", "ahead"), [(3.0, 1.0, 4.0), (3.0, 0.5, 3.5), (38.5, 1.0, 39.0), (39.0, 1.0, 39.0)]
 )
 def test_the_set_point_after_is_a_rate_further_and_never_beyond_the_end(at, rate, ahead):
-    way = MotionSetpoints([np.zeros(6)], [cubic(1.0)])
-    assert way.ahead(at, rate)[0] == pytest.approx(way.targets(ahead, rate)[0], abs=1e-15)
+    path = MotionSetpoints([np.zeros(6)], [cubic(1.0)])
+    assert path.ahead(at, rate)[0] == pytest.approx(path.targets(ahead, rate)[0], abs=1e-15)
 
 
 @pytest.mark.parametrize(("at", "same"), [(-3.0, -1.0), (100.0, 39.0)])
 def test_a_place_beyond_either_end_is_the_end(at, same):
-    way = MotionSetpoints([np.zeros(6)], [cubic(1.0)])
-    assert way.targets(at, 1.0)[0] == pytest.approx(way.targets(same, 1.0)[0])
-    assert way.rates(at)[0] == pytest.approx(way.rates(same)[0])
+    path = MotionSetpoints([np.zeros(6)], [cubic(1.0)])
+    assert path.targets(at, 1.0)[0] == pytest.approx(path.targets(same, 1.0)[0])
+    assert path.rates(at)[0] == pytest.approx(path.rates(same)[0])
 
 
 def test_prepared_motions_bring_neither_torques_nor_a_model():
-    way = MotionSetpoints([np.zeros(6)], [cubic(1.0)])
-    assert (way.count, way.offsets(), way.modelled(1.0)) == (ROWS, None, None)
+    path = MotionSetpoints([np.zeros(6)], [cubic(1.0)])
+    assert (path.count, path.offsets(), path.modelled(1.0)) == (ROWS, None, None)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_places_on_a_path_are_close_and_hold_every_row(seed):
     rng = np.random.default_rng(seed)
-    way = rng.uniform(-1, 1, (6, 6)) * rng.uniform(0, 1, (6, 1))
-    way[3] = way[2]
-    places = path_positions(way)
+    path = rng.uniform(-1, 1, (6, 6)) * rng.uniform(0, 1, (6, 1))
+    path[3] = path[2]
+    places = path_positions(path)
     assert set(range(6)) <= set(places.tolist())
     assert (np.diff(places) > 0).all()
-    q_rad = postures_at(way, places)
+    q_rad = postures_at(path, places)
     step = np.abs(np.diff(q_rad, axis=0)).max(axis=1)
     assert step.max() <= PATH_STEP_RAD + 1e-12
     # no more of them than that takes
-    need = np.maximum(np.ceil(np.abs(np.diff(way, axis=0)).max(axis=1) / PATH_STEP_RAD), 1)
+    need = np.maximum(np.ceil(np.abs(np.diff(path, axis=0)).max(axis=1) / PATH_STEP_RAD), 1)
     assert len(places) == need.sum() + 1
     for row in range(6):
-        assert q_rad[places == row][0] == pytest.approx(way[row])
-    middle = postures_at(way, np.array([1.5, 4.25]))
-    assert middle == pytest.approx(np.array([(way[1] + way[2]) / 2, 0.75 * way[4] + 0.25 * way[5]]))
+        assert q_rad[places == row][0] == pytest.approx(path[row])
+    middle = postures_at(path, np.array([1.5, 4.25]))
+    assert middle == pytest.approx(np.array([(path[1] + path[2]) / 2, 0.75 * path[4] + 0.25 * path[5]]))
 
 
 def test_a_path_of_one_posture_is_that_posture():
-    way = np.arange(6.0)[None]
-    assert path_positions(way).tolist() == [0.0]
-    assert postures_at(way, np.array([0.0])) == pytest.approx(way)
+    path = np.arange(6.0)[None]
+    assert path_positions(path).tolist() == [0.0]
+    assert postures_at(path, np.array([0.0])) == pytest.approx(path)

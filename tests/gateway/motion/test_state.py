@@ -17,14 +17,14 @@ def test_a_state_says_since_when_and_after_a_stop_why():
 
 
 def test_a_change_is_reported_once():
-    told = []
-    keeper = StateTracker("main", told.append)
-    assert keeper.state.phase in SAFE
-    keeper.enter(Phase.MOVING, 3)
-    keeper.enter(Phase.MOVING, 4)
-    keeper.enter(Phase.STOPPED, 5, "contact")
-    assert [(state.phase, state.sync_index, state.reason) for state in told] == [
+    reported = []
+    tracker = StateTracker("main", reported.append)
+    assert tracker.state.phase in SAFE
+    tracker.enter(Phase.MOVING, 3)
+    tracker.enter(Phase.MOVING, 4)
+    tracker.enter(Phase.STOPPED, 5, "contact")
+    assert [(state.phase, state.sync_index, state.reason) for state in reported] == [
         (Phase.MOVING, 3, ""),
         (Phase.STOPPED, 5, "contact"),
     ]
-    assert keeper.state is told[-1]
+    assert tracker.state is reported[-1]

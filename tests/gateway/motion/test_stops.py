@@ -31,11 +31,11 @@ def test_the_first_cause_is_kept_and_the_most_urgent_kind_wins():
 
 
 @pytest.mark.parametrize("line", range(1, 8))
-@pytest.mark.parametrize("standing", [(), (StopKind.ALONG_PATH,)])
-def test_a_request_that_interrupts_another_one_is_not_overwritten(line, standing):
+@pytest.mark.parametrize("pending", [(), (StopKind.ALONG_PATH,)])
+def test_a_request_that_interrupts_another_one_is_not_overwritten(line, pending):
     """A signal handler, or another thread, asks for a quick stop between any two lines of a weaker request."""
     desk, lines = StopDesk(), []
-    for kind in standing:
+    for kind in pending:
         desk.ask(ValueError("before"), kind)
 
     def on_line(frame, event, _argument):
@@ -171,7 +171,7 @@ def ended_by_rich() -> SystemExit:
 def test_a_listener_that_prints_to_a_closed_pipe_is_a_closed_terminal():
     desk = StopDesk()
 
-    def printed(*_told):
+    def printed(*_arguments):
         raise ended_by_rich()
 
     guarded(printed, desk)()
@@ -218,7 +218,7 @@ def test_outside_the_main_thread_signals_are_left_as_they_are():
 
 
 def test_a_listener_that_runs_well_is_notified_and_asks_for_nothing():
-    desk, told = StopDesk(), []
-    guarded(lambda *words: told.append(words), desk)("a", 1)
-    assert told == [("a", 1)]
+    desk, reported = StopDesk(), []
+    guarded(lambda *words: reported.append(words), desk)("a", 1)
+    assert reported == [("a", 1)]
     assert not desk.asked()

@@ -23,12 +23,12 @@ TARGET = np.array([0.3, 0.2, -0.2, 0.1, 0.2, -0.3])
 
 
 @pytest.fixture
-def told() -> list[tuple[str, int, int]]:
+def notified() -> list[tuple[str, int, int]]:
     return []
 
 
 @pytest.fixture
-def make(arm, workspace, told) -> Callable[..., Stream]:
+def make(arm, workspace, notified) -> Callable[..., Stream]:
     def make(pacing: str = "lockstep", **options) -> Stream:
         stream = Stream(
             Station(
@@ -37,7 +37,7 @@ def make(arm, workspace, told) -> Callable[..., Stream]:
                 period_s=PERIOD_S,
                 state=StateTracker("main", lambda state: None),
                 options=MoveOptions(**options),
-                report=lambda what, row, rows: told.append((what, row, rows)),
+                report=lambda what, row, rows: notified.append((what, row, rows)),
             )
         )
         stream.start()
@@ -54,11 +54,11 @@ def move(stream: Stream, workspace, target: np.ndarray = TARGET) -> None:
 @pytest.mark.parametrize(("seconds", "syncs"), [(0.0, 0), (0.3, 30), (0.07, 7), (0.301, 31), (0.3 + 1e-13, 30)])
 def test_it_waits_for_as_many_whole_periods_as_cover_the_time(make, fake, seconds, syncs):
     stream = make()
-    heard = []
+    notified = []
     before = fake.sync_index
-    stream.stand(seconds, "stand", heard.append)
-    assert fake.sync_index - before == len(heard) == syncs
-    assert [samples[0].sync_index for samples in heard] == list(range(before + 1, before + 1 + syncs))
+    stream.stand(seconds, "stand", notified.append)
+    assert fake.sync_index - before == len(notified) == syncs
+    assert [samples[0].sync_index for samples in notified] == list(range(before + 1, before + 1 + syncs))
     assert stream.sync_index == fake.sync_index
 
 
@@ -74,11 +74,11 @@ def test_the_brakes_are_given_their_time_and_then_a_jump_of_torque_is_contact(ma
         stream.stand(0.2, "stand")
 
 
-def test_observers_are_notified_four_times_a_second(make, told):
+def test_observers_are_notified_four_times_a_second(make, notified):
     stream = make()
     stream.stand(2.0, "stand")
-    assert [row for _, row, _ in told] == list(range(0, 200, round(REPORT_S / PERIOD_S)))
-    assert {(what, rows) for what, _, rows in told} == {("stand", 200)}
+    assert [row for _, row, _ in notified] == list(range(0, 200, round(REPORT_S / PERIOD_S)))
+    assert {(what, rows) for what, _, rows in notified} == {("stand", 200)}
 
 
 def test_setpoints_begin_where_the_arm_is_and_no_motion_is_none(make, fake, workspace):
@@ -119,13 +119,13 @@ def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_detected(make
     rate = []
     send = stream._send
 
-    def sent(way, at, r) -> None:
+    def sent(setpoints, at, r) -> None:
         rate.append(r)
         if rate.count(0.0) == 2:
             desk.ask(StoppedByPerson("again"), StopKind.QUICK_STOP)
         elif len(rate) == 30:
             desk.ask(StoppedByPerson("once"))
-        send(way, at, r)
+        send(setpoints, at, r)
 
     stream._send = sent  # type: ignore[method-assign]
     with pytest.raises(StoppedByPerson, match="once"):
@@ -146,7 +146,7 @@ def test_a_stop_ends_when_the_joints_stand_and_at_the_latest_after_its_time(make
         fake.q_rad = fake.q_rad + swing_rad * (-1) ** fake.sync_index
 
     fake._follow = follow
-    stream._send = lambda way, at, r: (rate.append(r), send(way, at, r))  # type: ignore[method-assign]
+    stream._send = lambda setpoints, at, r: (rate.append(r), send(setpoints, at, r))  # type: ignore[method-assign]
     with pytest.raises(StoppedByPerson):
         move(stream, workspace)
     assert rate.count(0.0) * PERIOD_S == pytest.approx(rest_s)

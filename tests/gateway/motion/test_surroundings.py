@@ -138,10 +138,10 @@ def test_the_arm_meets_itself_on_a_path_whose_ends_are_free():
     assert "give arm.link_radius_m" in reason
     route = find_route(workspace, [RestPose(1, tuple(end), "fit")], start, 0.0)
     assert not route.unreachable
-    way = np.vstack([start, *route.legs[0].via_rad, end])
-    assert len(way) > 2
+    path = np.vstack([start, *route.legs[0].via_rad, end])
+    assert len(path) > 2
     share = np.linspace(0, 1, 500)[:, None]
-    for before, after in itertools.pairwise(way):
+    for before, after in itertools.pairwise(path):
         assert not workspace.space.touching(before + share * (after - before)).any()
 
 
@@ -251,8 +251,8 @@ def test_an_example_without_boxes_is_planned_clear_of_floor_and_column(small_cel
     robot = arm_robot(cell, arm)
     corners = np.array([step.q_rad for step in make_plan(cell, n_poses=4).steps if isinstance(step, MoveTo | Approach)])
     share = np.linspace(0, 1, 200)[:, None]
-    way = np.vstack([a + share * (b - a) for a, b in itertools.pairwise(corners)])
-    wrist = link_frames(robot, way)[:, 4, :3, 3]
+    path = np.vstack([a + share * (b - a) for a, b in itertools.pairwise(corners)])
+    wrist = link_frames(robot, path)[:, 4, :3, 3]
     thick = 0.05 * reach_m(robot)
     assert wrist[:, 2].min() > thick
     low = wrist[:, 2] < 0.26  # the shoulder lies at 0.4 m, the column ends two radii below it

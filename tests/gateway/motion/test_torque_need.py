@@ -60,8 +60,8 @@ def test_given_friction_counts_as_it_is(small_cell):
     workspace = workspace_of(arm, arm_robot(small_cell, arm))
     rough = tuple(axis.model_copy(update={"coulomb_nm": SourcedNumber(value=50.0, source="x")}) for axis in arm.axis)
     plain = needed_torque_nm(workspace, arm, DECEL)
-    given = needed_torque_nm(workspace, arm.model_copy(update={"axis": rough}), DECEL)
-    assert given - plain == pytest.approx(1.3 * (50.0 - 0.013 * workspace.torque_nm))
+    needed_nm = needed_torque_nm(workspace, arm.model_copy(update={"axis": rough}), DECEL)
+    assert needed_nm - plain == pytest.approx(1.3 * (50.0 - 0.013 * workspace.torque_nm))
 
 
 @pytest.mark.slow

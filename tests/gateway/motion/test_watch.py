@@ -21,8 +21,8 @@ ANSWER = DriveReading(1, 1, 0x1237, 0, 0, None, None, 0.0, 0.0, None, None)
 ZERO = np.zeros(6)
 
 
-def sample(index: int, q_rad: np.ndarray, torque_nm: np.ndarray = ZERO, silent: int = 0) -> ArmSample:
-    readings = (None,) * silent + (ANSWER,) * (6 - silent)
+def sample(index: int, q_rad: np.ndarray, torque_nm: np.ndarray = ZERO, unresponsive: int = 0) -> ArmSample:
+    readings = (None,) * unresponsive + (ANSWER,) * (6 - unresponsive)
     return ArmSample(index, index * PERIOD_S, q_rad, torque_nm, readings)
 
 
@@ -90,7 +90,7 @@ def test_speed_is_measured_over_the_syncs_that_passed(watch, workspace):
 
 def test_incomplete_samples_show_nothing(watch, workspace):
     nothing = np.full(6, np.nan)
-    samples = [sample(k, nothing, nothing, silent=1) for k in range(20)]
+    samples = [sample(k, nothing, nothing, unresponsive=1) for k in range(20)]
     assert stream(watch, samples, [ZERO] * 20) == -1
 
 
@@ -181,35 +181,35 @@ class TestSettle:
         assert test.restless().tolist() == [False, False, False, True, False, False]
 
 
-def late(index: int, extra_s: float, torque_nm: np.ndarray = ZERO) -> ArmSample:
+def delayed(index: int, extra_s: float, torque_nm: np.ndarray = ZERO) -> ArmSample:
     return ArmSample(index, index * PERIOD_S + extra_s, ZERO, torque_nm, (ANSWER,) * 6)
 
 
 def test_one_delayed_sync_is_no_contact_and_a_contact_after_it_is(watch, workspace):
     jump = joint(2, 0.5 * workspace.torque_nm[1])
-    quiet = [late(k, 0.0) for k in range(60)]
-    shaken = [late(60 + k, 0.02, jump if k < 10 else ZERO) for k in range(40)]
+    quiet = [delayed(k, 0.0) for k in range(60)]
+    shaken = [delayed(60 + k, 0.02, jump if k < 10 else ZERO) for k in range(40)]
     assert stream(watch, quiet + shaken, [ZERO] * 100) == -1
-    assert stream(watch, [late(100 + k, 0.02, jump) for k in range(10)], [ZERO] * 10) == IN_A_ROW - 1
+    assert stream(watch, [delayed(100 + k, 0.02, jump) for k in range(10)], [ZERO] * 10) == IN_A_ROW - 1
 
 
 def test_a_rhythm_that_is_not_kept_stops_the_arm(watch):
     for k in range(30):
-        watch.check(late(k, 0.02 * k), ZERO, ZERO)
+        watch.check(delayed(k, 0.02 * k), ZERO, ZERO)
     share = int(ARM_RULES["rhythm"].limit * 2.0 / PERIOD_S)
     for k in range(30, share + 1):
-        watch.check(late(k, 0.02 * k), ZERO, ZERO)
+        watch.check(delayed(k, 0.02 * k), ZERO, ZERO)
     with pytest.raises(IncompleteEpochs, match="SYNCs were delayed"):
-        watch.check(late(share + 1, 0.02 * (share + 1)), ZERO, ZERO)
+        watch.check(delayed(share + 1, 0.02 * (share + 1)), ZERO, ZERO)
 
 
-@pytest.mark.parametrize(("late", "allowed", "fine"), [(6, 2.0, True), (8, 2.0, False), (6, 0.0, False)])
-def test_in_real_time_a_drive_may_take_its_setpoints_with_delay(workspace, late, allowed, fine):
+@pytest.mark.parametrize(("delayed", "allowed", "fine"), [(6, 2.0, True), (8, 2.0, False), (6, 0.0, False)])
+def test_in_real_time_a_drive_may_take_its_setpoints_with_delay(workspace, delayed, allowed, fine):
     """What a drive that buffers set points is behind is no following error."""
     period_s = 0.05
     step = workspace.following_error_rad[5] / 3.0
-    targets = [joint(6, step * (row - late)) for row in range(40)]
-    sent = [*targets[late:], *[targets[-1]] * late]
+    targets = [joint(6, step * (row - delayed)) for row in range(40)]
+    sent = [*targets[delayed:], *[targets[-1]] * delayed]
     watch = Watch("main", workspace, period_s, allowed)
     samples = [ArmSample(row, row * period_s, q, ZERO, (ANSWER,) * 6) for row, q in enumerate(targets)]
     # a target that goes out with a SYNC is reached one SYNC later at the soonest
@@ -278,14 +278,14 @@ def test_an_arm_whose_links_are_not_known_is_not_modelled(workspace):
     assert Watch("main", workspace, PERIOD_S).modelled_torque(np.empty((0, 6))).shape == (0, 6)
 
 
-@pytest.mark.parametrize(("period_s", "late_s", "counts"), [(0.01, 0.0049, False), (0.01, 0.0051, True)])
-def test_a_sync_counts_as_delayed_from_half_a_period_on(workspace, period_s, late_s, counts):
+@pytest.mark.parametrize(("period_s", "delay_s", "counts"), [(0.01, 0.0049, False), (0.01, 0.0051, True)])
+def test_a_sync_counts_as_delayed_from_half_a_period_on(workspace, period_s, delay_s, counts):
     """Every third one, for longer than the rule looks at."""
     watch = Watch("main", workspace, period_s)
 
     def run() -> None:
         for k in range(600):
-            shift = late_s if k % 3 == 2 else 0.0
+            shift = delay_s if k % 3 == 2 else 0.0
             watch.check(ArmSample(k, k * period_s + shift, ZERO, ZERO, (ANSWER,) * 6), ZERO, ZERO)
 
     assert ARM_RULES["rhythm"].limit < 1 / 3
@@ -297,14 +297,14 @@ def test_a_sync_counts_as_delayed_from_half_a_period_on(workspace, period_s, lat
 
 
 def test_a_stuck_joint_is_named_with_its_command(watch, workspace):
-    def told() -> None:
+    def move() -> None:
         for k in range(200):
             watch.check(sample(k, ZERO), joint(4, -0.001 * k), ZERO)
 
     with pytest.raises(
         LimitExceeded, match=r"joint 4 was commanded to move by -0\.\d+ rad but has moved by 0\.000 rad"
     ):
-        told()
+        move()
 
 
 @pytest.mark.parametrize(("share", "stops"), [(0.15, True), (0.3, False)])

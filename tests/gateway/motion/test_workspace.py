@@ -154,11 +154,11 @@ def test_an_arm_inside_its_range_has_no_path_in(workspace):
 def test_only_joints_outside_move_inwards(workspace):
     workspace = among_boxes(workspace, NO_BOX)
     q_rad = np.array([0.3, 0.0, workspace.upper_rad[2] + 0.2, 0.0, workspace.lower_rad[4] - 0.1, 0.0])
-    way = workspace.path_into_range(q_rad)
-    assert way == pytest.approx(
+    path = workspace.path_into_range(q_rad)
+    assert path == pytest.approx(
         [0.3, 0, workspace.upper_rad[2] - INWARD_MARGIN_RAD, 0, workspace.lower_rad[4] + INWARD_MARGIN_RAD, 0]
     )
-    assert workspace.why_not(way) is None
+    assert workspace.why_not(path) is None
     assert "joint 3 outside" in workspace.why_not(q_rad)
 
 
@@ -187,23 +187,23 @@ def test_a_box_on_the_path_in_refuses(workspace):
 
 
 def test_the_first_bad_place_of_a_path_is_named(workspace):
-    way = np.zeros((4, 6))
-    way[2:, 0] = workspace.upper_rad[0] + 0.1
-    refusal = workspace.refused_on(way)
+    path = np.zeros((4, 6))
+    path[2:, 0] = workspace.upper_rad[0] + 0.1
+    refusal = workspace.refused_on(path)
     assert 1.0 < refusal.row <= 2.0
     assert refusal.q_rad[0] == pytest.approx((refusal.row - 1) * (workspace.upper_rad[0] + 0.1))
     assert "joint 1 outside" in refusal.reason
-    assert workspace.why_not_path(way).startswith("at [")
-    assert workspace.refused_on(way[:2]) is None
-    assert "not a finite number" in workspace.why_not_path(np.array([way[0], np.full(6, np.nan)]))
-    assert workspace.why_not_path(way[:1]) is None
-    assert "joint 1 outside" in workspace.why_not_path(way[3:])
+    assert workspace.why_not_path(path).startswith("at [")
+    assert workspace.refused_on(path[:2]) is None
+    assert "not a finite number" in workspace.why_not_path(np.array([path[0], np.full(6, np.nan)]))
+    assert workspace.why_not_path(path[:1]) is None
+    assert "joint 1 outside" in workspace.why_not_path(path[3:])
 
 
 def test_a_path_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
     """The arm is stretched out halfway; at both ends it is not. Whichever of several ways it is."""
-    way = np.array([[0.0, -1.2, 0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
-    places = np.linspace(0, 1, 200)[:, None] * (way[1] - way[0]) + way[0]
+    path = np.array([[0.0, -1.2, 0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
+    places = np.linspace(0, 1, 200)[:, None] * (path[1] - path[0]) + path[0]
     free = replace(among_boxes(workspace, NO_BOX), lower_rad=np.full(6, -3.0), upper_rad=np.full(6, 3.0))
     need = free.holding_torque(places)[:, 1]
     ends = max(need[0], need[-1])
@@ -211,15 +211,15 @@ def test_a_path_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
     limit = np.full(6, 1e4)
     limit[1] = (need.max() + ends) / 2 / TORQUE_SHARE
     weak = replace(free, torque_nm=limit)
-    still = np.zeros_like(way[:1]) + way[0]
-    assert weak.feasible(way).all()
-    assert weak.path_clear(np.vstack([still, way[:1], still]), np.vstack([still, way[1:], still])).tolist() == [
+    still = np.zeros_like(path[:1]) + path[0]
+    assert weak.feasible(path).all()
+    assert weak.path_clear(np.vstack([still, path[:1], still]), np.vstack([still, path[1:], still])).tolist() == [
         True,
         False,
         True,
     ]
-    assert "holding torque of joint 2" in weak.why_not_path(way)
-    assert free.path_clear(way[:1], way[1:]).tolist() == [True]
+    assert "holding torque of joint 2" in weak.why_not_path(path)
+    assert free.path_clear(path[:1], path[1:]).tolist() == [True]
 
 
 def test_the_least_efficient_side_of_the_loads_counts(workspace, postures):
@@ -255,10 +255,10 @@ def test_a_joint_may_stand_at_its_limit_and_not_within_the_margin(workspace, mar
 
 def test_travel_takes_the_time_of_the_slowest_joint_and_its_ramp(workspace):
     """s / v + v / a of constant acceleration, the longest of either."""
-    way = np.array([[0.2, 0.0, 1.0, 0.0, -0.4, 0.0], [0.0] * 6])
-    cruise = np.abs(way) / workspace.speed_rad_s
+    path = np.array([[0.2, 0.0, 1.0, 0.0, -0.4, 0.0], [0.0] * 6])
+    cruise = np.abs(path) / workspace.speed_rad_s
     ramp = max(workspace.speed_rad_s / workspace.acceleration_rad_s2)
-    found = workspace.travel_time(np.zeros((2, 6)), way)
+    found = workspace.travel_time(np.zeros((2, 6)), path)
     assert found == pytest.approx([cruise[0].max() + ramp, ramp])
 
 
@@ -274,8 +274,8 @@ def test_a_load_without_a_centre_of_gravity_is_a_point_mass_at_the_flange(small_
     robot = arm_robot(small_cell, arm)
     flange = np.zeros(3) if robot.flange is None else robot.flange[:3, 3]
     assert workspace_of(arm, robot).max_load == pytest.approx([7.0, *(7.0 * flange)])
-    hung = arm.model_copy(update={"max_load_com_m": (0.1, -0.2, 0.3)})
-    assert workspace_of(hung, robot).max_load == pytest.approx([7.0, 0.7, -1.4, 2.1])
+    with_load = arm.model_copy(update={"max_load_com_m": (0.1, -0.2, 0.3)})
+    assert workspace_of(with_load, robot).max_load == pytest.approx([7.0, 0.7, -1.4, 2.1])
 
 
 def test_masses_and_centres_of_gravity_have_both_to_be_known(small_cell):
@@ -291,10 +291,10 @@ def test_masses_and_centres_of_gravity_have_both_to_be_known(small_cell):
 
 
 def test_a_box_beyond_the_first_bad_posture_does_not_hide_it_and_one_before_is_named_first(workspace):
-    way = np.zeros((5, 6))
-    way[:, 0] = np.linspace(0.0, 1.2, 5)
+    path = np.zeros((5, 6))
+    path[:, 0] = np.linspace(0.0, 1.2, 5)
     free = replace(among_boxes(workspace, NO_BOX), links=None)
-    assert free.refused_on(way) is None
+    assert free.refused_on(path) is None
     at = {}
     for row in (1.5, 3.5):
         q_rad = np.zeros((1, 6))
@@ -302,10 +302,10 @@ def test_a_box_beyond_the_first_bad_posture_does_not_hide_it_and_one_before_is_n
         point = flange_m(workspace, q_rad)[0]
         at[row] = [point - 0.004, point + 0.004]
     both = among_boxes(free, np.array([at[3.5], at[1.5]]))
-    assert 0.5 < both.refused_on(way).row < 1.6
-    late = among_boxes(free, np.array([at[3.5]]))
-    assert 2.0 < late.refused_on(way).row < 3.6
-    assert "keep_out box 1" in late.refused_on(way).reason
+    assert 0.5 < both.refused_on(path).row < 1.6
+    at_once = among_boxes(free, np.array([at[3.5]]))
+    assert 2.0 < at_once.refused_on(path).row < 3.6
+    assert "keep_out box 1" in at_once.refused_on(path).reason
 
 
 def test_a_joint_of_a_narrow_range_moves_to_its_middle(workspace):

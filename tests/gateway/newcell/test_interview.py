@@ -62,8 +62,8 @@ class Bench:
 
 def asked(bench, **answers):
     """Draft of the arm of the examples with some answers."""
-    given = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100} | answers
-    said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers")
+    answers_ = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100} | answers
+    said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in answers_.items()}, "answers")
     return interview(said, bench, "cell", lambda text: None)
 
 
@@ -192,8 +192,8 @@ def test_what_a_sheet_states_that_cannot_be_used_is_said(tmp_path):
     (tmp_path / "n.eds").write_text((OWN / "drive.eds").read_text(encoding="utf-8") + "\n[5555]\nParameterName=x\n")
     said = []
     (stored,) = nodes_in([tmp_path / "n.eds"])
-    given = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100}
-    answers = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers")
+    answers_ = {"robot": str(OWN / "arm.urdf"), "bus": "virtual:x", "gear_ratio": 100}
+    answers = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in answers_.items()}, "answers")
     interview(answers, Bench(six(), [stored]), "cell", said.append)
     assert any("[5555]" in line and "DataType is missing" in line for line in said)
 
@@ -250,8 +250,8 @@ def test_the_turn_of_the_flange_is_asked_where_a_flange_is_stated(tmp_path):
         questions_asked.append(asked.question.key)
         return asked.read([0, 0, 0.1]) if asked.question.key == "flange_xyz_m" else None
 
-    given = {"robot": str(plain), "bus": "virtual:x", "gear_ratio": 100}
-    said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in given.items()}, "answers", ask)
+    answers_ = {"robot": str(plain), "bus": "virtual:x", "gear_ratio": 100}
+    said = CellAnswers({key: GivenAnswer(value, key, Path()) for key, value in answers_.items()}, "answers", ask)
     interview(said, Bench(six()), "cell", lambda text: None)
     assert {"flange_xyz_m", "flange_rpy_rad", "rated_load_kg"} <= set(questions_asked)
     assert "max_load_kg" not in questions_asked

@@ -32,12 +32,12 @@ def arm() -> Robot:
 def path() -> PairPath:
     """Half a second along a curve with turning, 126 commands."""
     u = np.linspace(0.0, 1.0, 126)
-    way = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+    share = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
     poses = np.tile(np.eye(4), (126, 1, 1))
-    turn = Rotation.from_euler("zyx", np.stack([0.3 * way, 0.1 * np.sin(3.0 * way), np.pi + 0.0 * way], axis=1))
+    turn = Rotation.from_euler("zyx", np.stack([0.3 * share, 0.1 * np.sin(3.0 * share), np.pi + 0.0 * share], axis=1))
     poses[:, :3, :3] = turn.as_matrix()
-    poses[:, 0, 3] = 0.75 + 0.05 * np.sin(6.0 * way)
-    poses[:, 1, 3] = -0.2 + 0.4 * way
+    poses[:, 0, 3] = 0.75 + 0.05 * np.sin(6.0 * share)
+    poses[:, 1, 3] = -0.2 + 0.4 * share
     poses[:, 2, 3] = 0.55
     return PathProgram(poses, 0.004).at_speed(1.0, 0.004)
 

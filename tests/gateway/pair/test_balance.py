@@ -168,8 +168,8 @@ def test_links_and_delays_of_an_arm_ask_for_torque_of_its_own_joints_alone(thirt
         links = np.stack([each[row] for each in arm.arm.link_torques(*motion)], axis=1)
         assert columns[own, :axes] == pytest.approx(LINK_SHARE * links)
         before, after = (arm.arm.model_torque(*(each[at][None] for each in motion))[0] for at in (row - 1, row + 1))
-        late = DELAY_STD_S * (after - before) / (2 * thirteen.path.dt_s)
-        assert columns[own, axes:] == pytest.approx(np.diag(late))
+        delayed_nm = DELAY_STD_S * (after - before) / (2 * thirteen.path.dt_s)
+        assert columns[own, axes:] == pytest.approx(np.diag(delayed_nm))
 
 
 @pytest.mark.parametrize("which", ["bench", "thirteen"])
@@ -180,8 +180,8 @@ def test_the_torque_of_constants_is_that_of_their_columns(which, request):
     motion = random.standard_normal((3, balance.count, joints))
     by = random.standard_normal(constants_of(joints))
     for row in (0, 500):
-        told = balance.columns.torque(row, by, *(each[row] for each in motion))
-        assert told == pytest.approx(balance.columns.of(*motion)[row] @ by)
+        torque_nm = balance.columns.torque(row, by, *(each[row] for each in motion))
+        assert torque_nm == pytest.approx(balance.columns.of(*motion)[row] @ by)
 
 
 def test_both_hands_receive_the_force_and_the_weight_of_the_part(bench):
@@ -257,7 +257,7 @@ def test_a_joint_that_has_not_turned_yet_has_little_weight(bench):
     row = len(bench.path) // 2
     extra = np.zeros((2, 6))
     extra[1, 2] = bench.cell.arms[1].coulomb_nm[2]
-    felt_n, std_n = [], []
+    estimated_n, std_n = [], []
     for settled in (1.0, 0.0):
         turned = np.ones((2, 6))
         turned[1, 2] = settled
@@ -265,13 +265,13 @@ def test_a_joint_that_has_not_turned_yet_has_little_weight(bench):
         share = bench.balance._share[row].reshape(2, 6)
         one, two = (Shown(share[arm] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1))
         bench.balance.take(row + 1, (one, two), None)
-        felt_n.append(np.linalg.norm(bench.balance.wrench[:3]))
+        estimated_n.append(np.linalg.norm(bench.balance.wrench[:3]))
         std_n.append(np.sqrt(np.trace(bench.balance.covariance[:3, :3])))
-    assert felt_n[1] < 0.7 * felt_n[0]
+    assert estimated_n[1] < 0.7 * estimated_n[0]
     assert std_n[1] > std_n[0]
 
 
-def standing(bench: Bench, extra_nm: np.ndarray, turned: float) -> np.ndarray:
+def held_force(bench: Bench, extra_nm: np.ndarray, turned: float) -> np.ndarray:
     """Force (3,) that the hands are told of after twelve SYNCs at the start, with torques (12,) beside the part's."""
     seen = [
         Shown(nm, np.full(6, turned), np.zeros(6), np.zeros(6))
@@ -290,11 +290,11 @@ def test_hands_do_not_yield_to_what_friction_at_rest_may_be(bench):
     draws = [0.5 * coulomb_nm * random.choice([-1.0, 1.0], 12) for _ in range(20)]
     feigned = []
     for extra in draws:
-        yielded = np.linalg.norm(standing(bench, extra, 0.0))
+        yielded = np.linalg.norm(held_force(bench, extra, 0.0))
         feigned.append(np.linalg.norm(bench.balance.wrench[:3]))
         assert yielded <= 0.5 * feigned[-1]
     assert np.median(feigned) > 10.0
-    turning = [np.linalg.norm(standing(bench, extra, 1.0)) for extra in draws]
+    turning = [np.linalg.norm(held_force(bench, extra, 1.0)) for extra in draws]
     assert np.median(turning) > 10.0
 
 
@@ -307,7 +307,7 @@ def test_hands_yield_to_a_force_at_rest_that_no_friction_explains(bench):
         lever = centre - bench.tips(arm, np.zeros(6))[:, :3, 3]
         torque.append(bench.virtual_work_nm(arm, sign * pull, np.cross(lever, sign * pull))[0])
     coulomb_nm = np.concatenate([arm.coulomb_nm for arm in bench.cell.arms])
-    force = standing(bench, np.concatenate(torque) + 0.5 * coulomb_nm, 0.0)
+    force = held_force(bench, np.concatenate(torque) + 0.5 * coulomb_nm, 0.0)
     assert 75.0 < force[0] < 150.0
 
 

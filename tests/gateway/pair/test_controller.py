@@ -71,9 +71,9 @@ class Spring:
         controller.start_cycle()
         deviation, largest, slave = [], 0.0, None
         for m in range(len(self._path)):
-            given = deviation[m - DELAY] if m >= DELAY else (np.zeros(6), np.zeros(6))
+            delayed_deviation = deviation[m - DELAY] if m >= DELAY else (np.zeros(6), np.zeros(6))
             stand = self._stand(m, slave) if controller.needs_measured else None
-            master, slave = controller.step(m, *given, measured=stand)
+            master, slave = controller.step(m, *delayed_deviation, measured=stand)
             deviation.append(self.wrenches(m, master, slave))
             largest = max(largest, float(np.linalg.norm(deviation[-1][1][:3])))
         return controller.end_cycle(complete), largest
@@ -222,7 +222,7 @@ def test_distance_error_goes_where_it_is_commanded(path: PairPath, bare: PairCal
 
 def test_gap_that_was_left_is_learned_at_the_command_that_it_belongs_to(path: PairPath, bare: PairCalibration) -> None:
     """Hands that hardly yield, sensors heard half a loop time late, three commands: 0.3 stays after a cycle."""
-    cell, late = replace(bare, loop_time_s=0.024), 3
+    cell, delay = replace(bare, loop_time_s=0.024), 3
     row = replace(EMBODIMENTS["E5"], gains=Gains((1e9, 1e9)), learning=LearningRule(left_share=0.7, smooth_s=0.0))
     every = function_of_knots(path.s_m[:: len(path) - 1], np.tile(FIXED, (2, 1, 1)))
     knots = np.unique(path.s_m)
@@ -232,12 +232,12 @@ def test_gap_that_was_left_is_learned_at_the_command_that_it_belongs_to(path: Pa
     wanted = apply_correction(slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED), off)
     for share in (1.0, 0.3, 0.09):
         controller.start_cycle()
-        given = [controller.step(m, None, np.zeros(6))[1] for m in range(len(path))]
-        left = correction_between(wanted, np.stack(given))
-        assert left[late:-late] == pytest.approx(share * off[late:-late], abs=1e-5)
+        delayed_deviation = [controller.step(m, None, np.zeros(6))[1] for m in range(len(path))]
+        left = correction_between(wanted, np.stack(delayed_deviation))
+        assert left[delay:-delay] == pytest.approx(share * off[delay:-delay], abs=1e-5)
         controller.start_cycle()
         for m in range(len(path)):
-            controller.step(m, None, left[max(m - late, 0)])
+            controller.step(m, None, left[max(m - delay, 0)])
         assert controller.end_cycle(complete=True).learned
 
 
@@ -336,16 +336,16 @@ def test_a_cycle_begins_where_the_slave_is_and_learns_that(path: PairPath, bare:
     controller = controller_of("C2c", path, bare)
     controller.start_cycle()
     plain = commanded(controller, path)
-    standing = plain[0].copy()
-    standing[:3, 3] += [1e-4, -2e-4, 3e-4]
-    away = controller.beside(standing)
+    held = plain[0].copy()
+    held[:3, 3] += [1e-4, -2e-4, 3e-4]
+    away = controller.beside(held)
     assert away == pytest.approx([1e-4, -2e-4, 3e-4, 0, 0, 0], abs=1e-9)
     controller.start_cycle(np.linspace(1.0, 0.0, 21)[:, None] * away)
     begun = commanded(controller, path)
-    assert begun[0] == pytest.approx(standing, abs=1e-9)
+    assert begun[0] == pytest.approx(held, abs=1e-9)
     assert begun[20:] == pytest.approx(plain[20:], abs=1e-12)
     controller.end_cycle(True, known(path, np.zeros(6)))
-    assert np.linalg.norm(controller.beside(standing)[:3]) < np.linalg.norm(away[:3])
+    assert np.linalg.norm(controller.beside(held)[:3]) < np.linalg.norm(away[:3])
 
 
 def test_a_cycle_in_which_something_pulled_at_the_arms_is_not_learned_from(

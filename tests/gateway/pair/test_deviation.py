@@ -110,17 +110,17 @@ def test_a_force_of_one_sync_does_not_last_because_no_sample_follows_it():
 
 
 @pytest.mark.parametrize(
-    ("late_s", "rows_ago", "cause"),
+    ("delay_s", "rows_ago", "cause"),
     [(0.0017, 4, "1.7 ms late, of 4 ms"), (0.0015, 4, "from the start"), (0.0017, 60, "from the start")],
 )
-def test_a_stop_shortly_after_a_delayed_sync_names_it(late_s, rows_ago, cause):
+def test_a_stop_shortly_after_a_delayed_sync_names_it(delay_s, rows_ago, cause):
     """Drives take set points over half a period after a SYNC, give or take some; 0.2 s are 50 SYNCs."""
     found, balance, _ = deviation(50.0)
     balance.wrench = push(101.0)
     for row in range(-70, ROWS):
         sample = Sample("a")
         sample.sync_index = row + (row >= 0)  # one SYNC between standing and the way is not told
-        sample.time_s = 10.0 + DT_S * sample.sync_index + (late_s if row == 3 - rows_ago else 0.0)
+        sample.time_s = 10.0 + DT_S * sample.sync_index + (delay_s if row == 3 - rows_ago else 0.0)
         if row < 0:
             found.listen((sample, Sample("b")))
             continue
@@ -130,7 +130,7 @@ def test_a_stop_shortly_after_a_delayed_sync_names_it(late_s, rows_ago, cause):
             assert ("sync_period_s" in why) == ("late" in cause)
 
 
-def standing(away_rad: float) -> tuple:
+def at_rest(away_rad: float) -> tuple:
     """Samples of both arms, the second one this far from the beginning of its way."""
     second = SimpleNamespace(q_rad=np.array([0.3] * 5 + [0.3 - away_rad]))
     return SimpleNamespace(q_rad=np.full(6, 0.3), sync_index=0, time_s=0.0), second
@@ -139,12 +139,12 @@ def standing(away_rad: float) -> tuple:
 def test_a_part_that_is_held_may_not_be_squeezed_during_the_transfer_to_the_start():
     """50 N, 8 ms: the third SYNC in a row, and only near the start, where the weights are known."""
     found, balance, (one, _) = deviation(50.0)
-    assert found.rest(standing(0.0)) == ""
+    assert found.rest(at_rest(0.0)) == ""
     balance.wrench = push(51.0)
-    assert [found.rest(standing(0.006)) for _ in range(5)] == [""] * 5
+    assert [found.rest(at_rest(0.006)) for _ in range(5)] == [""] * 5
     assert len(one.calls) == 1
-    assert [found.rest(standing(0.004)) for _ in range(2)] == ["", ""]
-    why = found.rest(standing(0.004))
+    assert [found.rest(at_rest(0.004)) for _ in range(2)] == ["", ""]
+    why = found.rest(at_rest(0.004))
     assert "51 N during the approach to the start, above 50 N" in why
     assert "check the grasp" in why
 
@@ -153,10 +153,10 @@ def test_a_force_within_friction_stops_no_arm_during_the_transfer_to_the_start()
     """60 N that are only known to 10 N, 95 %."""
     found, balance, _ = deviation(50.0)
     balance.wrench, balance.covariance = push(60.0), np.diag([5.1**2] * 6)
-    assert [found.rest(standing(0.0)) for _ in range(5)] == [""] * 5
+    assert [found.rest(at_rest(0.0)) for _ in range(5)] == [""] * 5
     balance.covariance = np.diag([4.9**2] * 6)
-    assert found.rest(standing(0.0)) == found.rest(standing(0.0)) == ""
-    assert "60 N" in found.rest(standing(0.0))
+    assert found.rest(at_rest(0.0)) == found.rest(at_rest(0.0)) == ""
+    assert "60 N" in found.rest(at_rest(0.0))
 
 
 @pytest.mark.parametrize(("force_n", "doubtful"), [(9.9, True), (10.1, False)])
@@ -181,7 +181,7 @@ def layout(missing: int = 3):
     return SimpleNamespace(config=config, arm=1, estimator=estimator)
 
 
-def told(*values: float | None) -> tuple:
+def sampled(*values: float | None) -> tuple:
     """Samples of both arms; the device is on the slave's bus."""
     reading = None if values == (None,) else SimpleNamespace(values=values)
     return SimpleNamespace(instruments=()), SimpleNamespace(instruments=(reading,))
@@ -194,28 +194,28 @@ def watch(missing: int = 3) -> GapWatch:
 def test_distances_of_the_last_sync_alone_are_known():
     seen = watch()
     assert seen.readings_m is None
-    assert seen.take(told(0.004, 0.006, 0.008)) is None
+    assert seen.take(sampled(0.004, 0.006, 0.008)) is None
     assert seen.readings_m == pytest.approx([0.004, 0.006, 0.008])
-    assert seen.take(told(None)) is None
+    assert seen.take(sampled(None)) is None
     assert seen.readings_m is None
 
 
 @pytest.mark.parametrize("value", [0.0009, 0.0101])
 def test_a_distance_outside_the_range_of_its_sensor_stops_at_once_and_names_it(value):
-    trouble = watch().take(told(0.004, 0.006, value))
+    trouble = watch().take(sampled(0.004, 0.006, value))
     assert trouble is not None
     assert trouble.urgent
     assert f"sensor 4 measures {1e3 * value:.2f} mm, its range is 1 to 10 mm" in trouble.why
-    assert watch().take(told(0.001, 0.010, 0.005)) is None
+    assert watch().take(sampled(0.001, 0.010, 0.005)) is None
 
 
 @pytest.mark.parametrize("values", [(None,), (0.004, None, 0.008)])
 def test_distances_that_stay_away_stop_along_the_path(values):
     seen = watch(missing=3)
-    assert [seen.take(told(*values)) for _ in range(2)] == [None, None]
-    seen.take(told(0.004, 0.005, 0.008))
-    assert [seen.take(told(*values)) for _ in range(2)] == [None, None]
-    trouble = seen.take(told(*values))
+    assert [seen.take(sampled(*values)) for _ in range(2)] == [None, None]
+    seen.take(sampled(0.004, 0.005, 0.008))
+    assert [seen.take(sampled(*values)) for _ in range(2)] == [None, None]
+    trouble = seen.take(sampled(*values))
     assert trouble is not None
     assert not trouble.urgent
     says = "sensor 2 reports no valid value" if len(values) == 3 else "its frames are missing or delayed"
@@ -223,7 +223,7 @@ def test_distances_that_stay_away_stop_along_the_path(values):
 
 
 def test_a_sensor_out_of_range_counts_even_if_another_one_does_not_respond():
-    trouble = watch().take(told(None, 0.02, 0.005))
+    trouble = watch().take(sampled(None, 0.02, 0.005))
     assert trouble is not None
     assert trouble.urgent
 
@@ -234,7 +234,7 @@ def test_the_deviation_from_distances_is_expressed_in_the_slaves_base_and_kept_b
     found = DeviationFromDistance(seen, slave)
     assert found.inputs(3) == (None, None)
     assert found.gaps_m.shape == (ROWS, 3)
-    samples = told(0.004, 0.006, 0.007)
+    samples = sampled(0.004, 0.006, 0.007)
     seen.take(samples)
     found.listen(samples)
     nothing, (error, pose) = found.inputs(3)
@@ -245,6 +245,6 @@ def test_the_deviation_from_distances_is_expressed_in_the_slaves_base_and_kept_b
     assert found.gaps_m[3] == pytest.approx([0.0, 0.001, -0.001])
     assert np.isnan(np.delete(found.gaps_m, 3, axis=0)).all()
     assert (found.size_n(3), found.doubtful(3)) == (0.0, False)
-    seen.take(told(None))
+    seen.take(sampled(None))
     found.take(4, samples)
     assert np.isnan(found.gaps_m[4]).all()

@@ -27,24 +27,24 @@ def sensors(count: int = 6) -> DistanceSensors:
 
 
 def test_readings_are_rays_cut_with_planes() -> None:
-    given = sensors()
+    sensor = sensors()
     moved = apply_correction(WANTED, [1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
-    for i, reading in enumerate(given.readings(moved)):
-        start = moved[:3, :3] @ given.origin_m[i] + moved[:3, 3]
-        end = start + reading * (moved[:3, :3] @ given.beam[i])
-        assert given.normal[i] @ (end - given.point_m[i]) == pytest.approx(0.0, abs=1e-15)
-    assert np.allclose(given.readings(WANTED), 0.005)
+    for i, reading in enumerate(sensor.readings(moved)):
+        start = moved[:3, :3] @ sensor.origin_m[i] + moved[:3, 3]
+        end = start + reading * (moved[:3, :3] @ sensor.beam[i])
+        assert sensor.normal[i] @ (end - sensor.point_m[i]) == pytest.approx(0.0, abs=1e-15)
+    assert np.allclose(sensor.readings(WANTED), 0.005)
 
 
 def test_sensitivity_by_differences() -> None:
-    given = sensors()
+    sensor = sensors()
     for column in range(6):
         step = np.zeros(6)
         step[column] = 1e-6
         change = (
-            given.readings(apply_correction(WANTED, step)) - given.readings(apply_correction(WANTED, -step))
+            sensor.readings(apply_correction(WANTED, step)) - sensor.readings(apply_correction(WANTED, -step))
         ) / 2e-6
-        assert np.allclose(given.sensitivity(WANTED)[:, column], change, atol=1e-8)
+        assert np.allclose(sensor.sensitivity(WANTED)[:, column], change, atol=1e-8)
 
 
 def test_error_brings_the_hand_home() -> None:
@@ -56,9 +56,9 @@ def test_error_brings_the_hand_home() -> None:
 
 
 def test_three_sensors_correct_three_components_and_leave_the_rest() -> None:
-    given = sensors(3)
+    sensor = sensors(3)
     turn = WANTED[:3, :3]
-    aligned = DistanceSensors(given.origin_m, given.beam, given.point_m @ turn, given.normal @ turn)
+    aligned = DistanceSensors(sensor.origin_m, sensor.beam, sensor.point_m @ turn, sensor.normal @ turn)
     at = WANTED.copy()
     at[:3, :3], at[:3, 3] = np.eye(3), turn.T @ WANTED[:3, 3]
     estimator = DistanceEstimator(aligned, at, ("z", "rx", "ry"))
@@ -92,10 +92,10 @@ def test_wrong_shapes_are_refused() -> None:
 
 def mixed() -> DistanceSensors:
     """The six of `sensors`, the first three carried by gripper 1 and looking at planes of gripper 2."""
-    given, back = sensors(), np.linalg.inv(WANTED)
+    sensor, back = sensors(), np.linalg.inv(WANTED)
     on_master = np.arange(6) < 3
-    origin, beam = given.origin_m.copy(), given.beam.copy()
-    point, normal = given.point_m.copy(), given.normal.copy()
+    origin, beam = sensor.origin_m.copy(), sensor.beam.copy()
+    point, normal = sensor.point_m.copy(), sensor.normal.copy()
     for i in range(3):
         origin[i], beam[i] = WANTED[:3, :3] @ origin[i] + WANTED[:3, 3], WANTED[:3, :3] @ beam[i]
         point[i], normal[i] = back[:3, :3] @ point[i] + back[:3, 3], back[:3, :3] @ normal[i]
@@ -103,19 +103,19 @@ def mixed() -> DistanceSensors:
 
 
 def test_sensors_on_either_gripper() -> None:
-    given = mixed()
-    assert np.allclose(given.readings(WANTED), 0.005)
+    sensor = mixed()
+    assert np.allclose(sensor.readings(WANTED), 0.005)
     moved = apply_correction(WANTED, [1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
-    for i, reading in enumerate(given.readings(moved)[:3]):
-        normal = moved[:3, :3] @ given.normal[i]
-        point = moved[:3, :3] @ given.point_m[i] + moved[:3, 3]
-        assert normal @ (given.origin_m[i] + reading * given.beam[i] - point) == pytest.approx(0.0, abs=1e-15)
+    for i, reading in enumerate(sensor.readings(moved)[:3]):
+        normal = moved[:3, :3] @ sensor.normal[i]
+        point = moved[:3, :3] @ sensor.point_m[i] + moved[:3, 3]
+        assert normal @ (sensor.origin_m[i] + reading * sensor.beam[i] - point) == pytest.approx(0.0, abs=1e-15)
     for column in range(6):
         step = np.zeros(6)
         step[column] = 1e-6
         there, back = apply_correction(WANTED, step), apply_correction(WANTED, -step)
-        change = (given.readings(there) - given.readings(back)) / 2e-6
-        assert np.allclose(given.sensitivity(WANTED)[:, column], change, atol=1e-8)
+        change = (sensor.readings(there) - sensor.readings(back)) / 2e-6
+        assert np.allclose(sensor.sensitivity(WANTED)[:, column], change, atol=1e-8)
     away = np.array([1e-3, -2e-3, 5e-4, 3e-3, 1e-3, -2e-3])
-    error = DistanceEstimator(given, WANTED).error(given.readings(apply_correction(WANTED, away)))
+    error = DistanceEstimator(sensor, WANTED).error(sensor.readings(apply_correction(WANTED, away)))
     assert np.allclose(error, -away, atol=2e-5)

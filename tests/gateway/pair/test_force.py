@@ -65,8 +65,8 @@ def test_squeeze_along_the_part_pushes_the_slave_outwards(path: PairPath, cell: 
     outwards = 30.0 * (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     first = in_base(cell.w_t_b1, -outwards, np.zeros(3))
     second = in_base(cell.w_t_b2, outwards, np.zeros(3))
-    for given in ((first, second), (first, None), (None, second)):
-        internal = maps.internal(m, *given)
+    for forces in ((first, second), (first, None), (None, second)):
+        internal = maps.internal(m, *forces)
         assert internal is not None
         assert np.allclose(internal[:3], outwards, atol=1e-12)
         assert np.allclose(internal[3:], 0.0, atol=1e-12)

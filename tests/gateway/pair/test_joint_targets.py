@@ -27,9 +27,9 @@ def external(arm):
     return ExternalTorque(arm, JointFollower(arm, arm.start_rad + SPEED_RAD_S * time_s), DT_S, LAG_S)
 
 
-def sample(arm, index: int, late_s: float = 0.0, speed_rad_s=SPEED_RAD_S) -> ArmSample:
+def sample(arm, index: int, delay_s: float = 0.0, speed_rad_s=SPEED_RAD_S) -> ArmSample:
     """Of an arm that moves evenly and freely, at a SYNC that comes late; gravity and friction are all it needs."""
-    at_s = index * DT_S + late_s
+    at_s = index * DT_S + delay_s
     q = arm.start_rad + speed_rad_s * (at_s - LAG_S - DT_S)
     still = np.zeros((1, 6))
     rubbing = arm.coulomb_nm * np.sign(speed_rad_s) + arm.viscous_nm_s_rad * speed_rad_s
@@ -39,8 +39,8 @@ def sample(arm, index: int, late_s: float = 0.0, speed_rad_s=SPEED_RAD_S) -> Arm
 
 def test_delayed_syncs_cause_no_torque_error(arm, external):
     """With the period in place of the instants an acceleration of 10 rad/s2 would be seen, some 500 Nm."""
-    late_s = np.random.default_rng(7).uniform(0.0, 0.0004, ROWS)
-    seen = [external.update(index, sample(arm, index, late_s[index])) for index in range(10, ROWS)]
+    delay_s = np.random.default_rng(7).uniform(0.0, 0.0004, ROWS)
+    seen = [external.update(index, sample(arm, index, delay_s[index])) for index in range(10, ROWS)]
     assert seen[:2] == [None, None]
     assert max(np.abs(each.external_nm).max() for each in seen[2:]) < 1.0
     assert seen[-1].speed_rad_s == pytest.approx(SPEED_RAD_S)

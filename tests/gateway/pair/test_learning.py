@@ -35,20 +35,20 @@ def true_commands(path: PairPath, cell: PairCalibration) -> np.ndarray:
 
 
 def run_cycles(
-    learner: IterativeLearning, path: PairPath, cell: PairCalibration, count: int, gain: float = 0.8
+    learning: IterativeLearning, path: PairPath, cell: PairCalibration, count: int, gain: float = 0.8
 ) -> list[float]:
     """Cycles in which the hand takes the share `gain` of every mismatch away; largest mismatch per cycle."""
     wanted, largest = true_commands(path, cell), []
     for _ in range(count):
-        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
         mismatch = correction_between(wanted, base)
         largest.append(float(np.abs(mismatch).max()))
         corrections = np.stack([np.zeros_like(mismatch), gain * mismatch], axis=1)
-        learner.learn(Cycle(path.commands, base, corrections, 1e5 * mismatch))
+        learning.learn(Cycle(path.commands, base, corrections, 1e5 * mismatch))
     return largest
 
 
-def learner_of(rule: LearningRule, path: PairPath, cell: PairCalibration, lead: int = 0) -> IterativeLearning:
+def learning_of(rule: LearningRule, path: PairPath, cell: PairCalibration, lead: int = 0) -> IterativeLearning:
     return IterativeLearning(rule, path, cell, first_function(path), lead)
 
 
@@ -61,15 +61,15 @@ def test_a_block_is_waited_for_only_once_the_force_was_inside_its_limit(
 ) -> None:
     """Blocks of three, hands that take 0.3 of a mismatch: every update leaves 0.7 of the force."""
     wanted = true_commands(path, cell)
-    learner, updated = learner_of(LearningRule(cycles=3, smooth_s=0.0), path, cell), list[bool]()
+    learning, updated = learning_of(LearningRule(cycles=3, smooth_s=0.0), path, cell), list[bool]()
     for _ in expected:
-        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
         mismatch = correction_between(wanted, base)
         if not updated:
             limit_n = share * 1e5 * float(np.linalg.norm(mismatch[:, :3], axis=1).max())
-            learner = learner_of(LearningRule(cycles=3, smooth_s=0.0), path, replace(cell, force_limit_n=limit_n))
+            learning = learning_of(LearningRule(cycles=3, smooth_s=0.0), path, replace(cell, force_limit_n=limit_n))
         corrections = np.stack([np.zeros_like(mismatch), 0.3 * mismatch], axis=1)
-        updated.append(learner.learn(Cycle(path.commands, base, corrections, 1e5 * mismatch)).updated)
+        updated.append(learning.learn(Cycle(path.commands, base, corrections, 1e5 * mismatch)).updated)
     assert updated == expected
 
 
@@ -125,7 +125,7 @@ def test_raw_relation_is_that_of_the_corrected_commands(path: PairPath, cell: Pa
 
 
 def test_every_cycle_contracts_to_the_interpolation_error(path: PairPath, cell: PairCalibration) -> None:
-    largest = run_cycles(learner_of(LearningRule(smooth_s=0.0), path, cell), path, cell, 8)
+    largest = run_cycles(learning_of(LearningRule(smooth_s=0.0), path, cell), path, cell, 8)
     assert largest[1] == pytest.approx(0.2 * largest[0], rel=0.1)
     assert largest[-1] < 0.03 * largest[0]
 
@@ -133,7 +133,7 @@ def test_every_cycle_contracts_to_the_interpolation_error(path: PairPath, cell: 
 @pytest.mark.parametrize("kind", ["mean", "weighted", "median", "mode"])
 def test_blocks_update_once_per_r_cycles(path: PairPath, cell: PairCalibration, kind: str) -> None:
     rule = LearningRule(cycles=3, kind=kind, smooth_s=0.0)  # type: ignore[arg-type]
-    largest = run_cycles(learner_of(rule, path, cell), path, cell, 13)
+    largest = run_cycles(learning_of(rule, path, cell), path, cell, 13)
     assert largest[0] == largest[1] == largest[2]
     assert largest[3] == pytest.approx(0.2 * largest[0], rel=0.1)
     assert largest[-1] < 0.03 * largest[0]
@@ -141,7 +141,7 @@ def test_blocks_update_once_per_r_cycles(path: PairPath, cell: PairCalibration, 
 
 def test_rereferenced_rebuild_converges_with_five_cycles(path: PairPath, cell: PairCalibration) -> None:
     rule = LearningRule(cycles=5, schedule="rereferenced", smooth_s=0.0)
-    largest = run_cycles(learner_of(rule, path, cell), path, cell, 20, gain=1.0)
+    largest = run_cycles(learning_of(rule, path, cell), path, cell, 20, gain=1.0)
     assert max(largest[10:]) < 0.03 * largest[0]
 
 
@@ -153,36 +153,36 @@ def test_sliding_rebuild_is_refused_with_the_reason() -> None:
 def test_forgetting_keeps_a_share_of_the_first_function(path: PairPath, cell: PairCalibration) -> None:
     forgetting = Forgetting(gamma=0.1, phi=0.5)
     rule = LearningRule(forgetting=forgetting, smooth_s=0.0)
-    largest = run_cycles(learner_of(rule, path, cell), path, cell, 60, gain=1.0)
+    largest = run_cycles(learning_of(rule, path, cell), path, cell, 60, gain=1.0)
     assert largest[-1] / largest[0] == pytest.approx(forgetting.bias(1.0), abs=0.02)
 
 
 def test_phase_lead_finds_the_error_of_a_delayed_correction(path: PairPath, cell: PairCalibration) -> None:
-    late, wanted = 5, true_commands(path, cell)
+    delay, wanted = 5, true_commands(path, cell)
     after = []
-    for lead in (0, late):
-        learner = IterativeLearning(LearningRule(smooth_s=0.0), path, cell, first_function(path, 40), lead)
-        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+    for lead in (0, delay):
+        learning = IterativeLearning(LearningRule(smooth_s=0.0), path, cell, first_function(path, 40), lead)
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
         mismatch = correction_between(wanted, base)
-        delayed = mismatch[np.maximum(np.arange(len(path)) - late, 0)]
-        learner.learn(Cycle(path.commands, base, np.stack([0 * delayed, delayed], axis=1), delayed))
-        again = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
-        after.append(np.abs(correction_between(wanted, again))[late:-late].max())
+        delayed = mismatch[np.maximum(np.arange(len(path)) - delay, 0)]
+        learning.learn(Cycle(path.commands, base, np.stack([0 * delayed, delayed], axis=1), delayed))
+        again = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
+        after.append(np.abs(correction_between(wanted, again))[delay:-delay].max())
     assert after[1] < 0.2 * after[0]
 
 
 def test_second_function_is_used_once_it_has_settled(path: PairPath, cell: PairCalibration) -> None:
-    learner = learner_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
-    first = learner.first
+    learning = learning_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
+    first = learning.first
     used = []
     for _ in range(5):
-        run_cycles(learner, path, cell, 1)
-        used.append(learner.in_use is first)
+        run_cycles(learning, path, cell, 1)
+        used.append(learning.in_use is first)
     assert used == [True, True, False, False, False]
-    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
     jump = np.full((len(path), 2, 6), 1e-3)
-    learner.learn(Cycle(path.commands, base, jump, np.full((len(path), 6), 1e4)))
-    assert learner.in_use is first
+    learning.learn(Cycle(path.commands, base, jump, np.full((len(path), 6), 1e4)))
+    assert learning.in_use is first
 
 
 @pytest.mark.parametrize(
@@ -200,44 +200,44 @@ def test_a_second_function_is_used_while_it_stays_settled(
     path: PairPath, cell: PairCalibration, moved_mm: list[float], force_n: list[float], used: list[bool]
 ) -> None:
     """Two small updates in a row; given up for a larger force or knots that move ever further."""
-    learner = learner_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
+    learning = learning_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
     found = []
-    for way_mm, force in zip(moved_mm, force_n, strict=True):
-        learner._choose(force, 1e-3 * way_mm, 1e-4)
-        found.append(learner._in_use)
+    for distance_mm, force in zip(moved_mm, force_n, strict=True):
+        learning._choose(force, 1e-3 * distance_mm, 1e-4)
+        found.append(learning._in_use)
     assert found == used
 
 
 def test_a_turn_that_is_too_large_is_not_settled(path: PairPath, cell: PairCalibration) -> None:
-    learner = learner_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
+    learning = learning_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
     for _ in range(4):
-        learner._choose(1.0, 1e-5, 2.1e-4)
-    assert not learner._in_use
+        learning._choose(1.0, 1e-5, 2.1e-4)
+    assert not learning._in_use
 
 
 def test_reset_forgets_everything(path: PairPath, cell: PairCalibration) -> None:
-    learner = learner_of(LearningRule(), path, cell)
-    run_cycles(learner, path, cell, 3)
-    assert learner.in_use is not learner.first
-    learner.reset()
-    assert learner.in_use is learner.first
-    assert learner.second is None
+    learning = learning_of(LearningRule(), path, cell)
+    run_cycles(learning, path, cell, 3)
+    assert learning.in_use is not learning.first
+    learning.reset()
+    assert learning.in_use is learning.first
+    assert learning.second is None
 
 
 def test_points_grow_where_force_acts_and_old_ones_stay(path: PairPath, cell: PairCalibration) -> None:
     selection = Selection(features=(Feature("force", 10.0),), largest_count=14)
-    learner = learner_of(LearningRule(selection=selection, smooth_s=0.0), path, cell)
-    before = set(learner.points.tolist())
+    learning = learning_of(LearningRule(selection=selection, smooth_s=0.0), path, cell)
+    before = set(learning.points.tolist())
     base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED)
     bump = np.exp(-0.5 * ((np.arange(len(path)) - 108.0) / 4.0) ** 2)
     corrections = np.zeros((len(path), 2, 6))
     corrections[:, 1, 0] = 1e-3 * bump + 1e-4 * np.sin(np.arange(len(path)) / 9.0)
     force = np.zeros((len(path), 6))
     force[:, 0] = 50.0 * bump
-    learner.learn(Cycle(path.commands, base, corrections, force))
-    assert 108 in set(learner.points.tolist()) - before
+    learning.learn(Cycle(path.commands, base, corrections, force))
+    assert 108 in set(learning.points.tolist()) - before
     off = correction_between(
-        slave_command(cell.w_t_b1, path.commands[108], cell.w_t_b2, learner.in_use.at(float(path.s_m[108]))), base[108]
+        slave_command(cell.w_t_b1, path.commands[108], cell.w_t_b2, learning.in_use.at(float(path.s_m[108]))), base[108]
     )
     assert off[0] == pytest.approx(1e-3, rel=0.15)
 
@@ -249,13 +249,13 @@ def left_cycles(
     path: PairPath, cell: PairCalibration, share: float, trust: np.ndarray | None = None
 ) -> list[np.ndarray]:
     """What is wrong (M, 6) with the slave's commands before each of three cycles whose hands do not yield at all."""
-    learner = learner_of(LearningRule(left_share=share, smooth_s=0.0), path, cell)
+    learning = learning_of(LearningRule(left_share=share, smooth_s=0.0), path, cell)
     wanted, wrong = true_commands(path, cell), []
     for _ in range(3):
-        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+        base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
         wrong.append(correction_between(wanted, base))
         still = np.zeros((len(path), 2, 6))
-        learner.learn(Cycle(path.commands, base, still, 0.0 * wrong[-1], left=wrong[-1], trust=trust))
+        learning.learn(Cycle(path.commands, base, still, 0.0 * wrong[-1], left=wrong[-1], trust=trust))
     return wrong
 
 
@@ -281,11 +281,11 @@ def test_corrections_of_a_cycle_whose_force_is_known_stay_where_they_were_made(
     path: PairPath, cell: PairCalibration
 ) -> None:
     """With a lead of 10 commands; it belongs to corrections alone, which come later than their force."""
-    learner = learner_of(LearningRule(smooth_s=0.0), path, cell, lead=10)
-    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learner.in_use.many(path.s_m))
+    learning = learning_of(LearningRule(smooth_s=0.0), path, cell, lead=10)
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
     jump = np.zeros((len(path), 2, 6))
     jump[60:, 1, 0] = 1e-3
-    plain = learner._asked(Cycle(path.commands, base, jump, jump[:, 1]))
-    known = learner._asked(Cycle(path.commands, base, jump, jump[:, 1], left=np.zeros((len(path), 6))))
+    plain = learning._asked(Cycle(path.commands, base, jump, jump[:, 1]))
+    known = learning._asked(Cycle(path.commands, base, jump, jump[:, 1], left=np.zeros((len(path), 6))))
     assert np.flatnonzero(plain[:, 1, 0])[0] == 50
     assert np.flatnonzero(known[:, 1, 0])[0] == 60

@@ -28,33 +28,33 @@ def column(index: int, values: np.ndarray) -> np.ndarray:
     return result
 
 
-def points(feature: Feature, path: PairPath, given: Record) -> list[int]:
+def points(feature: Feature, path: PairPath, recorded: Record) -> list[int]:
     selection = Selection(features=(feature,))
-    return select(selection, score(selection, given, path), path, np.array([0])).tolist()
+    return select(selection, score(selection, recorded, path), path, np.array([0])).tolist()
 
 
 def test_force_above_its_threshold(path: PairPath) -> None:
-    given = record(column(0, bump(60, 30.0) + bump(90, 8.0)))
-    assert points(Feature("force", 10.0), path, given) == [0, 60, COUNT - 1]
-    assert points(Feature("force", 5.0), path, given) == [0, 60, 90, COUNT - 1]
+    recorded = record(column(0, bump(60, 30.0) + bump(90, 8.0)))
+    assert points(Feature("force", 10.0), path, recorded) == [0, 60, COUNT - 1]
+    assert points(Feature("force", 5.0), path, recorded) == [0, 60, 90, COUNT - 1]
     assert points(Feature("moment", 5.0), path, record(column(4, bump(70, 9.0)))) == [0, 70, COUNT - 1]
 
 
 def test_correction_and_its_rate(path: PairPath) -> None:
-    given = record(correction=column(1, bump(60, 1e-3)))
-    assert points(Feature("correction", 5e-4), path, given) == [0, 60, COUNT - 1]
-    steep = points(Feature("correction_rate", 2e-2), path, given)
+    recorded = record(correction=column(1, bump(60, 1e-3)))
+    assert points(Feature("correction", 5e-4), path, recorded) == [0, 60, COUNT - 1]
+    steep = points(Feature("correction_rate", 2e-2), path, recorded)
     assert set(steep) == {0, 56, 64, COUNT - 1}
     turned = record(correction=column(5, bump(60, 4e-3)))
     assert points(Feature("correction", 5e-4), path, turned) == [0, 60, COUNT - 1]
 
 
 def test_force_rate_and_change_since_the_last_block(path: PairPath) -> None:
-    given = record(column(2, bump(60, 30.0)))
-    assert {56, 64} <= set(points(Feature("force_rate", 500.0), path, given))
-    same = Record(given.force, given.correction, given.force)
+    recorded = record(column(2, bump(60, 30.0)))
+    assert {56, 64} <= set(points(Feature("force_rate", 500.0), path, recorded))
+    same = Record(recorded.force, recorded.correction, recorded.force)
     assert points(Feature("change", 1.0), path, same) == [0, COUNT - 1]
-    assert 60 in points(Feature("change", 1.0), path, given)
+    assert 60 in points(Feature("change", 1.0), path, recorded)
 
 
 def test_features_of_the_command(path: PairPath) -> None:
@@ -85,10 +85,10 @@ def test_a_window_alone_is_filled_with_points(path: PairPath) -> None:
 
 
 def test_combinations(path: PairPath) -> None:
-    given = record(column(0, bump(50, 8.0)), column(0, bump(50, 8e-4)))
+    recorded = record(column(0, bump(50, 8.0)), column(0, bump(50, 8e-4)))
     features = (Feature("force", 10.0), Feature("correction", 1e-3))
     chosen = {
-        kind: select(s := Selection(features, combination=kind), score(s, given, path), path, np.array([0])).tolist()
+        kind: select(s := Selection(features, combination=kind), score(s, recorded, path), path, np.array([0])).tolist()
         for kind in ("any", "all", "sum")
     }
     assert chosen == {"any": [0, 125], "all": [0, 125], "sum": [0, 50, 125]}
@@ -118,8 +118,8 @@ def test_pruning_moves_the_function_by_less_than_its_tolerance() -> None:
     selection = Selection((Feature("force"),))
     pruned = prune(selection, function)
     assert pruned.s_m.tolist() == [0.0, 3.0, 4.0, 5.0]
-    ways = np.linspace(0.0, 5.0, 101)
-    moved = np.abs(pruned.many(ways)[:, 0, 3] - function.many(ways)[:, 0, 3]).max()
+    lengths = np.linspace(0.0, 5.0, 101)
+    moved = np.abs(pruned.many(lengths)[:, 0, 3] - function.many(lengths)[:, 0, 3]).max()
     assert moved < 2.0 * selection.prune_m
 
 
@@ -160,15 +160,15 @@ STIFFNESS = (1e5, 4e3)
 
 
 def refined(path: PairPath, wanted: np.ndarray, **changes) -> list[int]:
-    given = {"gain_n": 3.0, "apart_s": 0.02, "apart_m": 0.0, "refined_count": 30} | changes
-    selection = Selection(features=(Feature("force"),), **given)
+    recorded = {"gain_n": 3.0, "apart_s": 0.02, "apart_m": 0.0, "refined_count": 30} | changes
+    selection = Selection(features=(Feature("force"),), **recorded)
     return refine(selection, wanted, path, np.array([0, COUNT - 1]), STIFFNESS).tolist()
 
 
 def left_n(path: PairPath, wanted: np.ndarray, chosen: list[int]) -> np.ndarray:
     """Force (M,) that a function through the chosen points leaves along y, by interpolation of its own."""
-    ways, first = np.unique(path.s_m[chosen], return_index=True)
-    there = np.interp(path.s_m, ways, wanted[np.array(chosen)[first], 1, 3])
+    lengths, first = np.unique(path.s_m[chosen], return_index=True)
+    there = np.interp(path.s_m, lengths, wanted[np.array(chosen)[first], 1, 3])
     return STIFFNESS[0] * np.abs(there - wanted[:, 1, 3])
 
 

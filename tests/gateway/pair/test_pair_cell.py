@@ -25,7 +25,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def told(joint, typed, factor):
+def identified(joint, typed, factor):
     """An axis of which motion tells `factor` times what is typed, to within 5 %."""
     values = {key: factor * getattr(typed, key).value for key in KEYS}
     stds = {
@@ -50,7 +50,7 @@ def named(folder, motion):
 def test_identified_constants_take_the_place_of_typed_ones_and_say_so(folder):
     typed = load_pair(folder / "cell.toml").arms[0]
     axes = typed.config.axis
-    named(folder, tuple(told(joint, axis, 1.1) for joint, axis in enumerate(axes, start=1)))
+    named(folder, tuple(identified(joint, axis, 1.1) for joint, axis in enumerate(axes, start=1)))
     left, right = load_pair(folder / "cell.toml").arms
     for name in ("rotor_kg_m2", "coulomb_nm", "viscous_nm_s_rad"):
         np.testing.assert_allclose(getattr(left, name), 1.1 * getattr(typed, name))
@@ -62,6 +62,6 @@ def test_identified_constants_take_the_place_of_typed_ones_and_say_so(folder):
 
 def test_what_is_neither_identified_nor_typed_is_refused(folder):
     axes = load_pair(folder / "cell.toml").arms[0].config.axis
-    named(folder, tuple(told(joint, axis, 1.0) for joint, axis in enumerate(axes[:5], start=1)))
+    named(folder, tuple(identified(joint, axis, 1.0) for joint, axis in enumerate(axes[:5], start=1)))
     with pytest.raises(ConfigError, match=r"arm 'left', axis 6: rotor_inertia_kg_m2 is missing.*identified"):
         load_pair(folder / "cell.toml")

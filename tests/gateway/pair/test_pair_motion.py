@@ -45,22 +45,22 @@ def test_a_controller_uses_the_cells_part_and_chain(pair, distance_cell):
 @pytest.mark.parametrize(("share", "refused"), [(0.99, False), (1.01, True)])
 def test_a_joint_that_would_turn_too_fast_is_named(pair, share, refused):
     workspace, arm = pair.link.opened[0].workspace, pair.cell.arms[0]
-    way = np.tile(arm.start_rad, (20, 1))
-    way[:, 4] += share * workspace.speed_rad_s[4] * 0.004 * np.arange(20) * np.sign(-arm.start_rad[4])
+    rows = np.tile(arm.start_rad, (20, 1))
+    rows[:, 4] += share * workspace.speed_rad_s[4] * 0.004 * np.arange(20) * np.sign(-arm.start_rad[4])
     if refused:
         with pytest.raises(LimitExceeded, match=r"arm 'left', joint 5 would turn with .* lower the speed") as caught:
-            refuse_unreachable("left", workspace, way, 0.004)
+            refuse_unreachable("left", workspace, rows, 0.004)
         assert caught.value.joint == 5
     else:
-        refuse_unreachable("left", workspace, way, 0.004)
+        refuse_unreachable("left", workspace, rows, 0.004)
 
 
 def test_a_posture_that_is_not_allowed_is_named_with_its_command(pair):
     workspace, arm = pair.link.opened[0].workspace, pair.cell.arms[0]
-    way = np.tile(arm.start_rad, (9, 1))
-    way[6:, 1] = workspace.upper_rad[1] + 0.1
+    rows = np.tile(arm.start_rad, (9, 1))
+    rows[6:, 1] = workspace.upper_rad[1] + 0.1
     with pytest.raises(PlanRefused, match=r"arm 'left', command [67] at \[.*joint 2 outside.*move the path"):
-        refuse_unreachable("left", workspace, way, 10.0)
+        refuse_unreachable("left", workspace, rows, 10.0)
 
 
 @pytest.mark.parametrize("away_rad", [0.005, 0.08])
@@ -104,18 +104,20 @@ def test_a_prepared_trajectory_holds_the_nominal_joints_of_both_arms_and_their_r
     stream = Stream(pair.link.station(pair.cell, MoveOptions()))
     path = pair.cell.path(1.0)
     seeds = tuple(arm.start_rad for arm in pair.cell.arms)
-    way = PairMotion(pair.cell, stream).prepare_trajectory(path, seeds)
-    for arm, joints, to in zip(pair.cell.arms, way.joints, (path.commands, pair.cell.nominal_slave(path)), strict=True):
+    rows = PairMotion(pair.cell, stream).prepare_trajectory(path, seeds)
+    for arm, joints, to in zip(
+        pair.cell.arms, rows.joints, (path.commands, pair.cell.nominal_slave(path)), strict=True
+    ):
         assert arm.chain.poses(joints)[0] == pytest.approx(to, abs=1e-7)
-    joints = np.hstack(way.joints)
-    assert way.speed_rad_s[5:-5] == pytest.approx((joints[6:-4] - joints[4:-6]) / (2 * path.dt_s), abs=1e-9)
-    speed = way.speed_rad_s
-    assert way.acceleration_rad_s2[5:-5] == pytest.approx((speed[6:-4] - speed[4:-6]) / (2 * path.dt_s), abs=1e-9)
+    joints = np.hstack(rows.joints)
+    assert rows.speed_rad_s[5:-5] == pytest.approx((joints[6:-4] - joints[4:-6]) / (2 * path.dt_s), abs=1e-9)
+    speed = rows.speed_rad_s
+    assert rows.acceleration_rad_s2[5:-5] == pytest.approx((speed[6:-4] - speed[4:-6]) / (2 * path.dt_s), abs=1e-9)
     for index, arm in enumerate(pair.cell.arms):
         half = slice(6 * index, 6 * index + 6)
-        free = arm.model_torque(way.joints[index], speed[:, half], way.acceleration_rad_s2[:, half])
-        assert way.free_nm[index] == pytest.approx(free)
-    assert np.hstack(way.targets(7, (path.commands[7], pair.cell.nominal_slave(path)[7]))) == pytest.approx(joints[7])
+        free = arm.model_torque(rows.joints[index], speed[:, half], rows.acceleration_rad_s2[:, half])
+        assert rows.free_nm[index] == pytest.approx(free)
+    assert np.hstack(rows.targets(7, (path.commands[7], pair.cell.nominal_slave(path)[7]))) == pytest.approx(joints[7])
 
 
 def test_distance_sensors_at_the_wanted_relation_say_that_nothing_is_to_be_moved(distance_cell):

@@ -115,82 +115,82 @@ def test_a_joint_that_lags_longer_than_the_others_is_sent_ahead(pair, deviation)
     prepared, rows = PreparedTrajectory(), 200
     evenly = 0.01 * np.arange(rows)[:, None] * np.ones((1, 6))
     prepared.path, prepared.joints = np.zeros(rows), (evenly, evenly)
-    way = Along(pair, prepared, lambda m, _one, _two: (evenly[m], evenly[m]), deviation, 0)  # type: ignore[arg-type]
-    sent = np.array([np.concatenate(way.targets(float(row), 1.0)) for row in range(rows)])
+    pair_path = Along(pair, prepared, lambda m, _one, _two: (evenly[m], evenly[m]), deviation, 0)  # type: ignore[arg-type]
+    sent = np.array([np.concatenate(pair_path.targets(float(row), 1.0)) for row in range(rows)])
     ahead_s = (sent - np.hstack([evenly, evenly])) / (0.01 / DT_S)
     assert ahead_s[120] == pytest.approx([*6 * [-0.001], 0.011, *5 * [-0.001]], abs=1e-5)
     assert ahead_s[-1] == pytest.approx(np.zeros(12), abs=1e-12)
 
 
 def test_at_full_rate_each_row_is_asked_for_once_and_sent_as_it_is(pair, deviation):
-    way, asked = along(pair, deviation)
-    assert way.count == ROWS
+    pair_path, asked = along(pair, deviation)
+    assert pair_path.count == ROWS
     for row in range(ROWS):
         deviation.told = 0.1 * row
-        first, second = way.targets(float(row), 1.0)
+        first, second = pair_path.targets(float(row), 1.0)
         assert first == pytest.approx(np.full(6, row**2 + 0.1 * row))
         assert second == pytest.approx(np.full(6, row**2 + 1.0 + 0.1 * row))
-        assert way.offsets()[0] == pytest.approx(first / 10)
-        assert way.modelled(float(row))[1] == pytest.approx(np.full(6, -row))
-        assert way.rates(float(row))[0] == pytest.approx(np.full(12, row))
-        assert way.rates(float(row))[1] == pytest.approx(np.full(12, -row))
-        way.take(float(row), 1.0, SAMPLES)
+        assert pair_path.offsets()[0] == pytest.approx(first / 10)
+        assert pair_path.modelled(float(row))[1] == pytest.approx(np.full(6, -row))
+        assert pair_path.rates(float(row))[0] == pytest.approx(np.full(12, row))
+        assert pair_path.rates(float(row))[1] == pytest.approx(np.full(12, -row))
+        pair_path.take(float(row), 1.0, SAMPLES)
     assert [m for m, _ in asked] == list(range(ROWS))
     assert deviation.taken == [(row, 1.0) for row in range(ROWS)]
     assert len(pair.seen) == ROWS
-    assert way.ahead(1.0, 1.0) is None
-    assert way.spent_s > 0.0
+    assert pair_path.ahead(1.0, 1.0) is None
+    assert pair_path.spent_s > 0.0
 
 
 def test_before_the_first_row_the_rates_are_those_of_the_first(pair, deviation):
-    way, _ = along(pair, deviation)
-    assert way.rates(-1.0)[0] == pytest.approx(np.zeros(12))
-    assert way.modelled(-1.0)[0] == pytest.approx(np.zeros(6))
+    pair_path, _ = along(pair, deviation)
+    assert pair_path.rates(-1.0)[0] == pytest.approx(np.zeros(12))
+    assert pair_path.modelled(-1.0)[0] == pytest.approx(np.zeros(6))
 
 
 def test_between_two_rows_set_points_lie_on_the_line_between_them(pair, deviation):
-    way, _ = along(pair, deviation)
+    pair_path, _ = along(pair, deviation)
     for row in range(5):
-        way.targets(float(row), 1.0)
+        pair_path.targets(float(row), 1.0)
     for at in (4.25, 4.5, 4.75, 5.0):
-        first, second = way.targets(at, 0.25)
+        first, second = pair_path.targets(at, 0.25)
         assert first == pytest.approx(np.full(6, 16 + (at - 4) * 9))
         assert second - first == pytest.approx(np.ones(6))
 
 
 def test_what_the_hands_yield_between_two_rows_is_added_at_once(pair, deviation):
-    way, asked = along(pair, deviation)
+    pair_path, asked = along(pair, deviation)
     for row in range(5):
-        way.targets(float(row), 1.0)
-    way.targets(4.25, 0.25)
+        pair_path.targets(float(row), 1.0)
+    pair_path.targets(4.25, 0.25)
     deviation.told = 2.0
-    assert way.targets(4.5, 0.25)[0] == pytest.approx(np.full(6, 16 + 0.5 * 9 + 2.0))
-    assert way.targets(5.0, 0.25)[1] == pytest.approx(np.full(6, 26 + 2.0))
+    assert pair_path.targets(4.5, 0.25)[0] == pytest.approx(np.full(6, 16 + 0.5 * 9 + 2.0))
+    assert pair_path.targets(5.0, 0.25)[1] == pytest.approx(np.full(6, 26 + 2.0))
     assert [m for m, _ in asked] == [0, 1, 2, 3, 4, 5, 5, 5]
 
 
 def test_a_place_that_misses_a_row_by_rounding_is_that_row(pair, deviation):
-    way, asked = along(pair, deviation)
+    pair_path, asked = along(pair, deviation)
     for row in range(4):
-        way.targets(float(row), 1.0)
-    assert way.targets(3.0 + 1e-12, 1.0)[0] == pytest.approx(np.full(6, 9.0))
+        pair_path.targets(float(row), 1.0)
+    assert pair_path.targets(3.0 + 1e-12, 1.0)[0] == pytest.approx(np.full(6, 9.0))
     assert max(m for m, _ in asked) == 3
 
 
 def test_rows_that_were_passed_over_are_computed_all_the_same(pair, deviation):
-    way, asked = along(pair, deviation)
-    way.targets(0.0, 1.0)
-    way.targets(3.0, 3.0)
+    pair_path, asked = along(pair, deviation)
+    pair_path.targets(0.0, 1.0)
+    pair_path.targets(3.0, 3.0)
     assert [m for m, _ in asked] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(("doubt", "rate", "told"), [(True, 0.5, None), (False, 0.5, 3.0), (True, 1.0, 3.0)])
 def test_what_may_be_friction_is_not_answered_while_time_slows_down(pair, deviation, doubt, rate, told):
-    way, asked = along(pair, deviation)
+    pair_path, asked = along(pair, deviation)
     for row in range(3):
-        way.targets(float(row), 1.0)
+        pair_path.targets(float(row), 1.0)
     deviation.told, deviation.doubt = 3.0, doubt
-    way.targets(2.0 + rate, rate)
+    pair_path.targets(2.0 + rate, rate)
     assert asked[-1] == (3, told)
 
 
@@ -202,19 +202,19 @@ def test_each_arm_gives_back_its_own_lag_whatever_its_axes_are(pair, deviation):
     prepared = PreparedTrajectory()
     prepared.joints = (np.zeros((ROWS, 7)), np.zeros((ROWS, 6)))
     prepared.speed_rad_s = np.tile(speed, (ROWS, 1))
-    way = Along(pair, prepared, lambda m, _one, _two: (np.full(7, float(m)), np.full(6, float(m))), deviation, 0)
+    pair_path = Along(pair, prepared, lambda m, _one, _two: (np.full(7, float(m)), np.full(6, float(m))), deviation, 0)
     for row in range(3):
-        way.targets(float(row), 1.0)
-    first, second = way.targets(2.5, 0.5)
+        pair_path.targets(float(row), 1.0)
+    first, second = pair_path.targets(2.5, 0.5)
     assert first == pytest.approx(2.5 - 0.5 * 0.02 * speed[:7])
     assert second == pytest.approx(2.5 - 0.5 * 0.02 * speed[7:])
 
 
 def test_a_path_begins_where_the_arms_are_and_fades_in(pair, deviation):
     pair.q_rad = (np.full(6, 5.0), np.full(6, -3.0))
-    way, _ = along(pair, deviation, fading=4)
+    pair_path, _ = along(pair, deviation, fading=4)
     for row in range(6):
-        first, second = way.targets(float(row), 1.0)
+        first, second = pair_path.targets(float(row), 1.0)
         left = 1.0 - smooth(min((row + 1) / 4, 1.0))
         assert first == pytest.approx(np.full(6, row**2 + left * 5.0))
         assert second == pytest.approx(np.full(6, row**2 + 1.0 + left * (-4.0)))
@@ -229,11 +229,11 @@ def test_smooth_goes_from_0_to_1_and_is_at_rest_at_both_ends():
 
 def forces(pair: Pair, deviation: Deviation, sizes_n: list[float]) -> list[StopKind]:
     """What is asked for while a force stands that both arms are to be stopped for."""
-    way, _ = along(pair, deviation)
-    way.targets(0.0, 1.0)
+    pair_path, _ = along(pair, deviation)
+    pair_path.targets(0.0, 1.0)
     for size_n in sizes_n:
         deviation.trouble, deviation.force_n = "too much force", size_n
-        way.take(0.0, 1.0, SAMPLES)
+        pair_path.take(0.0, 1.0, SAMPLES)
     return [kind for _, kind in pair.asked]
 
 
@@ -255,10 +255,10 @@ def test_a_force_that_rises_while_the_stop_begins_is_no_quick_stop(pair, deviati
 
 
 def test_no_force_asks_for_nothing(pair, deviation):
-    way, _ = along(pair, deviation)
+    pair_path, _ = along(pair, deviation)
     for row in range(3):
-        way.targets(float(row), 1.0)
-        way.take(float(row), 1.0, SAMPLES)
+        pair_path.targets(float(row), 1.0)
+        pair_path.take(float(row), 1.0, SAMPLES)
     assert pair.asked == []
 
 
@@ -286,13 +286,13 @@ def test_a_gap_is_closed_at_rest_at_the_first_command(pair, deviation):
 
 
 def test_closing_that_is_broken_off_dies_away_and_observers_receive_every_sync(pair, deviation):
-    asked, heard = [], []
+    asked, received = [], []
     settling = Settling(
         pair,  # type: ignore[arg-type]
         PreparedTrajectory(),  # type: ignore[arg-type]
         lambda m, one, two: (asked.append(two), (np.ones(6), np.ones(6)))[1],
         deviation,
-        heard.append,
+        received.append,
     )
     deviation.told = 4.0
     settling.targets(RISING_S / DT_S, 1.0)
@@ -300,17 +300,17 @@ def test_closing_that_is_broken_off_dies_away_and_observers_receive_every_sync(p
     for _ in range(2):
         settling.targets(RISING_S / DT_S, 0.0)
     assert asked == pytest.approx([4.0, 4.0 * LEFT, 4.0 * LEFT**2])
-    assert heard == [SAMPLES]
+    assert received == [SAMPLES]
 
 
 def test_a_prepared_motion_of_both_arms_is_watched(pair):
     rows = np.arange(1.0, 5.0)[:, None] * np.ones((1, 6))
     motions = [Motion(sign * rows, sign * np.ones((4, 6)), np.zeros((4, 6)), DT_S) for sign in (1.0, -1.0)]
-    way = WatchedMotion(pair, pair.q_rad, motions)  # type: ignore[arg-type]
-    assert way.targets(2.0, 1.0)[1] == pytest.approx(np.full(6, -3.0))
-    assert way.offsets()[1] == pytest.approx(np.full(6, -0.3))
-    way.take(2.0, 1.0, SAMPLES)
+    pair_path = WatchedMotion(pair, pair.q_rad, motions)  # type: ignore[arg-type]
+    assert pair_path.targets(2.0, 1.0)[1] == pytest.approx(np.full(6, -3.0))
+    assert pair_path.offsets()[1] == pytest.approx(np.full(6, -0.3))
+    pair_path.take(2.0, 1.0, SAMPLES)
     assert pair.seen == [SAMPLES]
-    heard = []
-    WatchedMotion(pair, pair.q_rad, motions, heard.append).take(2.0, 1.0, SAMPLES)  # type: ignore[arg-type]
-    assert heard == [SAMPLES]
+    received = []
+    WatchedMotion(pair, pair.q_rad, motions, received.append).take(2.0, 1.0, SAMPLES)  # type: ignore[arg-type]
+    assert received == [SAMPLES]

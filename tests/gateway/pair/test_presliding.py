@@ -19,20 +19,20 @@ def test_friction_of_a_target_comes_when_the_servo_reaches_it(coulomb: np.ndarra
     at_rest, moving = np.zeros_like(coulomb), np.full_like(coulomb, -0.5 * 0.004)
     for _ in range(10):
         assert offset.at(at_rest).tolist() == at_rest.tolist()
-    given = [offset.at((step + 1) * moving) for step in range(6)]
-    assert not any(early.any() for early in given[:4])
-    assert given[4] == pytest.approx(-coulomb - 0.5 * viscous)
-    assert given[5] == pytest.approx(given[4])
+    offsets = [offset.at((step + 1) * moving) for step in range(6)]
+    assert not any(early.any() for early in offsets[:4])
+    assert offsets[4] == pytest.approx(-coulomb - 0.5 * viscous)
+    assert offsets[5] == pytest.approx(offsets[4])
 
 
 def test_a_joint_that_stops_keeps_its_offset_until_its_targets_turn_round() -> None:
     """A tenth of a millimetre by a metre of hand is what it takes; speed plays no part."""
     arm = SimpleNamespace(coulomb_nm=COULOMB, viscous_nm_s_rad=VISCOUS)
     offset = FrictionOffset(arm, 0.004, 0.0)  # type: ignore[arg-type]
-    for way in np.append(np.linspace(1e-3, 0.0, 20), np.zeros(100)).cumsum():
-        given = offset.at(np.full(6, way))
-    assert given == pytest.approx(COULOMB)
-    back = [offset.at(np.full(6, way - step)) for step in (2e-6, 4e-6, 1e-5, 1e-4, 1e-4)]
+    for moved in np.append(np.linspace(1e-3, 0.0, 20), np.zeros(100)).cumsum():
+        offsets = offset.at(np.full(6, moved))
+    assert offsets == pytest.approx(COULOMB)
+    back = [offset.at(np.full(6, moved - step)) for step in (2e-6, 4e-6, 1e-5, 1e-4, 1e-4)]
     assert back[0] == pytest.approx(COULOMB * (2.0 * np.exp(-0.2) - 1.0) - VISCOUS * 5e-4)
     assert back[-1] == pytest.approx(-COULOMB, rel=1e-3)
 

@@ -107,9 +107,9 @@ def test_it_is_given_back_as_fast_as_the_servos_catch_up():
     goal.slow_down(0.0)
     first = lag.given_back(np.zeros(12))
     for _ in range(2000):
-        whole = goal.given_back(np.zeros(12))
-    assert np.abs(whole).max() > 1e-3
-    assert first == pytest.approx(whole * DT_S / (DT_S + tau_s), rel=1e-6, abs=1e-12)
+        complete = goal.given_back(np.zeros(12))
+    assert np.abs(complete).max() > 1e-3
+    assert first == pytest.approx(complete * DT_S / (DT_S + tau_s), rel=1e-6, abs=1e-12)
 
 
 def test_while_time_slows_down_nothing_more_is_learned():
@@ -142,7 +142,7 @@ def swinging(seed: int = 0) -> np.ndarray:
     return 0.2 * (1.0 - np.cos(paces * time))
 
 
-def heard(noise_rad: float = 0.0) -> np.ndarray:
+def encoders(noise_rad: float = 0.0) -> np.ndarray:
     """What is told of them by encoders that are noisy."""
     sent = swinging()
     law = LagLaw(DT_S, 12, rows=100)
@@ -154,9 +154,9 @@ def heard(noise_rad: float = 0.0) -> np.ndarray:
 
 @pytest.mark.parametrize(("noise_rad", "share"), [(0.0, 0.02), (2e-5, 0.05)])
 def test_each_joints_law_is_estimated_from_targets_and_encoders(noise_rad, share):
-    told = heard(noise_rad)
-    assert told[:, 0] == pytest.approx(LAGS, rel=share)
-    assert told[:, 1] == pytest.approx(TAUS, rel=2 * share)
+    read = encoders(noise_rad)
+    assert read[:, 0] == pytest.approx(LAGS, rel=share)
+    assert read[:, 1] == pytest.approx(TAUS, rel=2 * share)
 
 
 def test_a_joint_that_has_not_moved_or_is_too_noisy_is_not_known():
@@ -173,14 +173,14 @@ def test_a_joint_that_has_not_moved_or_is_too_noisy_is_not_known():
 def test_targets_with_equal_lag_leave_the_joints_together():
     """All go the same way; what they lag unlike each other is a twentieth of what it was."""
     share = np.linspace(0.0, 1.0, 500)[:, None]
-    way = np.tile(0.6 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2), (1, 12))
+    path_rad = np.tile(0.6 * share**3 * (10.0 - 15.0 * share + 6.0 * share**2), (1, 12))
     laws = np.stack([LAGS, TAUS], axis=1)
-    plain = way - behind(way, LAGS, TAUS)
-    sent = way + equalised_targets(way, laws, DT_S)
-    alike = sent - behind(sent, LAGS, TAUS)
+    plain = path_rad - behind(path_rad, LAGS, TAUS)
+    sent = path_rad + equalised_targets(path_rad, laws, DT_S)
+    equal = sent - behind(sent, LAGS, TAUS)
     assert np.ptp(plain, axis=1).max() > 2e-3
-    assert np.ptp(alike, axis=1).max() < 0.05 * np.ptp(plain, axis=1).max()
-    assert sent[-1] == pytest.approx(way[-1], abs=1e-12)
+    assert np.ptp(equal, axis=1).max() < 0.05 * np.ptp(plain, axis=1).max()
+    assert sent[-1] == pytest.approx(path_rad[-1], abs=1e-12)
 
 
 def test_a_rejected_estimate_changes_nothing():

@@ -62,14 +62,14 @@ def store(pair, tmp_path) -> PairStore:
     return PairStore(pair.cell, tmp_path / "cell.pair")
 
 
-def options(**given) -> PairMotionOptions:
-    return PairMotionOptions(**{"speed": SPEED, "force_limit_n": 1e4, **given})
+def options(**changes) -> PairMotionOptions:
+    return PairMotionOptions(**{"speed": SPEED, "force_limit_n": 1e4, **changes})
 
 
-def run(pair, store, name: str, cycles: int = 1, **given):
-    told = []
-    body = run_pair(pair.link, pair.cell, store, PairRunRequest(name, cycles), told.append, options(**given))
-    return body, told
+def run(pair, store, name: str, cycles: int = 1, **changes):
+    events = []
+    body = run_pair(pair.link, pair.cell, store, PairRunRequest(name, cycles), events.append, options(**changes))
+    return body, events
 
 
 # -- teaching ----------------------------------------------------------------------------------------------------------
@@ -80,24 +80,24 @@ def taught(tmp_path_factory):
     """A pair whose path was taught at its two ends: the store, what was told, the function, the pair."""
     pair = Together(3 * AWAY)
     store = PairStore(pair.cell, tmp_path_factory.mktemp("taught"))
-    told = []
+    events = []
     taught_path = open_taught_path(pair.cell, store, resume=False)
-    function = teach_pair(pair.link, pair.cell, store, taught_path, lambda *words: told.append(words), options())
-    yield store, told, function, pair
+    function = teach_pair(pair.link, pair.cell, store, taught_path, lambda *words: events.append(words), options())
+    yield store, events, function, pair
     pair.arms.close()
 
 
 @pytest.mark.slow
 def test_teaching_finds_the_relation_that_the_part_has_whatever_the_cell_says(taught):
     """What is left is what the set value, 5 N and 1.5 Nm, is on the stiffness of this part, and friction's rest."""
-    store, told, function, pair = taught
-    assert [(number, of) for _, number, of in told] == [(1, 2), (2, 2)]
+    store, events, function, pair = taught
+    assert [(number, of) for _, number, of in events] == [(1, 2), (2, 2)]
     begun = correction_between(pair.cell.nominal_relation, pair.true)
     for s_m in (0.0, float(function.s_m[-1])):
         left = correction_between(function.at(s_m), pair.true)
         assert np.linalg.norm(left[:3]) < 0.3 * np.linalg.norm(begun[:3])
-    assert len(told[0][0].force_n) > 1
-    for point, _, _ in told:
+    assert len(events[0][0].force_n) > 1
+    for point, _, _ in events:
         assert point.force_n[-1] <= 5.0
         assert point.moment_nm[-1] <= 1.5
         assert len(point.force_n) == len(point.moment_nm)
@@ -109,13 +109,13 @@ def test_teaching_finds_the_relation_that_the_part_has_whatever_the_cell_says(ta
 
 @pytest.mark.slow
 def test_what_was_taught_is_on_disk(taught):
-    store, told, function, pair = taught
+    store, events, function, pair = taught
     stored = store.load("first")
     assert stored is not None
     assert (stored.learn_source, stored.speed, stored.embodiment) == ("taught", 0.0, "C1")
     assert transform_of(stored).at(0.01) == pytest.approx(function.at(0.01))
     again = open_taught_path(pair.cell, store, resume=True)
-    assert [point.command for point in again.points] == [point.command for point, _, _ in told]
+    assert [point.command for point in again.points] == [point.command for point, _, _ in events]
     with pytest.raises(InputError, match="holds taught points.*--resume"):
         open_taught_path(pair.cell, store, resume=False)
 
@@ -123,9 +123,9 @@ def test_what_was_taught_is_on_disk(taught):
 def test_points_that_are_taught_are_not_taught_again(taught, pair, store):
     points = [point for point, _, _ in taught[1]]
     taught_path = TaughtPath(store.path_hash, store.cell_hash, list(points))
-    told = []
-    teach_pair(pair.link, pair.cell, store, taught_path, lambda *words: told.append(words), options())
-    assert told == []
+    events = []
+    teach_pair(pair.link, pair.cell, store, taught_path, lambda *words: events.append(words), options())
+    assert events == []
     assert taught_path.points == points
 
 
@@ -154,8 +154,8 @@ def test_a_point_that_cannot_be_adjusted_stops_both(pair, store, rule, says):
 @pytest.mark.slow
 def test_a_run_goes_there_and_back_as_often_as_asked_and_is_stored_for_the_report(pair, store):
     store.save("first", constant_function(pair.true), learn_source="taught", speed=0.0)
-    body, told = run(pair, store, "C1", cycles=2)
-    assert len(told) == len(body.cycles) == 2
+    body, events = run(pair, store, "C1", cycles=2)
+    assert len(events) == len(body.cycles) == 2
     assert body.name == "C1"
     assert body.speed == SPEED
     assert len(body.s_m) == len(body.x_m) == len(body.first_n) == len(pair.cell.path(SPEED))
@@ -183,11 +183,11 @@ def test_a_function_that_fits_the_part_leaves_little_force_and_the_grasps_alone_
 def test_what_was_learned_is_kept_and_gone_on_from_unless_learning_is_off(pair, store, frozen):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
     store.freeze(frozen)
-    body, told = run(pair, store, "C2c", cycles=2, speed=LEARNING_SPEED)
+    body, events = run(pair, store, "C2c", cycles=2, speed=LEARNING_SPEED)
     second = store.load("second")
     assert (second is None) == frozen
     assert (store.folder / f"speed-{LEARNING_SPEED:g}.json").exists() != frozen
-    assert any(cycle.summary.learned for cycle in told) != frozen
+    assert any(cycle.summary.learned for cycle in events) != frozen
     if frozen:
         assert body.cycles[1].force_n == pytest.approx(body.cycles[0].force_n, rel=0.03)
         return
@@ -209,7 +209,9 @@ def test_a_run_goes_back_by_what_the_run_before_has_learned_of_the_path_back(pai
     assert (kept.learn_source, kept.speed, kept.embodiment, kept.cycles) == ("command", SPEED, "C2c", 2)
     assert function_back(store, row).knots == pytest.approx(transform_of(kept).knots)
     begun = []
-    monkeypatch.setattr("gateway.pair.session.PairRun", lambda *given: (begun.append(given[5]), PairRun(*given))[1])
+    monkeypatch.setattr(
+        "gateway.pair.session.PairRun", lambda *changes: (begun.append(changes[5]), PairRun(*changes))[1]
+    )
     run(pair, store, "C2c")
     assert begun[0].knots == pytest.approx(transform_of(kept).knots)
     store.freeze(True)
@@ -243,12 +245,12 @@ def test_a_fault_of_one_arm_ends_the_run_and_what_was_run_is_kept(pair, store, f
 def test_a_stop_request_ends_a_run(pair, store):
     desk = StopDesk()
 
-    def told(_cycle):
+    def events(_cycle):
         desk.ask(StoppedByPerson("enough"))
 
     request = PairRunRequest("A", 5)
     with pytest.raises(StoppedByPerson, match="enough"):
-        run_pair(pair.link, pair.cell, store, request, told, options(moves=MoveOptions(desk=desk)))
+        run_pair(pair.link, pair.cell, store, request, events, options(moves=MoveOptions(desk=desk)))
     assert len(json.loads((store.folder / "run-A.json").read_text())["cycles"]) == 1
 
 
@@ -256,8 +258,8 @@ def test_a_stop_request_ends_a_run(pair, store):
 def test_a_sample_that_is_lost_spoils_the_cycle_for_learning(pair, store):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
     pair.drives[0].silent = {320}
-    _, told = run(pair, store, "C2c")
-    assert not told[0].summary.learned
+    _, events = run(pair, store, "C2c")
+    assert not events[0].summary.learned
     assert store.load("second") is None
 
 
@@ -289,8 +291,8 @@ def test_gains_are_those_of_the_cell(pair, distance_cell):
     spring = (0.0, 0.0) if force.spring is None else (force.spring.straight, force.spring.turned)
     assert cell_gains(pair.cell).stiffness == spring
     assert embodiment_of(pair.cell, "B").gains == cell_gains(pair.cell)
-    given = distance_cell.config.distance.damping_s
-    expected = DISTANCE_GAINS.damping if given is None else (given.straight, given.turned)
+    changes = distance_cell.config.distance.damping_s
+    expected = DISTANCE_GAINS.damping if changes is None else (changes.straight, changes.turned)
     assert cell_gains(distance_cell).damping == expected
 
 
@@ -363,8 +365,8 @@ def test_speeds_that_were_learned_lie_between_rest_and_the_fastest(pair, store):
     assert table.at(2.0).at(0.2) == pytest.approx(pair.true)
     assert table.at(0.0).at(0.2) == pytest.approx(pair.cell.nominal_relation)
     half = correction_between(table.at(1.0).at(0.2), pair.cell.nominal_relation)
-    whole = correction_between(pair.true, pair.cell.nominal_relation)
-    assert half == pytest.approx(whole / 2, rel=0.02, abs=1e-6)
+    correction = correction_between(pair.true, pair.cell.nominal_relation)
+    assert half == pytest.approx(correction / 2, rel=0.02, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -381,7 +383,7 @@ def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, s
             preparing[0] = False
 
     def noted(name, heavy):
-        return lambda *given: (computed.append((name, preparing[0])), heavy(*given))[1]
+        return lambda *changes: (computed.append((name, preparing[0])), heavy(*changes))[1]
 
     row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))
     stream = Stream(pair.link.station(pair.cell, MoveOptions()))
@@ -394,7 +396,7 @@ def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, s
         going.cycle()
         going.back()
     assert {name for name, _ in computed} == {"ahead", "begin"}
-    assert all(standing for _, standing in computed)
+    assert all(at_rest for _, at_rest in computed)
 
 
 @pytest.mark.slow

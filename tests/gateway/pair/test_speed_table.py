@@ -52,12 +52,14 @@ def test_extrapolation_warns_and_is_clipped() -> None:
 
 def test_knots_of_both_functions_count_and_the_result_is_continuous() -> None:
     rng = np.random.default_rng(8)
-    ways = [np.array([0.0, 0.3, 1.0]), np.array([0.0, 0.5, 0.7, 1.0])]
+    lengths = [np.array([0.0, 0.3, 1.0]), np.array([0.0, 0.5, 0.7, 1.0])]
     functions = [
         TransformFunction(
-            way, rng.normal(size=(len(way), 3)), Rotation.from_rotvec(0.01 * rng.normal(size=(len(way), 3))).as_matrix()
+            length,
+            rng.normal(size=(len(length), 3)),
+            Rotation.from_rotvec(0.01 * rng.normal(size=(len(length), 3))).as_matrix(),
         )
-        for way in ways
+        for length in lengths
     ]
     between = SpeedTable({1.0: functions[0], 2.0: functions[1]}).at(1.4)
     assert between.s_m.tolist() == [0.0, 0.3, 0.5, 0.7, 1.0]

@@ -64,11 +64,11 @@ def test_inverse_of_stacks() -> None:
 
 
 def test_correction_adds_and_does_not_turn_the_position() -> None:
-    given = pose(exp_rotation([0, 0, np.pi / 2]), [1.0, 0.0, 0.0])
-    corrected = apply_correction(given, [0.0, 0.0, 0.001, 0.0, 0.0, 0.002])
+    target = pose(exp_rotation([0, 0, np.pi / 2]), [1.0, 0.0, 0.0])
+    corrected = apply_correction(target, [0.0, 0.0, 0.001, 0.0, 0.0, 0.002])
     assert np.allclose(corrected[:3, 3], [1.0, 0.0, 0.001], atol=1e-15)
     assert np.allclose(corrected[:3, :3], exp_rotation([0, 0, np.pi / 2 + 0.002]), atol=1e-14)
-    product = pose(exp_rotation([0, 0, 0.002]), [0.0, 0.0, 0.001]) @ given
+    product = pose(exp_rotation([0, 0, 0.002]), [0.0, 0.0, 0.001]) @ target
     assert np.allclose(product[:3, 3], [1.0, 0.002, 0.001], atol=1e-5)
 
 

@@ -42,21 +42,21 @@ def test_literal_pair_of_equations_misses_the_second_knot() -> None:
 
 def test_knots_exactly_and_continuity_from_both_sides() -> None:
     function = smooth(12)
-    for way, knot in zip(function.s_m, function.knots, strict=True):
-        assert np.array_equal(function.at(way), knot)
+    for length, knot in zip(function.s_m, function.knots, strict=True):
+        assert np.array_equal(function.at(length), knot)
         for side in (-1e-13, 1e-13):
-            assert np.allclose(function.at(way + side), knot, atol=2e-12)
+            assert np.allclose(function.at(length + side), knot, atol=2e-12)
 
 
 def test_agrees_with_slerp_and_linear_interpolation() -> None:
     function = smooth(12)
-    ways = np.linspace(function.s_m[0], function.s_m[-1], 301)
-    slerp = Slerp(function.s_m, Rotation.from_matrix(function.rotation))(ways).as_matrix()
-    line = np.stack([np.interp(ways, function.s_m, function.position_m[:, i]) for i in range(3)], axis=1)
-    many = function.many(ways)
+    lengths = np.linspace(function.s_m[0], function.s_m[-1], 301)
+    slerp = Slerp(function.s_m, Rotation.from_matrix(function.rotation))(lengths).as_matrix()
+    line = np.stack([np.interp(lengths, function.s_m, function.position_m[:, i]) for i in range(3)], axis=1)
+    many = function.many(lengths)
     assert np.allclose(many[:, :3, :3], slerp, atol=1e-14)
     assert np.allclose(many[:, :3, 3], line, atol=1e-14)
-    assert np.array_equal(many, np.array([function.at(way) for way in ways.tolist()]))
+    assert np.array_equal(many, np.array([function.at(length) for length in lengths.tolist()]))
 
 
 def test_outside_the_knots_the_value_stays() -> None:
@@ -99,10 +99,10 @@ def test_stored_arrays_cannot_be_changed() -> None:
 
 def test_other_knots_agree_where_they_lie() -> None:
     function = smooth(5)
-    ways = np.linspace(function.s_m[0], function.s_m[-1], 7)
-    again = sampled(function, ways)
-    assert np.array_equal(again.many(ways), function.many(ways))
-    assert len(sampled(constant_function(function.knots[0]), ways)) == 7
+    lengths = np.linspace(function.s_m[0], function.s_m[-1], 7)
+    again = sampled(function, lengths)
+    assert np.array_equal(again.many(lengths), function.many(lengths))
+    assert len(sampled(constant_function(function.knots[0]), lengths)) == 7
 
 
 def test_function_of_knots_is_the_same_function() -> None:

@@ -55,7 +55,7 @@ def test_an_unstated_relation_is_taught_and_driven(pair: Together, tmp_path: Pat
     store = PairStore(pair.cell, tmp_path)
     options = PairMotionOptions(speed=1.0, force_limit_n=1e4)
     taught_path = open_taught_path(pair.cell, store, resume=False)
-    function = teach_pair(pair.link, pair.cell, store, taught_path, lambda *_told: None, options)
+    function = teach_pair(pair.link, pair.cell, store, taught_path, lambda *_arguments: None, options)
     begun = np.linalg.norm(correction_between(pair.cell.nominal_relation, pair.true)[:3])
     for s_m in (0.0, float(function.s_m[-1])):
         assert np.linalg.norm(correction_between(function.at(s_m), pair.true)[:3]) < 0.3 * begun

@@ -122,8 +122,8 @@ class Joints:
     def brake_drop_rad(self):
         return (0.0,) * self.arm.axes
 
-    def when_stopping(self, tell):
-        self.tell = tell
+    def when_stopping(self, notify):
+        self.notify = notify
 
     def align(self, at_s):
         pass
@@ -135,7 +135,7 @@ class Joints:
         self.sync_index += 1
         if self.sync_index == self.fault_at:
             self.enabled = False
-            self.tell()
+            self.notify()
             raise DriveFault("left OPERATION ENABLED: FAULT", node=3)
         q = self.part.q_rad[self.index]
         torque = self.arm.model_torque(q[None], qd_rad_s[None], qdd_rad_s2[None])[0]

@@ -20,12 +20,12 @@ from gateway.preflight.machine import (
 class Clock:
     """A clock of its own; every wait ends late by `late_s`."""
 
-    def __init__(self, late_s: float) -> None:
+    def __init__(self, delay_s: float) -> None:
         self.now_s = 1000.0
-        self.late_s = late_s
+        self.delay_s = delay_s
 
     def sleep(self, seconds: float) -> None:
-        self.now_s += seconds + self.late_s
+        self.now_s += seconds + self.delay_s
 
     def timer(self) -> Timer:
         return Timer(lambda: self.now_s, self.sleep)
@@ -36,23 +36,23 @@ def config(**changes):
 
 
 def test_every_period_is_measured_from_the_start_so_that_lateness_does_not_add_up():
-    late = measure_lateness(0.004, Clock(0.001).timer())
-    assert len(late) == 75
-    assert late == pytest.approx([0.001] * 75)
+    lateness = measure_lateness(0.004, Clock(0.001).timer())
+    assert len(lateness) == 75
+    assert lateness == pytest.approx([0.001] * 75)
 
 
 def test_a_loop_stalled_for_longer_than_a_period_is_delayed_at_the_periods_it_missed():
     clock = Clock(0.0)
     calls = iter(range(1000))
-    late = measure_lateness(
+    lateness = measure_lateness(
         0.01, Timer(lambda: clock.now_s, lambda left: clock.sleep(left + (0.025 if next(calls) == 4 else 0.0)))
     )
-    assert [round(each, 4) for each in late[3:9]] == [0.0, 0.025, 0.015, 0.005, 0.0, 0.0]
+    assert [round(each, 4) for each in lateness[3:9]] == [0.0, 0.025, 0.015, 0.005, 0.0, 0.0]
 
 
-@pytest.mark.parametrize(("late_s", "severity"), [(0.0019, "ok"), (0.0021, "fail")])
-def test_half_a_period_may_be_missed(late_s, severity):
-    item = judge_lateness([late_s] * 75, 0.004)
+@pytest.mark.parametrize(("delay_s", "severity"), [(0.0019, "ok"), (0.0021, "fail")])
+def test_half_a_period_may_be_missed(delay_s, severity):
+    item = judge_lateness([delay_s] * 75, 0.004)
     assert item.severity == severity
     assert bool(item.advice) == (severity == "fail")
 

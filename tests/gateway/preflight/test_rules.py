@@ -278,7 +278,7 @@ def test_bus_load_counts_a_measuring_device():
 
 
 #: The profile without a word of what its arithmetic rests upon.
-SILENT = PROFILE.text.replace('basis = "standard"\n', "")
+WITHOUT_BASIS = PROFILE.text.replace('basis = "standard"\n', "")
 TORQUE_SOURCE, RATED_SOURCE = 'source = "CiA 402-2, 0x6077; filter assumed"', 'source = "CiA 402-2, 0x6076 in mNm"'
 
 
@@ -292,7 +292,7 @@ TORQUE_SOURCE, RATED_SOURCE = 'source = "CiA 402-2, 0x6077; filter assumed"', 's
     ],
 )
 def test_a_profile_that_reads_and_does_not_move_fails_by_name(old, new, says):
-    profile = parse_profile(SILENT.replace(old, new, 1), "p.toml")
+    profile = parse_profile(WITHOUT_BASIS.replace(old, new, 1), "p.toml")
     (found,) = worst(judge_settings(axis(profile=profile), readings()))
     assert "refuses motion" in found.what
     assert says in found.what
@@ -300,10 +300,10 @@ def test_a_profile_that_reads_and_does_not_move_fails_by_name(old, new, says):
 
 
 def test_a_basis_that_is_stated_goes_before_the_words_of_the_source():
-    text = SILENT.replace(TORQUE_SOURCE, 'source = "assumed"')
+    text = WITHOUT_BASIS.replace(TORQUE_SOURCE, 'source = "assumed"')
     assert parse_profile(text, "p.toml").obstacles
     assert parse_profile(text.replace("[torque]", '[torque]\nbasis = "measured"', 1), "p.toml").obstacles == ()
-    assert parse_profile(SILENT, "p.toml").obstacles == ()
+    assert parse_profile(WITHOUT_BASIS, "p.toml").obstacles == ()
 
 
 def test_a_resolution_that_one_object_holds_is_of_one_revolution():

@@ -21,8 +21,8 @@ def widths(picture: str) -> dict[str, float]:
 
 def test_a_bar_is_cut_by_the_shares():
     drawn = widths(budget_figure(Result("r", (LOAD,))))
-    whole = sum(drawn.values())
-    assert {name: width / whole for name, width in drawn.items()} == pytest.approx(BUDGET, abs=1e-3)
+    total = sum(drawn.values())
+    assert {name: width / total for name, width in drawn.items()} == pytest.approx(BUDGET, abs=1e-3)
 
 
 def test_numbers_are_inside_only_where_there_is_space():

@@ -43,8 +43,8 @@ def test_principal_values_have_the_spread_of_drawn_tensors(moving):
     xx, yy, zz, xy, xz, yz = drawn.T
     tensors = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
     spread = 1.96 * np.linalg.eigvalsh(tensors)[:, ::-1].std(axis=0)
-    told = [float(text.split("± ")[1]) for text in inertia_view(load).principal]
-    assert told == pytest.approx(spread, rel=0.03)
+    deviations = [float(text.split("± ")[1]) for text in inertia_view(load).principal]
+    assert deviations == pytest.approx(spread, rel=0.03)
 
 
 def test_a_moment_that_is_not_known_is_said_and_leaves_no_principal_values(moving):
@@ -80,11 +80,11 @@ def test_the_measured_rows_lie_about_the_curve_in_both_senses(moving):
 
 def test_axes_of_which_friction_or_its_spread_is_not_known(moving):
     first, second, *_ = moving.motion
-    told = replace(moving, motion=(replace(first, coulomb_nm=NAN), replace(second, coulomb_std_nm=NAN)))
-    (only,) = friction_views(told)
+    deviations = replace(moving, motion=(replace(first, coulomb_nm=NAN), replace(second, coulomb_std_nm=NAN)))
+    (only,) = friction_views(deviations)
     assert (only.joint, only.half_nm) == (2, ())
     assert "confidence" not in sliding_figure(only)[1]
-    assert friction_views(replace(told, rows=None, motion=(replace(second, speed_rad_s=NAN),))) == []
+    assert friction_views(replace(deviations, rows=None, motion=(replace(second, speed_rad_s=NAN),))) == []
 
 
 def test_the_table_of_the_axes_has_dashes_where_nothing_is_estimated():

@@ -20,7 +20,7 @@ def test_the_friction_that_is_drawn_is_the_one_in_the_table(full_result):
 
 def test_the_change_of_a_load_is_shown_in_the_frame_of_its_card(full_result):
     found = from_json(json.dumps(full_result))
-    told = re.findall(r">([^<>]+ \u2192 [^<>]+)</text>", load_change_figure(found))
+    labels = re.findall(r">([^<>]+ \u2192 [^<>]+)</text>", load_change_figure(found))
     # z of the first load: 166 before, 180 after in the flange, 100 more in link 6
-    assert told[3] == "166.0 \u2192 180.0 mm"
+    assert labels[3] == "166.0 \u2192 180.0 mm"
     assert "<b>180.0</b>" in render(found)

@@ -76,8 +76,8 @@ def test_fanuc_is_kilogram_and_centimetre_in_the_faceplate_frame():
         line.split(":", 1)[1].strip() for line in export(result(), "fanuc").splitlines() if re.match(r" +\d+:", line)
     ]
     assert all(line.endswith(" ;") for line in lines)
-    told = [line.removesuffix(" ;") for line in lines if line.startswith("$")]
-    assert told == [
+    lines_ = [line.removesuffix(" ;") for line in lines if line.startswith("$")]
+    assert lines_ == [
         "$PLST_GRP1[1].$PAYLOAD=12.500",
         "$PLST_GRP1[1].$PAYLOAD_X=1.000",
         "$PLST_GRP1[1].$PAYLOAD_Y=(-2.000)",
@@ -151,16 +151,16 @@ def test_abb_takes_principal_moments_and_a_quaternion_of_their_axes():
 
 def test_kuka_takes_principal_moments_and_angles_about_z_y_x():
     text = export(result(**WITH_INERTIA), "kuka")
-    told = re.search(r"^LOAD_DATA.*A (\S+),B (\S+),C (\S+)\},J \{X (\S+),Y (\S+),Z (\S+)\}\}$", text, re.MULTILINE)
-    a, b, c, *moments = map(float, told.groups())
+    lines_ = re.search(r"^LOAD_DATA.*A (\S+),B (\S+),C (\S+)\},J \{X (\S+),Y (\S+),Z (\S+)\}\}$", text, re.MULTILINE)
+    a, b, c, *moments = map(float, lines_.groups())
     axes = Rotation.from_euler("ZYX", [a, b, c], degrees=True).as_matrix()
     assert axes @ np.diag(moments) @ axes.T == pytest.approx(TENSOR, abs=1e-4)
     assert "enter J" not in text
 
 
 def test_ur_and_urdf_and_json_take_all_six_moments():
-    told = ", ".join(f"{value:.6f}" for value in SIX)
-    assert f"[0.01000, -0.02000, 0.08000], [{told}])" in export(result(**WITH_INERTIA), "ur")
+    lines_ = ", ".join(f"{value:.6f}" for value in SIX)
+    assert f"[0.01000, -0.02000, 0.08000], [{lines_}])" in export(result(**WITH_INERTIA), "ur")
     inertia = ElementTree.fromstring(export(result(**WITH_INERTIA), "urdf")).find("link/inertial/inertia")
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     assert [float(inertia.get(name)) for name in names] == pytest.approx(SIX, abs=1e-6)
@@ -177,17 +177,17 @@ def test_in_link_6_the_inertia_is_that_of_link_6():
 
 def test_fanuc_takes_moments_in_kgf_cm_s2_and_says_that_products_are_left_out():
     text = export(result(**WITH_INERTIA), "fanuc")
-    told = [float(value) for value in re.findall(r"PAYLOAD_I[XYZ]=(\S+) ;", text)]
+    lines_ = [float(value) for value in re.findall(r"PAYLOAD_I[XYZ]=(\S+) ;", text)]
     # 1 kgf = 9.80665 N, 1 m = 100 cm
-    assert told == pytest.approx([value * 100.0 / 9.80665 for value in SIX[:3]], abs=1e-4)
+    assert lines_ == pytest.approx([value * 100.0 / 9.80665 for value in SIX[:3]], abs=1e-4)
     assert "inertia without its products" in text
     assert all(len(line) <= 33 for line in re.findall(r"(!.*) ;", text))
 
 
 def test_yaskawa_takes_moments_about_the_axes_of_the_plate():
     text = export(result(**WITH_INERTIA), "yaskawa")
-    told = [float(value) for value in re.search(r"moi: \[(.*)\]", text).group(1).split(",")]
-    assert told == pytest.approx(SIX[:3], abs=1e-5)
+    lines_ = [float(value) for value in re.search(r"moi: \[(.*)\]", text).group(1).split(",")]
+    assert lines_ == pytest.approx(SIX[:3], abs=1e-5)
     most = max(map(abs, SIX[3:]))
     assert f"products of inertia up to {most:.3g} kg m2 left out" in text
 
@@ -296,7 +296,7 @@ def test_a_load_that_no_arm_carries_is_not_exported():
         export(result(mass_kg=5679.0), "kuka")
 
 
-ALIKE = {
+EQUAL_WHEN_PRINTED = {
     "separators": ["tool-1", "tool_1", "tool 1"],
     "cut": ["gripper_with_the_long_fingers_a", "gripper_with_the_long_fingers_b"],
     "letters": ["größe", "grüße", "gr\N{GREEK SMALL LETTER ALPHA}\N{GREEK SMALL LETTER BETA}e"],
@@ -314,7 +314,7 @@ NAMED = {
 }
 
 
-@pytest.mark.parametrize("labels", ALIKE.values(), ids=ALIKE)
+@pytest.mark.parametrize("labels", EQUAL_WHEN_PRINTED.values(), ids=EQUAL_WHEN_PRINTED)
 @pytest.mark.parametrize("fmt", NAMED)
 def test_loads_have_different_names_in_the_file_of_a_controller(fmt, labels):
     body = holding([LOAD | {"label": label, "mass_kg": 3.0 + 4 * index} for index, label in enumerate(labels)])

@@ -20,9 +20,9 @@ from sim.urdf import SimBody, write_chain
 def test_a_seed_gives_the_same_cell_and_the_same_rows():
     first, second = draw_cell(3, "all"), draw_cell(3, "all")
     assert first.stated.urdf == second.stated.urdf
-    one, gross = first.measure(first.visits)
+    one, outliers = first.measure(first.visits)
     other, again = second.measure(second.visits)
-    assert gross == again
+    assert outliers == again
     assert all(np.array_equal(one[name], other[name], equal_nan=one[name].dtype.kind == "f") for name in one)
     assert not np.array_equal(one["tau_nm"], first.measure(first.visits, 1)[0]["tau_nm"])
     assert draw_cell(4, "all").stated.urdf != first.stated.urdf
@@ -127,11 +127,11 @@ def test_outlier_visits_are_off_by_bands_and_reported():
     share, sizes = [], []
     for seed in range(60):
         cell = draw_cell(seed, "gross")
-        columns, gross = cell.measure(cell.visits)
+        columns, outliers = cell.measure(cell.visits)
         calm = replace(cell, arm=replace(cell.arm, friction=replace(cell.arm.friction, outlier_share=0.0)))
         assert calm.measure(calm.visits)[1] == ()
-        share.append(len(gross) / len(cell.visits))
-        for wrong in gross:
+        share.append(len(outliers) / len(cell.visits))
+        for wrong in outliers:
             rows = rows_of(cell.visits)
             still, _ = reported_nm(cell.arm, rows, (), quiet(cell.arm, rows))
             off = np.abs(columns["tau_nm"] - still)[2 * wrong.visit : 2 * wrong.visit + 2, wrong.joint - 1].max()

@@ -53,7 +53,7 @@ def test_the_gas_balancer_holds_the_arm_back_harder_the_further_and_the_warmer(c
     build, _ = NAMED["gas_balancer"](cell.arm, rows, np.random.default_rng(1))
     q = np.zeros((3, 6))
     q[:, 1] = 0.6, 1.2, 1.2
-    way = replace(
+    changed = replace(
         rows,
         pose=np.arange(3),
         loaded=np.zeros(3, bool),
@@ -61,7 +61,7 @@ def test_the_gas_balancer_holds_the_arm_back_harder_the_further_and_the_warmer(c
         direction=np.ones(3),
         q_rad=q,
     )
-    torque = build(1e-3).on_joint(way, np.zeros((3, 6)))[:, 1]
+    torque = build(1e-3).on_joint(changed, np.zeros((3, 6)))[:, 1]
     # it pulls back to upright; a warm gas presses harder, by the share that its absolute temperature rises
     assert (torque < 0).all()
     assert 1.0 < torque[2] / torque[1] < 1.15
@@ -116,8 +116,8 @@ def test_what_links_load_or_nuisances_take_over_has_no_strength(cell):
     # a bias of one standard deviation is mostly taken over, one of thirty is not
     bias = np.zeros_like(q)
     bias[:, 4] = arm.friction.bias_std * arm.friction.coulomb_nm[4]
-    whole = np.sqrt(np.mean((bias[:, 4] / arm.floor_nm[4]) ** 2))
-    assert np.sqrt(np.mean(taken.left(bias)[:, 4] ** 2)) < whole
+    rms = np.sqrt(np.mean((bias[:, 4] / arm.floor_nm[4]) ** 2))
+    assert np.sqrt(np.mean(taken.left(bias)[:, 4] ** 2)) < rms
 
 
 def test_an_effect_beside_another_of_the_same_curve_cannot_be_distinguished(cell):
@@ -138,7 +138,7 @@ def test_strength_of_friction_is_the_swing_of_the_half_differences(cell):
     arm, rows = cell.arm, rows_of(cell.visits)
     swing = 3.0 * arm.floor_nm[2] * np.where(np.arange(len(rows.time_s)) % 4 < 2, 1.0, -1.0)
 
-    def rub(rows_, tau, band):
+    def friction_nm(rows_, tau, band):
         more = np.zeros_like(band)
         more[:, 2] = swing / (arm.friction.mean_left[2] * (1.0 + arm.gain[2]))
         return np.zeros_like(band), band + more
@@ -149,7 +149,7 @@ def test_strength_of_friction_is_the_swing_of_the_half_differences(cell):
     arm = replace(arm, friction=lossless)
     count = len(cell.visits)
     uneven = 1.0 - (2.0 * np.ceil(count / 2) / count - 1.0) ** 2
-    reached = strength(arm, rows, Mechanism("test", (3,), 1.0, on_friction=rub), absorbing(arm, cell.visits))
+    reached = strength(arm, rows, Mechanism("test", (3,), 1.0, on_friction=friction_nm), absorbing(arm, cell.visits))
     assert reached == pytest.approx(3.0 * np.sqrt(uneven), rel=1e-6)
 
 

@@ -84,9 +84,11 @@ def expected(arm: MovingArm, motion: PeriodicMotion, time_s: np.ndarray, inertia
 
 def test_a_pendulum_with_rotor_and_friction_shows_its_closed_form(arm, motion):
     columns = measure_moving(arm, motion, "none", 0.0, np.random.default_rng(0))
-    told = expected(arm, motion, columns["x_phase_s"], INERTIA_KG_M2 + MASS_KG * LENGTH_M**2, MASS_KG * G * LENGTH_M)
+    predicted = expected(
+        arm, motion, columns["x_phase_s"], INERTIA_KG_M2 + MASS_KG * LENGTH_M**2, MASS_KG * G * LENGTH_M
+    )
     turning = np.abs(swing(columns["x_phase_s"])[1]) > 1e-9
-    np.testing.assert_allclose(columns["tau_nm"][turning], told[turning], atol=1e-6)
+    np.testing.assert_allclose(columns["tau_nm"][turning], predicted[turning], atol=1e-6)
     for name, true in zip(("q_rad", "qd_rad_s", "qdd_rad_s2"), swing(columns["x_phase_s"]), strict=True):
         np.testing.assert_allclose(columns[name], true, atol=1e-9)
     assert columns["x_period"].tolist() == [1.0] * 400 + [2.0] * 400
@@ -121,15 +123,15 @@ def test_a_gear_takes_its_share_from_the_driving_side(arm, motion):
 
 
 def test_a_filter_and_a_dead_time_delay_what_changes_slowly(arm, motion):
-    late = replace(arm, filter_s=np.array([0.004]), dead_s=np.array([0.003]))
+    delayed = replace(arm, filter_s=np.array([0.004]), dead_s=np.array([0.003]))
     smooth = replace(arm.friction, coulomb_nm=np.zeros(1), load_loss=np.zeros(1))
-    early, late = replace(arm, friction=smooth), replace(late, friction=smooth)
+    early, delayed = replace(arm, friction=smooth), replace(delayed, friction=smooth)
     prompt, _ = reported_nm(early, motion, "none", 0.0, np.random.default_rng(0))
-    shown, _ = reported_nm(late, motion, "none", 0.0, np.random.default_rng(0))
+    shown, _ = reported_nm(delayed, motion, "none", 0.0, np.random.default_rng(0))
     slope = np.gradient(prompt[:, 0], 1.0 / (FINE * motion.rate_hz))
     settled = slice(1000, -10)
     delay = -float(slope[settled] @ (shown - prompt)[settled, 0]) / float(slope[settled] @ slope[settled])
-    assert delay == pytest.approx(late.delay_s[0], rel=0.05)
+    assert delay == pytest.approx(delayed.delay_s[0], rel=0.05)
 
 
 def test_noise_has_the_size_and_the_memory_that_were_drawn(arm):

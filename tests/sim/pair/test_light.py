@@ -129,8 +129,8 @@ def test_dry_friction_stays_where_a_joint_has_come_to_stand(world_of: Worlds) ->
     axis, coulomb_nm = world.motors.axes[2], float(world.motors.train.coulomb_nm[2])
     stood = []
     for step_rad in (2e-6, -2e-6):
-        for way in (-step_rad, step_rad):
-            axis.servo.reference_step_rad = way
+        for offset_rad in (-step_rad, step_rad):
+            axis.servo.reference_step_rad = offset_rad
             go(world, 0.4)
         axis.servo.reference_step_rad = 0.0
         go(world, 2.0)
@@ -231,12 +231,12 @@ def test_an_axis_without_torque_falls_and_one_without_brake_sinks(world_of: Worl
     assert abs(fallen) == pytest.approx(least, rel=0.35)
     axis.lock()
     go(world, 0.02)
-    standing = axis.position_rad
+    held_rad = axis.position_rad
     go(world, 0.1)
-    assert axis.position_rad == standing
+    assert axis.position_rad == held_rad
     axis.slip_rad_s = 0.01
     go(world, 0.1)
-    assert axis.position_rad - standing == pytest.approx(-math.copysign(0.001, load), rel=0.05)
+    assert axis.position_rad - held_rad == pytest.approx(-math.copysign(0.001, load), rel=0.05)
 
 
 def test_an_axis_that_has_too_little_torque_reports_it_and_drops(world_of: Worlds) -> None:

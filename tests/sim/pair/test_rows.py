@@ -197,11 +197,11 @@ def test_each_arm_of_thirteen_joints_reads_its_own(thirteen: TwoArms) -> None:
         thirteen.ask(0, 0.004)
         thirteen.ask(1, 0.004)
     gravity = thirteen._gravity(thirteen.q)
-    told = thirteen.reading_nm(0), thirteen.reading_nm(1)
-    assert (len(told[0]), len(told[1])) == (7, 6)
+    readings = thirteen.reading_nm(0), thirteen.reading_nm(1)
+    assert (len(readings[0]), len(readings[1])) == (7, 6)
     rated = thirteen.motors.train.rated_nm
-    assert np.abs(np.concatenate(told) - gravity).max() < 0.05 * rated.max()
-    assert (np.abs(np.concatenate(told) - gravity) < 0.08 * rated).all()
+    assert np.abs(np.concatenate(readings) - gravity).max() < 0.05 * rated.max()
+    assert (np.abs(np.concatenate(readings) - gravity) < 0.08 * rated).all()
 
 
 @pytest.mark.parametrize("file", ["large-small.toml", "seven-six.toml", "seven-seven.toml"])

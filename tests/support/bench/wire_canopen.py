@@ -90,7 +90,7 @@ class PdoMapExchange:
         return [(answer[0x6041].raw, answer[0x6064].raw, answer[0x6077].raw) for _, answer in self.axes]
 
 
-class SilentNetwork(canopen.Network):
+class DroppingNetwork(canopen.Network):
     """A network that drops what it is told to send."""
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:

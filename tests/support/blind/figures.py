@@ -119,8 +119,10 @@ def _median(out: dict[str, dict], name: str, values: Sequence[float], goal: floa
 
 
 def _ratio(cell: Cell) -> float:
-    after, told = np.array(cell["load_errors"]), np.array(cell["told_errors"])
-    return float(np.sqrt(np.mean((after / np.maximum(told, 1e-9)) ** 2))) if np.any(after != told) else 1.0
+    after, with_effects = np.array(cell["load_errors"]), np.array(cell["told_errors"])
+    return (
+        float(np.sqrt(np.mean((after / np.maximum(with_effects, 1e-9)) ** 2))) if np.any(after != with_effects) else 1.0
+    )
 
 
 def bus_figures(cells: list[Cell]) -> dict[str, dict]:

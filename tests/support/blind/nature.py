@@ -94,8 +94,8 @@ def run_ordinary(task: tuple[int, str, bool]) -> dict:
     oracle = load_std(cell, cell.visits, gross)
     begin, refused, parts = time.process_time(), [], {}
     try:
-        given = estimate(table, robot, estimate_options(cell), "joint")
-        parts["estimated"] = _intervals(cell, _tool(given.loads), oracle)
+        estimate_result = estimate(table, robot, estimate_options(cell), "joint")
+        parts["estimated"] = _intervals(cell, _tool(estimate_result.loads), oracle)
     except GatewayError as error:
         refused.append(f"estimate: {error}")
     if diagnosed:

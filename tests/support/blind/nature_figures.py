@@ -131,15 +131,17 @@ def gross_figures(cells: Sequence[Cell]) -> Figures:
 
 
 def _found(cell: Cell) -> list[float]:
-    aside = {(pose, load, joint) for pose, load, joint, _ in cell["set_aside"]}
-    return [float((pose, load, joint) in aside) for pose, load, joint, bands in cell["gross"] if bands >= GROSS_BANDS]
+    rejected = {(pose, load, joint) for pose, load, joint, _ in cell["set_aside"]}
+    return [
+        float((pose, load, joint) in rejected) for pose, load, joint, bands in cell["gross"] if bands >= GROSS_BANDS
+    ]
 
 
 def _thrown(cell: Cell) -> list[float]:
     """Whether a visit that went well was set aside on any axis; of visits of one pose and load, once."""
-    gross = {(pose, load) for pose, load, _, _ in cell["gross"]}
-    aside = {(pose, load) for pose, load, _, _ in cell["set_aside"]}
-    return [float((pose, load) in aside) for pose, load in {(p, name) for p, name in cell["visits"]} - gross]
+    outliers = {(pose, load) for pose, load, _, _ in cell["gross"]}
+    rejected = {(pose, load) for pose, load, _, _ in cell["set_aside"]}
+    return [float((pose, load) in rejected) for pose, load in {(p, name) for p, name in cell["visits"]} - outliers]
 
 
 def time_figures(timed: Sequence[Cell]) -> Figures:

@@ -27,14 +27,14 @@ STEP_RAD = 1e-5
 NO_CURVE = 1e-6
 
 
-def load_std(cell: NatureCell, visits: Sequence[PlannedVisit], gross: Sequence[OutlierVisit]) -> Floats:
+def load_std(cell: NatureCell, visits: Sequence[PlannedVisit], outliers: Sequence[OutlierVisit]) -> Floats:
     """Standard deviation of mass [kg] and centre x, y, z [m] (4,) that these visits of a cell allow."""
     arm, rows = cell.arm, rows_of(visits)
     still = np.zeros_like(rows.q_rad)
     tau = equilibrium(arm, rows, cell.effects, still)[0][0::2]
     design, precision = _design(arm, rows, cell.effects, tau)
     weight = _weights(arm, rows, cell.effects, tau)
-    for wrong in gross:
+    for wrong in outliers:
         weight[wrong.visit] = _without(weight[wrong.visit], wrong.joint - 1)
     covariance = posterior(design, weight, precision)
     return centre_std(covariance[:4, :4], arm.load)
@@ -93,7 +93,7 @@ def _weights(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau:
     for axis in range(6):
         step = np.zeros_like(rows.q_rad)
         step[:, axis] = STEP_RAD
-        more, less = (equilibrium(arm, rows, effects, way)[0][0::2] for way in (step, -step))
+        more, less = (equilibrium(arm, rows, effects, step_)[0][0::2] for step_ in (step, -step))
         slope = (more - less) / (2.0 * STEP_RAD) * arm.repeat_rad[axis]
         covariance = covariance + slope[:, :, None] * slope[:, None, :]
     return np.linalg.inv(covariance)

@@ -40,7 +40,7 @@ UNSEEN, NOTHING, RANK, NEAR = 1e-4, 1e-7, 1e-4, 0.995
 
 
 @dataclass(frozen=True)
-class Alike:
+class Confusable:
     """Effects that links and loads take up wholly, pairs that no pose tells apart, pairs that hardly any does."""
 
     unseen: list[Label]
@@ -48,7 +48,7 @@ class Alike:
     near: list[tuple[Label, Label, float]]
 
 
-def alike(seed: int, poses: int = POSES) -> Alike:
+def confusable_pairs(seed: int, poses: int = POSES) -> Confusable:
     """Examine the arm of one seed, links and load unknown."""
     arm = draw_arm(np.random.default_rng([seed, 1]))
     problem = _problem(arm, seed, poses)
@@ -80,7 +80,7 @@ def alike(seed: int, poses: int = POSES) -> Alike:
         correlation = float(np.linalg.svd(one.T @ other, compute_uv=False)[0])
         if correlation > NEAR:
             near.append((first, second, correlation))
-    return Alike(unseen, same, near)
+    return Confusable(unseen, same, near)
 
 
 def _unit(term: Term) -> float:
@@ -128,7 +128,7 @@ def _text(of: Label) -> str:
 
 if __name__ == "__main__":
     for number in range(4):
-        found = alike(number)
+        found = confusable_pairs(number)
         print(f"arm {number}")
         print("  links and load take up:", ", ".join(_text(of) for of in found.unseen))
         print("  no pose tells apart:", "; ".join(f"{_text(a)} and {_text(b)}" for a, b in found.same) or "none")

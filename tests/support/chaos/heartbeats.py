@@ -18,7 +18,7 @@ from tests.support.chaos.witness import Track
 #: Ways in which a drive does not confirm that it stops: commands or answers no longer arrive, it has gone, it is deaf.
 KINDS = ("rpdo_gone", "tpdo_gone", "node_killed", "nmt_stopped")
 #: After this no heartbeat may go out [s].
-SILENT_AFTER_S = 0.2
+DELAYED_AFTER_S = 0.2
 HEARTBEATS = range(0x701, 0x780)
 
 
@@ -91,6 +91,6 @@ def _judge(track: Track, kind: str, period_s: float, result: Heartbeats) -> None
     last_s = max([0.0, *beats])
     result.stops += 1
     result.last_s.append(last_s)
-    if last_s > SILENT_AFTER_S + period_s:
+    if last_s > DELAYED_AFTER_S + period_s:
         result.late += 1
         result.complaints.append(f"{kind}: a heartbeat {last_s:.3f} s after the stop word")

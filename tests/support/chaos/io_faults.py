@@ -37,7 +37,7 @@ MALFORMED_SHARE = 0.02
 #: Share of the SDO answers that are lost, of one node never two in a row.
 LOST_SHARE = 0.3
 #: Longest time after which drives without a heartbeat have stopped [s]; in lockstep they wait for SYNC longer.
-SILENT_S = {"real": 1.5, "lockstep": ABANDONED_S + 3.0}
+NO_PROGRESS_S = {"real": 1.5, "lockstep": ABANDONED_S + 3.0}
 KINDS = ("frozen terminal", "failing frame log", "adapter unplugged", "malformed frames", "lost SDO answers")
 GOES_ON = frozenset({"frozen terminal", "malformed frames", "lost SDO answers"})
 
@@ -104,7 +104,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
     pacing, real = bus.pacing, bus.pacing == "real"
     error: BaseException | None = None
     broken: Broken | None = None
-    shelf, desk, planned = MemoryStore(), StopDesk(), 0
+    store, desk, planned = MemoryStore(), StopDesk(), 0
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         if kind == "frozen terminal":  # nobody reads its other end before the run is over
@@ -136,7 +136,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
                     station = VisitStation(
                         opened.arm,
                         opened.workspace,
-                        shelf,
+                        store,
                         (listen,),
                         options=MoveOptions(desk),
                         pacing=opened.group.timing.pacing,
@@ -152,12 +152,12 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
             outlet._failure = OSError()  # nobody reads what waits
             with suppress(OSError):
                 detached.__exit__(None, None, None)
-    until_s = time.monotonic() + SILENT_S[pacing]  # drives without a master stop by themselves
+    until_s = time.monotonic() + NO_PROGRESS_S[pacing]  # drives without a master stop by themselves
     while PdsState.OPERATION_ENABLED in drives.watched().states and time.monotonic() < until_s:
         time.sleep(0.05)
     watched = drives.watched()
     touched = 0 if broken is None else broken.touched
-    complaints = judge(kind, error, (len(shelf.visits), planned), watched.states, (touched, dropped))
+    complaints = judge(kind, error, (len(store.visits), planned), watched.states, (touched, dropped))
     if kind != "adapter unplugged":
         complaints += [
             "the master's heartbeat was missed" for state in watched.states if state is PdsState.FAULT_REACTION_ACTIVE

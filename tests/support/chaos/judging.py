@@ -16,7 +16,7 @@ from tests.support.chaos.stated import SDO_REQUEST, STATED, Stated
 #: SYNCs from the first word of a stop to the last axis that is no longer enabled.
 SAFE_BOUND = 5
 #: By the clock: a SYNC, or an answer, that is late by this share of a period is not on time.
-LATE_SHARE = 0.5
+DELAYED_SHARE = 0.5
 ENABLED_WORD = 0x000F
 ENABLED = PdsState.OPERATION_ENABLED
 
@@ -100,18 +100,18 @@ def judge_samples(outcome: Outcome, fault: Fault | None, evidence: Evidence) -> 
     visits = [visit for visit in evidence.visits if visit.complete]
     if len(visits) != evidence.planned:
         complain(f"{len(visits)} visits of {evidence.planned}")
-    kept, told = sum(visit.incomplete_epochs for visit in visits), len(evidence.repeated)
-    if kept != told:
-        complain(f"{told} SYNCs were told as taken again, {kept} are kept with the visits")
-    if told > evidence.counters["incomplete"]:
-        complain(f"{told} SYNCs were told as taken again, {evidence.counters['incomplete']:g} are counted")
+    kept, reported = sum(visit.incomplete_epochs for visit in visits), len(evidence.repeated)
+    if kept != reported:
+        complain(f"{reported} SYNCs were told as taken again, {kept} are kept with the visits")
+    if reported > evidence.counters["incomplete"]:
+        complain(f"{reported} SYNCs were told as taken again, {evidence.counters['incomplete']:g} are counted")
     reaction = KINDS[outcome.kind].reaction_in(outcome.pacing)
     if reaction == "retried" and outcome.in_samples:
         named = {axis for event in evidence.repeated for axis in event.axes}
         wanted = {fault.node} if fault is not None and fault.node else named
-        outcome.counted["taken again"] = told
-        if not told or not wanted <= named or outcome.pacing == "lockstep" and named != wanted:
-            complain(f"taken again: {told}, of axes {sorted(named)}; the fault is about {sorted(wanted)}")
+        outcome.counted["taken again"] = reported
+        if not reported or not wanted <= named or outcome.pacing == "lockstep" and named != wanted:
+            complain(f"taken again: {reported}, of axes {sorted(named)}; the fault is about {sorted(wanted)}")
 
 
 def follow(watched: Watched, outcome: Outcome, fault: Fault | None, start: int) -> None:
@@ -127,13 +127,13 @@ def follow(watched: Watched, outcome: Outcome, fault: Fault | None, start: int) 
     if stop is None:
         outcome.complaints.append("no drive was told to stop")
         return
-    told = stop[0] - 1
+    reported = stop[0] - 1
     bound = bound_syncs(outcome.kind, outcome.pacing, outcome.period_s)
     if start:
-        outcome.detected = told - start
+        outcome.detected = reported - start
         if bound is not None and outcome.detected > bound:
             outcome.complaints.append(f"told after {outcome.detected} SYNCs, {bound} are stated")
-    rest = [each for each in after if each[0] > told]
+    rest = [each for each in after if each[0] > reported]
     safe = next((each[0] for each in rest if all(each[1][axis] is not ENABLED for axis in healthy)), None)
     if safe is None:
         ended = not any(watched.states[axis] is ENABLED for axis in healthy)
@@ -141,7 +141,7 @@ def follow(watched: Watched, outcome: Outcome, fault: Fault | None, start: int) 
     if safe is None:
         outcome.complaints.append("an axis never left OPERATION ENABLED")
         return
-    outcome.safe = safe - told
+    outcome.safe = safe - reported
     if outcome.safe > SAFE_BOUND:
         outcome.complaints.append(f"safe {outcome.safe} SYNCs after the stop was told")
     for earlier, later in zip(rest, rest[1:], strict=False):
@@ -175,8 +175,8 @@ def compare(watched: Watched, outcome: Outcome, evidence: Evidence, base: int) -
 
 def held_up(watched: Watched, period_s: float) -> bool:
     """By the clock: whether the machine that this runs on did not let master or drives keep their time."""
-    seen, late_s = watched.seen, LATE_SHARE * period_s
+    seen, limit_s = watched.seen, DELAYED_SHARE * period_s
     rhythm = zip(seen.states, seen.came_s, seen.came_s[1:], strict=False)
-    return seen.slowest_s > late_s or any(
-        later - earlier > period_s + late_s for row, earlier, later in rhythm if set(row[3]) == {ENABLED_WORD}
+    return seen.slowest_s > limit_s or any(
+        later - earlier > period_s + limit_s for row, earlier, later in rhythm if set(row[3]) == {ENABLED_WORD}
     )

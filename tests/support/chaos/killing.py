@@ -81,8 +81,8 @@ def interrupt_recordings(kills: int, how: str, seed: int = 1) -> Losses:
             while losses.interrupted < kills:
                 job = Job(folder, served.bus, folder / f"run-{number}.h5", _limit(how, rng))
                 master = _interrupted(how, rng, job, served)
-                whole = master.end == "done"
-                losses.interrupted += not whole
+                ended = master.end == "done"
+                losses.interrupted += not ended
                 losses.announced += len(master.announced)
                 promised |= set(master.announced)
                 _look_at_file(job, promised, losses)
@@ -92,8 +92,8 @@ def interrupt_recordings(kills: int, how: str, seed: int = 1) -> Losses:
                     _restore_all(job, served, before, losses)
                 job.ledger.unlink(missing_ok=True)
                 served.ask("renew")
-                if whole or len(promised) == 2 * POSES or (how == "disk full" and rng.random() < 0.3):
-                    losses.finished += whole
+                if ended or len(promised) == 2 * POSES or (how == "disk full" and rng.random() < 0.3):
+                    losses.finished += ended
                     promised = set()
                     number += 1
     return losses

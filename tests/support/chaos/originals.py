@@ -236,19 +236,19 @@ class Bench:
                 values.add(stored[address])
         self._applied = [{}, {}]
 
-    def judge(self, found: Originals, story: str) -> None:
+    def judge(self, found: Originals, description: str) -> None:
         """Restore without an interruption: every object has to hold an original."""
         try:
             self.do("restore")
         except DriveError as error:
-            found.complaints.append(f"{story}: {error}")
+            found.complaints.append(f"{description}: {error}")
         for slave, originals in zip(self.slaves, self.originals, strict=True):
             for address, values in originals.items():
                 found.judged += 1
                 if slave.values[address] not in values:
                     found.lost += 1
                     found.complaints.append(
-                        f"{story}: node {slave.node_id} {address[0]:04X}:{address[1]:02X} holds"
+                        f"{description}: node {slave.node_id} {address[0]:04X}:{address[1]:02X} holds"
                         f" {slave.values[address]:#x}, original {[hex(value) for value in sorted(values)]}"
                     )
 
@@ -274,16 +274,16 @@ def cut_in_process(cuts: int, seed: int = 1) -> Originals:
     found, rng = Originals(), random.Random(f"originals {seed}")
     while found.interrupted < cuts:
         with tempfile.TemporaryDirectory(prefix="originals-") as name:
-            bench, story = Bench(Path(name), rng), ""
+            bench, description = Bench(Path(name), rng), ""
             for _ in range(rng.randint(1, 4)):
                 what = rng.choice(("configure", "apply", "restore"))
                 try:
-                    whole = bench.do(what, rng.choice((-1, rng.randint(0, 60), rng.randint(0, 700))))
+                    completed = bench.do(what, rng.choice((-1, rng.randint(0, 60), rng.randint(0, 700))))
                 except DriveError as error:
-                    found.complaints.append(f"{story} {what}: {error}")
+                    found.complaints.append(f"{description} {what}: {error}")
                     continue
-                story += f" {what}{'' if whole else ' cut'}"
-                if whole:
+                description += f" {what}{'' if completed else ' cut'}"
+                if completed:
                     continue
                 kind = rng.choice(("kill", "power cut"))
                 found.interrupted += 1
@@ -292,7 +292,7 @@ def cut_in_process(cuts: int, seed: int = 1) -> Originals:
                     bench.machine.lose_power(rng)
                     if rng.random() < 0.5:
                         bench.power_up()
-            bench.judge(found, story.strip())
+            bench.judge(found, description.strip())
     return found
 
 

@@ -32,7 +32,7 @@ BEFORE_S = 0.2
 #: Axis that fails, counted over both arms.
 FAILING = 8
 #: SYNCs from a drive that falls silent to the stop of the others: five unanswered ones, one to tell them, one to act.
-SILENT_SYNCS = 7
+UNANSWERED_SYNCS = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def _fault(_desk: StopDesk, drive: FakeDrive) -> None:
     drive.raise_fault(0x3210)
 
 
-def _silence(_desk: StopDesk, drive: FakeDrive) -> None:
+def _stop_responding(_desk: StopDesk, drive: FakeDrive) -> None:
     drive.node.unpowered = True
 
 
@@ -77,7 +77,7 @@ STOPS: dict[str, Callable[[StopDesk, FakeDrive], None]] = {
     "along the path": _by_person,
     "quick stop": _quickly,
     "drive in fault": _fault,
-    "drive silent": _silence,
+    "drive silent": _stop_responding,
 }
 
 
@@ -96,8 +96,8 @@ def stopped(kind: str, seed: int, at_s: float, row: str = ROW) -> PairStop:
 
         def stop(time_s: float) -> None:
             if not asked and time_s >= begin_s:
-                late = SILENT_SYNCS if kind == "drive silent" else 1
-                asked.append((time_s, bound_n(rig, drives, late * rig.cell.sync_period_s)))
+                delay = UNANSWERED_SYNCS if kind == "drive silent" else 1
+                asked.append((time_s, bound_n(rig, drives, delay * rig.cell.sync_period_s)))
                 STOPS[kind](desk, drives[FAILING])
 
         world.after.append(stop)
@@ -125,7 +125,7 @@ def _run_until_stopped(rig: PairRig, run: PairRun) -> None:
     raise AssertionError("the pair was not stopped")
 
 
-def bound_n(rig: PairRig, drives: list[FakeDrive], late_s: float) -> float:
+def bound_n(rig: PairRig, drives: list[FakeDrive], delay_s: float) -> float:
     """Force that a stop adds at most: each axis ends anywhere between here and its ramp's end, lag and delay included.
 
     The ways of all joints are added as if each of them moved the hands the same way, times the stiffness of the chain
@@ -135,9 +135,9 @@ def bound_n(rig: PairRig, drives: list[FakeDrive], late_s: float) -> float:
     speed = np.abs(world.motors.omega)
     ramps = np.array([drive.joint_speed(drive.store.number((0x6085, 0))) for drive in drives])
     lag_s = np.asarray(world.motors.train.lag_s)
-    way = speed**2 / (2.0 * ramps) + speed * (lag_s + late_s)
+    distance = speed**2 / (2.0 * ramps) + speed * (lag_s + delay_s)
     lever_m = np.linalg.norm(world.part.at(world.q).jacobian[:3], axis=0)
-    return rig.cell.config.force.stiffness.straight * float(lever_m @ way)
+    return rig.cell.config.force.stiffness.straight * float(lever_m @ distance)
 
 
 def figures(scope: Any) -> dict[str, dict]:

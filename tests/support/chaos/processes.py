@@ -278,7 +278,7 @@ def _record(job: Job, pipe: Connection) -> None:
     if job.file_limit:
         resource.setrlimit(resource.RLIMIT_FSIZE, (job.file_limit, job.file_limit))
 
-    def tell(event: Event) -> None:
+    def notify(event: Event) -> None:
         if isinstance(event, VisitDone):
             pipe.send((event.pose, event.direction))
 
@@ -289,7 +289,7 @@ def _record(job: Job, pipe: Connection) -> None:
                 block_queue(opened, job.frames, lambda: pipe.send("full"))
             pipe.send("moving")
             plan = plan_of_poses(loaded, opened.config, opened.workspace, poses())
-            record(opened, plan, RecordRequest("none", job.path, resume=True), (tell,))
+            record(opened, plan, RecordRequest("none", job.path, resume=True), (notify,))
         pipe.send("done")
     except (DriveError, GatewayError) as error:
         pipe.send(f"error: {type(error).__name__}: {error}")
@@ -301,16 +301,16 @@ def _record(job: Job, pipe: Connection) -> None:
 class _Blocked:
     """An adapter that takes so many frames more and then none."""
 
-    def __init__(self, adapter: Any, frames: int, tell: Callable[[], None]) -> None:
+    def __init__(self, adapter: Any, frames: int, notify: Callable[[], None]) -> None:
         self._adapter = adapter
         self._left = frames
-        self._tell = tell
+        self._notify = notify
 
     def send(self, frame: can.Message, timeout: float | None = None) -> None:
         """Send, as long as there is room."""
         self._left -= 1
         if self._left == 0:
-            self._tell()
+            self._notify()
         if self._left <= 0:
             raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
         self._adapter.send(frame, timeout)
@@ -319,10 +319,10 @@ class _Blocked:
         return getattr(self._adapter, name)
 
 
-def block_queue(opened: OpenArm, frames: int, tell: Callable[[], None]) -> None:
+def block_queue(opened: OpenArm, frames: int, notify: Callable[[], None]) -> None:
     """Let the transmit queue fill up for ever after so many frames."""
     bus = opened.group._bus
-    bus._adapter = _Blocked(bus._adapter, frames, tell)
+    bus._adapter = _Blocked(bus._adapter, frames, notify)
 
 
 def restore(job: Job) -> str:

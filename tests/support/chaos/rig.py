@@ -116,8 +116,8 @@ class Rig:
         self.loaded = small_cell(folder, edit)
         scenario = folder / "idle.toml"
         scenario.write_text(IDLE)
-        given = ServeOptions(bus=self.bus, fault=scenario, payload=payload, **options)
-        self.simulation = Simulation(folder / "cell.toml", given)
+        serve_options = ServeOptions(bus=self.bus, fault=scenario, payload=payload, **options)
+        self.simulation = Simulation(folder / "cell.toml", serve_options)
         self.server = self.simulation.servers[0]
         self.wire: FaultyWire = self.server.bus
         self.wire.clear()
@@ -191,13 +191,13 @@ class Rig:
         """Have something done in the drives' thread, and wait for it."""
         done = threading.Event()
 
-        def and_tell() -> None:
+        def and_report() -> None:
             try:
                 job()
             finally:
                 done.set()
 
-        self.server.later(and_tell)
+        self.server.later(and_report)
         if not done.wait(60.0):
             raise TimeoutError("the simulated drives do not answer")
 

@@ -263,12 +263,12 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
         return
     if kind == "queue_full":
         fill_queue(opened, random.Random(outcome.seed))
-    shelf = MemoryStore()
-    evidence.visits = shelf.visits
+    store = MemoryStore()
+    evidence.visits = store.visits
     station = VisitStation(
         opened.arm,
         opened.workspace,
-        shelf,
+        store,
         (evidence.hear, begin.hear, lambda event: _say(rig, kind, event)),
         pacing=opened.group.timing.pacing,
     )

@@ -29,7 +29,7 @@ from tests.support.chaos.witness import Ending, Track
 SYNC = 0x080
 #: How often it is tried anew where this computer was too busy with something else.
 TRIES = 4
-WHOLE = "all poses measured"
+COMPLETE = "all poses measured"
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +115,7 @@ def _tried(write_s: float, period_s: float, capacity: int, visits: int) -> SlowD
     if result.lost:
         result.complaints.append(f"{result.taken} visits were finished, {len(kept)} are on disk: {result.said}")
     result.full = "wait for the disk" in result.said
-    if not result.full and result.said != WHOLE:
+    if not result.full and result.said != COMPLETE:
         result.complaints.append(result.said or "no end")
     return result
 
@@ -143,19 +143,19 @@ def _record(folder: Path, bus: str, how: tuple[float, int, int], pipe: Connectio
         counted.append(VisitQueue(*arguments, capacity=capacity, write=SlowWrite(write_s)))
         return counted[-1]
 
-    def tell(event: Event) -> None:
+    def notify(event: Event) -> None:
         most[0] = max(most[0], counted[-1].waiting)
         if isinstance(event, VisitDone):
             pipe.send(("visit", (event.pose, event.direction)))
 
     session.VisitQueue = queue  # type: ignore[misc, assignment]
     loaded = load_cell(folder / "cell.toml")
-    said = WHOLE
+    said = COMPLETE
     try:
         with open_arm(loaded, BusOverride(BusSpec.parse(bus), ledger=folder / "ledger.json")) as opened:
             near = [replace(pose, number=number) for number, pose in enumerate(poses(visits // 2), start=1)]
             plan = plan_of_poses(loaded, opened.config, opened.workspace, near)
-            record(opened, plan, RecordRequest("none", folder / "run.h5"), (tell,))
+            record(opened, plan, RecordRequest("none", folder / "run.h5"), (notify,))
     except (DriveError, GatewayError) as error:
         said = " ".join([str(error), *getattr(error, "__notes__", [])])
     except BaseException as error:

@@ -40,9 +40,9 @@ STOP_PERIODS = 2.0
 #: Most that measuring may add to a speed.
 MEASURING = 1.05
 #: One stall in so many comes while the arm is measured, standing; those are no part of what was asked for.
-STANDING_EVERY = 4
+AT_REST_EVERY = 4
 #: Looks at the drives, 10 ms apart, in which nothing turns, until the arm counts as standing.
-STANDING_LOOKS = 20
+AT_REST_CHECKS = 20
 #: Speeds of any joint at which the waiting for a random instant of motion begins.
 SLOW_RAD_S, FAST_RAD_S = 0.05, 0.4
 RPDO1, SYNC = 0x200, 0x080
@@ -189,7 +189,7 @@ def stall_masters(
             recorder = Recorder(folder, served.bus)
             try:
                 for number in range(stalls):
-                    _wait(recorder, served, rng, standing=number % STANDING_EVERY == STANDING_EVERY - 1)
+                    _wait(recorder, served, rng, at_rest=number % AT_REST_EVERY == AT_REST_EVERY - 1)
                     _one(recorder, served, rng, period_s, result)
                     progress()
                     if recorder.end:
@@ -209,18 +209,18 @@ def short_visits(text: str) -> str:
     return re.sub(r"samples = \d+", "samples = 60", text)
 
 
-def _wait(recorder: Recorder, served: Drives, rng: random.Random, *, standing: bool) -> None:
+def _wait(recorder: Recorder, served: Drives, rng: random.Random, *, at_rest: bool) -> None:
     """Until a random instant at which the arm is under way, or stands and is measured."""
     least_rad_s = rng.choice((SLOW_RAD_S, FAST_RAD_S))
     _until(recorder, lambda: served.ask("speed") > least_rad_s)
-    if standing:
-        looks = [True] * STANDING_LOOKS
+    if at_rest:
+        looks = [True] * AT_REST_CHECKS
 
-        def stands() -> bool:
+        def is_at_rest() -> bool:
             looks.append(served.ask("speed") > REST_RAD_S)
-            return not any(looks[-STANDING_LOOKS:])
+            return not any(looks[-AT_REST_CHECKS:])
 
-        _until(recorder, stands)
+        _until(recorder, is_at_rest)
         time.sleep(rng.uniform(0.0, 0.3))
     else:
         time.sleep(rng.uniform(0.0, 0.8))
@@ -265,7 +265,7 @@ def _judge(track: Track, asleep_s: float, woken_s: float, period_s: float, resul
     result.fast += share > MEASURING
     syncs = [at for at, number, _ in track.frames if number == SYNC and at < woken_s]
     overrun = (woken_s - syncs[-1]) / period_s - 1.0 if syncs else 0.0
-    if overrun <= OVERRUN_PERIODS or not _under_way(track, woken_s):
+    if overrun <= OVERRUN_PERIODS or not _is_moving(track, woken_s):
         return
     result.moving += 1
     words = [
@@ -286,7 +286,7 @@ def stops(data: bytes) -> bool:
     return data[0] & 0x06 != 0x06
 
 
-def _under_way(track: Track, before_s: float) -> bool:
+def _is_moving(track: Track, before_s: float) -> bool:
     """Whether the last two set points of an axis before a time differ."""
     for node in range(1, 7):
         frames = [data for at, number, data in track.frames if number == RPDO1 + node and at < before_s]

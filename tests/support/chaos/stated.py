@@ -80,9 +80,9 @@ class Stated:
 
 
 #: In lockstep, where everybody is waited for, nothing else than what is stated may be incomplete.
-_WHOLE = Count("incomplete", most=0)
+_COMPLETE = Count("incomplete", most=0)
 _GAPS = Count("incomplete", least=1)
-_SILENT = "left 5 SYNCs in a row unanswered"
+_UNANSWERED = "left 5 SYNCs in a row unanswered"
 _EMERGENCY = r"sent an emergency: 0x7305, encoder signal faulty"
 _BEHIND = r"was commanded to move by -?0\.04\d rad but has moved by -?0\.0\d\d rad"
 _EMCY_RESET = (Count("emcy", share=1.0), Count("emcy of the node", share=1.0), Count("emcy of an error", most=0))
@@ -91,13 +91,13 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
     {
         # TPDOs and SYNC on the wire
         "tpdo_lost": Stated(counts=(Count("incomplete", least=3, most=3),), real=(Count("incomplete", least=3),)),
-        "tpdo_gone": Stated(IncompleteEpochs, _SILENT, "silent"),
+        "tpdo_gone": Stated(IncompleteEpochs, _UNANSWERED, "silent"),
         "tpdo_duplicated": Stated(
-            counts=(Count("duplicate", share=0.95), _WHOLE), real=(Count("duplicate", share=0.9),)
+            counts=(Count("duplicate", share=0.95), _COMPLETE), real=(Count("duplicate", share=0.9),)
         ),
         # late but in time is no irregularity: nothing may be counted
-        "tpdo_delayed": Stated(counts=(_WHOLE, Count("late", most=0)), real=()),
-        "tpdo_reordered": Stated(counts=(_WHOLE, Count("late", most=0), Count("ambiguous", most=0)), real=()),
+        "tpdo_delayed": Stated(counts=(_COMPLETE, Count("late", most=0)), real=()),
+        "tpdo_reordered": Stated(counts=(_COMPLETE, Count("late", most=0), Count("ambiguous", most=0)), real=()),
         "tpdo_late": Stated(
             counts=(_GAPS, Count("late or twice", least=1)), real=(_GAPS, Count("late or unsure", least=1))
         ),
@@ -112,7 +112,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
             counts=(_GAPS, Count("late or twice", least=1)), real=(_GAPS, Count("late or unsure", least=1))
         ),
         # nobody hears that a drive has heard nothing; what counts is that no sample is touched
-        "rpdo_lost": Stated(counts=(_WHOLE,), real=()),
+        "rpdo_lost": Stated(counts=(_COMPLETE,), real=()),
         "rpdo_gone": Stated(LimitExceeded, _BEHIND, "stays_behind", "joint"),
         "sync_lost": Stated(counts=(Count("incomplete", least=1, most=1),), real=(_GAPS,)),
         # SDO on the wire
@@ -127,9 +127,9 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         # life signs
         "heartbeat_lost": Stated(HeartbeatLost, "its heartbeat stopped", "heartbeat_lost"),
         "heartbeat_back": Stated(HeartbeatLost, "its heartbeat stopped", "heartbeat_lost"),
-        "node_killed": Stated(IncompleteEpochs, _SILENT, "silent"),
+        "node_killed": Stated(IncompleteEpochs, _UNANSWERED, "silent"),
         "power_cycle": Stated(DriveRebooted, "booted during the run", "booted"),
-        "reboot_keeps_all": Stated(counts=(_WHOLE,), real=()),
+        "reboot_keeps_all": Stated(counts=(_COMPLETE,), real=()),
         "reboot_keeps_communication": Stated(ConfigurationRefused, r"6060:00.*0x8 was configured, 0x0 is read now"),
         "reboot_keeps_nothing": Stated(ConfigurationRefused, r"RPDO1 has .* since it was configured"),
         "boot_up_frame": Stated(DriveRebooted, "booted during the run", "booted"),
@@ -140,7 +140,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         # EMCY
         "emcy": Stated(DriveFault, _EMERGENCY, "emergency"),
         "emcy_short": Stated(DriveFault, _EMERGENCY, "emergency"),
-        "emcy_reset": Stated(counts=(*_EMCY_RESET, _WHOLE), real=_EMCY_RESET),
+        "emcy_reset": Stated(counts=(*_EMCY_RESET, _COMPLETE), real=_EMCY_RESET),
         "emcy_storm": Stated(DriveFault, _EMERGENCY, "emergency"),
         # the drive
         "drive_fault": Stated(DriveFault, "left OPERATION ENABLED: FAULT.*encoder signal faulty", "left_enabled"),
@@ -150,7 +150,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "safe_torque_off": Stated(DriveFault, "left OPERATION ENABLED: SWITCH ON DISABLED", "left_enabled"),
         "not_following": Stated(DriveFault, "does not follow its target", "not_following"),
         "not_remote": Stated(DriveFault, "no longer under remote control", "not_remote"),
-        "warning": Stated(counts=(Count("warnings", share=0.9), _WHOLE), real=(Count("warnings", share=0.9),)),
+        "warning": Stated(counts=(Count("warnings", share=0.9), _COMPLETE), real=(Count("warnings", share=0.9),)),
         "brake_engaged": Stated(LimitExceeded, _BEHIND, "stays_behind", "joint"),
         "never_settles": Stated(PoseNeverSettles, r"pose \d does not settle within", "never_settles", "joint"),
         "torque_spike": Stated(LimitExceeded, r"the torque has jumped by \d+ Nm", "contact", "joint"),
@@ -161,7 +161,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "wrong_rated": Stated(FindingFailed, r"6072:00.*rated torque in another unit"),
         "write_ignored": Stated(ConfigurationRefused, r"6007:00.*was written, .* reads back"),
         "drive_exchanged": Stated(
-            counts=(Count("torque limits raised", most=0), _WHOLE), real=(Count("torque limits raised", most=0),)
+            counts=(Count("torque limits raised", most=0), _COMPLETE), real=(Count("torque limits raised", most=0),)
         ),
         "rated_zero": Stated(ConfigurationRefused, r"6076:00.*rated value is 0"),
         "wrong_vendor": Stated(IdentityMismatch, r"1018:01.*vendor id is 0x[0-9A-F]+ instead of"),
@@ -169,20 +169,20 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "duplicate_node": Stated(DuplicateNode, "2 devices answer at this node id"),
         "fault_at_start": Stated(DriveFault, "is in FAULT.*0x7305, encoder signal faulty"),
         # strict slaves
-        "strict_inhibit": Stated(counts=(_WHOLE,), real=()),
+        "strict_inhibit": Stated(counts=(_COMPLETE,), real=()),
         "start_refused": Stated(
-            counts=(Count("emcy of an error", least=1), _WHOLE), real=(Count("emcy of an error", least=1),)
+            counts=(Count("emcy of an error", least=1), _COMPLETE), real=(Count("emcy of an error", least=1),)
         ),
         "cycle_period_set": Stated(
-            counts=(Count("ledger 1006", least=1), _WHOLE), real=(Count("ledger 1006", least=1),)
+            counts=(Count("ledger 1006", least=1), _COMPLETE), real=(Count("ledger 1006", least=1),)
         ),
-        "no_data_abort": Stated(counts=(Count("sdo aborts", least=1), _WHOLE), real=(Count("sdo aborts", least=1),)),
+        "no_data_abort": Stated(counts=(Count("sdo aborts", least=1), _COMPLETE), real=(Count("sdo aborts", least=1),)),
         "tpdo3_on": Stated(
-            counts=(Count("ledger 1802", least=1), Count("tpdo3 on", most=0), _WHOLE),
+            counts=(Count("ledger 1802", least=1), Count("tpdo3 on", most=0), _COMPLETE),
             real=(Count("ledger 1802", least=1), Count("tpdo3 on", most=0)),
         ),
         "foreign_emcy_id": Stated(
-            counts=(Count("emcy of the node", least=1), _WHOLE), real=(Count("emcy of the node", least=1),)
+            counts=(Count("emcy of the node", least=1), _COMPLETE), real=(Count("emcy of the node", least=1),)
         ),
         # drives that may not be moved
         "start_never": Stated(
@@ -211,17 +211,19 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
             ForeignMaster, r"in 0\.5 s it has sent [456] SYNC; nothing was sent", named="nobody"
         ),
         "error_frames": Stated(
-            counts=(Count("error frames", share=1.0), _WHOLE), real=(Count("error frames", share=1.0),)
+            counts=(Count("error frames", share=1.0), _COMPLETE), real=(Count("error frames", share=1.0),)
         ),
         "error_passive": Stated(
-            counts=(Count("error frames", share=1.0), _WHOLE), real=(Count("error frames", share=1.0),)
+            counts=(Count("error frames", share=1.0), _COMPLETE), real=(Count("error frames", share=1.0),)
         ),
         "bus_off": Stated(BusOff, "the CAN controller is bus-off", "bus_off", "nobody"),
         "strange_frames": Stated(
-            counts=(Count("extended frames", share=0.5), Count("remote frames", share=0.5), _WHOLE),
+            counts=(Count("extended frames", share=0.5), Count("remote frames", share=0.5), _COMPLETE),
             real=(Count("extended frames", share=0.5), Count("remote frames", share=0.5)),
         ),
         # the master
-        "queue_full": Stated(counts=(Count("send retries", least=1), _WHOLE), real=(Count("send retries", least=1),)),
+        "queue_full": Stated(
+            counts=(Count("send retries", least=1), _COMPLETE), real=(Count("send retries", least=1),)
+        ),
     }
 )

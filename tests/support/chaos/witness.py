@@ -124,8 +124,8 @@ class Witness:
         changed: Any = server
         changed._follow_the_clock, changed._take = self._followed, self._taken
 
-    def _followed(self, message: can.Message | None, silent_s: float) -> None:
-        self._follow(message, silent_s)
+    def _followed(self, message: can.Message | None, missing_s: float) -> None:
+        self._follow(message, missing_s)
         now_s = self._server._real_at_s
         if now_s - self._last_s >= STEP_S:
             self._last_s = now_s

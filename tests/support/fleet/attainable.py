@@ -41,7 +41,7 @@ def told_on(robot: Robot, lag_differences: float, series: int) -> float:
             np.array([each[row] for each in log_spread])[:, None],
             np.array([row + 1.0]),
         )
-        sure = sigmas(lines(seen, np.ones((1, 4), dtype=bool)), known, np.array([WEAR]))
-        if abs(sure[0]) >= needed_sigmas(series):
+        std = sigmas(lines(seen, np.ones((1, 4), dtype=bool)), known, np.array([WEAR]))
+        if abs(std[0]) >= needed_sigmas(series):
             return float(day)
     return float("inf")

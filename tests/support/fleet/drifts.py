@@ -117,7 +117,7 @@ def drifts(store: Store, plant: Plant) -> dict[str, dict]:
             continue
         possible = earliest_day(robot, z)
         if 1.2 * possible <= DAYS:
-            day = _told(health, robot)
+            day = _detected_on(health, robot)
             in_time.append(day <= 1.2 * possible)
             over.append(day / possible)
             if len(best) < BEST_OF:
@@ -143,7 +143,7 @@ def _printed(value: float, unit: str = "") -> dict:
     return {"value": value, "unit": unit, "goal": "printed", "met": None}
 
 
-def _told(health: RobotHealth, robot: Robot) -> float:
+def _detected_on(health: RobotHealth, robot: Robot) -> float:
     """Day on which the worn gain was told; infinite = never."""
     for trend in health.trends:
         if trend.quantity == "gain" and trend.joint == robot.worn + 1 and trend.found_on is not None:

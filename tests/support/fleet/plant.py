@@ -132,14 +132,14 @@ def write(robots: list[Robot], path: Path) -> int:
     tables = []
     for number, robot in enumerate(robots):
         count = len(robot.day)
-        told: dict[str, object] = {
+        table_columns: dict[str, object] = {
             "cell": [robot.name] * count,
             "arm": ["main"] * count,
             "software": ["servo-gateway 0.1.0"] * count,
             "time_utc": [FIRST + timedelta(days=float(day)) for day in robot.day],
         }
-        told |= {f"serial{joint}": np.full(count, 1000 * number + joint) for joint in range(1, AXES + 1)}
-        tables.append(pa.table(told | robot.columns))
+        table_columns |= {f"serial{joint}": np.full(count, 1000 * number + joint) for joint in range(1, AXES + 1)}
+        tables.append(pa.table(table_columns | robot.columns))
     table = pa.concat_tables(tables)
     pq.write_table(table, path)
     return table.num_rows

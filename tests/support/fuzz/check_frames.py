@@ -188,14 +188,14 @@ class Device:
         self._fates = deque(conversation.fates)
         self._rest = b""
         self._kept: list[bytes] = []
-        self._late: list[bytes] = []
+        self._delayed: list[bytes] = []
 
     def __call__(self, can_id: int, data: bytes) -> list[bytes]:
         if can_id != REQUEST or data[0] & 0xE0 == 0x80:
             return []
         answer = self._answer(data)
         fate, junk = self._fates.popleft() if self._fates else ("keep", b"")
-        late, self._late = self._late, []
+        delayed, self._delayed = self._delayed, []
         if fate in ("junk first", "junk after", "junk instead"):
             self.deceived |= self._like_an_answer(junk)
         out = {
@@ -213,8 +213,8 @@ class Device:
             flipped[position // 8] ^= 1 << position % 8
             out, self.deceived = [bytes(flipped)], True
         if fate == "late":
-            self._late.append(answer)
-        return late + out
+            self._delayed.append(answer)
+        return delayed + out
 
     @staticmethod
     def _like_an_answer(junk: bytes) -> bool:

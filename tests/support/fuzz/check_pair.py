@@ -69,12 +69,12 @@ def check_cell(data: bytes) -> None:
     if cell is None:
         return
     assert cell.program.dt_s > 0
-    way = bounded(lambda: cell.path(), (InputError,), size)
-    if way is not None:
-        assert np.isfinite(way.commands).all()
-        assert (np.diff(way.s_m) >= 0).all()
+    path_ = bounded(lambda: cell.path(), (InputError,), size)
+    if path_ is not None:
+        assert np.isfinite(path_.commands).all()
+        assert (np.diff(path_.s_m) >= 0).all()
         assert len(PairStore(cell, _folder()).cell_hash) == 64
-        bounded(lambda: way.uniform(cell.config.knots), (InputError,), size)
+        bounded(lambda: path_.uniform(cell.config.knots), (InputError,), size)
 
 
 def paths() -> st.SearchStrategy[bytes]:
@@ -132,7 +132,7 @@ def check_function(data: bytes) -> None:
         assert json_text(again) == json_text(stored)
 
 
-def lessons() -> st.SearchStrategy[bytes]:
+def taught_paths() -> st.SearchStrategy[bytes]:
     store, function = _store(), _function()
     points = [
         taught_point(number * 10, 0.2 * number, function.at(0.2 * number), np.full(6, 1e-4), ((9.0, 3.0), (1.0, 0.5)))
@@ -147,15 +147,15 @@ def check_lesson(data: bytes) -> None:
     path = in_file(data, "points.json")
 
     def read() -> TaughtPath:
-        lesson = read_taught_path(path, store.path_hash, store.cell_hash)
-        assert np.isfinite(lesson.function(start).many([0.0, 0.1])).all()
-        return lesson
+        taught = read_taught_path(path, store.path_hash, store.cell_hash)
+        assert np.isfinite(taught.function(start).many([0.0, 0.1])).all()
+        return taught
 
-    lesson = bounded(read, (InputError,), len(data))
-    if lesson is not None:
-        path.write_text(lesson.to_json(), encoding="utf-8")
-        assert read_taught_path(path, store.path_hash, store.cell_hash).to_json() == lesson.to_json()
-        assert all(isinstance(point.command, int) and point.command >= 1 for point in lesson.points)
+    taught = bounded(read, (InputError,), len(data))
+    if taught is not None:
+        path.write_text(taught.to_json(), encoding="utf-8")
+        assert read_taught_path(path, store.path_hash, store.cell_hash).to_json() == taught.to_json()
+        assert all(isinstance(point.command, int) and point.command >= 1 for point in taught.points)
 
 
 # ------------------------------------------------------------------------------------------------- switch, runs, report
@@ -173,15 +173,15 @@ def check_state(data: bytes) -> None:
 
 
 def runs() -> st.SearchStrategy[bytes]:
-    ways = np.linspace(0.0, 0.5, 20)
+    lengths = np.linspace(0.0, 0.5, 20)
     run = {
         "name": "C8",
         "text": "learned on the run",
         "speed": 1.0,
-        "s_m": ways.tolist(),
-        "x_m": (0.9 + 0.1 * ways).tolist(),
-        "first_n": (30.0 * np.sin(9.0 * ways)).round(2).tolist(),
-        "last_n": (5.0 * np.sin(9.0 * ways)).round(2).tolist(),
+        "s_m": lengths.tolist(),
+        "x_m": (0.9 + 0.1 * lengths).tolist(),
+        "first_n": (30.0 * np.sin(9.0 * lengths)).round(2).tolist(),
+        "last_n": (5.0 * np.sin(9.0 * lengths)).round(2).tolist(),
         "knots_s_m": [0.0, 0.25, 0.5],
         "cycles": [{"force_n": 30.0, "moment_nm": 2.0, "knots": 9}, {"force_n": 5.0, "moment_nm": None, "knots": 12}],
     }

@@ -29,8 +29,8 @@ def random_series(
     cosine = _without(rng.standard_normal((axes, harmonics)) / order, order**2)
     times = np.arange(CHECKED) * period_s / CHECKED
     q, qd, qdd, _ = Series("drawn", np.zeros(axes), cosine, sine, period_s, periods).at(times)
-    room = USED * (chain.upper_rad - chain.lower_rad) * rng.uniform(0.4, 1.0, axes)
-    scale = np.minimum(room / np.ptp(q, axis=0), USED * chain.velocity_rad_s / np.abs(qd).max(axis=0))
+    range_rad = USED * (chain.upper_rad - chain.lower_rad) * rng.uniform(0.4, 1.0, axes)
+    scale = np.minimum(range_rad / np.ptp(q, axis=0), USED * chain.velocity_rad_s / np.abs(qd).max(axis=0))
     spare = 0.5 * (USED * (chain.upper_rad - chain.lower_rad) - scale * np.ptp(q, axis=0))
     middle = 0.5 * (chain.upper_rad + chain.lower_rad) + spare * rng.uniform(-1.0, 1.0, axes)
     centre = middle - scale * 0.5 * (q.max(axis=0) + q.min(axis=0))

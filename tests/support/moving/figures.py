@@ -65,7 +65,7 @@ def load_figures(cells: Sequence[Cell], tier: str) -> Figures:
             [worst for cell in cells if (worst := inertia_error(cell)) is not None], "<= 10", "% of"
         ),
         "inertias that are excited": share([float(excited(cell)) for cell in cells]),
-        "excited inertias that were given": share([float(_given(cell)) for cell in cells if excited(cell)]),
+        "excited inertias that were given": share([float(_has_inertia(cell)) for cell in cells if excited(cell)]),
     }
     if tier == "ratios":
         out["rms of the error of the mass"] = _rms(100.0 * off[:, 0] / truth[:, 0], "<= 3", "%")
@@ -117,13 +117,13 @@ def excited(cell: Cell) -> bool:
 
 def inertia_error(cell: Cell) -> float | None:
     """Largest error of the six numbers over the largest principal inertia [%]; None where not excited or not given."""
-    if not excited(cell) or not _given(cell):
+    if not excited(cell) or not _has_inertia(cell):
         return None
     off = np.array(cell["load"]["value"][4:]) - np.array(cell["load"]["truth"][4:])
     return 100.0 * float(np.abs(off).max()) / cell["largest_kg_m2"]
 
 
-def _given(cell: Cell) -> bool:
+def _has_inertia(cell: Cell) -> bool:
     return bool(np.isfinite(cell["load"]["value"][4:]).all())
 
 

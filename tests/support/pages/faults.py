@@ -11,7 +11,7 @@ from tests.support.pages.browser import PDF_READER, Browser
 FAULTS = Path(__file__).with_name("faults.js").read_text(encoding="utf-8")
 #: A4 less the margins of the style sheet (12 mm each), at 96 px an inch.
 PAPER_PX = 703
-WAYS = (("1280", 1280, "screen"), ("390", 390, "screen"), ("paper", PAPER_PX, "print"))
+MEDIA = (("1280", 1280, "screen"), ("390", 390, "screen"), ("paper", PAPER_PX, "print"))
 HEIGHT_PX = 900
 
 
@@ -29,7 +29,7 @@ class Fault:
 def faults_of(window: Browser, file: Path) -> list[Fault]:
     """Everything that is wrong with one page; its pictures are left beside it."""
     found = []
-    for way, width_px, medium in WAYS:
+    for way, width_px, medium in MEDIA:
         window.as_on(medium)
         window.resize(width_px, HEIGHT_PX)
         window.open(file)

@@ -28,7 +28,7 @@ def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
     yield "result", render(found)
     yield "estimate", render(_estimated(found))
     yield "refused", render(_refused(found))
-    yield "not-hung", render(_not_hung(found))
+    yield "not-hung", render(_not_mounted(found))
     yield "moving", render(moving_result())
     yield "follow", render_follow(comparison())
     yield "pair", forces()
@@ -64,7 +64,7 @@ def _refused(found: Result) -> Result:
     return replace(_estimated(found), loads=(nothing, *rest))
 
 
-def _not_hung(found: Result) -> Result:
+def _not_mounted(found: Result) -> Result:
     load = replace(found.loads[0], mass_kg=0.004, mass_std_kg=0.006, com_m=None, com_flange_m=None)
     bare = replace(_estimated(found), loads=(load,), verdict="none_needed")
     return replace(bare, findings=not_hung(bare.loads))

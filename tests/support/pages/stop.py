@@ -16,7 +16,7 @@ PERIOD_S, SYNCS, AXES = 0.01, 400, 6
 #: The run goes by its own time: by the wall clock it takes twice as long.
 WALL_S, SLOW = 1.7e9, 2.0
 ENABLED, FAULT, DISABLED = 0x1237, 0x1218, 0x1250
-FAULTED, SILENT = 4, 5
+FAULTED, UNRESPONSIVE = 4, 5
 REASON = "node 4: it failed"
 
 
@@ -33,7 +33,7 @@ def frames() -> bytes:
         at_s = end_s + PERIOD_S * after * (SLOW if after < 0 else 1.0)
         sent.append((at_s, 0x80, 0, b""))
         for node in range(1, AXES + 1):
-            if node == SILENT and sync > SYNCS - 1 - 100:
+            if node == UNRESPONSIVE and sync > SYNCS - 1 - 100:
                 continue
             over = DISABLED if sync >= SYNCS else ENABLED
             sent.append((at_s, 0x180 + node, RECEIVED, word(FAULT if node == FAULTED and sync >= SYNCS else over)))

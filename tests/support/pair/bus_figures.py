@@ -171,17 +171,17 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
 
 def _intervals(rows: Sequence[Row]) -> dict[str, Figure]:
     """What the intervals of the force hold, over all cycles and commands, and how wide they are."""
-    told = [row for row in rows if "held" in row]
-    if not told:
+    held_rows = [row for row in rows if "held" in row]
+    if not held_rows:
         return {}
-    held = np.array([row["held"] for row in told])
+    held = np.array([row["held"] for row in held_rows])
     share, each = float(held.mean()), held.mean(axis=0)
-    half = float(np.median([row["half_n"] for row in told]))
+    half = float(np.median([row["half_n"] for row in held_rows]))
     return {
         "95 % intervals of the force that hold the truth": {
             "value": share,
             "interval": [float(each.min()), float(each.max())],
-            "unit": f"of {len(told)} cycles; least and most of six components",
+            "unit": f"of {len(held_rows)} cycles; least and most of six components",
             "goal": "0.93 .. 0.97",
             "met": 0.93 <= share <= 0.97,
         },

@@ -48,7 +48,7 @@ class Trouble:
     word: str = ""
 
 
-def _rub(rig: PairRig, coulomb: tuple[float, float], viscous: tuple[float, float]) -> None:
+def _set_friction(rig: PairRig, coulomb: tuple[float, float], viscous: tuple[float, float]) -> None:
     rig.world.motors.rub(np.repeat(coulomb, 6), np.repeat(viscous, 6))
 
 
@@ -82,9 +82,9 @@ def _beside(rig: PairRig, run: PairRun) -> PairRun:
 
 TROUBLES = (
     Trouble("as it was learned"),
-    Trouble("friction of another day, 20 % more", lambda rig: _rub(rig, (1.2, 1.2), (1.2, 1.2))),
-    Trouble("friction of another day, 20 % less", lambda rig: _rub(rig, (0.8, 0.8), (0.8, 0.8))),
-    Trouble("arm 1 warm, arm 2 cold", lambda rig: _rub(rig, (0.9, 1.1), (0.6, 1.4))),
+    Trouble("friction of another day, 20 % more", lambda rig: _set_friction(rig, (1.2, 1.2), (1.2, 1.2))),
+    Trouble("friction of another day, 20 % less", lambda rig: _set_friction(rig, (0.8, 0.8), (0.8, 0.8))),
+    Trouble("arm 1 warm, arm 2 cold", lambda rig: _set_friction(rig, (0.9, 1.1), (0.6, 1.4))),
     Trouble("part of half the stated stiffness", _soften),
     Trouble("part slips by 2 mm in 20 ms", held=_slips, word="slipped"),
     Trouble("grasp wrong by 2 mm", held=_beside, word="grasp"),

@@ -41,6 +41,6 @@ def bent(rows: Array, rng: np.random.Generator) -> Array:
     """
     step = np.linalg.norm(np.diff(rows[:, 1:4], axis=0), axis=1)
     done = np.concatenate([[0.0], np.cumsum(step)])[:, None] / step.sum()
-    half, whole, end = rng.uniform(-1.0, 1.0, (3, len(MOST))) * MOST
-    off = half * np.sin(np.pi * done) + 0.5 * whole * np.sin(2.0 * np.pi * done) + end * done
+    half, full_turn, end = rng.uniform(-1.0, 1.0, (3, len(MOST))) * MOST
+    off = half * np.sin(np.pi * done) + 0.5 * full_turn * np.sin(2.0 * np.pi * done) + end * done
     return np.column_stack([rows[:, 0], rows[:, 1:] + off])

@@ -82,13 +82,13 @@ class PairRig:
 
     def teach(self, count: int) -> tuple[TransformFunction, TaughtPath]:
         """First function through `count` points."""
-        lesson = TaughtPath("", "")
+        taught = TaughtPath("", "")
         options = PairMotionOptions(force_limit_n=NO_LIMIT_N)
         stream = Stream(self.link.station(self.cell, options.moves))
         teacher = Teacher(PairMotion(self.cell, stream, options), cell_gains(self.cell))
         with powered(stream):
-            teacher.run(lesson, self.cell.path(1.0).uniform(count), lambda _lesson, _point: None)
-        return lesson.function(self.cell.nominal_relation), lesson
+            teacher.run(taught, self.cell.path(1.0).uniform(count), lambda _taught, _point: None)
+        return taught.function(self.cell.nominal_relation), taught
 
     def run(
         self,

@@ -106,8 +106,8 @@ class Bench:
             done, record = rig.cycle(run)
             rig.world.push = None
             figures = figures_of(run, done, record, self.limit_n)
-            if (way := _way_of(row, speed)) in self.alone:
-                figures["part_off_m"] = off_way_m(record, self.alone[way])
+            if (path_name := _path_name(row, speed)) in self.alone:
+                figures["part_off_m"] = off_way_m(record, self.alone[path_name])
             self.rows.append({**figures, "row": label, "seed": rig.seed, "frozen": number > freeze_after})
             curve["cycles"].append(figures)
             curve["last_n"] = along_n(run, rig.cell, record)
@@ -127,7 +127,7 @@ class Bench:
         return run.controller.function
 
 
-def _way_of(row: Embodiment, speed: float) -> str:
+def _path_name(row: Embodiment, speed: float) -> str:
     """Name of the way that the master takes alone: joints that are sent ahead as they follow take another one."""
     return f"{speed:g}" if row.first == "fixed" else f"{speed:g} fed"
 
@@ -181,8 +181,8 @@ def even(bench: Bench) -> None:
     """C8u: as many learning points as C8 ended with, evenly spread over what was taught."""
     path = bench.rig.cell.path(USUAL)
     points = path.uniform(len(bench.functions[LEARNED_BY[0]]))
-    ways = np.unique(path.s_m[points])
-    spread = TransformFunction(ways, *_split(bench.taught.nine.many(ways)))
+    lengths = np.unique(path.s_m[points])
+    spread = TransformFunction(lengths, *_split(bench.taught.nine.many(lengths)))
     bench.run("C8u", bench.row_of("C8u"), USUAL, LEARNING, first=spread)
 
 
@@ -260,10 +260,10 @@ def first_slower(run: PairRun, decided: list[float], now_s: Callable[[], float])
     stream = run.motion.stream
     plain = stream._send
 
-    def send(way: Any, at: float, rate: float) -> None:
+    def send(path_name: Any, at: float, rate: float) -> None:
         if decided and not begun and rate < 1.0:
             begun.append(now_s())
-        plain(way, at, rate)
+        plain(path_name, at, rate)
 
     stream._send = send  # type: ignore[method-assign]
     return begun
@@ -363,8 +363,8 @@ def elsewhere(seed: int) -> list[Row]:
 def along_drawn(seed: int, refused: int) -> list[Row]:
     """The same along the path that comes after so many of the seed."""
     with TemporaryDirectory() as folder, inline_rig(seed, cell_file=drawn_cell(Path(folder), seed, refused)) as rig:
-        nine, lesson = rig.teach(9)
-        bench = Bench(rig, Taught(nine, lesson.laws_s), 0)
+        nine, taught_path = rig.teach(9)
+        bench = Bench(rig, Taught(nine, taught_path.laws_s), 0)
         row, usual = bench.row_of("C8"), f"C8 elsewhere@{USUAL:g}"
         bench.run("C8 elsewhere", row, USUAL, ELSEWHERE)
         first, back = bench.functions[usual], bench.functions[f"{usual} back"]
@@ -399,15 +399,15 @@ def run_stage(seed: int, stage: str, frozen_cycles: int, stored: dict[str, Any] 
     if stage in ALONE:
         seen["rows"] += ALONE[stage](seed)
     elif stage in APART:
-        seen["rows"] += APART[stage](seed, _given(seen))
+        seen["rows"] += APART[stage](seed, _taught_relation(seen))
     elif stage in AFTERWARDS:
         learned = (_function(seen["functions"][name]) for name in LEARNED_BY)
-        seen["rows"] += AFTERWARDS[stage](seed, _given(seen).laws_s, *learned)
+        seen["rows"] += AFTERWARDS[stage](seed, _taught_relation(seen).laws_s, *learned)
     else:
         with inline_rig(seed) as rig:
-            bench = Bench(rig, _given(seen), frozen_cycles)
+            bench = Bench(rig, _taught_relation(seen), frozen_cycles)
             bench.functions = {name: _function(knots) for name, knots in seen["functions"].items()}
-            bench.alone = {name: np.array(way) for name, way in seen["alone"].items()}
+            bench.alone = {name: np.array(path_name) for name, path_name in seen["alone"].items()}
             STAGES[stage](bench)
             _count(seen, rig)
         seen["rows"] += bench.rows
@@ -428,14 +428,14 @@ def _taught(seed: int) -> dict[str, Any]:
     """What is known of a seed once it is taught: its function, and the ways of the master alone."""
     seen: dict[str, Any] = {"statistics": {"cycles": 0, "incomplete": 0}}
     with inline_rig(seed) as rig:
-        nine, lesson = rig.teach(9)
+        nine, taught_path = rig.teach(9)
         _count(seen, rig)
-    points = plain_values(lesson.points)
-    laws = None if lesson.laws_s is None else lesson.laws_s.tolist()
+    points = plain_values(taught_path.points)
+    laws = None if taught_path.laws_s is None else taught_path.laws_s.tolist()
     seen |= {"functions": {}, "points": points, "nine": _knots(nine), "laws_s": laws}
-    taught = _given(seen)
+    taught = _taught_relation(seen)
     alone = {
-        _way_of(EMBODIMENTS[name], speed): np.round(_alone(seed, taught, name, speed), 7).tolist()
+        _path_name(EMBODIMENTS[name], speed): np.round(_alone(seed, taught, name, speed), 7).tolist()
         for name in ("A", "C1")
         for speed in (USUAL, FAST)
     }
@@ -460,7 +460,7 @@ def _count(seen: dict[str, Any], rig: PairRig) -> None:
         seen["statistics"][name] += sum(getattr(statistics, name))
 
 
-def _given(seen: dict[str, Any]) -> Taught:
+def _taught_relation(seen: dict[str, Any]) -> Taught:
     """What was taught, from what is kept of a seed."""
     laws = seen.get("laws_s")
     return Taught(_function(seen["nine"]), None if laws is None else np.array(laws, dtype=float))

@@ -118,14 +118,14 @@ class Bench:
     #: By how much a SYNC of the last cycle was late, share of the period.
     late: float = 0.0
 
-    def teach(self, lesson: TaughtPath) -> TransformFunction:
+    def teach(self, path_taught: TaughtPath) -> TransformFunction:
         """First function, by the points that the lesson has and those that it lacks."""
         options = PairMotionOptions()
         stream = Stream(self.link.station(self.cell, options.moves))
         teacher = Teacher(PairMotion(self.cell, stream, options), cell_gains(self.cell))
         with powered(stream):
-            teacher.run(lesson, self.cell.path(1.0).uniform(POINTS), lambda _lesson, _point: None)
-        return lesson.function(self.cell.nominal_relation)
+            teacher.run(path_taught, self.cell.path(1.0).uniform(POINTS), lambda _taught, _point: None)
+        return path_taught.function(self.cell.nominal_relation)
 
     def begin(
         self,
@@ -268,7 +268,7 @@ class Told:
         return [most for most, late in pairs if late <= DELAYED_SHARE]
 
 
-def attempt(told: Told, opened: Callable[[], AbstractContextManager[Bench]], do: Callable[[Bench], None]) -> None:
+def attempt(attempts: Told, opened: Callable[[], AbstractContextManager[Bench]], do: Callable[[Bench], None]) -> None:
     """Do something on a fresh pair; what stops it is noted.
 
     Raises
@@ -280,78 +280,85 @@ def attempt(told: Told, opened: Callable[[], AbstractContextManager[Bench]], do:
         with opened() as bench:
             do(bench)
     except MasterStalled as error:
-        told.stalled.append(str(error))
+        attempts.stalled.append(str(error))
     except (DriveError, GatewayError) as error:
         late = isinstance(error, PairStopped) and DELAY_TEXT in str(error)
-        (told.late if late else told.stopped).append(f"{type(error).__name__}: {error}")
-    if len(told.stalled) + len(told.late) > STALLS or len(told.stopped) > PATIENCE:
-        raise RuntimeError(f"seed {told.seed} was stopped too often: {[*told.stalled, *told.late, *told.stopped][-1]}")
+        (attempts.late if late else attempts.stopped).append(f"{type(error).__name__}: {error}")
+    if len(attempts.stalled) + len(attempts.late) > STALLS or len(attempts.stopped) > PATIENCE:
+        raise RuntimeError(
+            f"seed {attempts.seed} was stopped too often: {[*attempts.stalled, *attempts.late, *attempts.stopped][-1]}"
+        )
 
 
-def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], told: Told, name: str, count: int) -> Told:
+def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], attempts: Told, name: str, count: int) -> Told:
     """So many whole cycles, learning off after the twelfth; what is stopped begins anew with what was learned."""
     back: TransformFunction | None = None
 
     def run(bench: Bench) -> None:
         nonlocal back
-        run = bench.begin(name, told.function, back, told.laws_s)
-        while len(told.most) < count:
-            if len(told.most) >= LEARNING:
+        run = bench.begin(name, attempts.function, back, attempts.laws_s)
+        while len(attempts.most) < count:
+            if len(attempts.most) >= LEARNING:
                 run.controller.freeze()
-            told.most.append(bench.cycle(run))
-            told.sync_late.append(bench.late)
-            told.function, back = run.controller.function, run.learned_back
+            attempts.most.append(bench.cycle(run))
+            attempts.sync_late.append(bench.late)
+            attempts.function, back = run.controller.function, run.learned_back
         bench.power.off()
 
-    while len(told.most) < count:
-        attempt(told, opened, run)
-    return told
+    while len(attempts.most) < count:
+        attempt(attempts, opened, run)
+    return attempts
 
 
 def taught(seed: int, period_s: float) -> tuple[Told, float]:
     """First function, taught by the clock, and the largest force that its points were left with, as felt [N]."""
-    told, lesson = Told(seed, period_s), TaughtPath("", "")
+    attempts, path_taught = Told(seed, period_s), TaughtPath("", "")
 
     def teach(bench: Bench) -> None:
-        told.function = bench.teach(lesson)
-        told.laws_s = lesson.laws_s
+        attempts.function = bench.teach(path_taught)
+        attempts.laws_s = path_taught.laws_s
 
-    while told.function is None:
-        attempt(told, lambda: clocked(seed, period_s), teach)
-    left_n = max(point.force_n[-1] for point in lesson.points)
-    print(f"seed {seed}: taught by the clock, at most {left_n:.1f} N left at {len(lesson.points)} points", flush=True)
-    return told, left_n
+    while attempts.function is None:
+        attempt(attempts, lambda: clocked(seed, period_s), teach)
+    left_n = max(point.force_n[-1] for point in path_taught.points)
+    print(
+        f"seed {seed}: taught by the clock, at most {left_n:.1f} N left at {len(path_taught.points)} points",
+        flush=True,
+    )
+    return attempts, left_n
 
 
-def beside(lesson: Told, count: int) -> tuple[Told, Told]:
+def beside(path_taught: Told, count: int) -> tuple[Told, Told]:
     """Row C8 by the clock and in lockstep, both begun with the same function."""
-    found, seed, period_s = list[Told](), lesson.seed, lesson.period_s
+    found, seed, period_s = list[Told](), path_taught.seed, path_taught.period_s
     for how, opened in (("by the clock", clocked), ("in lockstep", stepped)):
-        begun = Told(seed, period_s, function=lesson.function, laws_s=lesson.laws_s)
-        told = cycles_of(lambda opened=opened: opened(seed, period_s), begun, "C8", count)
-        print(f"seed {seed}: C8 {how}: {told.cycles(1.0)} N, {told.broken_off}", flush=True)
-        found.append(told)
+        begun = Told(seed, period_s, function=path_taught.function, laws_s=path_taught.laws_s)
+        attempts = cycles_of(lambda opened=opened: opened(seed, period_s), begun, "C8", count)
+        print(f"seed {seed}: C8 {how}: {attempts.cycles(1.0)} N, {attempts.broken_off}", flush=True)
+        found.append(attempts)
     return found[0], found[1]
 
 
 def gap(seed: int, period_s: float) -> Told:
     """E5 by the clock."""
-    told = cycles_of(lambda: clocked(seed, period_s, GAP_CELL), Told(seed, period_s), "E5", GAP_CYCLES)
-    print(f"seed {seed}: E5 by the clock: {told.cycles(1e3, 3)} mm, {told.broken_off}", flush=True)
-    return told
+    attempts = cycles_of(lambda: clocked(seed, period_s, GAP_CELL), Told(seed, period_s), "E5", GAP_CYCLES)
+    print(f"seed {seed}: E5 by the clock: {attempts.cycles(1e3, 3)} mm, {attempts.broken_off}", flush=True)
+    return attempts
 
 
 def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
     """By the clock beside lockstep, once learning was over."""
-    both = np.array([[max(told.most[LEARNING:], default=math.nan) for told in pair] for pair in runs])
+    both = np.array([[max(attempts.most[LEARNING:], default=math.nan) for attempts in pair] for pair in runs])
     over = both[:, 0] / both[:, 1]
     within = np.concatenate(
         [np.array(one.most[LEARNING:]) <= MOST_OVER_LOCKSTEP * max(other.most[LEARNING:]) for one, other in runs]
     )
-    clock = [told for told, _ in runs]
+    clock = [attempts for attempts, _ in runs]
     calm = [most / max(other.most[LEARNING:]) for one, other in runs for most in one.calm(LEARNING)]
     return {
-        "C8 by the clock, whole cycles": figure(sum(len(told.most) for told in clock), f">= {count * len(runs)}"),
+        "C8 by the clock, whole cycles": figure(
+            sum(len(attempts.most) for attempts in clock), f">= {count * len(runs)}"
+        ),
         **stops("C8", clock),
         "C8 by the clock, largest force": plain(both[:, 0], "N"),
         "C8 in lockstep, largest force": plain(both[:, 1], "N"),
@@ -364,8 +371,8 @@ def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
 
 def gap_figures(gaps: list[Told]) -> dict[str, dict]:
     """Largest gap error of the last cycle of each seed."""
-    last = 1e3 * np.array([told.most[-1] if told.most else math.nan for told in gaps])
-    calm = [1e3 * most for told in gaps for most in told.calm(GAP_LEARNING)]
+    last = 1e3 * np.array([attempts.most[-1] if attempts.most else math.nan for attempts in gaps])
+    calm = [1e3 * most for attempts in gaps for most in attempts.calm(GAP_LEARNING)]
     return {
         **stops("E5", gaps),
         "E5 by the clock, cycles from the third on without a late SYNC": plain([len(calm)], ""),
@@ -376,7 +383,9 @@ def gap_figures(gaps: list[Told]) -> dict[str, dict]:
 
 def stops(what: str, clock: list[Told]) -> dict[str, dict]:
     """How many cycles were broken off, and by what."""
-    stalled, late, others = (sum(len(getattr(told, name)) for told in clock) for name in ("stalled", "late", "stopped"))
+    stalled, late, others = (
+        sum(len(getattr(attempts, name)) for attempts in clock) for name in ("stalled", "late", "stopped")
+    )
     return {
         f"{what} by the clock, stopped by a stall of the machine": plain([stalled], ""),
         f"{what} by the clock, stopped by the force after a SYNC that was late": plain([late], ""),
@@ -408,22 +417,22 @@ def main(argv: list[str]) -> int:
     seeds, parts = [int(text) for text in arguments.seeds.split(",")], arguments.parts.split(",")
     period_s = 1e-3 * arguments.period_ms
     out: dict[str, dict] = {"SYNC period": plain([arguments.period_ms], "ms")}
-    told: list[Told] = []
+    attempts: list[Told] = []
     if "run" in parts:
         first = {seed: taught(seed, period_s) for seed in seeds}
-        lessons = [lesson for lesson, _ in first.values()]
-        out |= stops("teaching", lessons)
+        taught_paths = [path_taught for path_taught, _ in first.values()]
+        out |= stops("teaching", taught_paths)
         out["taught by the clock, force left at a point"] = plain([left_n for _, left_n in first.values()], "N, felt")
-        runs = [beside(lesson, arguments.cycles) for lesson in lessons]
+        runs = [beside(path_taught, arguments.cycles) for path_taught in taught_paths]
         out |= run_figures(runs, arguments.cycles)
-        told += [*lessons, *(clock for clock, _ in runs)]
+        attempts += [*taught_paths, *(clock for clock, _ in runs)]
     if "gap" in parts:
         gaps = [gap(seed, period_s) for seed in seeds]
         out |= gap_figures(gaps)
-        told += gaps
+        attempts += gaps
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "summary.json").write_text(json.dumps({"figures": out}, indent=1) + "\n")
-    for one in told:
+    for one in attempts:
         for why in (*one.stalled, *one.late, *one.stopped):
             print(f"seed {one.seed}, stopped: {why}")
     show(out)

@@ -56,8 +56,8 @@ def main(argv: list[str]) -> int:
 def runs_of(cell: str, seed: int) -> list[dict[str, Any]]:
     """Every row of a cell and a seed: largest true force [N] of each cycle, share of the truth that intervals hold."""
     with inline_rig(seed, cell_file=FOLDER / f"{cell}.toml") as rig:
-        nine, lesson = rig.teach(TAUGHT)
-        bench = Bench(rig, Taught(nine, lesson.laws_s), 0)
+        nine, taught_path = rig.teach(TAUGHT)
+        bench = Bench(rig, Taught(nine, taught_path.laws_s), 0)
         for name, cycles in ROWS.items():
             bench.run(name, bench.row_of(name), USUAL, cycles)
         limit_n = bench.limit_n

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 from gateway.data.rows import MOVING, Table
 
 
-def make_table(load: Sequence[str] | np.ndarray, pose: ArrayLike, q: ArrayLike, tau: ArrayLike, **given: Any) -> Table:
+def make_table(
+    load: Sequence[str] | np.ndarray, pose: ArrayLike, q: ArrayLike, tau: ArrayLike, **extra_columns: Any
+) -> Table:
     """Rows as given; pose -1 is a moving row.
 
     `run`, `time`, `qd`, `qdd`, `direction`, `std`, `count`, `q2nd`, `temperature`, `motor`, `extra` and `file` as they
@@ -24,24 +26,24 @@ def make_table(load: Sequence[str] | np.ndarray, pose: ArrayLike, q: ArrayLike, 
         return np.broadcast_to(values[:, None] if values.shape == (n,) else values, (n, axes)).astype(kind)
 
     return Table(
-        file=(given.get("file", "made.csv"),) * n,
+        file=(extra_columns.get("file", "made.csv"),) * n,
         line=np.arange(2, n + 2),
-        run=np.asarray(given.get("run", ["r"] * n)),
+        run=np.asarray(extra_columns.get("run", ["r"] * n)),
         load=np.asarray(load),
         pose=np.asarray(pose),
-        time_s=np.asarray(given.get("time", np.full(n, np.nan)), dtype=float),
+        time_s=np.asarray(extra_columns.get("time", np.full(n, np.nan)), dtype=float),
         q_rad=np.asarray(q, dtype=float),
-        qd_rad_s=by_axis(given.get("qd", 0.0)),
-        qdd_rad_s2=by_axis(given.get("qdd", 0.0)),
+        qd_rad_s=by_axis(extra_columns.get("qd", 0.0)),
+        qdd_rad_s2=by_axis(extra_columns.get("qdd", 0.0)),
         moving=np.asarray(pose) == MOVING,
-        direction=by_axis(given.get("direction", 0), np.int8),
+        direction=by_axis(extra_columns.get("direction", 0), np.int8),
         tau_nm=by_axis(tau),
-        tau_std_nm=by_axis(given.get("std", np.nan)),
-        count=np.broadcast_to(given.get("count", 1), n).astype(int),
-        q2nd_rad=by_axis(given.get("q2nd", np.nan)),
-        temperature_c=by_axis(given.get("temperature", np.nan)),
-        motor_torque_nm=by_axis(given.get("motor", np.nan)),
-        extra=dict(given.get("extra", {})),
+        tau_std_nm=by_axis(extra_columns.get("std", np.nan)),
+        count=np.broadcast_to(extra_columns.get("count", 1), n).astype(int),
+        q2nd_rad=by_axis(extra_columns.get("q2nd", np.nan)),
+        temperature_c=by_axis(extra_columns.get("temperature", np.nan)),
+        motor_torque_nm=by_axis(extra_columns.get("motor", np.nan)),
+        extra=dict(extra_columns.get("extra", {})),
     )
 
 

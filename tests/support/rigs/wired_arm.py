@@ -65,8 +65,8 @@ class Joint(Slave):
 
     def _supervise_master(self) -> None:
         limit_s = (self.values[0x1016, 1] & 0xFFFF) / 1000.0
-        silent_s = (self.sync_seen - self._beat_sync) * self._period_s
-        if self.supervises and limit_s and self.state == "operation enabled" and silent_s > limit_s:
+        missing_s = (self.sync_seen - self._beat_sync) * self._period_s
+        if self.supervises and limit_s and self.state == "operation enabled" and missing_s > limit_s:
             self.state = {1: "fault", 2: "switch on disabled", 3: "quick stop"}[self.values[0x6007, 0]]
 
     def _sync(self) -> None:

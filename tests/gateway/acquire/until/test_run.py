@@ -111,8 +111,8 @@ def test_the_run_ends_once_the_load_is_known(finished, workspace):
     assert workspace.feasible(np.unique(finished.drives.path, axis=0)).all()
     numbers = [visit.pose for visit in finished.store.visits]
     assert numbers == [number for number in range(7, 7 + decision.verdict.poses) for _ in range(2)]
-    told = [event for event in events if isinstance(event, Narrowed)]
-    assert [event.poses for event in told] == list(range(1, decision.verdict.poses + 1))
+    narrowings = [event for event in events if isinstance(event, Narrowed)]
+    assert [event.poses for event in narrowings] == list(range(1, decision.verdict.poses + 1))
     assert "has reached the requested uncertainty" in ended(decision, "a")
     assert [event.pose for event in events if isinstance(event, PoseDone)] == numbers[::2]
     assert [event.remaining_s for event in events if isinstance(event, Progress)][-1] == 0.0

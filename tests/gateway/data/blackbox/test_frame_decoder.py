@@ -8,7 +8,7 @@ import pytest
 from drives.cia402 import State
 from gateway.data.blackbox.frame_decoder import drives_of, frame_times_s, state_spans, story
 from gateway.data.blackbox.part import ERROR, FRAME_TYPE
-from tests.support.pages.stop import FAULTED, PERIOD_S, SILENT, SLOW, stopped
+from tests.support.pages.stop import FAULTED, PERIOD_S, SLOW, UNRESPONSIVE, stopped
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def box(tmp_path_factory):
     return stopped(tmp_path_factory.mktemp("stopped"))
 
 
-def told(box, words):
+def decoded(box, words):
     return [(each.time_s, each.nodes) for each in story(box) if words in each.what]
 
 
@@ -36,14 +36,14 @@ def test_frames_before_the_samples_are_reported_by_the_wall_clock(box):
 
 
 def test_every_change_of_state_is_reported_once_for_all_drives_that_share_it(box):
-    assert told(box, "OPERATION ENABLED > SWITCH ON DISABLED") == [(pytest.approx(0.01, abs=1e-5), (1, 2, 3, 6))]
-    assert told(box, "OPERATION ENABLED > FAULT") == [(pytest.approx(0.01, abs=1e-5), (FAULTED,))]
-    assert told(box, "controlword 0x0000 after 0x000F") == [(pytest.approx(0.01, abs=1e-5), (1, 2, 3, 4, 6))]
+    assert decoded(box, "OPERATION ENABLED > SWITCH ON DISABLED") == [(pytest.approx(0.01, abs=1e-5), (1, 2, 3, 6))]
+    assert decoded(box, "OPERATION ENABLED > FAULT") == [(pytest.approx(0.01, abs=1e-5), (FAULTED,))]
+    assert decoded(box, "controlword 0x0000 after 0x000F") == [(pytest.approx(0.01, abs=1e-5), (1, 2, 3, 4, 6))]
 
 
 def test_loss_of_answers_begins_with_the_last_answer(box):
-    assert told(box, "last answer to a SYNC") == [(pytest.approx(-1.0, abs=1e-5), (SILENT,))]
-    (span,) = state_spans(box, SILENT)
+    assert decoded(box, "last answer to a SYNC") == [(pytest.approx(-1.0, abs=1e-5), (UNRESPONSIVE,))]
+    (span,) = state_spans(box, UNRESPONSIVE)
     assert span.state is State.OPERATION_ENABLED
     assert (span.begin_s, span.end_s) == pytest.approx((-3.99, -1.0), abs=1e-5)
 
@@ -55,16 +55,16 @@ def test_a_pause_of_the_answers_is_a_gap(box):
     assert first.end_s == pytest.approx(-3.0, abs=1e-5)
     assert second.begin_s == pytest.approx(-2.49, abs=1e-5)
     assert last.state is State.SWITCH_ON_DISABLED
-    assert told(paused, "silent for 0.510 s, then OPERATION ENABLED") == [(pytest.approx(-3.0, abs=1e-5), (1,))]
+    assert decoded(paused, "silent for 0.510 s, then OPERATION ENABLED") == [(pytest.approx(-3.0, abs=1e-5), (1,))]
 
 
 def test_what_drives_and_master_say_besides_is_in_words(box):
-    assert told(box, "EMCY 0x7305") == [(pytest.approx(0.004, abs=1e-5), (FAULTED,))]
-    assert told(box, "SDO 6041:00 (statusword) reads 0x1237") == [(pytest.approx(-0.99 / SLOW, abs=1e-5), (2,))]
+    assert decoded(box, "EMCY 0x7305") == [(pytest.approx(0.004, abs=1e-5), (FAULTED,))]
+    assert decoded(box, "SDO 6041:00 (statusword) reads 0x1237") == [(pytest.approx(-0.99 / SLOW, abs=1e-5), (2,))]
     refused = "SDO 6041:00 (statusword): abort 0x06020000, object does not exist"
-    assert told(box, refused) == [(pytest.approx(-0.5 / SLOW, abs=1e-5), (3,))]
-    assert told(box, "is sent NMT reset node") == [(pytest.approx(0.02, abs=1e-5), (6,))]
-    assert told(box, "NMT boot-up") == [(pytest.approx(0.03, abs=1e-5), (6,))]
+    assert decoded(box, refused) == [(pytest.approx(-0.5 / SLOW, abs=1e-5), (3,))]
+    assert decoded(box, "is sent NMT reset node") == [(pytest.approx(0.02, abs=1e-5), (6,))]
+    assert decoded(box, "NMT boot-up") == [(pytest.approx(0.03, abs=1e-5), (6,))]
 
 
 def test_a_heartbeat_that_stops_is_reported_and_one_that_goes_on_is_not(box):
@@ -73,17 +73,17 @@ def test_a_heartbeat_that_stops_is_reported_and_one_that_goes_on_is_not(box):
     beats["data"][:, 0], beats["can_id"] = 5, 0x701
     stops = beats[:20].copy()
     stops["can_id"] = 0x702
-    heard = replace(box, frames=np.concatenate([box.frames[box.frames["can_id"] < 0x700], beats, stops]))
-    assert told(heard, "last heartbeat") == [(pytest.approx(0.1 * 19 - 3.99, abs=1e-5), (2,))]
+    with_beats = replace(box, frames=np.concatenate([box.frames[box.frames["can_id"] < 0x700], beats, stops]))
+    assert decoded(with_beats, "last heartbeat") == [(pytest.approx(0.1 * 19 - 3.99, abs=1e-5), (2,))]
 
 
 def test_an_error_frame_is_reported(box):
     frames = box.frames.copy()
     frames["flags"][-1] |= ERROR
-    assert len(told(replace(box, frames=frames), "error frame")) == 1
+    assert len(decoded(replace(box, frames=frames), "error frame")) == 1
 
 
 def test_a_cell_that_cannot_be_read_leaves_the_nodes(tmp_path):
     box = stopped(tmp_path, "no cell")
     assert drives_of(box) == {}
-    assert told(box, "EMCY 0x7305") == [(pytest.approx(0.004, abs=1e-5), (FAULTED,))]
+    assert decoded(box, "EMCY 0x7305") == [(pytest.approx(0.004, abs=1e-5), (FAULTED,))]

@@ -76,12 +76,12 @@ def loop(path: Path) -> subprocess.Popen[str]:
 
 def seconds(process: subprocess.Popen[str], duration_s: float) -> float:
     """Let it run so long; the last time that it told."""
-    begun_s, told_s = None, 0.0
+    begun_s, reported_s = None, 0.0
     assert process.stdout is not None
-    while begun_s is None or told_s - begun_s < duration_s:
-        told_s = float(process.stdout.readline())
-        begun_s = told_s if begun_s is None else begun_s
-    return told_s
+    while begun_s is None or reported_s - begun_s < duration_s:
+        reported_s = float(process.stdout.readline())
+        begun_s = reported_s if begun_s is None else begun_s
+    return reported_s
 
 
 def part() -> bytes:
@@ -136,10 +136,10 @@ def test_both_killed_leave_their_parts(tmp_path):
 def test_the_next_run_makes_a_box_of_what_both_killed_have_left(tmp_path):
     run = tmp_path / "run.h5"
     left_by_killed(run)
-    keeper = BoxKeeper(header(run))
-    keeper.wait_until_kept()
+    box_recorder = BoxKeeper(header(run))
+    box_recorder.wait_until_kept()
     assert read_box(box_of(run)).sync_index.tolist() == [7]
-    assert keeper.close(None) == ""
+    assert box_recorder.close(None) == ""
     assert read_box(box_of(run)).reason == BOTH_KILLED
 
 
@@ -178,9 +178,9 @@ def test_what_is_kept_is_half_a_minute_of_the_run(tmp_path):
 
 
 def test_a_part_that_was_cut_off_is_left_out(tmp_path):
-    whole = pack(np.ones((3, width_of(2))), FRAME.pack(1.0, 0x80, RECEIVED, 0, b""), 1.0, 2.0)
-    assert unpack(whole).rows.shape == (3, width_of(2))
-    assert all(unpack(whole[:length]) is None for length in range(len(whole)))
+    packed = pack(np.ones((3, width_of(2))), FRAME.pack(1.0, 0x80, RECEIVED, 0, b""), 1.0, 2.0)
+    assert unpack(packed).rows.shape == (3, width_of(2))
+    assert all(unpack(packed[:length]) is None for length in range(len(packed)))
 
 
 def test_every_number_and_every_kind_of_frame_comes_back(tmp_path):
@@ -210,27 +210,27 @@ def test_every_number_and_every_kind_of_frame_comes_back(tmp_path):
 
 
 def test_a_run_that_ends_well_leaves_nothing(tmp_path):
-    keeper = BoxKeeper(header(tmp_path / "run.h5"))
-    keeper.row(1.0, 1)[:] = 0.0
-    assert keeper.close(None) == ""
+    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    box_recorder.row(1.0, 1)[:] = 0.0
+    assert box_recorder.close(None) == ""
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path):
-    keeper = BoxKeeper(header(tmp_path / "no" / "such" / "\0".replace("\0", "x" * 300) / "run.h5"))
-    keeper.row(1.0, 1)[:] = 0.0
-    assert "cannot be written" in keeper.close("a stop")
+    box_recorder = BoxKeeper(header(tmp_path / "no" / "such" / "\0".replace("\0", "x" * 300) / "run.h5"))
+    box_recorder.row(1.0, 1)[:] = 0.0
+    assert "cannot be written" in box_recorder.close("a stop")
 
 
 def test_the_loop_never_waits_for_a_stopped_process(tmp_path):
-    keeper = BoxKeeper(header(tmp_path / "run.h5"))
-    os.kill(keeper._process.pid, signal.SIGSTOP)
+    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    os.kill(box_recorder._process.pid, signal.SIGSTOP)
     try:
         for sync in range(20 * 1024):
-            keeper.row(0.01 * sync, sync)[:] = sync
+            box_recorder.row(0.01 * sync, sync)[:] = sync
     finally:
-        os.kill(keeper._process.pid, signal.SIGCONT)
-    assert keeper.close("a stop") == ""
+        os.kill(box_recorder._process.pid, signal.SIGCONT)
+    assert box_recorder.close("a stop") == ""
     box = read_box(box_of(tmp_path / "run.h5"))
     assert box.sync_index[-1] == 20 * 1024 - 1
     assert (np.diff(box.sync_index) == 1).all()
@@ -238,27 +238,27 @@ def test_the_loop_never_waits_for_a_stopped_process(tmp_path):
 
 def test_a_delayed_process_goes_on_and_its_box_comes(tmp_path, monkeypatch):
     monkeypatch.setattr("gateway.data.blackbox.recorder.CLOSING_S", 0.05)
-    keeper = BoxKeeper(header(tmp_path / "run.h5"))
-    keeper.wait_until_kept()
-    keeper.row(0.01, 1)[:] = 1.0
-    os.kill(keeper._process.pid, signal.SIGSTOP)
-    assert "still being written" in keeper.close("a stop")
+    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    box_recorder.wait_until_kept()
+    box_recorder.row(0.01, 1)[:] = 1.0
+    os.kill(box_recorder._process.pid, signal.SIGSTOP)
+    assert "still being written" in box_recorder.close("a stop")
     assert not box_of(tmp_path / "run.h5").exists()
-    os.kill(keeper._process.pid, signal.SIGCONT)
+    os.kill(box_recorder._process.pid, signal.SIGCONT)
     until(box_of(tmp_path / "run.h5").with_suffix(".blf").exists)
     box = read_box(box_of(tmp_path / "run.h5"))
     assert (box.reason, box.sync_index.tolist()) == ("a stop", [1])
 
 
 def test_a_frame_that_comes_while_it_closes_is_left_out_and_harms_nothing(tmp_path):
-    keeper = BoxKeeper(header(tmp_path / "run.h5"))
-    keeper.row(0.01, 1)[:] = 1.0
+    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    box_recorder.row(0.01, 1)[:] = 1.0
     frame = SimpleNamespace(
         arbitration_id=0x181, data=b"1", is_extended_id=False, is_remote_frame=False, is_error_frame=False
     )
-    keeper.frame(frame, True)
-    assert keeper.close("a stop") == ""
-    keeper.frame(frame, True)
+    box_recorder.frame(frame, True)
+    assert box_recorder.close("a stop") == ""
+    box_recorder.frame(frame, True)
     assert len(read_box(box_of(tmp_path / "run.h5")).frames) == 1
     assert not folder_of(tmp_path / "run.h5").exists()
 

@@ -44,7 +44,7 @@ def period(number: int, load: str = "none", start: int = 100, complete: bool = T
     at = SERIES.at(np.arange(N) * SYNC_S)[0]
     motor = words * scale.torque_nm
     absent = np.full((N, 6), NO_WORD)
-    whole = Period(
+    full_period = Period(
         number=0,
         load=load,
         excitation=fingerprint(SERIES),
@@ -70,13 +70,13 @@ def period(number: int, load: str = "none", start: int = 100, complete: bool = T
         time_s=SYNC_S * np.arange(start, start + N),
     )
     if complete:
-        return whole
+        return full_period
     arrays = {
-        name: np.delete(getattr(whole, name), 50, axis=0)
-        for name in whole.__slots__
-        if isinstance(getattr(whole, name), np.ndarray)
+        name: np.delete(getattr(full_period, name), 50, axis=0)
+        for name in full_period.__slots__
+        if isinstance(getattr(full_period, name), np.ndarray)
     }
-    return replace(whole, **arrays)
+    return replace(full_period, **arrays)
 
 
 @pytest.fixture(autouse=True)
@@ -123,8 +123,8 @@ def test_rows_of_periods_say_which_motion_they_repeat(path):
     assert set(rows.extra["x_period"]) == {1.0, 2.0}
     assert rows.extra["x_phase_s"][:N] == pytest.approx(np.arange(N) * SYNC_S)
     assert np.isnan(table.extra["x_phase_s"][~table.moving]).all()
-    late_s = load_profile("generic-cia402").torque.filter_s
-    q, qd, qdd, _ = SERIES.at(np.arange(N) * SYNC_S - late_s)
+    torque_filter_s = load_profile("generic-cia402").torque.filter_s
+    q, qd, qdd, _ = SERIES.at(np.arange(N) * SYNC_S - torque_filter_s)
     assert rows.q_rad[:N] == pytest.approx(q, abs=1e-5)
     assert rows.qd_rad_s[:N] == pytest.approx(qd, abs=1e-4)
     assert rows.qdd_rad_s2[:N] == pytest.approx(qdd, abs=1e-2)

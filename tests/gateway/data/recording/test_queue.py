@@ -98,16 +98,16 @@ def test_the_file_is_the_one_of_the_writer(queue, tmp_path, header):
 
 def test_reported_periods_are_on_disk_and_in_order(tmp_path, header):
     queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None, write=partial(write_slowly, 0.02))
-    told = []
+    messages = []
     for each in visits(4):
         queue.add("main", each)
-    while len(told) < 4:
+    while len(messages) < 4:
         new = until(queue, lambda: True)
-        told += [each.number for each in new]
+        messages += [each.number for each in new]
         if new:
-            assert {each.number for each in read(queue.path).arms[0].visits} >= set(told)
+            assert {each.number for each in read(queue.path).arms[0].visits} >= set(messages)
     queue.close()
-    assert told == [1, 2, 3, 4]
+    assert messages == [1, 2, 3, 4]
 
 
 def test_a_recording_is_gone_on_with(tmp_path, header):
@@ -370,13 +370,13 @@ def test_a_killed_master_loses_nothing_it_had_reported(tmp_path):
         """
     master = subprocess.Popen(_script(path, body), stdout=subprocess.PIPE, text=True, cwd=ROOT)
     assert master.stdout is not None
-    with master.stdout as told:
-        writer, reported = int(told.readline()), 0
+    with master.stdout as messages:
+        writer, reported = int(messages.readline()), 0
         while reported < 6:
             with suppress(IndexError):
-                reported = int(told.readline().split()[-1])
+                reported = int(messages.readline().split()[-1])
         master.kill()
-        reported = max([reported, *(int(number) for number in told.read().split())])
+        reported = max([reported, *(int(number) for number in messages.read().split())])
     master.wait()
     assert gone(writer)
     numbers = [each.number for each in read(path).arms[0].visits]

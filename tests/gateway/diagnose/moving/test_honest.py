@@ -53,9 +53,9 @@ def test_rows_that_are_given_choose_no_parameter_and_no_load():
 def test_a_hold_out_does_not_make_the_load_surer():
     """A run that is fitted says of the load what it says, whether other rows are held out or not."""
     first, last, robot = parted(5, World(spring=(0.8, 0.1), payload=(6.0, 0.03, -0.02, 0.12)))
-    alone, given = (diagnose(first, robot, DiagnoseOptions(holdout=held)).loads[0] for held in (None, last))
-    assert given.mass_std_kg == pytest.approx(alone.mass_std_kg, rel=0.02)
-    assert given.com_std_m == pytest.approx(alone.com_std_m, rel=0.02)
+    alone, from_both = (diagnose(first, robot, DiagnoseOptions(holdout=held)).loads[0] for held in (None, last))
+    assert from_both.mass_std_kg == pytest.approx(alone.mass_std_kg, rel=0.02)
+    assert from_both.com_std_m == pytest.approx(alone.com_std_m, rel=0.02)
 
 
 @pytest.mark.slow
@@ -150,13 +150,13 @@ def test_no_gain_and_no_loss_goes_beyond_its_usual_range_unless_it_is_an_effect(
 @pytest.mark.slow
 def test_the_torque_constants_stated_decide_how_sure_a_mass_is():
     table, robot = several(2, {"none": None, "b": LOADS["b"]})
-    sure, unsure = (
+    certain, unsure = (
         diagnose(table, robot, DiagnoseOptions(gain_std=(std,) * 6, only=frozenset({"base_tilt"}))).loads[0]
         for std in (0.0, 0.10)
     )
-    assert sure.budget["constants"] < 0.35, "gears lose unevenly"
-    assert unsure.mass_std_kg > 1.2 * sure.mass_std_kg
-    assert unsure.budget["constants"] > sure.budget["constants"]
+    assert certain.budget["constants"] < 0.35, "gears lose unevenly"
+    assert unsure.mass_std_kg > 1.2 * certain.mass_std_kg
+    assert unsure.budget["constants"] > certain.budget["constants"]
 
 
 def test_a_sign_is_not_reversed_where_friction_is_right_in_a_run():

@@ -17,12 +17,12 @@ from tests.moving_arm import GRAVITY, World, coloured, measured
 #: Rows of the torque are made at a finer rate, of which it is late by whole steps.
 FINE_HZ, EVERY, PERIODS, PERIOD_S, NOISE = 200.0, 4, 3, 10.0, 0.02
 #: Rows [-] by which the torque of each axis is late: of 5 ms each.
-LATE = np.array([1, 1, 2, 0, 1, 0])
+DELAY_ROWS = np.array([1, 1, 2, 0, 1, 0])
 DRY_SHARE, SCATTER = 0.15, 0.1
 LOAD = (3.0, 0.02, -0.03, 0.15)
 
 
-def recorded(seed: int, world: World, late: np.ndarray = LATE, scatter: float = SCATTER) -> tuple[Table, Robot]:
+def recorded(seed: int, world: World, delay: np.ndarray = DELAY_ROWS, scatter: float = SCATTER) -> tuple[Table, Robot]:
     """Two excitations, each bare and loaded, driven periodically; friction of its own level in each of the four."""
     tables, scale, robot = [], None, None
     generator = np.random.default_rng([seed, 7])
@@ -36,7 +36,7 @@ def recorded(seed: int, world: World, late: np.ndarray = LATE, scatter: float = 
             torque = fine.tau_nm + np.sign(fine.qd_rad_s) * DRY_SHARE * scale * (level - 1.0)
             rows = np.arange(EVERY, len(fine), EVERY)
             one = fine.take(rows)
-            torque = np.stack([torque[rows - late[axis], axis] for axis in range(6)], axis=1)
+            torque = np.stack([torque[rows - delay[axis], axis] for axis in range(6)], axis=1)
             for period in range(PERIODS):
                 noise = NOISE * scale * coloured(generator, torque.shape, FINE_HZ / EVERY)
                 tables.append(_period(one, torque + noise, excitation, period))
@@ -77,19 +77,19 @@ def test_delays_are_reported_where_they_are_certain() -> None:
 def test_each_torque_meets_the_motion_that_it_belongs_to() -> None:
     """Of an axis that is late its own motion is moved, and that of all the others where its torque is modelled."""
     at, robot, _ = measured(3, World(), PERIOD_S, FINE_HZ, 0.0)
-    late = np.array([0.0, 0.01, 0.0, 0.0, 0.005, 0.0])
+    delay = np.array([0.0, 0.01, 0.0, 0.0, 0.005, 0.0])
     now = prepare_in_step(at, None, robot, GRAVITY, np.zeros(6))
-    then = prepare_in_step(at, None, robot, GRAVITY, late)
+    then = prepare_in_step(at, None, robot, GRAVITY, delay)
     step = int(np.ceil(len(at) / len(now)))
     rows = np.arange(len(now))[5:-5] * step
-    earlier = rows[:, None] - np.rint(late * FINE_HZ).astype(int)
+    earlier = rows[:, None] - np.rint(delay * FINE_HZ).astype(int)
     for name in ("q_rad", "qd_rad_s", "qdd_rad_s2"):
         expected = np.stack([getattr(at, name)[earlier[:, axis], axis] for axis in range(6)], axis=1)
         assert getattr(then, name)[5:-5] == pytest.approx(expected, abs=1e-6)
     for axis in range(6):
         from_all = at.take(earlier[:, axis])
-        whole = regressor(robot, from_all.q_rad, from_all.qd_rad_s, from_all.qdd_rad_s2, tuple(GRAVITY))
-        assert then.rigid[5:-5, axis] == pytest.approx(whole[:, axis], abs=1e-5)
+        columns = regressor(robot, from_all.q_rad, from_all.qd_rad_s, from_all.qdd_rad_s2, tuple(GRAVITY))
+        assert then.rigid[5:-5, axis] == pytest.approx(columns[:, axis], abs=1e-5)
     assert np.array_equal(then.tau_nm, now.tau_nm)
 
 
@@ -98,7 +98,7 @@ def test_an_arm_that_lacks_nothing_is_down_to_the_noise(clean: tuple[Table, Robo
     result = diagnose(*clean, DiagnoseOptions())
     assert result.effects == ()
     assert result.verdict == "none_needed"
-    assert result.provenance["delay_s"] == pytest.approx(LATE / FINE_HZ, abs=1.5e-3)
+    assert result.provenance["delay_s"] == pytest.approx(DELAY_ROWS / FINE_HZ, abs=1.5e-3)
     assert result.after.holdout_rms_nm == pytest.approx(np.array(result.noise_floor_nm), rel=0.3)
 
 

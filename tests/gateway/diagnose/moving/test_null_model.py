@@ -134,8 +134,8 @@ def test_without_cad_and_bare_rows_the_first_load_lumps_with_link_6(robot):
 
 def test_a_load_of_given_rows_alone_has_no_columns(robot):
     """Held rows are never fitted: what they carry has to be known."""
-    given = prepare(rows("none", 1), rows("tool", 2), robot, GRAVITY)
-    assert not null_model(given, TRUST, Knowledge()).columns.loads
+    prepared = prepare(rows("none", 1), rows("tool", 2), robot, GRAVITY)
+    assert not null_model(prepared, TRUST, Knowledge()).columns.loads
     fitted = prepare(rows("tool", 1), rows("none", 2), robot, GRAVITY)
     assert list(null_model(fitted, TRUST, Knowledge()).columns.loads) == ["tool"]
 

@@ -69,9 +69,9 @@ def test_noise_is_what_differs_between_periods() -> None:
 def test_what_an_axis_holds_at_a_standstill_is_no_noise() -> None:
     """Within its friction an axis that stands holds what it stopped with: another torque in every period."""
     table, robot, scale = driven(3, World(), 11.0)
-    stands = table.extra["x_phase_s"] > 0.6 * PERIOD_S
-    held = np.where(stands[:, None], 5.0 * table.extra["x_period"][:, None], 0.0)
-    swept = replace(table, qd_rad_s=np.where(stands[:, None], 0.0, table.qd_rad_s), tau_nm=table.tau_nm + held)
+    is_at_rest = table.extra["x_phase_s"] > 0.6 * PERIOD_S
+    held = np.where(is_at_rest[:, None], 5.0 * table.extra["x_period"][:, None], 0.0)
+    swept = replace(table, qd_rad_s=np.where(is_at_rest[:, None], 0.0, table.qd_rad_s), tau_nm=table.tau_nm + held)
     assert prepare(swept, None, robot, GRAVITY).floor_nm == pytest.approx(NOISE * scale, rel=0.25)
 
 

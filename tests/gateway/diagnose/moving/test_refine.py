@@ -9,17 +9,17 @@ from gateway.diagnose.moving import refine
 from gateway.model.effects.balancer_spring import CoilBalancer
 
 
-@pytest.mark.parametrize("told", [0.0, 3.0, 1e6])
-def test_a_shape_is_between_its_prior_and_what_the_rows_say(monkeypatch, told):
+@pytest.mark.parametrize("weight", [0.0, 3.0, 1e6])
+def test_a_shape_is_between_its_prior_and_what_the_rows_say(monkeypatch, weight):
     """Rows with the weight w about 0.8 rad and a prior of 0.4 rad about 0: w s^2 / (1 + w s^2) of the way."""
     term, wanted = CoilBalancer(phase_rad=0.0), np.array([0.8, 0.2])
 
     def cost(_problem, _state, _term, shape):
-        return told * float((shape - wanted) @ (shape - wanted))
+        return weight * float((shape - wanted) @ (shape - wanted))
 
     monkeypatch.setattr(refine, "_cost", cost)
     found = refine._best_shape(None, None, term)  # type: ignore[arg-type]
     start, spread = np.array(term.start[2:]), np.array(term.spread[2:])
-    share = told * spread**2 / (1.0 + told * spread**2)
+    share = weight * spread**2 / (1.0 + weight * spread**2)
     assert np.array(found.start[2:]) == pytest.approx(start + share * (wanted - start), abs=2e-3)
     assert found.largest_nm == term.largest_nm

@@ -19,13 +19,13 @@ def robot():
     return robot_from_urdf(URDF, "robot.urdf")
 
 
-def runs(robot, loads, given=None):
+def runs(robot, loads, label=None):
     tables = [table_of(k, n=120, run=str(k), load=load) for k, load in enumerate(loads)]
-    held = None if given is None else table_of(99, n=60, run="held", load=given)
+    held = None if label is None else table_of(99, n=60, run="held", load=label)
     return prepare(concatenate(tables), held, robot, GRAVITY)
 
 
-def whole(motion, splits):
+def unsplit(motion, splits):
     """Runs of which a split leaves nothing to fit."""
     return {
         int(number)
@@ -40,24 +40,24 @@ def test_a_load_mounted_in_one_run_alone_is_seen_by_every_choice(robot):
     splits = choosing(motion, 6, BARE)
     for train, _ in splits:
         assert set(motion.load[train]) >= {"a", "b", "c", "d", "e", "f"}
-    assert whole(motion, splits) == {0}, "the bare run alone says nothing that the others do not need"
+    assert unsplit(motion, splits) == {0}, "the bare run alone says nothing that the others do not need"
 
 
 def test_runs_that_share_a_load_are_held_out_whole(robot):
     motion = runs(robot, ["a", "a", "b", "b", "c"])
     splits = choosing(motion, 6, BARE)
-    assert whole(motion, splits) == {0, 1, 2, 3}
+    assert unsplit(motion, splits) == {0, 1, 2, 3}
     assert np.sum([test for _, test in splits], axis=0).tolist() == [1] * len(motion)
-    assert not whole(motion, blocks(motion, 6))
+    assert not unsplit(motion, blocks(motion, 6))
 
 
 def test_two_runs_are_held_out_in_blocks(robot):
     motion = runs(robot, ["none", "none"])
-    assert not whole(motion, choosing(motion, 6, BARE))
+    assert not unsplit(motion, choosing(motion, 6, BARE))
 
 
 def test_rows_that_judge_are_in_no_split_that_chooses(robot):
-    motion = runs(robot, ["none", "a"], given="a")
+    motion = runs(robot, ["none", "a"], label="a")
     for train, test in choosing(motion, 6, BARE):
         assert not (motion.given & (train | test)).any()
     assert judging(motion, 4) == (motion,)

@@ -56,7 +56,7 @@ def test_barely_known_constants_are_refused_with_the_reason(healthy):
 # --------------------------------------------------------------------------------------------------------- gross visits
 
 
-def gross(table: Table, bench: Bench, entries: list[tuple[int, int]], bands: float = 6.0) -> Table:
+def with_outliers(table: Table, bench: Bench, entries: list[tuple[int, int]], bands: float = 6.0) -> Table:
     """The table with both sides of some visits pushed by so many friction bands on one axis."""
     torque = table.tau_nm.copy()
     for visit, axis in entries:
@@ -70,14 +70,14 @@ def test_outlier_visits_are_rejected_listed_and_barely_change_the_answer(seed):
     bench = Bench(seed, [])
     table = bench.both()
     sound = diagnose(table, bench.robot, bench.options)
-    result = diagnose(gross(table, bench, [(4, 2), (13, 1)]), bench.robot, bench.options)
-    assert sorted((aside.load, aside.pose, aside.joint) for aside in result.set_aside) == [
+    result = diagnose(with_outliers(table, bench, [(4, 2), (13, 1)]), bench.robot, bench.options)
+    assert sorted((rejected.load, rejected.pose, rejected.joint) for rejected in result.set_aside) == [
         ("none", 4, 3),
         ("tool", 3, 2),
     ]
-    for aside in result.set_aside:
-        assert aside.bands == pytest.approx(6.0, rel=0.5)
-        assert aside.reason
+    for rejected in result.set_aside:
+        assert rejected.bands == pytest.approx(6.0, rel=0.5)
+        assert rejected.reason
     (words,) = [each.what for each in result.findings if each.where == "outliers"]
     assert words.startswith("2 outliers are in no fit")
     assert "pose 4 under none, J3 by" in words
@@ -93,9 +93,9 @@ def test_outlier_visits_are_rejected_listed_and_barely_change_the_answer(seed):
 @pytest.mark.slow
 def test_an_effect_is_named_beside_outlier_visits():
     bench = Bench(4, [effect("base_tilt", [], tilt_x_rad=0.05, tilt_y_rad=0.03)])
-    result = diagnose(gross(bench.both(), bench, [(6, 1)]), bench.robot, bench.options)
+    result = diagnose(with_outliers(bench.both(), bench, [(6, 1)]), bench.robot, bench.options)
     assert found(result) == [("base_tilt", ())]
-    assert [(aside.pose, aside.joint) for aside in result.set_aside] == [(6, 2)]
+    assert [(rejected.pose, rejected.joint) for rejected in result.set_aside] == [(6, 2)]
 
 
 def test_where_every_visit_is_an_outlier_none_is_rejected_and_that_is_reported(healthy):

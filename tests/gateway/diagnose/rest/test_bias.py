@@ -44,6 +44,6 @@ def test_a_band_below_half_the_noise_does_not_matter():
     assert not friction_by_direction(*seen(0.99 * least, np.full(N, 0.01)))
 
 
-@pytest.mark.parametrize(("sides", "told"), [((2, 2), N), ((1, 7), 0), ((7, 1), 0), ((0, 8), 0)])
-def test_both_sides_have_to_be_there_twice(sides, told):
-    assert len(friction_by_direction(*seen(np.full(N, 50.0), np.ones(N), sides))) == told
+@pytest.mark.parametrize(("sides", "identifiable"), [((2, 2), N), ((1, 7), 0), ((7, 1), 0), ((0, 8), 0)])
+def test_both_sides_have_to_be_there_twice(sides, identifiable):
+    assert len(friction_by_direction(*seen(np.full(N, 50.0), np.ones(N), sides))) == identifiable

@@ -255,9 +255,9 @@ def test_fresh_poses_are_judged_first_and_then_used_for_the_load_too():
     bench = Bench(1, [])
     table = bench.both()
     alone = diagnose(table, bench.robot, bench.options)
-    result, whole = close_loop(table, bench.robot, bench.options, bench.more, bench.poses[:4] + 0.2)
+    result, joined = close_loop(table, bench.robot, bench.options, bench.more, bench.poses[:4] + 0.2)
     assert result.holdout_kind == "fresh"
-    assert len(whole.pose) == len(table.pose) + 8
+    assert len(joined.pose) == len(table.pose) + 8
     assert result.loads[0].mass_std_kg < alone.loads[0].mass_std_kg
     assert len(result.loads[0].per_pose_mass_kg) > len(alone.loads[0].per_pose_mass_kg)
     assert result.before.loads == result.loads == result.after.loads

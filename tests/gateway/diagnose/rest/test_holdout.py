@@ -38,7 +38,7 @@ class Linear:
             stats.multivariate_normal.logpdf(self.target[keep], cov=np.diag(self.std[keep] ** 2) + rows @ rows.T)
         )
 
-    def foretold(self, keep) -> np.ndarray:
+    def predicted(self, keep) -> np.ndarray:
         """Residual of the rows that are not kept, by a fit of those that are."""
         rows = np.vstack([self.design[keep] / self.std[keep, None], np.diag(1.0 / self.spread)])
         right = np.concatenate([self.target[keep] / self.std[keep], np.zeros(len(self.spread))])
@@ -68,10 +68,10 @@ def test_a_pose_is_predicted_with_its_density(seed):
         assert left_out(PROBLEM, linear.fit) == pytest.approx(residual)
         for pose in range(POSES):
             keep = pose != POSE
-            assert residual[~keep] == pytest.approx(linear.foretold(keep))
+            assert residual[~keep] == pytest.approx(linear.predicted(keep))
             # the density of all rows is that of the others, times that of the pose given the others
-            told = linear.evidence(keep | True) - linear.evidence(keep) + ROWS / 2.0 * np.log(2.0 * np.pi)
-            assert density[pose] == pytest.approx(told)
+            closed_form = linear.evidence(keep | True) - linear.evidence(keep) + ROWS / 2.0 * np.log(2.0 * np.pi)
+            assert density[pose] == pytest.approx(closed_form)
 
 
 def test_the_others_choose_as_if_the_pose_had_never_been_measured():
@@ -84,7 +84,7 @@ def test_the_others_choose_as_if_the_pose_had_never_been_measured():
         for pose in range(POSES):
             keep = pose != POSE
             choice = int(np.argmax([each.evidence(keep) for each in linear]))
-            expected[~keep] = linear[choice].foretold(keep)
+            expected[~keep] = linear[choice].predicted(keep)
             different += choice != int(np.argmax(score))
         assert chosen_by_others(PROBLEM, [each.fit for each in linear], score) == pytest.approx(expected)
     assert different > 0  # else the choice of all would have passed as well
@@ -101,7 +101,7 @@ def test_what_one_pose_alone_asks_for_is_not_what_it_is_judged_by():
     score = [each.evidence(everything) - price for each, price in ((plain, 0.0), (named, 3.0))]
     assert score[1] > score[0] + 10.0
     residual = chosen_by_others(PROBLEM, [plain.fit, named.fit], score)
-    assert residual[POSE == 4] == pytest.approx(plain.foretold(POSE != 4))
+    assert residual[POSE == 4] == pytest.approx(plain.predicted(POSE != 4))
     assert np.abs(residual[POSE == 4]).mean() > 6.0
 
 
@@ -111,15 +111,15 @@ def test_what_an_effect_gains_is_counted_by_pose():
     expected = []
     for pose in range(POSES):
         keep = pose != POSE
-        squares = [np.sum((each.foretold(keep) / std[~keep]) ** 2) for each in (plain, named)]
+        squares = [np.sum((each.predicted(keep) / std[~keep]) ** 2) for each in (plain, named)]
         expected.append(squares[0] - squares[1])
     gained = gained_by_pose(PROBLEM, named.fit, plain.fit)
     assert gained == pytest.approx(expected)
     term = SimpleNamespace(name="made_up")
     named.fit.terms = (term,)
     search = SimpleNamespace(problem=PROBLEM, fitted=lambda terms, start: plain.fit)
-    sure = np.mean(expected) / (np.std(expected, ddof=1) / np.sqrt(POSES))
-    assert helped(search, named.fit, term) == pytest.approx(sure)
+    ratio = np.mean(expected) / (np.std(expected, ddof=1) / np.sqrt(POSES))
+    assert helped(search, named.fit, term) == pytest.approx(ratio)
 
 
 SPRING = effect("balancer_spring", [2], stiffness_n_m=2e4, lever_m=0.2, anchor_m=0.5, free_length_m=0.2)

@@ -150,9 +150,9 @@ def test_the_sign_of_a_band_that_nothing_determines_says_nothing(sides):
     assert band_signs(problem, plain) == 0.0
     wrong = replace(plain, band=np.full(6, -1e3))
     assert band_signs(problem, wrong) == 0.0
-    whole = problem_of(bench, bench.both())
-    assert band_signs(whole, replace(fit(whole, (), first_noise(whole)), band=np.full(6, -1e3))) < -1e3
-    assert beyond_any_effect(whole, replace(fit(whole, (), first_noise(whole)), band=np.full(6, -1e3)))
+    complete = problem_of(bench, bench.both())
+    assert band_signs(complete, replace(fit(complete, (), first_noise(complete)), band=np.full(6, -1e3))) < -1e3
+    assert beyond_any_effect(complete, replace(fit(complete, (), first_noise(complete)), band=np.full(6, -1e3)))
 
 
 def judged(residual, band, std=2.0, poses=5):

@@ -50,7 +50,7 @@ def place_of(problem, rng):
     return links, loads, band, nuisance
 
 
-def foretold(problem, links, loads, band, nuisance, terms=(), theta=()):
+def predicted(problem, links, loads, band, nuisance, terms=(), theta=()):
     return modelled(problem, with_terms(problem, terms, theta, nuisance), links, loads, band)
 
 
@@ -67,14 +67,14 @@ def test_columns_are_finite_differences_of_the_modelled_rows(seen, declared, cou
     setting = with_terms(problem, terms, theta, nuisance)
     columns = common_columns(problem, setting, links, loads, band).dense
     half_sums = problem.group % (2 * N) < N
-    whole = np.concatenate([links, loads.ravel(), band, nuisance])
+    parameters = np.concatenate([links, loads.ravel(), band, nuisance])
     cuts = [4 * N, 4 * N + loads.size, 5 * N + loads.size]
     for place in range(problem.n_common):
-        step = 1e-5 * max(1.0, abs(whole[place]))
+        step = 1e-5 * max(1.0, abs(parameters[place]))
         sides = []
         for sign in (1.0, -1.0):
-            parts = np.split(whole + sign * step * (np.arange(len(whole)) == place), cuts)
-            sides.append(foretold(problem, parts[0], parts[1].reshape(-1, 4), *parts[2:], terms, theta))
+            parts = np.split(parameters + sign * step * (np.arange(len(parameters)) == place), cuts)
+            sides.append(predicted(problem, parts[0], parts[1].reshape(-1, 4), *parts[2:], terms, theta))
         slope = (sides[0] - sides[1]) / (2.0 * step)
         gain = cuts[2] <= place < cuts[2] + N or place >= cuts[2] + len(KINDS) * N
         if place < cuts[1] or gain:  # half sums alone determine weights and gains
@@ -124,7 +124,7 @@ def test_each_kind_does_what_it_is_called():
     lost = (1.0 - one) * np.abs(torque) + one * np.maximum(np.abs(torque), bands)
     difference = (1.0 + gain) * ((1.0 + one * mean) * bands + nu * lost)
     expected = np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
-    assert foretold(problem, links, loads, band, nuisance) == pytest.approx(expected)
+    assert predicted(problem, links, loads, band, nuisance) == pytest.approx(expected)
 
 
 def test_a_gear_of_one_efficiency_leaves_what_the_nuisance_column_says():
@@ -143,12 +143,12 @@ def test_a_gear_of_one_efficiency_leaves_what_the_nuisance_column_says():
 
 def test_an_effect_takes_the_place_of_its_own_axis_alone():
     changes = GainChanges.none(np.full(N, 0.03))
-    ordinary = RestNuisance(
+    nuisances = RestNuisance(
         np.zeros(len(KINDS) * N + 1), np.ones(len(KINDS) * N + 1), np.ones(N), changes, np.full(N, 0.05)
     )
     terms = [TorqueOffset(1), TorqueConstantScale(4), TorqueConstantScale(None), LoadDependentFriction(2)]
-    assert ordinary.taken_over(terms).tolist() == [N + 1, 4, len(KINDS) * N, 2 * N + 2]
-    assert ordinary.taken_over([]).tolist() == []
+    assert nuisances.taken_over(terms).tolist() == [N + 1, 4, len(KINDS) * N, 2 * N + 2]
+    assert nuisances.taken_over([]).tolist() == []
 
 
 def test_friction_fades_from_the_first_visit_on():

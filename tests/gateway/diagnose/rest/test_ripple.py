@@ -23,10 +23,10 @@ from sim.offline import half_floor, point_jacobian
 from tests.resting_arm import Bench, effect, found, problem_of
 
 
-def swinging(seed: int, poses: int, axis: int, order: float, floors: float = 5.0) -> Bench:
+def swinging(seed: int, poses: int, axis: int, order: float, ratio: float = 5.0) -> Bench:
     """An arm of which one axis swings by so many floors (RMS), seen by someone who knows its URDF alone."""
     bench = Bench(seed, [], poses=poses)
-    size = float(np.sqrt(2.0) * floors * half_floor(bench.plant, bench.arm.protocol)[axis])
+    size = float(np.sqrt(2.0) * ratio * half_floor(bench.plant, bench.arm.protocol)[axis])
     entry = effect("torque_ripple", [axis + 1], amplitude_nm=size, per_revolution=order, phase_rad=1.0)
     bench.plant = apply_effects(bench.plant, [entry])
     bench.options = replace(bench.options, gear_ratio=None)
@@ -39,10 +39,10 @@ def test_ripple_is_named_with_its_order_where_the_angles_determine_it(seed, axis
     bench = swinging(seed, 18, axis, order)
     result = diagnose(bench.both(), bench.robot, bench.options)
     assert found(result) == [("torque_ripple", (axis + 1,))]
-    told = result.effects[0]
-    assert told.parameters["per_revolution"] == pytest.approx(order, abs=0.7)
+    named_ripple = result.effects[0]
+    assert named_ripple.parameters["per_revolution"] == pytest.approx(order, abs=0.7)
     size = 5.0 * np.sqrt(2.0) * half_floor(bench.plant, bench.arm.protocol)[axis]
-    assert told.parameters["amplitude_nm"] == pytest.approx(size, abs=4.0 * told.std["amplitude_nm"])
+    assert named_ripple.parameters["amplitude_nm"] == pytest.approx(size, abs=4.0 * named_ripple.std["amplitude_nm"])
     assert result.verdict == "explained"
     words = [finding for finding in result.findings if "orders that were tried" in finding.what]
     assert [finding.where for finding in words] == [f"J{axis + 1}"]
@@ -61,8 +61,8 @@ def test_where_any_order_would_do_none_is_named_and_the_reason_is_reported(poses
     assert "J4" in words[0].where
     assert f"{poses} poses" in words[0].what
     # and it does
-    knows = replace(bench.options, gear_ratio=np.full(6, 163.9))
-    assert ("torque_ripple", (4,)) in found(diagnose(bench.both(), bench.robot, knows))
+    with_ratio = replace(bench.options, gear_ratio=np.full(6, 163.9))
+    assert ("torque_ripple", (4,)) in found(diagnose(bench.both(), bench.robot, with_ratio))
 
 
 @pytest.mark.slow
@@ -118,8 +118,8 @@ def test_equally_spaced_angles_report_the_orders_they_cannot_distinguish():
     swing = left_of_axis(bench, 2)
     assert swing is not None
     fold = 2.0 * np.pi / step
-    told = np.array([swing.term.per_revolution, *swing.aliases])
-    away = np.abs((told[:, None] - np.array([57.1, -57.1])) / fold)
+    named_ripple = np.array([swing.term.per_revolution, *swing.aliases])
+    away = np.abs((named_ripple[:, None] - np.array([57.1, -57.1])) / fold)
     assert (np.abs(away - np.round(away)).min(axis=1) * fold < 2.5).all()
     assert len(swing.aliases) == REST.aliases
 

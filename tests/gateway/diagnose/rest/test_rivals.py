@@ -23,13 +23,13 @@ def test_two_effects_are_rivals_unless_both_together_say_more(together: float, r
     search = SimpleNamespace(
         fitted=lambda terms, start: SimpleNamespace(terms=tuple(terms)), score=lambda fit: scores[fit.terms]
     )
-    whole, rival = SimpleNamespace(terms=(FIRST,)), SimpleNamespace(terms=(SECOND,))
-    assert _instead(search, whole, rival) is rivals  # type: ignore[arg-type]
+    named, rival = SimpleNamespace(terms=(FIRST,)), SimpleNamespace(terms=(SECOND,))
+    assert _instead(search, named, rival) is rivals  # type: ignore[arg-type]
 
 
 def test_a_smaller_set_is_the_rival_of_a_larger_one() -> None:
-    whole, rival = SimpleNamespace(terms=(FIRST, SECOND)), SimpleNamespace(terms=(FIRST,))
-    assert _instead(SimpleNamespace(), whole, rival)  # type: ignore[arg-type]
+    named, rival = SimpleNamespace(terms=(FIRST, SECOND)), SimpleNamespace(terms=(FIRST,))
+    assert _instead(SimpleNamespace(), named, rival)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

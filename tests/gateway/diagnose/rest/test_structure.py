@@ -119,9 +119,9 @@ def test_the_reported_size_is_detected_four_times_in_five(rows, axes):
 def test_what_is_on_every_axis_is_seen_where_it_is_too_small_on_each(rows):
     everywhere, alone = Power(rows.test).size_seen(range(AXES)), Power(rows.test).size_seen([2])
     assert everywhere < 1.0 < 2.0 * everywhere < alone
-    told = structure_seen_nm(rows.problem, rows.fit, np.arange(1.0, 7.0))
-    assert told["structure_seen_on_all_nm"] == pytest.approx(everywhere * np.arange(1.0, 7.0))
-    assert told["structure_seen_nm"][2] == pytest.approx(3.0 * alone)
+    detectable_nm = structure_seen_nm(rows.problem, rows.fit, np.arange(1.0, 7.0))
+    assert detectable_nm["structure_seen_on_all_nm"] == pytest.approx(everywhere * np.arange(1.0, 7.0))
+    assert detectable_nm["structure_seen_nm"][2] == pytest.approx(3.0 * alone)
 
 
 def test_too_few_visits_see_nothing():
@@ -130,8 +130,8 @@ def test_too_few_visits_see_nothing():
     everything = np.eye(len(made.group))
     made.fit.basis, made.fit.taken = basis_of(everything), made.taken_by(everything)
     assert misfit(made.problem, made.fit) == 1.0
-    told = structure_seen_nm(made.problem, made.fit, np.ones(AXES))
-    assert told == {"structure_seen_nm": [None] * AXES, "structure_seen_on_all_nm": [None] * AXES}
+    detectable_nm = structure_seen_nm(made.problem, made.fit, np.ones(AXES))
+    assert detectable_nm == {"structure_seen_nm": [None] * AXES, "structure_seen_on_all_nm": [None] * AXES}
 
 
 def test_chances_are_pooled_by_their_normal_scores():
@@ -149,9 +149,9 @@ def cogging() -> tuple[list[float], list[float]]:
     """Chance of what is left of thirty arms at twelve poses, bare and loaded: with cogging, and without."""
     found: tuple[list[float], list[float]] = ([], [])
     for seed in range(1000, 1030):
-        for into, floors in zip(found, (1.0, 0.0), strict=True):
+        for into, amplitude in zip(found, (1.0, 0.0), strict=True):
             bench = Bench(seed, [], poses=12)
-            size = floors * np.sqrt(2.0) * half_floor(bench.plant, bench.arm.protocol)
+            size = amplitude * np.sqrt(2.0) * half_floor(bench.plant, bench.arm.protocol)
             phase = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, 6)
             swings = [
                 effect(
@@ -198,8 +198,8 @@ def test_fresh_rows_are_judged_by_axis_and_over_all():
     residual = np.concatenate([np.full(4, 3.0), np.full(6, 0.5), np.full(3, 0.1)])
     mean = np.array([9.0 / 4.0, 1.0, 0.01]) / REST.fresh_slack
     known = [stats.chi2.sf(x * n, n) for x, n in zip(mean, (4, 6, 3), strict=True)]
-    told = [stats.f.sf(x, n, freedom) for x, n, freedom in zip(mean, (4, 6, 3), (10.0, 1.0, 1.0), strict=True)]
-    for (first, third, differences), spare in ((known, None), (told, np.array([10.0, 0.3, 0.0]))):
+    detectable_nm = [stats.f.sf(x, n, freedom) for x, n, freedom in zip(mean, (4, 6, 3), (10.0, 1.0, 1.0), strict=True)]
+    for (first, third, differences), spare in ((known, None), (detectable_nm, np.array([10.0, 0.3, 0.0]))):
         over = stats.combine_pvalues([first, third], method="stouffer", weights=np.sqrt([4.0, 6.0])).pvalue
         expected = 4 * min(2 * min(first, third), over, differences)
         assert fresh_misfit(residual, covariance, group, 3, spare) == pytest.approx(min(1.0, expected))

@@ -47,8 +47,8 @@ def motion() -> MovingRows:
     angle = np.outer(time, omega) + phase
     q, qd, qdd = np.sin(angle), omega * np.cos(angle), -(omega**2) * np.sin(angle)
     heat = np.linspace(25.0, 31.0, N)[:, None] + np.arange(6)
-    given = {"time": time, "qd": qd, "qdd": qdd, "temperature": heat}
-    table = make_table(["tool"] * N, np.full(N, MOVING), q, rng.normal(size=(N, 6)), **given)
+    measured = {"time": time, "qd": qd, "qdd": qdd, "temperature": heat}
+    table = make_table(["tool"] * N, np.full(N, MOVING), q, rng.normal(size=(N, 6)), **measured)
     return prepare(table, None, robot_from_urdf(URDF, "small"), GRAVITY)
 
 
@@ -231,8 +231,8 @@ def test_a_balancer_takes_torque_off_gravity_and_not_a_trifle(motion, modelled, 
     assert HarmonicBalancer().possible(against, std, undrawn)
 
 
-def setup(motion, **given) -> MotionSetup:
-    return MotionSetup(**{"drawn": True, "loads": ("tool",), "residual_nm": np.zeros_like(motion.tau_nm), **given})
+def setup(motion, **measured) -> MotionSetup:
+    return MotionSetup(**{"drawn": True, "loads": ("tool",), "residual_nm": np.zeros_like(motion.tau_nm), **measured})
 
 
 def joints_of(terms, name):

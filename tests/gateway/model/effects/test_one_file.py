@@ -53,19 +53,19 @@ EFFECT = Effect(
 
 
 @pytest.fixture(scope="module")
-def house(tmp_path_factory) -> House:
+def repository(tmp_path_factory) -> House:
     """The product with one file more."""
-    house = House(tmp_path_factory.mktemp("house"))
-    house.add("gateway/model/effects/cam_rope.py", MADE_UP)
-    return house
+    repository = House(tmp_path_factory.mktemp("house"))
+    repository.add("gateway/model/effects/cam_rope.py", MADE_UP)
+    return repository
 
 
-def diagnosed(house: House, csv: Path, *options: str) -> tuple[dict, str]:
+def diagnosed(repository: House, csv: Path, *options: str) -> tuple[dict, str]:
     """Result and page of the command, run from the house with the added file."""
     out, page = csv.with_suffix(".json"), csv.with_suffix(".html")
     line = ("diagnose", csv.name, "--robot", "robot.urdf", "--json", out.name, *options)
     for arguments in (line, ("report", out.name, "--output", page.name)):
-        done = house.command(*arguments, cwd=csv.parent)
+        done = repository.command(*arguments, cwd=csv.parent)
         assert done.returncode == 0, done.stdout + done.stderr
     return json.loads(out.read_text()), page.read_text()
 
@@ -78,14 +78,14 @@ def write(table, path: Path, urdf: str) -> Path:
 
 
 @pytest.mark.slow
-def test_the_added_effect_is_found_at_rest(house, tmp_path):
+def test_the_added_effect_is_found_at_rest(repository, tmp_path):
     bench = Bench(4, [])
 
     def rope(q_rad, _time_s, _tau_nm):
         return -np.array([0.0, 0.0, 6.0 * bench.arm.floor_nm[2] * abs(np.sin(3.0 * q_rad[2])), 0.0, 0.0, 0.0])
 
     bench.plant = add_passive(replace(bench.plant, gear_efficiency=np.ones(6)), rope)
-    result, page = diagnosed(house, write(bench.both(), tmp_path / "rest.csv", bench.arm.urdf))
+    result, page = diagnosed(repository, write(bench.both(), tmp_path / "rest.csv", bench.arm.urdf))
     assert [(entry["name"], entry["joints"]) for entry in result["effects"]] == [("cam_rope", [3])]
     (found,) = result["effects"]
     assert abs(found["parameters"]["pull_nm"] - 6.0 * bench.arm.floor_nm[2]) < 4.0 * found["std"]["pull_nm"]
@@ -93,12 +93,12 @@ def test_the_added_effect_is_found_at_rest(house, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_added_effect_is_found_in_motion(house, tmp_path):
+def test_the_added_effect_is_found_in_motion(repository, tmp_path):
     table, _, scale = measured(1, World())
     pull = 0.3 * scale[2]
     table.tau_nm[:, 2] += pull * np.abs(np.sin(3.0 * table.q_rad[:, 2]))
     csv = write(table, tmp_path / "moving.csv", URDF)
-    result, page = diagnosed(house, csv, "--inertials", "ignore")
+    result, page = diagnosed(repository, csv, "--inertials", "ignore")
     assert [(entry["name"], entry["joints"]) for entry in result["effects"]] == [("cam_rope", [3])]
     assert result["effects"][0]["parameters"]["pull_nm"] == pytest.approx(pull, rel=0.1)
     assert "a rope over a cam" in page
