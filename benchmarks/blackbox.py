@@ -92,7 +92,7 @@ def stop_by(made: Rig, kind: str, folder: Path) -> Stop:
     poses = LOCKSTEP_POSES_LONG if kind in BY_THE_CLOCK_TOO else LOCKSTEP_POSES
     try:
         with open_arm(made.loaded, BusOverride(BusSpec.parse(made.bus))) as opened:
-            record(opened, short_plan(opened, 1, poses), RecordRequest("none", path), (begin.hear,))
+            record(opened, short_plan(opened, 1, poses), RecordRequest("none", path), (begin.receive,))
     except (DriveError, GatewayError) as problem:
         error = problem
     if error is None:

@@ -1,6 +1,6 @@
 """Do the tests notice? One operator flipped, one `not` or one `raise` dropped at a time, then the mirrored tests.
 
-python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--rooms drives,gateway/motion] [--out out/mutants]
+python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--packages drives,gateway/motion] [--out out/mutants]
 
 Mutants are drawn at random over all places of the rooms, each is tried in a copy of the project. The mirrored tests of
 the fast suite run once as they are, and have to pass; those that came to the changed lines are asked first, then the

@@ -19,7 +19,7 @@ from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import MotionLimits, straight
 from sim.serve import running
 from tests.gateway.pair.together import Together
-from tests.house import ROOT, House
+from tests.product_copy import ROOT, ProductCopy
 from tests.resting_arm import Bench
 
 #: Where the arms are sent [rad].
@@ -58,8 +58,8 @@ class MadeUpBus(UdpMulticastBus):
 
 
 @pytest.fixture
-def repository(tmp_path) -> House:
-    return House(tmp_path / "house")
+def repository(tmp_path) -> ProductCopy:
+    return ProductCopy(tmp_path / "structure")
 
 
 def test_every_row_of_the_table_is_proven():

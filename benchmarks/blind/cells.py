@@ -43,7 +43,7 @@ class Score:
     rounds: int
     holdout_over_floor: float
     load_errors: list
-    told_errors: list
+    errors_with_effects: list
     inside: list
     first_s: float
     total_s: float
@@ -128,7 +128,9 @@ def _score(
     loads, loads_with_effects, inside = [], [], []
     if result.loads and kind != "off":
         loads = _errors(cell, result.loads[0])
-        loads_with_effects = _errors(cell, told_loads(cell, robot, options, table, [entry[:2] for entry in truth])[0])
+        loads_with_effects = _errors(
+            cell, loads_knowing_effects(cell, robot, options, table, [entry[:2] for entry in truth])[0]
+        )
         inside = _inside(cell, result.loads[0])
     return Score(
         seed=cell.seed,
@@ -140,7 +142,7 @@ def _score(
         rounds=times[2],
         holdout_over_floor=over,
         load_errors=loads,
-        told_errors=loads_with_effects,
+        errors_with_effects=loads_with_effects,
         inside=inside,
         first_s=times[0],
         total_s=times[1],
@@ -185,7 +187,7 @@ def _inside(cell: BlindCell, load: LoadResult) -> list[bool]:
     return [bool(v) for v in np.abs(value - truth) < 1.96 * std]
 
 
-def told_loads(
+def loads_knowing_effects(
     cell: BlindCell, robot: Robot, options: DiagnoseOptions, table: Table, truth: list
 ) -> tuple[LoadResult, ...]:
     """Loads of an estimator that is told which effects there are, but not how large."""

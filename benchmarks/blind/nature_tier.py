@@ -34,7 +34,7 @@ class Plan:
 
 def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
     """Run the cells, print tables and figures, write summary.json; 1 when a goal is missed."""
-    from tests.support.blind.nature import run_effect, run_ordinary, run_timed
+    from tests.support.blind.nature import run_effect, run_nuisance_only, run_timed
 
     out.mkdir(parents=True, exist_ok=True)
     tasks = [
@@ -42,7 +42,7 @@ def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
         for number in range(plan.cells)
         for condition in plan.conditions
     ]
-    nuisance_cells = run(run_ordinary, tasks, jobs, out / "ordinary.jsonl") if tasks else []
+    nuisance_cells = run(run_nuisance_only, tasks, jobs, out / "ordinary.jsonl") if tasks else []
     seeds = range(plan.first, plan.first + plan.effects)
     effects = run(run_effect, list(seeds), jobs, out / "effects.jsonl") if seeds else []
     timed = run(run_timed, list(range(plan.first, plan.first + plan.timed)), 1, out / "timed.jsonl")
@@ -74,9 +74,9 @@ def report(nuisance_cells: list[dict], effects: list[dict], timed: list[dict], o
         for there, said, count in rows:
             table.add_row(there, said, str(count))
         console.print(table)
-    found: Figures = figures.ordinary_figures(nuisance_cells) if nuisance_cells else {}
+    found: Figures = figures.nuisance_figures(nuisance_cells) if nuisance_cells else {}
     found |= figures.effect_figures(effects) if effects else {}
-    found |= figures.gross_figures([*nuisance_cells, *effects]) | figures.time_figures(timed)
+    found |= figures.outlier_figures([*nuisance_cells, *effects]) | figures.time_figures(timed)
     console.print(figure_table(found))
     (out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n", encoding="utf-8")
     return 0 if all(entry["met"] is not False for entry in found.values()) else 1

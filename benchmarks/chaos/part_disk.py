@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from gateway.data.recording.queue import CAPACITY
-from tests.support.chaos.heartbeats import KINDS, SILENT_AFTER_S, heartbeats_after_refused_stop
+from tests.support.chaos.heartbeats import DELAYED_AFTER_S, KINDS, heartbeats_after_refused_stop
 from tests.support.chaos.slow_disk import record_on_slow_disk
 from tests.support.figure import figure
 
@@ -37,6 +37,6 @@ def figures(scope: Any) -> dict[str, dict]:
     for complaint in beats.complaints:
         scope.print(complaint, markup=False)
     out["stops that were not confirmed"] = figure(beats.stops, f">= {count}")
-    out[f"of them, with a heartbeat after {SILENT_AFTER_S:g} s and a period"] = figure(beats.late, "== 0")
+    out[f"of them, with a heartbeat after {DELAYED_AFTER_S:g} s and a period"] = figure(beats.delayed, "== 0")
     out["longest from the stop word to the last heartbeat"] = figure(max(beats.last_s, default=0.0), ">= 0", "s")
     return out

@@ -21,11 +21,11 @@ def figures(scope: Any) -> dict[str, dict]:
     """Ask, and let brakes fail."""
     number = scope.count(INSTANTS)
     answers = requests(number, SEED, scope.bar("requests to stop", number).step)
-    for complaint in answers.late:
+    for complaint in answers.delayed:
         scope.print(complaint, markup=False)
     out = {
         f"stop requests at {number} instants: not answered within 1 SYNC and the ramp": figure(
-            len(answers.late), "<= 0", ""
+            len(answers.delayed), "<= 0", ""
         ),
         "longest way of set points after a request, beyond the ramp": figure(max(answers.syncs), "<= 1", "SYNCs"),
     }

@@ -21,14 +21,14 @@ def figures(scope: Any) -> dict[str, dict]:
         for complaint in seen.complaints:
             scope.print(f"{how}: {complaint}", markup=False)
         spread = ", ".join(f"{name} {number}" for name, number in sorted(seen.commands.items()))
-        untimely = seen.late + seen.dropped + seen.unsafe
+        untimely = seen.delayed + seen.dropped + seen.unsafe
         out[f"{how}: commands interrupted"] = figure(
             seen.runs, f">= {count}", f"{seen.powered} under power: {spread}; {seen.disturbed} run again, computer busy"
         )
         out[f"{how}: not at rest, then disabled, then in the brakes, in time"] = figure(
             untimely,
             "== 0",
-            f"(late {seen.late}, disabled before rest {seen.dropped}, not at all {seen.unsafe};"
+            f"(late {seen.delayed}, disabled before rest {seen.dropped}, not at all {seen.unsafe};"
             f" longest {seen.longest_s:.2f} s, ramp + {GRACE_S:g} s)",
         )
         out[f"{how}: finished work lost"] = figure(seen.lost, "== 0", f"of {seen.announced} visits announced")

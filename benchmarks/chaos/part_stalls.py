@@ -23,7 +23,7 @@ def figures(scope: Any) -> dict[str, dict]:
         "masters held up by the clock": figure(stalls.stalls, f">= {count}"),
         "stalls with a joint beyond its speed limit": figure(stalls.fast, "== 0", f"of {stalls.stalls}"),
         "largest speed after a stall": figure(stalls.share, f"<= {MEASURING}", "of the limit"),
-        "stop words later than two periods": figure(stalls.late, "== 0", f"of {stalls.moving} stalls in motion"),
+        "stop words later than two periods": figure(stalls.delayed, "== 0", f"of {stalls.moving} stalls in motion"),
         "longest from waking to the stop word": figure(1e3 * longest, f"<= {1e3 * STOP_PERIODS * PERIOD_S:g}", "ms"),
         "values of another SYNC in finished visits": figure(
             stalls.foreign, "== 0", f"of {6 * stalls.rows} in {stalls.visits} visits"

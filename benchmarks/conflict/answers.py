@@ -36,7 +36,7 @@ def answer_of(task: tuple[int, str, str, str]) -> dict:
     ]
     record["message"] = output.strip()[-400:] if code not in (0, 7) else ""
     record["effects"] = [f"{effect['name']} {effect['joints']}" for effect in result["effects"]]
-    record["gross"] = cell.gross
+    record["outliers"] = cell.outliers
     record["loads"] = [_judged(load, _truths(cell, load["label"])) for load in result["loads"]]
     return json.loads(json.dumps(record))
 

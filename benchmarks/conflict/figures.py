@@ -35,7 +35,7 @@ def warned(answer: dict) -> bool:
 def false_alarm(answer: dict) -> bool:
     """Whether a right cell is warned of; rejecting visits is right where visits are far off."""
     found = [where for severity, _, where, _ in answer["findings"] if severity in ("warn", "fail")]
-    return answer["exit"] != 0 or any(where != "outliers" or not answer["gross"] for where in found)
+    return answer["exit"] != 0 or any(where != "outliers" or not answer["outliers"] for where in found)
 
 
 def is_unreported(answer: dict) -> bool:

@@ -110,7 +110,7 @@ class ConflictCell:
     options: list[str] = field(default_factory=list)
     length_unit: float = 1.0
     stored_bare: bool = False
-    gross: int = 0
+    outliers: int = 0
 
 
 def draw_cell(seed: int, variant: str = "floor") -> ConflictCell:
@@ -223,8 +223,8 @@ def _rough(cell: ConflictCell, q: Floats) -> Floats:
     """Cogging, a band that changes with the position, and one visit in fifty that is far off on one axis."""
     rng, band = cell.rng, cell.friction.coulomb_nm
     cogging = 0.03 * band * np.sin(120.0 * q + rng.uniform(0, 2 * np.pi, AXES))
-    gross = rng.uniform(size=len(q)) < 0.02
-    cell.gross += int(gross.sum())
+    outliers = rng.uniform(size=len(q)) < 0.02
+    cell.outliers += int(outliers.sum())
     far = np.zeros(q.shape)
-    far[gross, rng.integers(0, AXES, int(gross.sum()))] = rng.uniform(3.0, 8.0, int(gross.sum()))
+    far[outliers, rng.integers(0, AXES, int(outliers.sum()))] = rng.uniform(3.0, 8.0, int(outliers.sum()))
     return cogging + far * band * rng.choice([-1.0, 1.0], q.shape)

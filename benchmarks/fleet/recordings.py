@@ -46,7 +46,7 @@ def figures(folder: Path, count: int) -> dict[str, dict]:
     """All that is told of recordings, of which so many are estimated anew."""
     base = recorded(folder / "base")
     found = scaling(base, folder / "scaling", min(count, SCALED))
-    return found | whole(base, folder / "whole", count)
+    return found | complete_fleet(base, folder / "whole", count)
 
 
 def recorded(folder: Path) -> Path:
@@ -138,7 +138,7 @@ def scaling(base: Path, folder: Path, count: int) -> dict[str, dict]:
     }
 
 
-def whole(base: Path, folder: Path, count: int) -> dict[str, dict]:
+def complete_fleet(base: Path, folder: Path, count: int) -> dict[str, dict]:
     """`fleet analyse` of a quarter of the recordings, and of all of them while a worker is killed in the middle."""
     few = max(count // 4, 1)
     store = open_or_make(folder / "store")

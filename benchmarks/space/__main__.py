@@ -86,7 +86,7 @@ def judge(cell: DrawnCell) -> dict:
     postures = 0
     size = float(np.linalg.norm(arm.flange_xyz_m or 0)) + float(np.linalg.norm(arm.load_size_m or 0))
     with Judge(cell, floor.height_m) as checker:
-        for q_rad in sampled(way_of(plan), robot, size):
+        for q_rad in sampled(path_of(plan), robot, size):
             postures += 1
             for pair in checker.touches(q_rad):
                 touches[" and ".join(pair)] = touches.get(" and ".join(pair), 0) + 1
@@ -99,7 +99,7 @@ def judge(cell: DrawnCell) -> dict:
     }
 
 
-def way_of(plan: Plan) -> np.ndarray:
+def path_of(plan: Plan) -> np.ndarray:
     """Corners (n, N) [rad] of the way that a plan moves along."""
     return np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
 

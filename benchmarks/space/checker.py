@@ -105,13 +105,13 @@ class Judge:
         }
 
 
-def sampled(way_rad: np.ndarray, robot: Robot, size_m: float) -> Iterator[np.ndarray]:
+def sampled(path_rad: np.ndarray, robot: Robot, size_m: float) -> Iterator[np.ndarray]:
     """Postures along a way (n, N) of straight joint motions, no point of the arm more than `STEP_M` from the next.
 
     How far a stretch leads is measured at its points, `size_m` about the origin of every link to all sides.
     """
     around = np.vstack([np.eye(3), -np.eye(3)]) * size_m
-    for start, end in zip(way_rad[:-1], way_rad[1:], strict=True):
+    for start, end in zip(path_rad[:-1], path_rad[1:], strict=True):
         coarse = max(int(np.ceil(np.abs(end - start).max() / COARSE_RAD)), 1)
         frames = link_frames(robot, start + np.linspace(0, 1, coarse + 1)[:, None] * (end - start))
         points = frames[:, :, None, :3, 3] + np.einsum("nlij,pj->nlpi", frames[:, :, :3, :3], around)
@@ -120,4 +120,4 @@ def sampled(way_rad: np.ndarray, robot: Robot, size_m: float) -> Iterator[np.nda
             count = max(int(np.ceil(length / STEP_M)), 1)
             for share in (row + np.arange(count) / count) / coarse:
                 yield start + share * (end - start)
-    yield way_rad[-1]
+    yield path_rad[-1]

@@ -207,12 +207,12 @@ READERS: dict[str, Callable[[], tuple[str, list[bytes], Callable[[Path], Any]]]]
 # -- one process -------------------------------------------------------------------------------------------------------
 
 
-class Hang(BaseException):
+class Unfinished(BaseException):
     """One input took far longer than it may."""
 
 
 def _expired(_signal: int, _frame: object) -> None:
-    raise Hang
+    raise Unfinished
 
 
 def work(reader: str, first: int, inputs: int, folder: Path) -> None:
@@ -236,7 +236,7 @@ def work(reader: str, first: int, inputs: int, folder: Path) -> None:
             read(path)
         except (GatewayError, DriveError):
             pass
-        except (Exception, Hang) as error:
+        except (Exception, Unfinished) as error:
             print(json.dumps(["crash", number, f"{type(error).__name__}: {error}"[:300]]), flush=True)
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
         took_s = time.process_time() - before_s

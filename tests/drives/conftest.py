@@ -129,7 +129,7 @@ class Slave:
         self.position = 1000 * node_id
         self.torque = 10 * node_id
         #: By state: counts that the axis goes at each SYNC while it is in that state, until the list is empty.
-        self.ways: dict[str, list[int]] = {}
+        self.moves_in: dict[str, list[int]] = {}
         self.position_at_sync: list[int] = []
         self.controlwords: list[int] = []
         self.written: list[tuple[int, int, int]] = []
@@ -311,7 +311,7 @@ class Slave:
             self._control(self.values[0x6040, 0])
             if self.state == "operation enabled":
                 self.position = self.values[0x607A, 0]
-        positions = self.ways.get(self.state)
+        positions = self.moves_in.get(self.state)
         if positions:
             self.position += positions.pop(0)
         self.position_at_sync.append(self.position)

@@ -57,7 +57,7 @@ def last_beat_s(wire: Wire) -> float:
 
 def test_each_drive_leaves_operation_after_its_heartbeat_time(group, slaves, wire):
     """30 steps of 20 counts; axis 1 goes on by 700, 500 and 300 counts while it brakes, the others stand at once."""
-    slaves[0].ways = {"quick stop": [700, 500, 300]}
+    slaves[0].moves_in = {"quick stop": [700, 500, 300]}
     traces = stop_responding(group, rows(slaves, 30))
     for trace in traces:
         assert trace.stated_s == pytest.approx(NO_HEARTBEAT_S + PERIOD_S)
@@ -112,7 +112,7 @@ def test_a_drive_that_leaves_later_than_it_said_is_not_in_time(group, slaves):
 
 
 def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
-    slaves[1].ways = {"quick stop": [500] * 400}
+    slaves[1].moves_in = {"quick stop": [500] * 400}
     traces = stop_responding(group, rows(slaves, 10))
     assert [trace.stood for trace in traces] == [True, False, True]
     assert {slave.state for slave in slaves} == {"switch on disabled"}
@@ -120,7 +120,7 @@ def test_a_drive_that_still_moves_at_the_end_did_not_stand(group, slaves):
 
 def test_a_drive_that_goes_on_at_the_speed_of_the_proof_did_not_stand(group, slaves):
     """A motor behind a low gear ratio turns by a tenth of what a braked one shakes between two SYNCs."""
-    slaves[1].ways = {"quick stop": [STEP] * 400}
+    slaves[1].moves_in = {"quick stop": [STEP] * 400}
     traces = stop_responding(group, rows(slaves, 10))
     assert [trace.stood for trace in traces] == [True, False, True]
 
@@ -191,7 +191,7 @@ def slow(slave: Slave, syncs: int) -> None:
 def test_a_slow_drive_is_waited_for_as_long_as_its_profile_says(group, slaves, syncs, waited):
     """1 s is 100 SYNCs."""
     slow(slaves[1], syncs)
-    slaves[1].ways = {"switch on disabled": [-30, -40, 10]}
+    slaves[1].moves_in = {"switch on disabled": [-30, -40, 10]}
     if waited:
         assert release(group, 1, 0.2).moved_rad == pytest.approx(70 * COUNT_RAD)
     else:
@@ -202,7 +202,7 @@ def test_a_slow_drive_is_waited_for_as_long_as_its_profile_says(group, slaves, s
 def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
     """What it does afterwards does not count; a slow drive is watched from when it has left. 0.1 s the brake closes."""
     slow(slaves[1], 30)
-    slaves[1].ways = {"switched on": [0], "switch on disabled": [0] * 17 + [-5] + [-400] * 10}
+    slaves[1].moves_in = {"switched on": [0], "switch on disabled": [0] * 17 + [-5] + [-400] * 10}
     syncs = slaves[0].sync_seen
     brake_drop_rad = release(group, 1, 0.3).moved_rad
     assert 5 <= brake_drop_rad / COUNT_RAD + 1e-6 < 1000
@@ -212,7 +212,11 @@ def test_one_axis_is_watched_for_as_long_as_asked(group, slaves):
 @pytest.mark.parametrize("deaf", [0, 1, 4])
 def test_a_brake_that_fails_without_voltage_is_caught_from_there(group, slaves, deaf):
     """Three controlwords in three SYNCs lead back; a drive that misses some is led by the state that it shows."""
-    slaves[1].ways = {"switched on": [0] * 11 + [40] * 30, "switch on disabled": [40] * 30, "ready": [40] * 30}
+    slaves[1].moves_in = {
+        "switched on": [0] * 11 + [40] * 30,
+        "switch on disabled": [40] * 30,
+        "ready": [40] * 30,
+    }
     plain, missed = slaves[1]._control, []
 
     def control(word: int) -> None:
@@ -264,7 +268,7 @@ def test_an_axis_that_was_tried_is_held_by_its_drive_again(group, slaves):
     ("broken", "says"), [("fault", "cannot hold its axis again"), ("switched on", "is not enabled")]
 )
 def test_a_drive_that_does_not_hold_its_axis_again_stops_all(group, slaves, broken, says):
-    slaves[1].ways = {"switched on": [-300] * 10}
+    slaves[1].moves_in = {"switched on": [-300] * 10}
     plain = slaves[1]._control
 
     def control(word: int) -> None:
@@ -284,7 +288,7 @@ def test_a_drive_that_does_not_hold_its_axis_again_stops_all(group, slaves, brok
 
 def test_a_ramp_is_watched_until_it_ends(group, slaves):
     """0.5 s of ramp: the trace says when the axis was last seen to move, and the master's heartbeat goes on."""
-    slaves[2].ways = {"quick stop": [1000 - 10 * number for number in range(50)]}
+    slaves[2].moves_in = {"quick stop": [1000 - 10 * number for number in range(50)]}
     third = prove_quick_stop(group, rows(slaves, 5))[2]
     assert third.stood
     assert third.rest_s == pytest.approx(50 * PERIOD_S, abs=2 * PERIOD_S)

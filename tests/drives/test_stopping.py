@@ -152,7 +152,7 @@ def test_a_set_point_that_never_went_out_with_a_sync_is_not_the_place_to_stop_at
 def test_an_axis_that_moves_is_brought_to_rest_before_it_is_disabled(group, slaves):
     move(group, 5, step=900)
     for slave in slaves:
-        slave.ways = {"quick stop": [700, 500, 300, 100, 10]}
+        slave.moves_in = {"quick stop": [700, 500, 300, 100, 10]}
         slave.controlwords.clear()
     group.disable()
     for slave in slaves:
@@ -160,7 +160,7 @@ def test_an_axis_that_moves_is_brought_to_rest_before_it_is_disabled(group, slav
         assert words[0] == 0x02
         first = next(number for number, word in enumerate(words) if word != 0x02)
         assert first >= 5 + 3
-        assert slave.ways["quick stop"] == []
+        assert slave.moves_in["quick stop"] == []
         assert slave.state == "switch on disabled"
 
 
@@ -176,8 +176,8 @@ def test_an_axis_at_rest_is_disabled_without_a_ramp(group, slaves):
 def test_drop_is_measured_from_where_the_drive_last_held_the_axis(group, slaves):
     for _ in range(5):
         group.hold()
-    slaves[1].ways = {"switched on": [-20], "switch on disabled": [-30, -40, 10, 0, 0, -5]}
-    slaves[4].ways = {"switch on disabled": [7]}
+    slaves[1].moves_in = {"switched on": [-20], "switch on disabled": [-30, -40, 10, 0, 0, -5]}
+    slaves[4].moves_in = {"switch on disabled": [7]}
     syncs = slaves[0].sync_seen
     group.disable()
     assert group.brake_drop_rad == pytest.approx([0, 90 * COUNT_RAD, 0, 0, 7 * COUNT_RAD, 0])
@@ -276,7 +276,7 @@ def test_an_axis_that_answers_sdo_alone_is_brought_to_rest_before_it_is_disabled
 
 def test_an_axis_that_never_comes_to_rest_is_named(group, slaves):
     move(group, 3)
-    slaves[3].ways = {"quick stop": [500] * 1000}
+    slaves[3].moves_in = {"quick stop": [500] * 1000}
     with pytest.raises(TransitionTimeout, match=r"node 4.*still moves 2\.2 s"):
         group.quick_stop()
 
@@ -285,10 +285,10 @@ def test_an_axis_that_never_comes_to_rest_is_named(group, slaves):
 def test_a_ramp_is_waited_for_two_seconds(group, slaves, syncs, enough):
     """Of 10 ms each; 0.2 s beyond them are patience."""
     move(group, 3)
-    slaves[3].ways = {"quick stop": [500] * syncs}
+    slaves[3].moves_in = {"quick stop": [500] * syncs}
     if enough:
         group.quick_stop()
-        assert slaves[3].ways["quick stop"] == []
+        assert slaves[3].moves_in["quick stop"] == []
     else:
         with pytest.raises(TransitionTimeout, match="node 4.*still moves"):
             group.quick_stop()
@@ -398,7 +398,7 @@ def test_what_goes_wrong_while_closing_is_added_to_the_error_that_led_to_it(bus,
 
 
 def test_axes_that_never_come_to_rest_are_not_released(group, slaves):
-    slaves[0].ways = {"operation enabled": [500, -500] * 200}
+    slaves[0].moves_in = {"operation enabled": [500, -500] * 200}
     move(group, 2, step=0)
     with pytest.raises(ConfigurationRefused, match="bring the axes to rest first"):
         release(group, 1, 0.1)
@@ -408,7 +408,7 @@ def test_axes_that_never_come_to_rest_are_not_released(group, slaves):
 
 def test_a_bus_that_fails_while_the_quick_stop_is_tried_is_an_error(group, slaves, wire):
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
-    slaves[0].ways = {"quick stop": [700] * 50}
+    slaves[0].moves_in = {"quick stop": [700] * 50}
     plain = slaves[0]._sync
 
     def sync() -> None:
@@ -456,7 +456,7 @@ def test_no_heartbeat_after_a_stop_that_is_not_confirmed(bus, slaves, setups, wi
 def test_heartbeats_go_on_while_the_drives_slow_down(group, slaves, wire):
     move(group, 5)
     for slave in slaves:
-        slave.ways = {"quick stop": [50000 - 250 * number for number in range(150)]}
+        slave.moves_in = {"quick stop": [50000 - 250 * number for number in range(150)]}
     start = len(beats_s(wire))
     group.quick_stop()
     assert len(beats_s(wire)) - start >= 10
@@ -485,7 +485,7 @@ def test_one_axis_is_held_by_its_brake_while_the_others_hold(bus, slaves, setups
         group.connect()
         group.configure()
         group.enable()
-        slaves[1].ways = {"switched on": [-20], "switch on disabled": [-30, -40, 10]}
+        slaves[1].moves_in = {"switched on": [-20], "switch on disabled": [-30, -40, 10]}
         for slave in slaves:
             slave.controlwords.clear()
         brake_drop_rad = release(group, 1, 0.5).moved_rad
@@ -531,7 +531,7 @@ def test_only_enabled_axes_are_released(group):
 
 def test_the_quick_stop_is_traced_axis_by_axis(group, slaves):
     """Axis 1 goes on by 700, 500, 300 counts while it brakes, for three SYNCs; axis 2 stands at once."""
-    slaves[0].ways = {"quick stop": [700, 500, 300]}
+    slaves[0].moves_in = {"quick stop": [700, 500, 300]}
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
     first, second, *_ = prove_quick_stop(group, rows)
     assert (first.node_id, first.in_time, first.stood) == (1, True, True)
@@ -597,7 +597,7 @@ def test_a_notice_to_the_other_arm_that_fails_does_not_keep_this_one_from_stoppi
 def test_a_frame_log_on_a_full_disk_neither_ends_a_motion_nor_a_stop(wire, slaves, setups, tmp_path, suffix):
     for slave in slaves:
         slave.supervises = True
-        slave.ways = {"quick stop": [50, 30, 10]}
+        slave.moves_in = {"quick stop": [50, 30, 10]}
     trace = tmp_path / f"trace.{suffix}"
     trace.symlink_to("/dev/full")
     bus = Bus(wire, BusSpec("test", "wire"), trace)

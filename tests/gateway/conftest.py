@@ -56,7 +56,7 @@ class FakeDrives:
         self.target_rad = np.zeros(6)
         self.direction = np.zeros(6)
         self.path: list[np.ndarray] = []
-        self.silent: dict[int, int] = {}
+        self.unanswered: dict[int, int] = {}
         self.fault_at: int | None = None
         self.jam_at: int | None = None
         self.contact_nm: dict[int, float] = {}
@@ -130,7 +130,7 @@ class FakeDrives:
         return (0.0,) * 6
 
     def when_stopping(self, notify):
-        self.tell_others = notify
+        self.notify_others = notify
 
     def align(self, at_s):
         self.aligned_s = at_s
@@ -159,8 +159,8 @@ class FakeDrives:
         counts = np.round(self.axes.motor_position(self.q_rad) / self.scale.count_rad).astype(int).tolist()
         words = np.round(motor_nm / self.scale.torque_nm).astype(int).tolist()
         readings = [self._reading(axis, counts[axis], words[axis]) for axis in range(6)]
-        if self.sync_index in self.silent:
-            readings[self.silent[self.sync_index]] = None
+        if self.sync_index in self.unanswered:
+            readings[self.unanswered[self.sync_index]] = None
         return Epoch(self.sync_index, self.sync_index * self.period_s, tuple(readings))
 
     def _reading(self, axis: int, count: int, word: int) -> DriveReading | None:

@@ -1,6 +1,6 @@
 """Do the tests notice? One operator flipped, one `not` or one `raise` dropped at a time, then the mirrored tests.
 
-python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--rooms drives,gateway/motion] [--out out/mutants]
+python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--packages drives,gateway/motion] [--out out/mutants]
 
 Mutants are drawn at random over all places of the rooms, each is tried in a copy of the project. The mirrored tests run
 once as they are, and have to pass; the tests that came to the changed lines there are asked first, then all the others.
@@ -32,7 +32,7 @@ from tests.support.figure import figure
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 #: Rooms with the share of mutants that has to be noticed.
-ROOMS: Final = {
+PACKAGES: Final = {
     "drives": 95.0,
     "gateway/motion": 95.0,
     "gateway/model": 85.0,
@@ -318,16 +318,16 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--count", type=int, default=200)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--rooms", default=",".join(ROOMS))
+    parser.add_argument("--packages", default=",".join(PACKAGES))
     parser.add_argument("--out", type=Path, default=Path("out/mutants"))
     arguments = parser.parse_args(argv)
-    mutants = draw(arguments.count, arguments.seed, arguments.rooms.split(","))
+    mutants = draw(arguments.count, arguments.seed, arguments.packages.split(","))
     seen = tried(mutants, arguments.jobs)
     figures: dict[str, dict] = {}
-    for package in arguments.rooms.split(","):
+    for package in arguments.packages.split(","):
         here = [ok for mutant, ok in zip(mutants, seen, strict=True) if mutant.path.startswith(f"{package}/")]
         figures[f"noticed in {package}"] = figure(
-            100.0 * sum(map(bool, here)) / len(here), f">= {ROOMS.get(package, 85.0):g}", f"% of {len(here)}"
+            100.0 * sum(map(bool, here)) / len(here), f">= {PACKAGES.get(package, 85.0):g}", f"% of {len(here)}"
         )
     suites = [suite for suite in seen if suite]
     figures["of these by the fast suite"] = figure(

@@ -162,12 +162,12 @@ def serve(place) -> Iterator[Callable[..., Drives]]:
 class Hands:
     """Stands in for stdin: hangs the load that was asked for, or forgets it, then presses Enter."""
 
-    def __init__(self, drives, capsys, hangs, forgets):
-        self.drives, self.capsys, self.hangs, self.forgets = drives, capsys, hangs, forgets
+    def __init__(self, drives, capsys, mounts, forgets):
+        self.drives, self.capsys, self.mounts, self.forgets = drives, capsys, mounts, forgets
         self.asked, self.said = [], ""
 
     def readline(self):
-        if not self.hangs:
+        if not self.mounts:
             return ""
         self.said += self.capsys.readouterr().out
         label = self.said.rsplit("HANG LOAD ", 1)[1].split()[0]
@@ -185,8 +185,8 @@ class Hands:
 def guided(place, monkeypatch, capsys):
     """Run a guided command in this process; exit code, hands, and what was said."""
 
-    def run(command, drives, *more, hangs=True, forgets=False):
-        hands = Hands(drives, capsys, hangs, forgets)
+    def run(command, drives, *more, mounts=True, forgets=False):
+        hands = Hands(drives, capsys, mounts, forgets)
         monkeypatch.setattr(sys, "stdin", hands)
         arguments = [command, place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out", *more]
         with pytest.raises(SystemExit) as left:
@@ -200,8 +200,8 @@ def guided(place, monkeypatch, capsys):
 def commission(place, guided):
     """Run `commission` in this process and return exit code, result and what was said."""
 
-    def run(drives, *more, hangs=True, forgets=False):
-        code, hands, output = guided("commission", drives, *more, hangs=hangs, forgets=forgets)
+    def run(drives, *more, mounts=True, forgets=False):
+        code, hands, output = guided("commission", drives, *more, mounts=mounts, forgets=forgets)
         path = place.folder / "out" / "result.json"
         result = json.loads(path.read_text()) if path.exists() else None
         return code, result, hands, output

@@ -97,7 +97,7 @@ def test_a_job_that_broke_is_gone_on_with(place, serve, commission, fast_arm):
 def test_a_load_that_is_not_mounted_ends_the_command(place, serve, commission, fast_arm):
     with_few_poses(place)
     drives = fast_arm(serve())
-    code, result, _, output = commission(drives, hangs=False)
+    code, result, _, output = commission(drives, mounts=False)
     assert code == 130
     assert result is None
     assert drives.stand_still()

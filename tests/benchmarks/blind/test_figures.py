@@ -26,7 +26,7 @@ def cell(kind: str, truth: list, found: list, verdict: str, strength: float = 5.
         "verdict": verdict,
         "holdout_over_floor": 1.0,
         "load_errors": [0.01, 0.002],
-        "told_errors": [0.01, 0.002],
+        "errors_with_effects": [0.01, 0.002],
         "inside": [True] * 19 + [False],
         "first_s": 1.0,
     }

@@ -9,7 +9,7 @@ from sim.nature.nature_cell import NAMED
 from sim.nature.unmodelled import UNMODELLED
 from sim.nature.wiring import WIRING
 from tests.support.blind.mechanisms import MECHANISMS
-from tests.support.blind.nature_figures import effect_figures, gross_figures, ordinary_figures
+from tests.support.blind.nature_figures import effect_figures, nuisance_figures, outlier_figures
 from tests.support.blind.shares import middle, share
 
 
@@ -23,7 +23,7 @@ def cell(kind: str = "ordinary", truth: tuple = (), found: tuple = (), verdict: 
         "truth": list(truth),
         "beside": [size for _, _, size in truth],
         "visits": [(0, "none"), (0, "tool"), (1, "none"), (1, "tool")],
-        "gross": [],
+        "outliers": [],
         "estimated": inside,
         "diagnosed": inside,
         "found": list(found),
@@ -53,7 +53,7 @@ def test_shares_and_medians_know_their_goals():
 
 def test_coverage_leaves_out_what_was_not_given_and_misstated_priors():
     unknown = cell(diagnosed={"inside": [float("nan")] * 4, "width": [float("nan")] * 4}, estimated=None)
-    out = ordinary_figures([cell(), unknown, cell(misstated=True, found=[("base_tilt", [])], verdict="explained")])
+    out = nuisance_figures([cell(), unknown, cell(misstated=True, found=[("base_tilt", [])], verdict="explained")])
     assert out["diagnose: 95 % interval holds mass"]["unit"] == "of 1"
     assert out["estimate: 95 % intervals hold the truth, all four"]["value"] == 0.75
     assert out["diagnose: width over the oracle's"]["value"] == pytest.approx(1.15)
@@ -82,8 +82,8 @@ def test_one_several_and_strange_ones_are_counted_apart():
 
 
 def test_outlier_visits_are_found_on_their_axis_and_good_ones_stay():
-    hit = cell(gross=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 2, 6.5)])
-    beside = cell(gross=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 3, 6.5), (1, "none", 3, 5.0)])
-    out = gross_figures([hit, beside])
+    hit = cell(outliers=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 2, 6.5)])
+    beside = cell(outliers=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 3, 6.5), (1, "none", 3, 5.0)])
+    out = outlier_figures([hit, beside])
     assert out["gross visits of 4 bands and more found"]["value"] == 0.5
     assert out["good visits thrown out"]["value"] == pytest.approx(1 / 6)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.blind.pairs import alike
+from tests.support.blind.pairs import confusable_pairs
 
 VERTICAL = {("joint_zero_offset", (1,)), ("torque_constant_scale", (1,)), ("load_dependent_friction", (1,))}
 VERTICAL |= {("joint_elasticity", (1,))}
@@ -13,7 +13,7 @@ LUMPED = {("link_mass", (link,)) for link in (2, 3, 4)} | {("joint_zero_offset",
 
 @pytest.mark.parametrize(("seed", "lossless"), [(1, False), (3, True)])
 def test_what_rest_poses_cannot_show(seed, lossless):
-    found = alike(seed, 60)
+    found = confusable_pairs(seed, 60)
     # a vertical axis carries no gravity; a mass on a link is a heavier link; a turned flange is a turned load
     assert set(found.unseen) == VERTICAL | LUMPED
     # a cable wound up from an unknown angle holds a constant; a gear that loses by direction tells the two apart

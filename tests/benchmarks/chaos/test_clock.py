@@ -27,7 +27,7 @@ def test_a_master_that_was_held_up_stops_the_arm_and_does_not_chase_its_set_poin
     stalls = stall_masters(1, period_s=PERIOD_S)
     assert (stalls.stalls, stalls.fast, stalls.foreign) == (1, 0, 0)
     assert stalls.moving == 1
-    assert stalls.late == 0, stalls.complaints
+    assert stalls.delayed == 0, stalls.complaints
     assert stalls.share <= MEASURING
 
 
@@ -58,4 +58,4 @@ def test_drives_that_do_not_buffer_are_not_driven_beyond_their_speed():
 
 @pytest.mark.slow
 def test_no_heartbeat_goes_out_once_a_stop_is_not_confirmed():
-    assert heartbeats_after_refused_stop(1, PERIOD_S).late == 0
+    assert heartbeats_after_refused_stop(1, PERIOD_S).delayed == 0

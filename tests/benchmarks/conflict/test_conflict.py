@@ -72,7 +72,7 @@ def test_right_cell_is_answered_and_reversed_signs_are_refused():
 def answer(off: float | None, *findings: list[str], code: int = 0) -> dict:
     """Return an answer as `answer_of` gives it."""
     load = {"off": off, "holds": off is not None and off < 1.96, "error": 0.01, "std": 0.01, "mass_kg": 1.0}
-    cell_answer = {"condition": "clean", "variant": "floor", "seed": 0, "exit": code, "gross": 0, "time_s": 0.1}
+    cell_answer = {"condition": "clean", "variant": "floor", "seed": 0, "exit": code, "outliers": 0, "time_s": 0.1}
     return cell_answer | {"findings": list(findings), "loads": [load]}
 
 

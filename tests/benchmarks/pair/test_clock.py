@@ -15,7 +15,7 @@ from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairStopped
 from sim.pair.light import LightWorld
 from tests.support.chaos.processes import PAIR_EXAMPLE
-from tests.support.pair.clock import CELL, GAP_CELL, PERIOD_S, Told, at_period, attempt, stepped
+from tests.support.pair.clock import CELL, GAP_CELL, PERIOD_S, Cycles, at_period, attempt, stepped
 
 
 @pytest.fixture(params=["stays", "fades"])
@@ -61,7 +61,7 @@ def test_at_a_longer_period_hands_are_damped_as_far_above_oscillation(tmp_path: 
     ("error", "counted"),
     [
         (MasterStalled("this computer was stalled for 0.019 s"), "stalled"),
-        (PairStopped(f"above 80 N; {cause_of(np.full(9, 90.0), 80.0, 0.004, 0.003)}"), "late"),
+        (PairStopped(f"above 80 N; {cause_of(np.full(9, 90.0), 80.0, 0.004, 0.003)}"), "delayed"),
         (PairStopped(f"above 80 N; {cause_of(np.full(9, 90.0), 80.0, 0.004, 0.001)}"), "stopped"),
         (DriveFault("left OPERATION ENABLED: FAULT", node=3), "stopped"),
     ],
@@ -70,10 +70,10 @@ def test_a_stop_is_counted_by_who_is_to_blame(error: Exception, counted: str) ->
     def fails(_bench: object) -> None:
         raise error
 
-    reported = Told(3, PERIOD_S)
+    reported = Cycles(3, PERIOD_S)
     attempt(reported, lambda: nullcontext(None), fails)  # type: ignore[arg-type]
-    assert {name: len(getattr(reported, name)) for name in ("stalled", "late", "stopped")} == {
+    assert {name: len(getattr(reported, name)) for name in ("stalled", "delayed", "stopped")} == {
         "stalled": 0,
-        "late": 0,
+        "delayed": 0,
         "stopped": 0,
     } | {counted: 1}

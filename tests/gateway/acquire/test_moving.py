@@ -135,7 +135,7 @@ def test_a_period_that_lacks_a_sync_is_driven_again(drive, store, events, fake):
     drive()
     second = store.periods[1].sync_index
     fake.q_rad = fake.target_rad = np.zeros(6)
-    fake.sync_index, fake.silent = 0, {int(second[50]): 2}
+    fake.sync_index, fake.unanswered = 0, {int(second[50]): 2}
     store.periods.clear()
     assert drive() == ()
     assert [(period.period, period.complete) for period in store.periods] == [
@@ -155,7 +155,7 @@ def test_a_period_that_lacks_a_sync_is_driven_again(drive, store, events, fake):
 
 
 def test_a_period_that_lacks_a_sync_twice_is_left_out(drive, store, fake):
-    fake.silent = dict.fromkeys(range(0, 100_000, 450), 2)
+    fake.unanswered = dict.fromkeys(range(0, 100_000, 450), 2)
     missed = drive()
     assert set(missed) == {("load", period.period) for period in store.periods if not period.complete} - {
         ("load", period.period) for period in store.periods if period.complete

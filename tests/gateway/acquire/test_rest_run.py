@@ -123,7 +123,7 @@ def test_done_visits_are_left_out(station, plan, store):
 
 def test_incomplete_epochs_are_sampled_again_and_marked(station, plan, store, events, fake):
     lost = {sync: sync % 6 for sync in range(5, 20_000, 9)}
-    fake.silent = lost
+    fake.unanswered = lost
     run_plan(station, RunRequest(plan, "none"))
     for visit in store.visits:
         assert len(visit) == SETTINGS.samples
@@ -145,7 +145,7 @@ def brought_to_rest(fake) -> bool:
 
 
 def test_too_many_incomplete_epochs_give_the_visit_up(station, plan, store, events, fake):
-    fake.silent = dict.fromkeys(range(0, 20000, 2), 2)
+    fake.unanswered = dict.fromkeys(range(0, 20000, 2), 2)
     with pytest.raises(IncompleteEpochs, match="were not answered by all axes"):
         run_plan(station, RunRequest(plan, "none"))
     assert brought_to_rest(fake)

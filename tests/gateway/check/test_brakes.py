@@ -86,7 +86,7 @@ def test_one_controlword_holds_an_axis_that_falls_within_the_first_time(rig):
     opened, slaves = rig
     slaves[0].falls_rad_s2 = 10.0
     try_brakes(opened, MoveOptions(), Person(opened, slaves))
-    words = [word for word, _ in slaves[0].told]
+    words = [word for word, _ in slaves[0].commands]
     begin = words.index(0x07, words.index(0x0F))
     end = words.index(0x0F, begin)
     assert set(words[begin:end]) == {0x07}
@@ -105,7 +105,7 @@ def test_the_drive_is_commanded_to_hold_the_axis_where_it_was_measured(rig):
 
     slaves[0]._sync = sync  # type: ignore[method-assign]
     try_brakes(opened, MoveOptions(), Person(opened, slaves))
-    commanded = slaves[0].told
+    commanded = slaves[0].commands
     offset = len(seen) - len(commanded)
     words = [word for word, _ in commanded]
     begin = words.index(0x07, words.index(0x0F))

@@ -41,7 +41,7 @@ def asks_at(slaves: list[Joint], sync: int, kind: StopKind, asked: list[int]) ->
 
 def phases_of(slave: Joint) -> dict[str, int]:
     """A SYNC in the middle of what goes on one after the other in a proof that nobody stops."""
-    states, targets = slave.states, [target for _, target in slave.told]
+    states, targets = slave.states, [target for _, target in slave.commands]
 
     def first(after: int, found: Callable[[int], bool]) -> int:
         return next(number for number in range(after, len(states)) if found(number))
@@ -56,7 +56,7 @@ def phases_of(slave: Joint) -> dict[str, int]:
     down = first(left, lambda number: states[number] == "switch on disabled")
     again = first(down, lambda number: states[number] == "operation enabled")
     moving_again = first(again, moves)
-    quick = first(again, lambda number: slave.told[number][0] == 0x02)
+    quick = first(again, lambda number: slave.commands[number][0] == 0x02)
     down_again = first(quick, lambda number: states[number] == "switch on disabled")
     end = len(states)
     return {
@@ -199,8 +199,8 @@ def test_the_quick_stop_is_tried_while_the_arm_moves(rig, phases):
     assert proof.passed
     for slave in slaves:
         quick = phases["quick stop"]
-        assert (slave.told[quick - 1][0], slave.told[quick][0]) == (0x0F, 0x02)
-        step = abs(slave.told[quick - 1][1] - slave.told[quick - 2][1]) / slave._joint_count
+        assert (slave.commands[quick - 1][0], slave.commands[quick][0]) == (0x0F, 0x02)
+        step = abs(slave.commands[quick - 1][1] - slave.commands[quick - 2][1]) / slave._joint_count
         assert step / PERIOD_S == pytest.approx(SPEED_RAD_S, rel=0.05)
 
 

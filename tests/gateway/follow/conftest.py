@@ -38,7 +38,7 @@ class PerfectDrives:
     """Drives that stand where they were told one SYNC before; what they were told is kept."""
 
     statusword: int = OPERATION_ENABLED
-    told: list[tuple[DriveCommand, ...]] = field(default_factory=list)
+    commanded: list[tuple[DriveCommand, ...]] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
     at: tuple[float, ...] = (0.0,) * 6
     torque_nm: tuple[float, ...] = (0.0,) * 6
@@ -60,13 +60,13 @@ class PerfectDrives:
         return self._row()
 
     def exchange(self, commands):
-        self.told.append(tuple(commands))
+        self.commanded.append(tuple(commands))
         row = self._row()
         self.at = tuple(command.position_rad for command in commands)
         return row
 
     def hold(self):
-        self.told.append(tuple(DriveCommand(p) for p in self.at))
+        self.commanded.append(tuple(DriveCommand(p) for p in self.at))
         return self._row()
 
     def brake_drop_rad(self):

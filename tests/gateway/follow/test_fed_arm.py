@@ -48,34 +48,34 @@ def offsets(commands):
 
 def test_nothing_is_fed_before_the_offsets_are_asked_for(fed, perfect):
     drive(fed, np.full((5, 6), 0.001))
-    assert {offset for row in perfect.told for pair in offsets(row) for offset in pair} == {0.0}
+    assert {offset for row in perfect.commanded for pair in offsets(row) for offset in pair} == {0.0}
 
 
 def test_the_offsets_ease_in_and_out(fed, perfect, law):
     ramped(fed)
     complete = np.array(law.offsets([0.0] * 6, [0.0] * 6, [0.0] * 6, [0.0] * 6)[1])
-    shares = np.array([np.array(offsets(row)[1]) @ complete / (complete @ complete) for row in perfect.told])
+    shares = np.array([np.array(offsets(row)[1]) @ complete / (complete @ complete) for row in perfect.commanded])
     assert shares[0] < 0.1
     assert (np.diff(shares) > 0).all()
     assert shares[-1] == pytest.approx(1.0)
     fed.ramp.fall()
     while not fed.ramp.resting:
         fed.hold()
-    assert offsets(perfect.told[-1]) == ([0.0] * 6, [0.0] * 6)
+    assert offsets(perfect.commanded[-1]) == ([0.0] * 6, [0.0] * 6)
 
 
 def test_the_offsets_are_those_of_the_middle_of_the_stretch(fed, perfect, law):
     """On a parabola the difference quotients are exact: q = a t^2 / 2."""
     gain = np.array([0.3, -0.2, 0.4, 0.5, -0.3, 0.2])
     ramped(fed)
-    begun = len(perfect.told)
+    begun = len(perfect.commanded)
     time_s = PERIOD_S * np.arange(1, 31)
     drive(fed, 0.5 * gain * time_s[:, None] ** 2)
     n = 20
     middle_s = (n - 0.5) * PERIOD_S
     q = 0.5 * (0.5 * gain * (n * PERIOD_S) ** 2 + 0.5 * gain * ((n - 1) * PERIOD_S) ** 2)
     expected = law.offsets(q.tolist(), (gain * middle_s).tolist(), gain.tolist(), np.sign(gain).tolist())
-    velocity, torque = offsets(perfect.told[begun + n - 1])
+    velocity, torque = offsets(perfect.commanded[begun + n - 1])
     np.testing.assert_allclose(velocity, expected[0], rtol=1e-9)
     np.testing.assert_allclose(torque, expected[1], rtol=1e-9)
 
@@ -95,7 +95,7 @@ def test_a_drive_that_leaves_operation_enabled_cuts_every_offset(fed, perfect):
     perfect.statusword = FAULT
     fed.hold()
     fed.hold()
-    assert offsets(perfect.told[-1]) == ([0.0] * 6, [0.0] * 6)
+    assert offsets(perfect.commanded[-1]) == ([0.0] * 6, [0.0] * 6)
     assert "OPERATION ENABLED" in fed.ramp.reason
 
 
@@ -117,7 +117,7 @@ def test_an_offset_at_its_limit_is_not_sent(fed, feed, perfect):
     with pytest.raises(LimitExceeded, match=r"axis \d: the feedforward requires .* Nm at the motor, its limit"):
         [fed.hold() for _ in range(20)]
     limits = fed._law.limits_nm
-    for row in perfect.told:
+    for row in perfect.commanded:
         assert all(abs(c.torque_offset_nm) <= limit for c, limit in zip(row, limits, strict=True))
     assert fed.ramp.gain == 0.0
 
@@ -143,7 +143,7 @@ def test_one_track_per_setting_and_the_arm_ends_in_its_brakes(arm, workspace, pa
     assert np.abs(tracks[0].torque_offset_nm).max() == 0.0
     assert np.abs(tracks[1].torque_offset_nm).max() > 1.0
     assert perfect.calls == ["enable", "disable"]
-    assert offsets(perfect.told[-1]) == ([0.0] * 6, [0.0] * 6)
+    assert offsets(perfect.commanded[-1]) == ([0.0] * 6, [0.0] * 6)
 
 
 @pytest.mark.parametrize("gain", [0.3, 1.0])
@@ -151,11 +151,11 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
     arm, workspace, path, law, perfect, gain
 ):
     def stop():
-        if not perfect.told:
+        if not perfect.commanded:
             return False
         complete = law.offsets([0.0] * 6, [0.0] * 6, [0.0] * 6, [0.0] * 6)[1][1]
-        fed = perfect.told[-1][1].torque_offset_nm / complete
-        moving = abs(perfect.told[-1][1].velocity_offset_rad_s) > 1.0
+        fed = perfect.commanded[-1][1].torque_offset_nm / complete
+        moving = abs(perfect.commanded[-1][1].velocity_offset_rad_s) > 1.0
         return fed > gain if gain < 1.0 else bool(fed) and moving
 
     with pytest.raises(KeyboardInterrupt) as stopped:
@@ -163,8 +163,8 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
     note = stopped.value.__notes__[0]
     assert "brought to zero" in note
     assert ("during the ramp of the offsets" in note) == (gain < 1.0)
-    assert offsets(perfect.told[-1]) == ([0.0] * 6, [0.0] * 6)
-    fed = np.abs([row[1].torque_offset_nm for row in perfect.told])
+    assert offsets(perfect.commanded[-1]) == ([0.0] * 6, [0.0] * 6)
+    fed = np.abs([row[1].torque_offset_nm for row in perfect.commanded])
     still = np.flatnonzero(np.diff(fed) >= 0.0)[-1]
     easing = fed[still:]
     assert np.abs(np.diff(easing)).max() < 5.0 * easing.max() * PERIOD_S / EASED_OUT_S / gain

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.data.table import write_csv
-from tests.house import House
+from tests.product_copy import ProductCopy
 from tests.resting_arm import Bench
 
 #: Zero of the torque sensor of axis 2 [Nm].
@@ -25,7 +25,7 @@ def test_a_nuisance_is_one_entry_that_estimate_and_diagnose_fit(tmp_path):
     table.tau_nm[:, 1] += ZERO_NM
     write_csv(table, tmp_path / "data.csv")
     (tmp_path / "robot.urdf").write_text(bench.arm.urdf)
-    copy = House(tmp_path / "copy")
+    copy = ProductCopy(tmp_path / "copy")
     copy.change("gateway/identify/rest/rest_nuisance.py", ")\nKINDS: Final =", MADE_UP)
     for command in ("estimate", "diagnose"):
         line = (command, "data.csv", "--robot", "robot.urdf", "--inertials", "prior:0.05", "--json", f"{command}.json")

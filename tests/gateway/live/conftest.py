@@ -29,19 +29,19 @@ class Rig:
     def later(self, seconds: float) -> None:
         self.now_s[0] += seconds
 
-    def heard(self) -> list[Any]:
+    def received(self) -> list[Any]:
         """Rows and messages that have come."""
-        heard = []
+        received = []
         while True:
             try:
                 datagram = self.page.recv(MOST_BYTES)
             except BlockingIOError:
-                return heard
+                return received
             if not datagram:
-                return heard
+                return received
             message = self.unpacker.take(datagram)
             if message is not None:
-                heard.append(message)
+                received.append(message)
 
 
 @pytest.fixture

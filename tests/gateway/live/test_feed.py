@@ -24,7 +24,7 @@ def test_a_row_holds_what_the_loop_saw(rig, scene):
     rig.feed.sampled(observed(6, Q_RAD))
     rig.later(PERIOD_S)
     rig.feed.sampled(observed(7, Q_RAD + 0.01, unresponsive=2))
-    shown, _, row = rig.heard()
+    shown, _, row = rig.received()
     assert isinstance(shown, ShownCell)
     assert [arm.name for arm in shown.arms] == ["main"]
     sent_s, sync, time_s, _phase, unanswered = row[:HEAD]
@@ -44,7 +44,7 @@ def test_a_screen_is_not_fed_faster_than_it_shows(rig, scene):
     for sync in range(1, 1001):  # a second at 1 kHz
         rig.feed.sampled(observed(sync, Q_RAD))
         rig.later(0.001)
-    times = [row[0] for row in rows(rig.heard())]
+    times = [row[0] for row in rows(rig.received())]
     assert len(times) == 125
     assert min(np.diff(times)) >= ROW_S
     assert rig.feed.dropped == 0
@@ -59,11 +59,11 @@ def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, scene):
         rig.later(PERIOD_S)
     assert not rig.feed.gone
     assert rig.feed.dropped > 4000
-    before = rows(rig.heard())
+    before = rows(rig.received())
     assert [row[1] for row in before] == list(range(1, len(before) + 1))
     rig.later(PERIOD_S)
     rig.feed.sampled(observed(5001, Q_RAD))
-    assert rows(rig.heard())[-1][1] == 5001
+    assert rows(rig.received())[-1][1] == 5001
 
 
 def test_messages_beyond_the_buffer_come_later_and_in_order(rig, scene):
@@ -74,9 +74,9 @@ def test_messages_beyond_the_buffer_come_later_and_in_order(rig, scene):
     for number in range(WAITING + 5):
         rig.feed.reported(Progress(number, 9, "move", float(number), 1.0 + number))
         rig.later(1.0)
-    rig.heard()
+    rig.received()
     rig.feed.sampled(observed(2, Q_RAD))
-    steps = [each.event.step for each in rig.heard() if isinstance(each, Happened)]
+    steps = [each.event.step for each in rig.received() if isinstance(each, Happened)]
     assert steps == list(range(WAITING))
 
 
@@ -118,7 +118,7 @@ def test_a_pose_comes_with_what_the_model_asks_for_there(rig, scene):
     rig.feed.began(scene)
     rig.feed.sampled(observed(1, Q_RAD))
     rig.feed.reported(PoseDone(3, "none", (1.0,) * 6, (0.1,) * 6))
-    seen = rig.heard()[-1]
+    seen = rig.received()[-1]
     assert isinstance(seen, PoseSeen)
     assert seen.done.pose == 3
     assert seen.modelled_nm == pytest.approx(range(6))
@@ -129,6 +129,6 @@ def test_the_end_says_why(rig, scene):
     rig.feed.ended(None)
     rig.feed.ended(StoppedByPerson("stopped by SIGINT"))
     rig.feed.close("The command has ended.")
-    received = rig.heard()
+    received = rig.received()
     assert [each.reason for each in received if isinstance(each, Ended)] == ["", "stopped by SIGINT"]
     assert received[-1] == CommandOver("The command has ended.")

@@ -32,14 +32,14 @@ class FakeListenOnlyBus:
         self.unknown: tuple[int, ...] = ()
         self.emergencies: deque[Emergency] = deque()
         self.coming: list[Epoch] = []
-        self.told: list[float | None] = [None] * 6
+        self.target_rad: list[float | None] = [None] * 6
 
     def epochs(self) -> list[Epoch]:
         coming, self.coming = self.coming, []
         return coming
 
     def targets_rad(self) -> list[float | None]:
-        return list(self.told)
+        return list(self.target_rad)
 
     def sync(self, number: int, word: int = ENABLED, unresponsive: int | None = None, motor_rad: float = 0.0) -> None:
         readings = tuple(
@@ -72,15 +72,15 @@ def watching(watched, rig) -> Watching:
 
 
 def rows(rig) -> list[np.ndarray]:
-    return [each for each in rig.heard() if isinstance(each, np.ndarray)]
+    return [each for each in rig.received() if isinstance(each, np.ndarray)]
 
 
 def words(rig) -> list[Heard]:
-    return [each.event for each in rig.heard() if isinstance(each, Happened)]
+    return [each.event for each in rig.received() if isinstance(each, Happened)]
 
 
 def test_the_page_receives_first_what_is_watched(watching, rig, watched):
-    (stage,) = rig.heard()
+    (stage,) = rig.received()
     assert isinstance(stage, ShownCell)
     assert [arm.name for arm in stage.arms] == [watched.name]
 
@@ -88,7 +88,7 @@ def test_the_page_receives_first_what_is_watched(watching, rig, watched):
 def test_a_sync_becomes_a_row_on_the_side_of_the_joints(watching, rig, received, config):
     axes = AxisConversion.from_arm(config)
     received.sync(1, motor_rad=2.0)
-    received.told = [3.0] * 6
+    received.target_rad = [3.0] * 6
     watching.turn()
     (row,) = rows(rig)
     assert row[1] == 1
@@ -118,7 +118,7 @@ def test_a_drive_that_does_not_respond_is_nan_in_its_place_alone(watching, rig, 
 def test_the_state_of_an_arm_is_read_from_its_drives_and_their_commands(watching, rig, received, word, step_rad, phase):
     for number in (1, 2, 3):
         received.sync(number, word)
-        received.told = [number * step_rad] * 6
+        received.target_rad = [number * step_rad] * 6
         rig.later(0.01)
         watching.turn()
     assert PHASES[int(rows(rig)[-1][3])] is phase
@@ -127,10 +127,10 @@ def test_the_state_of_an_arm_is_read_from_its_drives_and_their_commands(watching
 def test_without_frames_nothing_is_reported_until_that_is_news(watching, rig, received):
     received.sync(1)
     watching.turn()
-    rig.heard()
+    rig.received()
     rig.later(0.9 * SILENT_S)
     watching.turn()
-    assert rig.heard() == []
+    assert rig.received() == []
     rig.later(0.2 * SILENT_S)
     watching.turn()
     watching.turn()

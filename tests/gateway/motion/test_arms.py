@@ -24,7 +24,7 @@ class Drives(FakeDrives):
     def __init__(self, axes, gravity) -> None:
         super().__init__(axes, gravity, BAND_NM)
         self.sent_s = 0.0
-        self.tell_others: Callable[[], None] = lambda: None
+        self.notify_others: Callable[[], None] = lambda: None
         self.aligned_s: float | None = None
         self.ahead_s: float | None = None
         self.refused: Exception | None = None
@@ -43,7 +43,7 @@ class Drives(FakeDrives):
             return super().exchange(commands)
         except DriveFault:
             if not self.log_of_parts:
-                self.tell_others()
+                self.notify_others()
             raise
 
     def sync(self):
@@ -52,7 +52,7 @@ class Drives(FakeDrives):
 
     def check(self, epoch, /):
         if self.failed is not None:
-            self.tell_others()
+            self.notify_others()
         super().check(epoch)
 
     def sync_sent_s(self):
@@ -155,7 +155,7 @@ def test_set_points_begin_where_every_joint_was_seen(pair, drives):
         return plain(stop_requested)
 
     def hold():
-        drives[0].silent[drives[0].sync_index + 1] = 3
+        drives[0].unanswered[drives[0].sync_index + 1] = 3
         if drives[0].sync_index > 5:
             slow.set()
         return held()
@@ -210,7 +210,7 @@ def test_after_a_stop_no_arm_is_stopped_a_second_time(pair, drives):
     up(pair)
     pair.quick_stop()
     assert [each.log for each in drives] == [["enable", "quick stop"]] * 2
-    drives[0].tell_others()
+    drives[0].notify_others()
     pair.close()
     assert [each.log for each in drives] == [["enable", "quick stop"]] * 2
     assert pair.stopped_by is None
@@ -282,7 +282,7 @@ def test_who_is_in_the_middle_of_a_sync_leaves_it_before_being_stopped(drives):
     drives[0].quick_stop = lambda: order.append("quick stop")  # type: ignore[method-assign]
 
     def fails():
-        drives[1].tell_others()
+        drives[1].notify_others()
         while "quick stop" not in order:  # the other arm is stopped while this one is being stopped here
             time.sleep(0.001)
         raise DriveFault("left OPERATION ENABLED: FAULT", node=3)
@@ -347,7 +347,7 @@ def test_targets_and_torque_offsets_go_through_gear_and_sign(arm, fake):
 
 
 def test_a_drive_that_does_not_respond_leaves_its_joint_without_a_number(arm, fake):
-    fake.silent = {fake.sync_index + 1: 3}
+    fake.unanswered = {fake.sync_index + 1: 3}
     fake.enabled = True
     sample = arm.hold()
     assert not sample.complete

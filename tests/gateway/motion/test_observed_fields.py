@@ -33,7 +33,7 @@ def test_every_word_is_at_its_place():
 
 
 def test_the_arm_that_is_asked_for_and_nan_where_a_drive_did_not_respond():
-    first, second = observed(1, np.zeros(6)), observed(1, np.ones(6), silent=2)
+    first, second = observed(1, np.zeros(6)), observed(1, np.ones(6), unresponsive=2)
     both = Observed(
         (*first.samples, *second.samples),
         (*first.targets_rad, *second.targets_rad),

@@ -49,12 +49,12 @@ class Deviation:
     """Tells a number, has a force, and is troubled when told to."""
 
     def __init__(self) -> None:
-        self.told, self.trouble, self.force_n, self.doubt = 0.0, "", 0.0, False
+        self.value_m, self.trouble, self.force_n, self.within_friction = 0.0, "", 0.0, False
         self.taken: list[tuple[int, float]] = []
         self.listened = 0
 
     def inputs(self, m):
-        return self.told, self.told
+        return self.value_m, self.value_m
 
     def take(self, m, samples, rate=1.0):
         self.taken.append((m, rate))
@@ -67,7 +67,7 @@ class Deviation:
         return self.force_n
 
     def doubtful(self, m):
-        return self.doubt
+        return self.within_friction
 
 
 class PreparedTrajectory:
@@ -126,7 +126,7 @@ def test_at_full_rate_each_row_is_asked_for_once_and_sent_as_it_is(pair, deviati
     pair_path, asked = along(pair, deviation)
     assert pair_path.count == ROWS
     for row in range(ROWS):
-        deviation.told = 0.1 * row
+        deviation.value_m = 0.1 * row
         first, second = pair_path.targets(float(row), 1.0)
         assert first == pytest.approx(np.full(6, row**2 + 0.1 * row))
         assert second == pytest.approx(np.full(6, row**2 + 1.0 + 0.1 * row))
@@ -163,7 +163,7 @@ def test_what_the_hands_yield_between_two_rows_is_added_at_once(pair, deviation)
     for row in range(5):
         pair_path.targets(float(row), 1.0)
     pair_path.targets(4.25, 0.25)
-    deviation.told = 2.0
+    deviation.value_m = 2.0
     assert pair_path.targets(4.5, 0.25)[0] == pytest.approx(np.full(6, 16 + 0.5 * 9 + 2.0))
     assert pair_path.targets(5.0, 0.25)[1] == pytest.approx(np.full(6, 26 + 2.0))
     assert [m for m, _ in asked] == [0, 1, 2, 3, 4, 5, 5, 5]
@@ -184,14 +184,16 @@ def test_rows_that_were_passed_over_are_computed_all_the_same(pair, deviation):
     assert [m for m, _ in asked] == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize(("doubt", "rate", "told"), [(True, 0.5, None), (False, 0.5, 3.0), (True, 1.0, 3.0)])
-def test_what_may_be_friction_is_not_answered_while_time_slows_down(pair, deviation, doubt, rate, told):
+@pytest.mark.parametrize(
+    ("within_friction", "rate", "sent_m"), [(True, 0.5, None), (False, 0.5, 3.0), (True, 1.0, 3.0)]
+)
+def test_what_may_be_friction_is_not_answered_while_time_slows_down(pair, deviation, within_friction, rate, sent_m):
     pair_path, asked = along(pair, deviation)
     for row in range(3):
         pair_path.targets(float(row), 1.0)
-    deviation.told, deviation.doubt = 3.0, doubt
+    deviation.value_m, deviation.within_friction = 3.0, within_friction
     pair_path.targets(2.0 + rate, rate)
-    assert asked[-1] == (3, told)
+    assert asked[-1] == (3, sent_m)
 
 
 def test_each_arm_gives_back_its_own_lag_whatever_its_axes_are(pair, deviation):
@@ -271,7 +273,7 @@ def test_a_gap_is_closed_at_rest_at_the_first_command(pair, deviation):
 
     settling = Settling(pair, PreparedTrajectory(), commander, deviation)  # type: ignore[arg-type]
     assert settling.count == round((RISING_S + SETTLE_S) / DT_S)
-    deviation.told = 4.0
+    deviation.value_m = 4.0
     full = round(RISING_S / DT_S)
     for at in (0.5 * full - 1.0, full - 1.0, full + 7.0):
         first, second = settling.targets(at, 1.0)
@@ -294,7 +296,7 @@ def test_closing_that_is_broken_off_dies_away_and_observers_receive_every_sync(p
         deviation,
         received.append,
     )
-    deviation.told = 4.0
+    deviation.value_m = 4.0
     settling.targets(RISING_S / DT_S, 1.0)
     settling.take(0.0, 1.0, SAMPLES)
     for _ in range(2):

@@ -257,7 +257,7 @@ def test_a_stop_request_ends_a_run(pair, store):
 @pytest.mark.slow
 def test_a_sample_that_is_lost_spoils_the_cycle_for_learning(pair, store):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
-    pair.drives[0].silent = {320}
+    pair.drives[0].unanswered = {320}
     _, events = run(pair, store, "C2c")
     assert not events[0].summary.learned
     assert store.load("second") is None

@@ -79,7 +79,7 @@ class Joints:
         self.sync_index = 0
         self.log: list[str] = []
         self.offsets_nm: list[np.ndarray] = []
-        self.silent: set[int] = set()
+        self.unanswered: set[int] = set()
         self.fault_at: int | None = None
 
     def positions_rad(self):
@@ -147,7 +147,7 @@ class Joints:
             DriveReading(axis + 1, self.sync_index, ENABLED, 0, 0, None, None, position[axis], motor[axis], None, None)
             for axis in range(self.arm.axes)
         ]
-        if self.sync_index in self.silent:
+        if self.sync_index in self.unanswered:
             readings[2] = None
         return Epoch(self.sync_index, self.sync_index * self.period_s, tuple(readings))
 

@@ -16,7 +16,7 @@ from drives.drive import DriveCommand
 from drives.group import DriveGroup, GroupOptions
 from drives.profile_file import load_profile
 from drives.values import AxisSetup
-from tests.support.bench.wire_canopen import PdoMapExchange, SilentNetwork, answers, open_network
+from tests.support.bench.wire_canopen import DroppingNetwork, PdoMapExchange, answers, open_network
 from tests.support.bench.wire_responder import CHANNEL, NODES, responder
 
 #: Statusword, position and torque in one TPDO of eight bytes, as the wire limit assumes.
@@ -174,7 +174,7 @@ def _codec(cycles: int = 5000) -> dict[str, dict[str, Any]]:
         switch = _Switch(wire)
         with Bus(switch, BusSpec("udp_multicast", CHANNEL)) as bus, _group(bus, "lockstep", 0.004) as group:
             commands = _commands(group)
-            exchange = PdoMapExchange(SilentNetwork(bus=None))
+            exchange = PdoMapExchange(DroppingNetwork(bus=None))
             frames = answers(1)
             switch.adapter = _Loopback()
             for _ in range(ROUNDS):

@@ -63,7 +63,7 @@ def figures(cells: list[Cell]) -> dict[str, dict]:
     two = [c for c in cells if c["kind"] == "two" and min(c["strengths"]) >= STRONG]
     off = [c for c in cells if c["kind"] == "off"]
     inside = [v for c in cells for v in c["inside"] if c["kind"] != "off"]
-    ratios = [_ratio(c) for c in cells if c["load_errors"] and c["told_errors"]]
+    ratios = [_ratio(c) for c in cells if c["load_errors"] and c["errors_with_effects"]]
     over = [c["holdout_over_floor"] for c in cells if c["kind"] != "off"]
     out: dict[str, dict] = {}
 
@@ -119,7 +119,7 @@ def _median(out: dict[str, dict], name: str, values: Sequence[float], goal: floa
 
 
 def _ratio(cell: Cell) -> float:
-    after, with_effects = np.array(cell["load_errors"]), np.array(cell["told_errors"])
+    after, with_effects = np.array(cell["load_errors"]), np.array(cell["errors_with_effects"])
     return (
         float(np.sqrt(np.mean((after / np.maximum(with_effects, 1e-9)) ** 2))) if np.any(after != with_effects) else 1.0
     )

@@ -54,7 +54,7 @@ class Score:
     truth: list
     beside: list
     visits: list
-    gross: list
+    outliers: list
     estimated: Intervals | None = None
     diagnosed: Intervals | None = None
     found: list = field(default_factory=list)
@@ -85,13 +85,13 @@ def diagnose_options(cell: NatureCell) -> DiagnoseOptions:
     )
 
 
-def run_ordinary(task: tuple[int, str, bool]) -> dict:
+def run_nuisance_only(task: tuple[int, str, bool]) -> dict:
     """Score of an arm with nothing beyond the ordinary: seed, condition, whether it is diagnosed too."""
     seed, condition, diagnosed = task
     cell = draw_cell(seed, condition)
-    columns, gross = cell.measure(cell.visits)
+    columns, outliers = cell.measure(cell.visits)
     table, robot = simulated_table(columns, "nature"), robot_from_urdf(cell.stated.urdf, f"seed {seed}")
-    oracle = load_std(cell, cell.visits, gross)
+    oracle = load_std(cell, cell.visits, outliers)
     begin, refused, parts = time.process_time(), [], {}
     try:
         estimate_result = estimate(table, robot, estimate_options(cell), "joint")
@@ -103,7 +103,7 @@ def run_ordinary(task: tuple[int, str, bool]) -> dict:
             parts |= _said(cell, diagnose(table, robot, diagnose_options(cell)), oracle)
         except GatewayError as error:
             refused.append(f"diagnose: {error}")
-    return asdict(_score(cell, cell.visits, gross, parts, refused, time.process_time() - begin))
+    return asdict(_score(cell, cell.visits, outliers, parts, refused, time.process_time() - begin))
 
 
 def run_effect(seed: int) -> dict:
@@ -115,11 +115,11 @@ def run_effect(seed: int) -> dict:
     try:
         result, _ = close_loop(side.first(), robot, diagnose_options(cell), side.measure, cell.poses(VALIDATION, 1))
         asked = cell.kind not in ("strange", "wiring")
-        oracle = load_std(cell, side.visits, side.gross) if asked else np.full(4, np.nan)
+        oracle = load_std(cell, side.visits, side.outliers) if asked else np.full(4, np.nan)
         parts = _said(cell, result, oracle)
     except GatewayError as error:
         refused.append(f"diagnose: {error}")
-    return asdict(_score(cell, side.visits, side.gross, parts, refused, time.process_time() - begin))
+    return asdict(_score(cell, side.visits, side.outliers, parts, refused, time.process_time() - begin))
 
 
 def run_timed(seed: int) -> dict:
@@ -143,7 +143,7 @@ class Robotside:
     def __init__(self, cell: NatureCell) -> None:
         self.cell = cell
         self.visits: list[PlannedVisit] = []
-        self.gross: list[OutlierVisit] = []
+        self.outliers: list[OutlierVisit] = []
         self.calls = 0
         self.next_pose = max(visit.pose for visit in cell.visits) + 1
         self.time_s = max(visit.time_s for visit in cell.visits) + 3 * VISIT_S
@@ -162,9 +162,9 @@ class Robotside:
         return self._measured(visits)
 
     def _measured(self, visits: Sequence[PlannedVisit]) -> Table:
-        columns, gross = self.cell.measure(visits, self.calls)
+        columns, outliers = self.cell.measure(visits, self.calls)
         before = len(self.visits)
-        self.gross += [OutlierVisit(g.visit + before, g.pose, g.load, g.joint, g.bands) for g in gross]
+        self.outliers += [OutlierVisit(g.visit + before, g.pose, g.load, g.joint, g.bands) for g in outliers]
         self.visits += visits
         self.calls += 1
         return simulated_table(columns, f"nature{self.calls}")
@@ -202,7 +202,7 @@ def _intervals(cell: NatureCell, load: LoadEstimate | LoadResult | None, oracle:
 def _score(
     cell: NatureCell,
     visits: Sequence[PlannedVisit],
-    gross: Sequence[OutlierVisit],
+    outliers: Sequence[OutlierVisit],
     parts: dict,
     refused: list,
     total_s: float,
@@ -215,7 +215,7 @@ def _score(
         truth=truth_of(cell),
         beside=list(strengths_beside(cell.arm, cell.visits, rows_of(cell.visits), cell.effects)),
         visits=[(visit.pose, visit.load) for visit in visits],
-        gross=[(g.pose, g.load, g.joint, g.bands) for g in gross],
+        outliers=[(g.pose, g.load, g.joint, g.bands) for g in outliers],
         refused=refused,
         total_s=total_s,
         **parts,

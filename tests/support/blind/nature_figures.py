@@ -17,7 +17,7 @@ from tests.support.blind.strict import LEAST, STRONG, There, kind, there
 QUANTITIES = ("mass", "x", "y", "z")
 METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
 #: Gross visits that have to be found, in bands.
-GROSS_BANDS = 4.0
+LARGE_BANDS = 4.0
 
 
 def truth(cell: Cell) -> tuple[There, ...]:
@@ -40,7 +40,7 @@ def widths(cells: Iterable[Cell], method: str) -> list[float]:
     return [value for cell in cells if cell[method] for value in cell[method]["width"]]
 
 
-def ordinary_figures(cells: Sequence[Cell]) -> Figures:
+def nuisance_figures(cells: Sequence[Cell]) -> Figures:
     """Figures of the cells with nothing beyond the ordinary, pooled and by condition."""
     out: Figures = {}
     good = [cell for cell in cells if not cell["misstated"]]
@@ -119,13 +119,13 @@ def _size(cell: Cell) -> float:
     return max(size for _, _, size in cell["truth"])
 
 
-def gross_figures(cells: Sequence[Cell]) -> Figures:
+def outlier_figures(cells: Sequence[Cell]) -> Figures:
     """Gross visits found, and good ones thrown out, of all cells that were diagnosed."""
     asked = [cell for cell in cells if cell["verdict"] and cell["kind"] != "wiring"]
     found = [value for cell in asked for value in _found(cell)]
     thrown = [value for cell in asked for value in _thrown(cell)]
     return {
-        f"gross visits of {GROSS_BANDS:g} bands and more found": share(found, ">= 0.95"),
+        f"gross visits of {LARGE_BANDS:g} bands and more found": share(found, ">= 0.95"),
         "good visits thrown out": share(thrown, "<= 0.01"),
     }
 
@@ -133,13 +133,13 @@ def gross_figures(cells: Sequence[Cell]) -> Figures:
 def _found(cell: Cell) -> list[float]:
     rejected = {(pose, load, joint) for pose, load, joint, _ in cell["set_aside"]}
     return [
-        float((pose, load, joint) in rejected) for pose, load, joint, bands in cell["gross"] if bands >= GROSS_BANDS
+        float((pose, load, joint) in rejected) for pose, load, joint, bands in cell["outliers"] if bands >= LARGE_BANDS
     ]
 
 
 def _thrown(cell: Cell) -> list[float]:
     """Whether a visit that went well was set aside on any axis; of visits of one pose and load, once."""
-    outliers = {(pose, load) for pose, load, _, _ in cell["gross"]}
+    outliers = {(pose, load) for pose, load, _, _ in cell["outliers"]}
     rejected = {(pose, load) for pose, load, _, _ in cell["set_aside"]}
     return [float((pose, load) in rejected) for pose, load in {(p, name) for p, name in cell["visits"]} - outliers]
 

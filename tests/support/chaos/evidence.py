@@ -72,7 +72,7 @@ class Evidence:
     counters: Mapping[str, float] = field(default_factory=dict)
     touched: int = 0
 
-    def hear(self, event: Event) -> None:
+    def receive(self, event: Event) -> None:
         """Take an event of the run."""
         if isinstance(event, SampleRepeated):
             self.repeated.append(event)

@@ -34,7 +34,7 @@ class Heartbeats:
     """
 
     stops: int = 0
-    late: int = 0
+    delayed: int = 0
     last_s: list[float] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
 
@@ -92,5 +92,5 @@ def _judge(track: Track, kind: str, period_s: float, result: Heartbeats) -> None
     result.stops += 1
     result.last_s.append(last_s)
     if last_s > DELAYED_AFTER_S + period_s:
-        result.late += 1
+        result.delayed += 1
         result.complaints.append(f"{kind}: a heartbeat {last_s:.3f} s after the stop word")

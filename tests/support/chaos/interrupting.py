@@ -82,7 +82,7 @@ class Interruptions:
     early: int = 0
     disturbed: int = 0
     commands: dict[str, int] = field(default_factory=dict)
-    late: int = 0
+    delayed: int = 0
     dropped: int = 0
     unsafe: int = 0
     lost: int = 0
@@ -195,7 +195,7 @@ class Interrupter:
         if limit_s:
             result.longest_s = max(result.longest_s, took_s)
             if took_s > limit_s:
-                result.late += 1
+                result.delayed += 1
                 result.complaints.append(f"{what}: {ending}, {limit_s:.2f} s are allowed")
         if not ending.over:
             result.unsafe += 1

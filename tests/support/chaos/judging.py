@@ -38,7 +38,7 @@ def judge(watched: Watched, outcome: Outcome, fault: Fault | None, error: Except
         judge_cause(outcome, stated, fault, error)
     if reaction == "refuses" and any(ENABLED in states for _, states, _, _ in watched.seen.states):
         complain("an axis was enabled")
-    if any(state is ENABLED and not mute for state, mute in zip(watched.states, watched.silent, strict=True)):
+    if any(state is ENABLED and not mute for state, mute in zip(watched.states, watched.unresponsive, strict=True)):
         complain("an axis is still enabled at the end")
 
 

@@ -69,7 +69,7 @@ class Answers:
     """
 
     syncs: list[int] = field(default_factory=list)
-    late: list[str] = field(default_factory=list)
+    delayed: list[str] = field(default_factory=list)
 
 
 def requests(number: int, seed: int, step: Callable[[], None] = lambda: None) -> Answers:
@@ -97,15 +97,15 @@ def _one(loaded: LoadedCell, name: str, sync: int, kind: StopKind, answers: Answ
         what = f"{name}, SYNC {sync}, {kind.name}"
         try:
             ACTS[name](opened, MoveOptions(StopDesk(person)))
-            answers.late.append(f"{what}: not stopped")
+            answers.delayed.append(f"{what}: not stopped")
         except StoppedByPerson:
             ramp = ramp_syncs(opened.workspace, SPEED_RAD_S, PERIOD_S) if kind is StopKind.ALONG_PATH else 0
             over = last_set_point(slaves) - sync - ramp
             answers.syncs.append(over)
             if over > 1:
-                answers.late.append(f"{what}: set points go on for {over + ramp} SYNCs")
+                answers.delayed.append(f"{what}: set points go on for {over + ramp} SYNCs")
             if {slave.state for slave in slaves} != {"switch on disabled"}:
-                answers.late.append(f"{what}: not all axes are disabled")
+                answers.delayed.append(f"{what}: not all axes are disabled")
 
 
 def fall(period_s: float, acceleration: float, joint: int, folder: Path) -> tuple[float, str]:

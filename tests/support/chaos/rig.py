@@ -84,7 +84,7 @@ class Watched:
 
     seen: Seen
     states: tuple[PdsState, ...]
-    silent: tuple[bool, ...]
+    unresponsive: tuple[bool, ...]
     touched: dict[str, int]
     tpdo3_on: int
     torque_limits: tuple[int, ...] = ()

@@ -163,7 +163,7 @@ class Beginning:
         found = about.where == "object" or about.reaction in ("refuses", "finding") or kind.startswith("sdo_")
         self.from_start = found and kind != "brake_slips" and kind not in IN_BRAKES
 
-    def hear(self, event: Event) -> None:
+    def receive(self, event: Event) -> None:
         """Take an event of the run."""
         if self.start or self.from_start or self._kind in IN_BRAKES:
             return
@@ -269,7 +269,7 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
         opened.arm,
         opened.workspace,
         store,
-        (evidence.hear, begin.hear, lambda event: _say(rig, kind, event)),
+        (evidence.receive, begin.receive, lambda event: _say(rig, kind, event)),
         pacing=opened.group.timing.pacing,
     )
     plan = short_plan(opened, outcome.seed, LOCKSTEP_POSES_LONG if kind in BY_THE_CLOCK_TOO else LOCKSTEP_POSES)

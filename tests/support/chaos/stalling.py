@@ -72,7 +72,7 @@ class Stalls:
 
     stalls: int = 0
     moving: int = 0
-    late: int = 0
+    delayed: int = 0
     share: float = 0.0
     fast: int = 0
     visits: int = 0
@@ -275,7 +275,7 @@ def _judge(track: Track, asleep_s: float, woken_s: float, period_s: float, resul
     took_s = max(words) - woken_s
     result.words_s.append(took_s)
     if took_s > STOP_PERIODS * period_s:
-        result.late += 1
+        result.delayed += 1
         result.complaints.append(
             f"held up for {woken_s - asleep_s:.3f} s, overrun {overrun:.2f} periods: stop word after {took_s:.4f} s"
         )

@@ -19,7 +19,7 @@ from tests.support.fleet.plant import LIKE, WEAR, Robot, likeness
 SIZES = 12
 
 
-def told_on(robot: Robot, lag_differences: float, series: int) -> float:
+def detected_on(robot: Robot, lag_differences: float, series: int) -> float:
     """Day on which the wear of a robot is told; infinite = not in the year."""
     axis = robot.worn
     value = np.asarray(robot.columns[f"gain{axis + 1}"])

@@ -19,7 +19,7 @@ from gateway.fleet.workers import workers
 from gateway.result.fleet import RobotHealth, read_robot
 from tests.support.blind.shares import share
 from tests.support.figure import figure
-from tests.support.fleet.attainable import told_on
+from tests.support.fleet.attainable import detected_on
 from tests.support.fleet.bound import earliest_day, threshold
 from tests.support.fleet.plant import DAYS, FIRST, Robot, draw, write
 
@@ -121,7 +121,7 @@ def drifts(store: Store, plant: Plant) -> dict[str, dict]:
             in_time.append(day <= 1.2 * possible)
             over.append(day / possible)
             if len(best) < BEST_OF:
-                best.append(told_on(robot, plant.lag_differences, len(health.trends)) <= 1.2 * possible)
+                best.append(detected_on(robot, plant.lag_differences, len(health.trends)) <= 1.2 * possible)
     years = plant.robots * DAYS / 365.25
     spread_of = np.quantile(over, [0.05, 0.5, 0.95])
     return {

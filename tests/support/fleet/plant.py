@@ -46,7 +46,7 @@ class Robot:
     name: str
     worn: int
     noise: np.ndarray
-    wander: np.ndarray
+    random_walk: np.ndarray
     day: np.ndarray
     temperature_c: np.ndarray
     load_kg: np.ndarray
@@ -73,14 +73,14 @@ def draw(seed: int, number: int, worn_axes: int, lag_differences: float) -> Robo
     program = rng.integers(0, len(PROGRAMS), count)
     noise = 0.0015 * rng.lognormal(0.0, 0.3, AXES)
     size_of = LIKE * noise * rng.lognormal(0.0, lag_differences, AXES)
-    wander = _waves(rng, day, size_of)
+    random_walk = _waves(rng, day, size_of)
     axis = int(rng.integers(AXES)) if worn_axes else -1
     wear = np.ones((count, AXES))
     if worn_axes:
         wear[:, axis] += WEAR * day / 365.25
     magnet = 1.0 + rng.normal(-0.0008, 0.0003, AXES) * (warm - 20.0)
     bending = 1.0 + rng.normal(0.0, 1e-4, AXES) * masses[program][:, None]
-    gain = rng.normal(1.0, 0.02, AXES) * magnet * bending * wear + wander - 1.0
+    gain = rng.normal(1.0, 0.02, AXES) * magnet * bending * wear + random_walk - 1.0
     columns: dict[str, np.ndarray | list[str]] = {"load": [PROGRAMS[each] for each in program]}
     for joint in range(AXES):
         oil = np.exp(-rng.uniform(0.003, 0.012) * (warm[:, joint] - 20.0))
@@ -124,7 +124,7 @@ def likeness(day: np.ndarray) -> np.ndarray:
 
 def covariance(robot: Robot, axis: int) -> np.ndarray:
     """Covariance (n, n) of the checks of a gain, from the truth."""
-    return robot.wander[axis] ** 2 * likeness(robot.day) + robot.noise[axis] ** 2 * np.eye(len(robot.day))
+    return robot.random_walk[axis] ** 2 * likeness(robot.day) + robot.noise[axis] ** 2 * np.eye(len(robot.day))
 
 
 def write(robots: list[Robot], path: Path) -> int:

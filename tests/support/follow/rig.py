@@ -56,7 +56,7 @@ class Place:
     def result(self) -> Path:
         return self.folder / "result.json"
 
-    def told(self, name: str, pattern: str, new: str) -> Path:
+    def changed_cell(self, name: str, pattern: str, new: str) -> Path:
         """A cell file that tells the gateway something else than the simulator obeys."""
         text, count = re.subn(pattern, new, self.cell.read_text())
         assert count, pattern
@@ -77,17 +77,17 @@ def nothing_typed(place: Place, handle: RunningSimulation, seed: int) -> tuple[P
 
     One series of all joints, for the load, friction and rotors: three periods of 10 s under each load.
     """
-    cell = place.told("untyped", r"(?m)^(rotor_inertia_kg_m2|coulomb_nm|viscous_nm_s_rad) = .*\n", "")
+    cell = place.changed_cell("untyped", r"(?m)^(rotor_inertia_kg_m2|coulomb_nm|viscous_nm_s_rad) = .*\n", "")
     request = MovingRequest(("load", "friction", "rotor"), friction_by="series", seed=seed)
     plan, run, result = (place.folder / f"moving.{suffix}" for suffix in ("plan.json", "h5", "json"))
     plan.write_text(json.dumps(plan_as_plain(make_moving_plan(load_cell(cell), None, request))))
     for label in ("none", LABEL):
         handle.mount(label)
         words = ["--moving", "--plan", plan, "--load", label, "-o", run, "--resume", "--bus", handle.bus, "--yes", "-q"]
-        told = command("record", cell, *words)
-        assert told.exit_code == 0, told.output
-    told = command("estimate", run, "--cell", cell, "--json", result, "--force", "-q")
-    assert told.exit_code == 0, told.output
+        changed_cell = command("record", cell, *words)
+        assert changed_cell.exit_code == 0, changed_cell.output
+    changed_cell = command("estimate", run, "--cell", cell, "--json", result, "--force", "-q")
+    assert changed_cell.exit_code == 0, changed_cell.output
     text = cell.read_text().replace("[[arm]]\n", f'[[arm]]\nidentified = "{result.name}"\n', 1)
     cell.write_text(text)
     return cell, result
@@ -126,11 +126,11 @@ def identify(place: Place, handle: RunningSimulation) -> None:
     for label in ("none", LABEL):
         handle.mount(label)
         run = place.folder / f"{label}.h5"
-        told = command("record", place.cell, "--load", label, "-o", run, "--bus", handle.bus, "--yes", "-q")
-        assert told.exit_code == 0, told.output
+        changed_cell = command("record", place.cell, "--load", label, "-o", run, "--bus", handle.bus, "--yes", "-q")
+        assert changed_cell.exit_code == 0, changed_cell.output
     runs = [place.folder / "none.h5", place.folder / f"{LABEL}.h5"]
-    told = command("estimate", *runs, "--cell", place.cell, "--json", place.result, "--force", "-q")
-    assert told.exit_code == 0, told.output
+    changed_cell = command("estimate", *runs, "--cell", place.cell, "--json", place.result, "--force", "-q")
+    assert changed_cell.exit_code == 0, changed_cell.output
 
 
 def follow_command(place: Place, handle: RunningSimulation, load: Path, out: Path, *options: object) -> Result:

@@ -141,7 +141,7 @@ def taught_paths() -> st.SearchStrategy[bytes]:
     return damaged([TaughtPath(store.path_hash, store.cell_hash, points).to_json().encode()])
 
 
-def check_lesson(data: bytes) -> None:
+def check_taught_path(data: bytes) -> None:
     """Points that a function goes through and that are written and read back the same, or `InputError`."""
     store, start = _store(), _cell().nominal_relation
     path = in_file(data, "points.json")

@@ -18,7 +18,7 @@ BASE_BYTES = 2 << 20
 PER_INPUT_BYTE = 10
 
 
-class Hang(BaseException):
+class Unfinished(BaseException):
     """One input took longer than the limit."""
 
 
@@ -30,7 +30,7 @@ def cpu_limit(limit_s: float = TIME_LIMIT_S) -> Iterator[None]:
         return
 
     def expired(_signal: int, _frame: object) -> None:
-        raise Hang(f"more than {limit_s} s of processor time")
+        raise Unfinished(f"more than {limit_s} s of processor time")
 
     before = signal.signal(signal.SIGVTALRM, expired)
     signal.setitimer(signal.ITIMER_VIRTUAL, limit_s)

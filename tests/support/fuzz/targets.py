@@ -49,7 +49,7 @@ TARGETS: tuple[Target, ...] = (
     Target("pair cell toml", "reader", check_pair.cells, check_pair.check_cell),
     Target("pair path csv", "reader", check_pair.paths, check_pair.check_path),
     Target("pair function json", "reader", check_pair.functions, check_pair.check_function),
-    Target("taught points json", "reader", check_pair.lessons, check_pair.check_lesson),
+    Target("taught points json", "reader", check_pair.taught_paths, check_pair.check_taught_path),
     Target("pair state json", "reader", check_pair.states, check_pair.check_state),
     Target("pair run json", "reader", check_pair.runs, check_pair.check_run),
 )

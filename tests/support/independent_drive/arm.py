@@ -46,7 +46,7 @@ class Motor:
     inertia: float  # of rotor and gear at the joint [kg m2]
     coulomb: float  # friction at the joint [Nm]
     viscous: float  # [Nm s/rad]
-    sag_s: float = 0.01  # from power off until the brake holds
+    closing_s: float = 0.01  # from power off until the brake holds
 
 
 MOTORS = (

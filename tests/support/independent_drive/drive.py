@@ -224,14 +224,14 @@ class Drive:
         node, time_ms = value >> 16 & 0x7F, value & 0xFFFF
         self._watched = node if node and time_ms else None
         if self._watched is not None:
-            self.network.add_subscription(0x700 + node, lambda _id, _data: self._heard(time_ms / 1000.0))
+            self.network.add_subscription(0x700 + node, lambda _id, _data: self._on_message(time_ms / 1000.0))
 
     def _cancel_watch(self) -> None:
         if self._watch_timer is not None:
             get_scheduler().cancel(self._watch_timer)
             self._watch_timer = None
 
-    def _heard(self, time_s: float) -> None:
+    def _on_message(self, time_s: float) -> None:
         self._cancel_watch()
         self._watch_timer = get_scheduler().add(time_s, self._heartbeat_lost)
 
@@ -365,7 +365,7 @@ class Drive:
         """Power off at once; the brake holds a little later, and the axis sinks meanwhile."""
         self._cancel_power()
         self.axis.powered = False
-        self._power_timer = get_scheduler().add(self.axis.motor.sag_s, self._close_brake)
+        self._power_timer = get_scheduler().add(self.axis.motor.closing_s, self._close_brake)
 
     def _brake_then_off(self) -> None:
         """At rest: the brake closes first, then power goes off."""

@@ -27,7 +27,7 @@ Floats = NDArray[np.float64]
 STREAM = 77
 PERIOD_S, PERIODS, RATE_HZ = 10.0, 3, 100.0
 #: Harmonics that are looked for in the position.
-TOLD_HARMONICS = 10
+STATED_HARMONICS = 10
 #: Standard deviations of a gain that all axes have in common, and of each axis's own, where gains are known as ratios.
 COMMON_GAIN, OWN_GAIN = 0.02, 0.01
 #: Tiers by what is known of the torque constants.
@@ -51,7 +51,7 @@ class MovingCell:
     def motion(self) -> PeriodicMotion:
         """The motion of both runs."""
         return PeriodicMotion(
-            self.series.at, self.series.period_s, self.series.periods, self.rate_hz, TOLD_HARMONICS,
+            self.series.at, self.series.period_s, self.series.periods, self.rate_hz, STATED_HARMONICS,
             fingerprint(self.series),
         )  # fmt: skip
 

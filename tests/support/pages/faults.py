@@ -20,7 +20,7 @@ class Fault:
     """What is wrong on a page in one of the ways of looking at it."""
 
     page: str
-    way: str
+    layout: str
     kind: str
     what: str
     where: str
@@ -29,13 +29,13 @@ class Fault:
 def faults_of(window: Browser, file: Path) -> list[Fault]:
     """Everything that is wrong with one page; its pictures are left beside it."""
     found = []
-    for way, width_px, medium in MEDIA:
+    for layout, width_px, medium in MEDIA:
         window.as_on(medium)
         window.resize(width_px, HEIGHT_PX)
         window.open(file)
-        found += [Fault(file.stem, way, **fault) for fault in window.run(FAULTS)]
+        found += [Fault(file.stem, layout, **fault) for fault in window.run(FAULTS)]
         if medium == "screen":
-            window.picture(file.with_suffix(f".{way}.png"))
+            window.picture(file.with_suffix(f".{layout}.png"))
     headings = set(window.run("return [...document.querySelectorAll('h2, h3')].map(e => e.textContent)"))
     window.paper(file.with_suffix(".pdf"))
     return found + [

@@ -201,7 +201,7 @@ def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> 
         "knots": done.summary.knots,
         "function": done.summary.function,
         "estimated_n": done.summary.force_n,
-        **told_of(run, done, record),
+        **measured_figures(run, done, record),
         "learned": done.summary.learned,
         "complete": done.summary.complete,
         "learning_s": done.learning_s,
@@ -209,7 +209,7 @@ def figures_of(run: PairRun, done: PairCycle, record: Array, limit_n: float) -> 
     }
 
 
-def told_of(run: PairRun, done: PairCycle, record: Array) -> dict[str, Any]:
+def measured_figures(run: PairRun, done: PairCycle, record: Array) -> dict[str, Any]:
     """Share of the commands at which the 95 % interval of each component holds the truth, and its median half width."""
     if done.internal_force is None:
         return {}
@@ -222,7 +222,7 @@ def told_of(run: PairRun, done: PairCycle, record: Array) -> dict[str, Any]:
     }
 
 
-def off_way_m(record: Array, alone: Array) -> float:
+def deviation_m(record: Array, alone: Array) -> float:
     """How far the part is moved off the way that the master takes alone, at its fingertip, (n, 3) [m]."""
     return float(cKDTree(alone).query(record[:, 10:13])[0].max())
 

@@ -26,7 +26,7 @@ from sim.states import PdsState
 from tests.support.pair.bus_gap import gaps_in_the_cell
 from tests.support.pair.bus_hostile import hostile
 from tests.support.pair.bus_paths import drawn_cell
-from tests.support.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, figures_of, inline_rig, off_way_m
+from tests.support.pair.bus_rig import BACK_SPEED, NO_LIMIT_N, PairRig, along_n, deviation_m, figures_of, inline_rig
 
 Row = dict[str, Any]
 
@@ -107,7 +107,7 @@ class Bench:
             rig.world.push = None
             figures = figures_of(run, done, record, self.limit_n)
             if (path_name := _path_name(row, speed)) in self.alone:
-                figures["part_off_m"] = off_way_m(record, self.alone[path_name])
+                figures["part_off_m"] = deviation_m(record, self.alone[path_name])
             self.rows.append({**figures, "row": label, "seed": rig.seed, "frozen": number > freeze_after})
             curve["cycles"].append(figures)
             curve["last_n"] = along_n(run, rig.cell, record)

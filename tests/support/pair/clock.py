@@ -116,7 +116,7 @@ class Bench:
     most: Callable[[float, float], float]
     power: Power = field(default_factory=Power)
     #: By how much a SYNC of the last cycle was late, share of the period.
-    late: float = 0.0
+    delayed: float = 0.0
 
     def teach(self, path_taught: TaughtPath) -> TransformFunction:
         """First function, by the points that the lesson has and those that it lacks."""
@@ -170,7 +170,7 @@ class Bench:
         finally:
             motion.run, motion.see = plain, see  # type: ignore[method-assign]
         steps = np.diff(np.array(sent), axis=0)
-        self.late = float(steps[steps[:, 0] == 1.0, 1].max()) / motion.dt_s - 1.0
+        self.delayed = float(steps[steps[:, 0] == 1.0, 1].max()) / motion.dt_s - 1.0
         most = self.power.attempt(lambda: motion.prepare(lambda: self.most(at[0], at[1])))
         self.power.attempt(run.back)
         return most
@@ -226,7 +226,7 @@ def stepped(seed: int | None, period_s: float) -> Iterator[Bench]:
 
 
 @dataclass(slots=True)
-class Told:
+class Cycles:
     """What became of the cycles of one seed.
 
     Attributes
@@ -245,30 +245,30 @@ class Told:
     seed: int
     period_s: float
     most: list[float] = field(default_factory=list)
-    sync_late: list[float] = field(default_factory=list)
+    sync_delay: list[float] = field(default_factory=list)
     function: TransformFunction | None = None
     laws_s: Floats | None = None
     stalled: list[str] = field(default_factory=list)
-    late: list[str] = field(default_factory=list)
+    delayed: list[str] = field(default_factory=list)
     stopped: list[str] = field(default_factory=list)
 
     def cycles(self, unit: float, digits: int = 0) -> str:
         """What was measured of every cycle; those with a late SYNC have a star."""
-        pairs = zip(self.most, self.sync_late, strict=True)
-        return " ".join(f"{unit * most:.{digits}f}{'*' * (late > DELAYED_SHARE)}" for most, late in pairs)
+        pairs = zip(self.most, self.sync_delay, strict=True)
+        return " ".join(f"{unit * most:.{digits}f}{'*' * (delayed > DELAYED_SHARE)}" for most, delayed in pairs)
 
     @property
     def broken_off(self) -> str:
         """How often by what."""
-        return f"{len(self.stalled)} stalls, {len(self.late)} late, {len(self.stopped)} others"
+        return f"{len(self.stalled)} stalls, {len(self.delayed)} late, {len(self.stopped)} others"
 
     def calm(self, first: int) -> list[float]:
         """What was measured of the cycles without a late SYNC, from a number on."""
-        pairs = zip(self.most[first:], self.sync_late[first:], strict=True)
-        return [most for most, late in pairs if late <= DELAYED_SHARE]
+        pairs = zip(self.most[first:], self.sync_delay[first:], strict=True)
+        return [most for most, delayed in pairs if delayed <= DELAYED_SHARE]
 
 
-def attempt(attempts: Told, opened: Callable[[], AbstractContextManager[Bench]], do: Callable[[Bench], None]) -> None:
+def attempt(attempts: Cycles, opened: Callable[[], AbstractContextManager[Bench]], do: Callable[[Bench], None]) -> None:
     """Do something on a fresh pair; what stops it is noted.
 
     Raises
@@ -282,15 +282,15 @@ def attempt(attempts: Told, opened: Callable[[], AbstractContextManager[Bench]],
     except MasterStalled as error:
         attempts.stalled.append(str(error))
     except (DriveError, GatewayError) as error:
-        late = isinstance(error, PairStopped) and DELAY_TEXT in str(error)
-        (attempts.late if late else attempts.stopped).append(f"{type(error).__name__}: {error}")
-    if len(attempts.stalled) + len(attempts.late) > STALLS or len(attempts.stopped) > PATIENCE:
+        delayed = isinstance(error, PairStopped) and DELAY_TEXT in str(error)
+        (attempts.delayed if delayed else attempts.stopped).append(f"{type(error).__name__}: {error}")
+    if len(attempts.stalled) + len(attempts.delayed) > STALLS or len(attempts.stopped) > PATIENCE:
         raise RuntimeError(
-            f"seed {attempts.seed} was stopped too often: {[*attempts.stalled, *attempts.late, *attempts.stopped][-1]}"
+            f"seed {attempts.seed} stopped too often: {[*attempts.stalled, *attempts.delayed, *attempts.stopped][-1]}"
         )
 
 
-def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], attempts: Told, name: str, count: int) -> Told:
+def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], attempts: Cycles, name: str, count: int) -> Cycles:
     """So many whole cycles, learning off after the twelfth; what is stopped begins anew with what was learned."""
     back: TransformFunction | None = None
 
@@ -301,7 +301,7 @@ def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], attempts: Tol
             if len(attempts.most) >= LEARNING:
                 run.controller.freeze()
             attempts.most.append(bench.cycle(run))
-            attempts.sync_late.append(bench.late)
+            attempts.sync_delay.append(bench.delayed)
             attempts.function, back = run.controller.function, run.learned_back
         bench.power.off()
 
@@ -310,9 +310,9 @@ def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], attempts: Tol
     return attempts
 
 
-def taught(seed: int, period_s: float) -> tuple[Told, float]:
+def taught(seed: int, period_s: float) -> tuple[Cycles, float]:
     """First function, taught by the clock, and the largest force that its points were left with, as felt [N]."""
-    attempts, path_taught = Told(seed, period_s), TaughtPath("", "")
+    attempts, path_taught = Cycles(seed, period_s), TaughtPath("", "")
 
     def teach(bench: Bench) -> None:
         attempts.function = bench.teach(path_taught)
@@ -328,25 +328,25 @@ def taught(seed: int, period_s: float) -> tuple[Told, float]:
     return attempts, left_n
 
 
-def beside(path_taught: Told, count: int) -> tuple[Told, Told]:
+def beside(path_taught: Cycles, count: int) -> tuple[Cycles, Cycles]:
     """Row C8 by the clock and in lockstep, both begun with the same function."""
-    found, seed, period_s = list[Told](), path_taught.seed, path_taught.period_s
+    found, seed, period_s = list[Cycles](), path_taught.seed, path_taught.period_s
     for how, opened in (("by the clock", clocked), ("in lockstep", stepped)):
-        begun = Told(seed, period_s, function=path_taught.function, laws_s=path_taught.laws_s)
+        begun = Cycles(seed, period_s, function=path_taught.function, laws_s=path_taught.laws_s)
         attempts = cycles_of(lambda opened=opened: opened(seed, period_s), begun, "C8", count)
         print(f"seed {seed}: C8 {how}: {attempts.cycles(1.0)} N, {attempts.broken_off}", flush=True)
         found.append(attempts)
     return found[0], found[1]
 
 
-def gap(seed: int, period_s: float) -> Told:
+def gap(seed: int, period_s: float) -> Cycles:
     """E5 by the clock."""
-    attempts = cycles_of(lambda: clocked(seed, period_s, GAP_CELL), Told(seed, period_s), "E5", GAP_CYCLES)
+    attempts = cycles_of(lambda: clocked(seed, period_s, GAP_CELL), Cycles(seed, period_s), "E5", GAP_CYCLES)
     print(f"seed {seed}: E5 by the clock: {attempts.cycles(1e3, 3)} mm, {attempts.broken_off}", flush=True)
     return attempts
 
 
-def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
+def run_figures(runs: list[tuple[Cycles, Cycles]], count: int) -> dict[str, dict]:
     """By the clock beside lockstep, once learning was over."""
     both = np.array([[max(attempts.most[LEARNING:], default=math.nan) for attempts in pair] for pair in runs])
     over = both[:, 0] / both[:, 1]
@@ -369,7 +369,7 @@ def run_figures(runs: list[tuple[Told, Told]], count: int) -> dict[str, dict]:
     }
 
 
-def gap_figures(gaps: list[Told]) -> dict[str, dict]:
+def gap_figures(gaps: list[Cycles]) -> dict[str, dict]:
     """Largest gap error of the last cycle of each seed."""
     last = 1e3 * np.array([attempts.most[-1] if attempts.most else math.nan for attempts in gaps])
     calm = [1e3 * most for attempts in gaps for most in attempts.calm(GAP_LEARNING)]
@@ -381,14 +381,14 @@ def gap_figures(gaps: list[Told]) -> dict[str, dict]:
     }
 
 
-def stops(what: str, clock: list[Told]) -> dict[str, dict]:
+def stops(what: str, clock: list[Cycles]) -> dict[str, dict]:
     """How many cycles were broken off, and by what."""
-    stalled, late, others = (
-        sum(len(getattr(attempts, name)) for attempts in clock) for name in ("stalled", "late", "stopped")
+    stalled, delayed, others = (
+        sum(len(getattr(attempts, name)) for attempts in clock) for name in ("stalled", "delayed", "stopped")
     )
     return {
         f"{what} by the clock, stopped by a stall of the machine": plain([stalled], ""),
-        f"{what} by the clock, stopped by the force after a SYNC that was late": plain([late], ""),
+        f"{what} by the clock, stopped by the force after a SYNC that was late": plain([delayed], ""),
         f"{what} by the clock, stopped by anything else": figure(others, "== 0"),
     }
 
@@ -417,7 +417,7 @@ def main(argv: list[str]) -> int:
     seeds, parts = [int(text) for text in arguments.seeds.split(",")], arguments.parts.split(",")
     period_s = 1e-3 * arguments.period_ms
     out: dict[str, dict] = {"SYNC period": plain([arguments.period_ms], "ms")}
-    attempts: list[Told] = []
+    attempts: list[Cycles] = []
     if "run" in parts:
         first = {seed: taught(seed, period_s) for seed in seeds}
         taught_paths = [path_taught for path_taught, _ in first.values()]
@@ -433,7 +433,7 @@ def main(argv: list[str]) -> int:
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "summary.json").write_text(json.dumps({"figures": out}, indent=1) + "\n")
     for one in attempts:
-        for why in (*one.stalled, *one.late, *one.stopped):
+        for why in (*one.stalled, *one.delayed, *one.stopped):
             print(f"seed {one.seed}, stopped: {why}")
     show(out)
     return 0 if all(entry["met"] is not False for entry in out.values()) else 1

@@ -49,7 +49,7 @@ class Joint(Slave):
         self.values[0x60C2, 1], self.values[0x60C2, 2] = round(period_s * 1000), -3
         self.falls_rad_s2 = self.creeps_rad_s = 0.0
         self.farthest_rad = 0.0
-        self.told: list[tuple[int, int]] = []
+        self.commands: list[tuple[int, int]] = []
         self.states: list[str] = []
         self.last_beats: list[int] = []
         self._period_s, self._joint_count = period_s, joint_count
@@ -74,7 +74,7 @@ class Joint(Slave):
         super()._sync()
         if self.nmt != 5:
             return
-        self.told.append((self.controlwords[-1] if self.controlwords else 0, self.values[0x607A, 0]))
+        self.commands.append((self.controlwords[-1] if self.controlwords else 0, self.values[0x607A, 0]))
         self.states.append(self.state)
         self.last_beats.append(self._beat_sync)
         self._turn(before)
@@ -141,7 +141,7 @@ def last_set_point(slaves: Sequence[Joint]) -> int:
     """SYNC, counted as the slaves do, with which a target of any axis last changed."""
     last = 0
     for slave in slaves:
-        targets = [target for _, target in slave.told]
+        targets = [target for _, target in slave.commands]
         last = max([last, *(number for number in range(1, len(targets)) if targets[number] != targets[number - 1])])
     return last + 1
 

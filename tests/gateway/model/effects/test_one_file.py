@@ -11,8 +11,8 @@ import pytest
 
 from gateway.data.table import write_csv
 from sim.request import add_passive
-from tests.house import House
 from tests.moving_arm import URDF, World, measured
+from tests.product_copy import ProductCopy
 from tests.resting_arm import Bench
 
 MADE_UP = '''
@@ -53,15 +53,15 @@ EFFECT = Effect(
 
 
 @pytest.fixture(scope="module")
-def repository(tmp_path_factory) -> House:
+def repository(tmp_path_factory) -> ProductCopy:
     """The product with one file more."""
-    repository = House(tmp_path_factory.mktemp("house"))
+    repository = ProductCopy(tmp_path_factory.mktemp("copy"))
     repository.add("gateway/model/effects/cam_rope.py", MADE_UP)
     return repository
 
 
-def diagnosed(repository: House, csv: Path, *options: str) -> tuple[dict, str]:
-    """Result and page of the command, run from the house with the added file."""
+def diagnosed(repository: ProductCopy, csv: Path, *options: str) -> tuple[dict, str]:
+    """Result and page of the command, run from the copy with the added file."""
     out, page = csv.with_suffix(".json"), csv.with_suffix(".html")
     line = ("diagnose", csv.name, "--robot", "robot.urdf", "--json", out.name, *options)
     for arguments in (line, ("report", out.name, "--output", page.name)):

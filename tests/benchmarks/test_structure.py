@@ -1,4 +1,4 @@
-"""The house stands as it is drawn: no circle, nothing imports upwards, no name twice."""
+"""The code has its documented structure: no circular import, no upward import, no name twice."""
 
 from __future__ import annotations
 
@@ -7,16 +7,25 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.house import FLOORS, ROOT, TORQUE_PATH, House, circles, figures, read_house, upward
+from tests.support.code_structure import (
+    LAYERS,
+    ROOT,
+    TORQUE_PATH,
+    CodeStructure,
+    circles,
+    figures,
+    read_structure,
+    upward,
+)
 
 
 @pytest.fixture(scope="module")
 def found() -> dict[str, dict]:
-    return figures(read_house())
+    return figures(read_structure())
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("house")
+@pytest.mark.xdist_group("structure")
 @pytest.mark.parametrize(
     "name",
     [
@@ -40,7 +49,7 @@ def test_groups_that_reach_each_other_are_circles() -> None:
 
 def test_import_of_a_higher_layer_is_found() -> None:
     edges = frozenset({("gateway.model.robot", "gateway.report.view"), ("gateway.report.view", "gateway.model.robot")})
-    assert upward(House({}, edges, {})) == [("gateway.model.robot", "gateway.report.view")]
+    assert upward(CodeStructure({}, edges, {})) == [("gateway.model.robot", "gateway.report.view")]
 
 
 def test_modules_of_a_folder_are_read_with_their_imports(tmp_path: Path) -> None:
@@ -51,7 +60,7 @@ def test_modules_of_a_folder_are_read_with_their_imports(tmp_path: Path) -> None
     }.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
-    structure = read_house(tmp_path)
+    structure = read_structure(tmp_path)
     assert structure.imports == {("gateway.b", "drives.a"), ("sim.c", "drives.a")}
     assert structure.classes == {"Thing": ("drives.a", "sim.c")}
     assert structure.lines == {"drives.a": 2, "gateway.b": 2, "sim.c": 5}
@@ -60,7 +69,7 @@ def test_modules_of_a_folder_are_read_with_their_imports(tmp_path: Path) -> None
 def test_layers_are_those_of_the_linter() -> None:
     contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
     layers = next(each["layers"] for each in contracts if each["type"] == "layers")
-    assert [tuple(layer.split(" : ")) for layer in reversed(layers)] == list(FLOORS)
+    assert [tuple(layer.split(" : ")) for layer in reversed(layers)] == list(LAYERS)
 
 
 @pytest.mark.parametrize(("path", "name"), TORQUE_PATH)

@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[1]
 PACKAGES = ("gateway", "drives", "sim", "examples", "tests", "benchmarks")
 
 
-class House:
+class ProductCopy:
     """The product in a folder of its own.
 
     Parameters

@@ -1,6 +1,6 @@
-"""How the house stands: files, lines, circles of imports, imports from a lower room to a higher one, repeated names.
+"""Structure of the code: files, lines, circular imports, imports from a lower layer to a higher one, repeated names.
 
-python -m benchmarks.house [--out out/house] [--list]
+python -m benchmarks.structure [--out out/structure] [--list]
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 PACKAGES: Final = ("drives", "gateway", "sim")
-#: Rooms of the gateway from the ground up.
-FLOORS: Final = (
+#: Layers of the gateway, the lowest first.
+LAYERS: Final = (
     ("errors",),
     ("cell",),
     ("data",),
@@ -68,7 +68,7 @@ TORQUE_PATH: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class House:
+class CodeStructure:
     """What was read.
 
     Attributes
@@ -83,7 +83,7 @@ class House:
     classes: Mapping[str, tuple[str, ...]]
 
 
-def read_house(root: Path = ROOT) -> House:
+def read_structure(root: Path = ROOT) -> CodeStructure:
     """Read all modules below `root`; imports inside functions and those for type checkers alone count too."""
     files = {_module(path.relative_to(root)): path for name in PACKAGES for path in sorted((root / name).rglob("*.py"))}
     lines, imports, classes = {}, set(), defaultdict(list)
@@ -95,7 +95,7 @@ def read_house(root: Path = ROOT) -> House:
         for node in tree.body:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 classes[node.name].append(module)
-    return House(lines, frozenset(imports), {name: tuple(where) for name, where in classes.items()})
+    return CodeStructure(lines, frozenset(imports), {name: tuple(where) for name, where in classes.items()})
 
 
 def _module(path: Path) -> str:
@@ -114,7 +114,7 @@ def _imported(tree: ast.Module, files: Mapping[str, Path]) -> Iterable[str]:
                     yield imported if imported in files else node.module
 
 
-def room(module: str) -> str:
+def layer_of(module: str) -> str:
     """The folder of `gateway` or the package that a module belongs to; a file of `gateway`'s root is its own room."""
     parts = module.split(".")
     return ".".join(parts[:2]) if parts[0] == "gateway" else parts[0]
@@ -151,23 +151,23 @@ def circles(edges: Iterable[tuple[str, str]]) -> list[list[str]]:
     return sorted(found, key=len, reverse=True)
 
 
-def upward(structure: House) -> list[tuple[str, str]]:
+def upward(structure: CodeStructure) -> list[tuple[str, str]]:
     """Imports of a module of a higher floor by one of a lower floor; rooms that `FLOORS` does not name are left out."""
-    floor = {f"gateway.{name}": number for number, names in enumerate(FLOORS) for name in names}
+    floor = {f"gateway.{name}": number for number, names in enumerate(LAYERS) for name in names}
     return sorted(
         (start, end)
         for start, end in structure.imports
-        if room(start) in floor and room(end) in floor and floor[room(start)] < floor[room(end)]
+        if layer_of(start) in floor and layer_of(end) in floor and floor[layer_of(start)] < floor[layer_of(end)]
     )
 
 
-def figures(structure: House) -> dict[str, dict]:
+def figures(structure: CodeStructure) -> dict[str, dict]:
     """Numbers, each with what it counts."""
-    layers = {(room(start), room(end)) for start, end in structure.imports if room(start) != room(end)}
-    named = {f"gateway.{name}" for names in FLOORS for name in names} | {"drives", "gateway", "sim"}
-    bare = sorted({room(module) for module in structure.lines} - named)
+    layers = {(layer_of(start), layer_of(end)) for start, end in structure.imports if layer_of(start) != layer_of(end)}
+    named = {f"gateway.{name}" for names in LAYERS for name in names} | {"drives", "gateway", "sim"}
+    bare = sorted({layer_of(module) for module in structure.lines} - named)
     at_root = [
-        name for name in structure.lines if room(name) == name and name.startswith("gateway.") and _is_file(name)
+        name for name in structure.lines if layer_of(name) == name and name.startswith("gateway.") and _is_file(name)
     ]
     found: dict[str, dict] = {}
     for package in PACKAGES:
@@ -208,11 +208,11 @@ def _is_file(module: str) -> bool:
 
 def main(argv: list[str]) -> int:
     """Print the figures; with ``--list`` also what they count."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.house", description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/house"))
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.structure", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/structure"))
     parser.add_argument("--list", action="store_true", help="also what is counted")
     arguments = parser.parse_args(argv)
-    found = figures(read_house())
+    found = figures(read_structure())
     arguments.out.mkdir(parents=True, exist_ok=True)
     (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n")
     for name, figure in found.items():
