@@ -9,11 +9,11 @@ import numpy as np
 
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions, close_loop, diagnose
-from gateway.diagnose.rest.mistakes import Mistake
+from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.diagnose.rest.search import Search
 from gateway.identify.rest.linear import Fit
-from gateway.identify.rest.loads import loads_of
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.rest_loads import loads_of
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest

@@ -14,9 +14,9 @@ from gateway.acquire.until.choice import Candidates, Sampling, best_first, judge
 from gateway.acquire.until.goal import Goal, half_widths
 from gateway.data.table import Table, concatenate
 from gateway.estimate.estimate import Estimate
+from gateway.estimate.expected_information import Sought, Stock, take_stock
 from gateway.estimate.joint import estimate_joint
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.outlook import Sought, Stock, take_stock
 from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import robot_from_urdf

@@ -13,16 +13,16 @@ import numpy as np
 
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
-from gateway.estimate.advice import next_pose, shrinks_most
 from gateway.estimate.coefficient import estimate_coefficient
 from gateway.estimate.describe import axis_sigma
 from gateway.estimate.difference import estimate_difference
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.handover import to_result
 from gateway.estimate.joint import estimate_joint, refused_loads
-from gateway.estimate.moving import estimate_moving
+from gateway.estimate.moving_estimate import estimate_moving
 from gateway.estimate.options import Coefficient, EstimateOptions
 from gateway.estimate.posture import estimate_posture
+from gateway.estimate.recommendation import next_pose, shrinks_most
 from gateway.identify.links import default_inertials
 from gateway.identify.motion.rest_rows import fitted_rest
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent, refuse_in_motion

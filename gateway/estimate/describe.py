@@ -13,7 +13,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import load_estimates, nuisance_results, sure, widening
+from gateway.identify.rest.rest_loads import load_estimates, nuisance_results, sure, widening
 from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import gravity_names

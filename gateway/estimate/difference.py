@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
-from gateway.estimate.advice import wrist_in_words
 from gateway.estimate.consistency import CONTRADICTS, describe_masses, disagree
 from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
+from gateway.estimate.recommendation import wrist_in_words
 from gateway.identify.load_estimate import refused_load
 from gateway.identify.nuisance import gain_stds, losses
 from gateway.identify.prior_loads import BARE_LABEL, load_vector, unknown_labels

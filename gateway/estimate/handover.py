@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
-from gateway.estimate.advice import cost_of_missing_axes, wrist_in_words
 from gateway.estimate.consistency import hull_radius_m, physical_findings
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
+from gateway.estimate.recommendation import cost_of_missing_axes, wrist_in_words
 from gateway.identify.load_estimate import LoadEstimate, load_result, refused_findings
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, NUISANCE_STD, efficiency_of
 from gateway.identify.repeats import half_difference_scatter, negative_bands, repeated_std

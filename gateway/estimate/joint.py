@@ -19,8 +19,8 @@ from gateway.identify.mass_change import mass_changes
 from gateway.identify.prior_loads import require_postures, unknown_labels
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import per_pose_mass
 from gateway.identify.rest.problem import build_problem
+from gateway.identify.rest.rest_loads import per_pose_mass
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
 

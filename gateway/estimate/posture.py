@@ -22,8 +22,8 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import BARE_LABEL, require_postures, unknown_labels
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
-from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import build_problem
+from gateway.identify.rest.rest_loads import sure
 from gateway.identify.solve import solve
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS

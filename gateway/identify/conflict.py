@@ -24,8 +24,8 @@ from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
-from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
+from gateway.identify.rest.rest_loads import sure
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.model.placeholders import mass_placeholder
 from gateway.model.robot import Robot

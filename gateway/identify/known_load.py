@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from gateway.identify.load_estimate import load_directions
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import sure
 from gateway.identify.rest.problem import EXACT, Knowledge, build_problem
+from gateway.identify.rest.rest_loads import sure
 from gateway.model.robot import Robot, reach_m
 from gateway.result.finding import Finding
 from gateway.result.interval import PLUS_MINUS, TWO_SIDED_95

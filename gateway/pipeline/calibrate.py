@@ -25,8 +25,8 @@ from gateway.identify.prior_loads import load_vector, require_postures
 from gateway.identify.rejected import without_outliers
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import nuisance_results
 from gateway.identify.rest.problem import build_problem
+from gateway.identify.rest.rest_loads import nuisance_results
 from gateway.model.visits import Visits, pair_visits
 from gateway.pipeline.calibrated import serial_numbers
 from gateway.pipeline.calibration_checks import (

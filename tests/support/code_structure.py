@@ -60,7 +60,7 @@ TORQUE_PATH: Final = (
     ("gateway/identify/rest/problem.py", "target"),
     ("gateway/identify/rest/hypothesis_fit.py", "target"),
     ("gateway/identify/solve.py", "target"),
-    ("gateway/identify/rest/loads.py", "moment"),
+    ("gateway/identify/rest/rest_loads.py", "moment"),
     ("gateway/identify/load_estimate.py", "mass_kg"),
     ("gateway/result/result.py", "mass_kg"),
     ("gateway/report/view.py", "mass"),

@@ -20,8 +20,8 @@ from pydantic_core import PydanticUndefined
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
 from gateway.cli import main as program
-from gateway.diagnose.moving.thresholds import MOVING
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.identify.rest.rest_thresholds import CONFLICT, REST_MODEL
 from gateway.identify.tuned_number import described
 from gateway.model.effect import Effect, nowhere

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.outlook import Outlook
+from gateway.estimate.expected_information import Outlook
 from gateway.result.interval import half_width
 
 Floats = NDArray[np.float64]

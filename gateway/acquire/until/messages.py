@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.acquire.until.choice import MOST_POSES, Narrowness
 from gateway.acquire.until.search import NextStep
-from gateway.estimate.outlook import Outlook
+from gateway.estimate.expected_information import Outlook
 from gateway.result.interval import PLUS_MINUS, SAID, half_width
 from gateway.result.result import Finding
 

@@ -28,8 +28,8 @@ from gateway.acquire.until.goal import Goal, half_widths
 from gateway.data.rest_pose import RestPose
 from gateway.data.table import Table, concatenate
 from gateway.errors import PlanRefused, WrongPlace
+from gateway.estimate.expected_information import PoseNoise, Sought, Stock, outlook_of_priors, take_stock
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.outlook import PoseNoise, Sought, Stock, outlook_of_priors, take_stock
 from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem
+from gateway.diagnose.moving.penalised_fit import MovingFit, MovingProblem
 from gateway.model.effect import MotionSetup
 from gateway.model.effects import terms_by_residual, terms_in_motion
 from gateway.model.term import Seen, Term

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.mistakes import MovingMistake, find_mistakes, undo
-from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.moving_mistakes import MovingMistake, find_mistakes, undo
+from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
+from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.select import select, without_idle
 from gateway.diagnose.moving.splits import choosing
 from gateway.diagnose.moving.state import MovingState, state_of, with_noise_of
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trust import choose_trust
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.problem import Knowledge

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.state import MovingState
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.wind_up import design_of, wind_up
 from gateway.identify.correlation import counting_share
 from gateway.model.motion import Mask

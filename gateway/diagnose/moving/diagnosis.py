@@ -14,21 +14,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.moving.answer import answer_of
 from gateway.diagnose.moving.choice import Choice, MovingKnowledge, choose, plain_choice, problem_of
 from gateway.diagnose.moving.deflection import elastic_joints
-from gateway.diagnose.moving.fit import MovingProblem
 from gateway.diagnose.moving.judge import Judges
 from gateway.diagnose.moving.lag import lags, prepare_in_step
-from gateway.diagnose.moving.mistakes import undo
-from gateway.diagnose.moving.outcome import result_of, too_little
+from gateway.diagnose.moving.moving_answer import answer_of
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.moving_findings import MovingOutcome
+from gateway.diagnose.moving.moving_mistakes import undo
+from gateway.diagnose.moving.moving_outcome import result_of, too_little
 from gateway.diagnose.moving.parameters import certain
-from gateway.diagnose.moving.remarks import MovingOutcome
+from gateway.diagnose.moving.penalised_fit import MovingProblem
+from gateway.diagnose.moving.residual_motion_dependence import structured_axes
 from gateway.diagnose.moving.select import left_over, weigh
 from gateway.diagnose.moving.splits import judging
 from gateway.diagnose.moving.state import MovingState, state_of
-from gateway.diagnose.moving.structure import structured_axes
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
 from gateway.identify.links import default_inertials, has_inertials, parse_inertials

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held import Held
+from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.moving.choice import Choice
-from gateway.diagnose.moving.fit import MovingProblem, fit
-from gateway.diagnose.moving.mistakes import MovingMistake, undo
+from gateway.diagnose.moving.moving_mistakes import MovingMistake, undo
+from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
 from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
 from gateway.diagnose.moving.trial import trials_of
 from gateway.model.term import Label, Term

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.errors import DataUnusable
-from gateway.estimate.moving import estimate_moving
+from gateway.estimate.moving_estimate import estimate_moving
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.motion.stretches import Stretches
 from gateway.model.motion import LARGEST, MovingRows, prepare

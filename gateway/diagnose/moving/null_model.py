@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.noise import axis_alone
+from gateway.diagnose.moving.moving_noise import axis_alone
 from gateway.identify.motion.columns import NUISANCES, Columns, MovingSetup, moving_columns
 from gateway.identify.motion.convergence import HELD_STD
 from gateway.identify.motion.prior import held_to_friction

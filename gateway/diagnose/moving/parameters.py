@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.penalised_fit import MovingFit, MovingProblem, fit
 from gateway.diagnose.moving.refine import coupling_cost
 from gateway.diagnose.moving.state import MovingState, spread_of
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, extend
 from gateway.identify.spread import jackknife, wider
 from gateway.model.effects.axis_coupling import MotorCoupling

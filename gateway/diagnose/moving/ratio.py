@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from gateway.diagnose.held import Held
+from gateway.diagnose.held_out_residuals import Held
 from gateway.identify.correlation import counting_share
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.diagnose.moving.thresholds import MOVING
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.model.motion import Mask, MovingRows
 
 Splits = tuple[tuple[Mask, Mask], ...]

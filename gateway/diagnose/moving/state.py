@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
-from gateway.diagnose.moving.noise import noise_of, scaled_to
+from gateway.diagnose.held_out_residuals import Held
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.moving_noise import noise_of, scaled_to
+from gateway.diagnose.moving.penalised_fit import MovingFit, MovingProblem, fit
 from gateway.diagnose.moving.splits import blocks
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, demand, held_out, judge
 from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.spread import jackknife, wider

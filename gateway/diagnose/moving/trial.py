@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc, stdtr
 
-from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import INDEPENDENT, MovingFit, MovingProblem, prior_precision
-from gateway.diagnose.moving.thresholds import MOVING
+from gateway.diagnose.held_out_residuals import Held
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.penalised_fit import INDEPENDENT, MovingFit, MovingProblem, prior_precision
 from gateway.identify.correlation import counting_share
 from gateway.model.term import Label, Term
 

@@ -13,9 +13,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem, fit, prior_of
-from gateway.diagnose.moving.noise import MovingNoise
-from gateway.diagnose.moving.thresholds import MOVING
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.moving_noise import MovingNoise
+from gateway.diagnose.moving.penalised_fit import MovingProblem, fit, prior_of
 from gateway.identify.correlation import counting_share
 from gateway.model.effects import DRAWN
 from gateway.model.term import Term

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr
 
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem, certain_bands
 from gateway.result.result import EffectResult, Evidence
 

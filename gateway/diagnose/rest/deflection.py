@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.wind_up import wind_up
 from gateway.identify.rest.linear import Fit, RestProblem, modelled
 from gateway.result.result import EffectResult, Evidence

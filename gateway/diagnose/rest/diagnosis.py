@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
-from gateway.diagnose.rest.ask import questions
 from gateway.diagnose.rest.bias import friction_by_direction
-from gateway.diagnose.rest.decide import Decision, decide
 from gateway.diagnose.rest.deflection import elastic_joints
-from gateway.diagnose.rest.fresh import fresh_misfit, fresh_seen_nm, spare_rows
 from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
-from gateway.diagnose.rest.mistakes import (
+from gateway.diagnose.rest.pose_selection import questions
+from gateway.diagnose.rest.residual_structure import structure_seen_nm
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
+from gateway.diagnose.rest.rest_findings import at_the_edge, corrected_links, limits
+from gateway.diagnose.rest.rest_mistakes import (
     Mistake,
     band_signs,
     beyond_any_effect,
@@ -28,7 +29,7 @@ from gateway.diagnose.rest.mistakes import (
     suspicious,
     unseen_ratio,
 )
-from gateway.diagnose.rest.outcome import (
+from gateway.diagnose.rest.rest_outcome import (
     Judge,
     contradicted,
     floor_and_band,
@@ -39,12 +40,11 @@ from gateway.diagnose.rest.outcome import (
     rejected,
     summary,
 )
-from gateway.diagnose.rest.pictures import DrawnVisits, pictures
-from gateway.diagnose.rest.remarks import at_the_edge, corrected_links, limits
+from gateway.diagnose.rest.rest_plots import DrawnVisits, pictures
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.search import Search, run
-from gateway.diagnose.rest.structure import structure_seen_nm
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.validation_tests import fresh_misfit, fresh_seen_nm, spare_rows
+from gateway.diagnose.rest.verdict import Decision, decide
 from gateway.errors import DataUnusable
 from gateway.estimate import to_result
 from gateway.estimate.describe import bare_of
@@ -59,8 +59,8 @@ from gateway.identify.prior_loads import BARE_LABEL, require_postures
 from gateway.identify.rejected import RejectedTorques, rejected_torques
 from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
-from gateway.identify.rest.loads import loads_of, nuisance_results, spread_by_shape
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.rest_loads import loads_of, nuisance_results, spread_by_shape
 from gateway.identify.rest.start_noise import settled_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.holdout import without_rows
+from gateway.diagnose.rest.residual_structure import misfit
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.search import Search, pruned
-from gateway.diagnose.rest.structure import misfit
-from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.model.effects.torque_ripple import EFFECT, TorqueRipple, orders_at_rest
 from gateway.model.unnamed import UNNAMED

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem, plausible_spread, term_columns
 from gateway.identify.solve import Basis, ByGroup, reduce
 from gateway.model.term import Term

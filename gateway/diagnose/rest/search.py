@@ -17,8 +17,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.screen import Derivatives, Screen, pair_log_bayes, screen
-from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.model.term import Label, Term

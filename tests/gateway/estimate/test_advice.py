@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gateway.estimate import EstimateOptions, advice
-from gateway.estimate.advice import cost_of_missing_axes, next_pose
+from gateway.estimate import EstimateOptions, recommendation
+from gateway.estimate.recommendation import cost_of_missing_axes, next_pose
 from gateway.identify.budget import CONSTANTS
 from gateway.model.regressor import load_regressor
 
@@ -65,9 +65,9 @@ def test_cost_is_infinite_where_the_mass_is_open(arm, poses):
 def test_the_mass_is_known_where_only_a_moment_is_open_and_open_where_it_hides_behind_one():
     """By the inverse of what is known; a direction that nothing is known of costs only what points along it."""
     plain = np.diag([4.0, 1.0, 9.0, 0.0])
-    assert advice._mass_variance(plain) == pytest.approx(1 / 4)
+    assert recommendation._mass_variance(plain) == pytest.approx(1 / 4)
     coupled = plain.copy()
     coupled[0, 1] = coupled[1, 0] = 1.5
-    assert advice._mass_variance(coupled) == pytest.approx(np.linalg.inv(coupled[:3, :3])[0, 0])
+    assert recommendation._mass_variance(coupled) == pytest.approx(np.linalg.inv(coupled[:3, :3])[0, 0])
     row = np.array([[1.0, 0.0, 0.0, 2.0]])
-    assert np.isinf(advice._mass_variance(row.T @ row))
+    assert np.isinf(recommendation._mass_variance(row.T @ row))

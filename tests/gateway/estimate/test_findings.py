@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gateway.estimate import advice, difference, posture
+from gateway.estimate import difference, posture, recommendation
 from gateway.estimate.consistency import physical_findings
 from gateway.estimate.describe import axis_sigma
 from gateway.model.base import rest_base
@@ -61,15 +61,15 @@ def test_what_lumps_with_the_load_is_named_and_nothing_else(arm):
 def test_moments_that_a_load_leaves_open_are_bounded_by_an_unknown_load():
     """Mass up to a load nobody knows, moments up to that 0.3 m away; what is known stays as it is."""
     known = SimpleNamespace(refused=None, covariance=np.diag([1.0, 2.0, 3.0, 4.0]), unidentifiable=())
-    assert advice._with_unknown(known, 1.0) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]
+    assert recommendation._with_unknown(known, 1.0) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]
     half = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("com_y_m",))
-    wide = (0.3 * advice._UNKNOWN_KG) ** 2
-    assert np.diag(advice._with_unknown(half, 1.0)) == pytest.approx([1.0, 2.0, 3.0 + wide, 4.0])  # type: ignore[arg-type]
+    wide = (0.3 * recommendation._UNKNOWN_KG) ** 2
+    assert np.diag(recommendation._with_unknown(half, 1.0)) == pytest.approx([1.0, 2.0, 3.0 + wide, 4.0])  # type: ignore[arg-type]
     mass = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("mass_kg",))
-    assert advice._with_unknown(mass, 1.0)[0, 0] == pytest.approx(1.0 + advice._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
-    assert advice._with_unknown(mass, 0.25)[0, 0] == pytest.approx(0.25 + advice._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
+    assert recommendation._with_unknown(mass, 1.0)[0, 0] == pytest.approx(1.0 + recommendation._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
+    assert recommendation._with_unknown(mass, 0.25)[0, 0] == pytest.approx(0.25 + recommendation._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
     refused = SimpleNamespace(refused="too few", covariance=known.covariance, unidentifiable=())
-    assert advice._with_unknown(refused, 1.0) is None  # type: ignore[arg-type]
+    assert recommendation._with_unknown(refused, 1.0) is None  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("times", "said"), [(0.9, False), (1.1, True)])

@@ -10,7 +10,7 @@ from gateway.data.rows import concatenate
 from gateway.data.table import read_csv
 from gateway.errors import DataUnusable, InputError
 from gateway.estimate import EstimateOptions, estimate, run
-from gateway.estimate.moving import estimate_moving
+from gateway.estimate.moving_estimate import estimate_moving
 from gateway.identify.motion.columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
 from tests.moving_arm import World, measured, several

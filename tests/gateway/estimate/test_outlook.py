@@ -17,8 +17,8 @@ from gateway.acquire.until.choice import (
 from gateway.acquire.until.messages import ended
 from gateway.acquire.until.search import NextStep
 from gateway.data.table import concatenate
+from gateway.estimate.expected_information import PoseNoise, Sought, outlook_of_priors, take_stock
 from gateway.estimate.options import EstimateOptions
-from gateway.estimate.outlook import PoseNoise, Sought, outlook_of_priors, take_stock
 from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.visits import pair_visits

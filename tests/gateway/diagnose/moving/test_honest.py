@@ -10,10 +10,10 @@ import pytest
 from gateway.data.rows import concatenate
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.diagnose.moving.choice import MovingKnowledge, problem_of
-from gateway.diagnose.moving.fit import fit
-from gateway.diagnose.moving.mistakes import find_mistakes
+from gateway.diagnose.moving.moving_findings import edge_findings
+from gateway.diagnose.moving.moving_mistakes import find_mistakes
 from gateway.diagnose.moving.parameters import at_edge
-from gateway.diagnose.moving.remarks import edge_findings
+from gateway.diagnose.moving.penalised_fit import fit
 from gateway.identify.rest.problem import Knowledge
 from gateway.model.effects import LIBRARY
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction

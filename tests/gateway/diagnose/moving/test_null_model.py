@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from gateway.data.rows import MOVING, concatenate
-from gateway.diagnose.moving.fit import MovingProblem, fit
-from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
+from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
 from gateway.identify.links import PER_LINK_MOVING, link_prior
 from gateway.identify.motion.convergence import settle
 from gateway.identify.motion.problem import Contrasts, MotionProblem

@@ -11,9 +11,9 @@ import pytest
 from gateway.data.rows import MOVING, concatenate
 from gateway.diagnose.moving.candidates import candidates, suggested
 from gateway.diagnose.moving.diagnosis import diagnose_motion
-from gateway.diagnose.moving.fit import MovingProblem, fit
-from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
+from gateway.diagnose.moving.penalised_fit import MovingProblem, fit
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.state import state_of
 from gateway.diagnose.moving.trial import drop_by_chance, put_on_trial

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.diagnose.held import Held
+from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.moving.ratio import held_ratio
 from tests.moving_arm import coloured
 

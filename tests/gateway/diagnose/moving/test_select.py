@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.moving.select import believed, demands, penalty
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.effects.axis_coupling import MotorCoupling, TorqueMixing
 from gateway.model.effects.balancer_spring import HarmonicBalancer
 from gateway.model.effects.base_tilt import BaseTilt

@@ -9,9 +9,9 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose import DiagnoseOptions, diagnose
-from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import null_model
+from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.splits import blocks
 from gateway.diagnose.moving.trust import log_evidence
 from gateway.identify.rest.problem import Knowledge

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose.rest.bias import friction_by_direction
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 
 N, VISITS = 6, 8
 NOISE_NM = 2.0

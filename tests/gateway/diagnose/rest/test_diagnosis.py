@@ -10,7 +10,7 @@ from scipy import stats
 
 from gateway.data.table import Table, concatenate
 from gateway.diagnose import close_loop, diagnose, next_poses
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.errors import ConfigError, InputError
 from gateway.result.result import Result, from_json, to_json
 from sim.offline import link_frames

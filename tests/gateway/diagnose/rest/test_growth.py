@@ -11,8 +11,8 @@ import pytest
 
 from gateway.data.table import concatenate
 from gateway.diagnose.rest.holdout import left_out
+from gateway.diagnose.rest.residual_structure import misfit
 from gateway.diagnose.rest.search import Search
-from gateway.diagnose.rest.structure import misfit
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.start_noise import first_noise

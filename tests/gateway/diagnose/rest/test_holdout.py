@@ -10,9 +10,9 @@ import pytest
 from scipy import stats
 
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest import decide
-from gateway.diagnose.rest.decide import helped
+from gateway.diagnose.rest import verdict
 from gateway.diagnose.rest.holdout import chosen_by_others, foretold_poses, gained_by_pose, left_out
+from gateway.diagnose.rest.verdict import helped
 from tests.resting_arm import Bench, basis_of, effect, found
 
 POSES, ROWS = 7, 5
@@ -137,7 +137,7 @@ def test_an_effect_that_left_out_poses_contradict_is_not_named(monkeypatch, gain
         seen.append(len(after.terms))
         return gain * np.abs(gained_by_pose(problem, after, before))
 
-    monkeypatch.setattr(decide, "gained_by_pose", gained)
+    monkeypatch.setattr(verdict, "gained_by_pose", gained)
     result = diagnose(bench.both(), bench.robot, options)
     assert seen
     assert (found(result) == [("balancer_spring", (2,))]) is named
@@ -154,7 +154,7 @@ def test_what_is_reported_unseen_is_what_the_others_choose(monkeypatch):
     honest = diagnose(table, bench.robot, options)
     assert honest.holdout_kind == "blocks"
     monkeypatch.setattr(
-        "gateway.diagnose.rest.outcome.unseen_by_choice", lambda search: left_out(search.problem, search.best())
+        "gateway.diagnose.rest.rest_outcome.unseen_by_choice", lambda search: left_out(search.problem, search.best())
     )
     chosen = diagnose(table, bench.robot, options)
     axis = 1

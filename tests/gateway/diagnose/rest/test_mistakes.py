@@ -11,7 +11,7 @@ import pytest
 
 from gateway.data.table import Table
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.mistakes import (
+from gateway.diagnose.rest.rest_mistakes import (
     Mistake,
     band_signs,
     beyond_any_effect,

@@ -10,8 +10,8 @@ import pytest
 
 from gateway.estimate import EstimateOptions, run
 from gateway.identify.rest.hypothesis_fit import fit
-from gateway.identify.rest.loads import loads_of
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.rest_loads import loads_of
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import pair_visits

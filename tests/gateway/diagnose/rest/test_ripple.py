@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gateway.diagnose import diagnose
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.ripple import order_analysis
-from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.torque_ripple import (

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import pytest
 
 from gateway.diagnose import diagnose
-from gateway.diagnose.rest.decide import _instead
+from gateway.diagnose.rest.verdict import _instead
 from gateway.model.effects.joint_zero_offset import JointZeroOffset
 from gateway.model.robot import robot_from_urdf
 from sim.nature.nature_cell import draw_effect_cell

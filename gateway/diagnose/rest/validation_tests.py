@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtrc, fdtri
 
 from gateway.diagnose.rest.holdout import Unseen
-from gateway.diagnose.rest.structure import pooled, told
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.residual_structure import pooled, told
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem
 
 Floats = NDArray[np.float64]

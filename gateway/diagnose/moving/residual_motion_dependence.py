@@ -14,9 +14,9 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.state import MovingState
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.diagnose.moving.trial import Trial, put_on_trial
 from gateway.model.motion import Modelled, MovingRows
 from gateway.model.term import OnAxis

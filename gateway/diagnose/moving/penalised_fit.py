@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.moving.moving_noise import MovingNoise
 from gateway.diagnose.moving.null_model import NullModel
 from gateway.identify.motion.convergence import LIMIT_PASSES, limited
 from gateway.identify.solve import Prior

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.rest.decide import Decision
 from gateway.diagnose.rest.holdout import Unseen
+from gateway.diagnose.rest.verdict import Decision
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads, with_terms
 from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY

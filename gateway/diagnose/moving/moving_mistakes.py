@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.data.table import Table
-from gateway.diagnose.held import Held
-from gateway.diagnose.moving.fit import MovingFit, MovingProblem, fit
-from gateway.diagnose.moving.noise import MovingNoise
+from gateway.diagnose.held_out_residuals import Held
+from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
+from gateway.diagnose.moving.moving_noise import MovingNoise
+from gateway.diagnose.moving.penalised_fit import MovingFit, MovingProblem, fit
 from gateway.diagnose.moving.ratio import HeldRatio, held_ratio
-from gateway.diagnose.moving.thresholds import MOVING
 from gateway.model.motion import MovingRows
 from gateway.model.term import Label
 

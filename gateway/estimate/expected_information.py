@@ -22,8 +22,8 @@ from gateway.identify.nuisance import BIAS_SHARE, change_covariance, gain_stds
 from gateway.identify.prior_loads import bare_rows
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import load_estimates
 from gateway.identify.rest.problem import build_problem, open_link_prior
+from gateway.identify.rest.rest_loads import load_estimates
 from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.regressor import LOAD_COLUMNS
 from gateway.model.robot import Robot, reach_m

@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from gateway.diagnose.held import Held, listed
-from gateway.diagnose.rest.decide import Decision, noise_floor, strong, unseen_by_choice
+from gateway.diagnose.held_out_residuals import Held, listed
 from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_out_with, predicted
-from gateway.diagnose.rest.mistakes import Mistake
+from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.diagnose.rest.search import Search
+from gateway.diagnose.rest.verdict import Decision, noise_floor, strong, unseen_by_choice
 from gateway.identify.rest.hypothesis_fit import NOTHING, fit
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.loads import loads_of
+from gateway.identify.rest.rest_loads import loads_of
 from gateway.model.effects import MISTAKES
 from gateway.model.robot import Robot
 from gateway.model.term import Term

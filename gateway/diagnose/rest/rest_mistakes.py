@@ -18,7 +18,7 @@ from scipy.special import log_ndtr
 
 from gateway.data.table import Table
 from gateway.diagnose.rest.holdout import Unseen, left_out, pose_of_rows, predicted
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Fit, RestProblem, certain_bands
 from gateway.identify.rest.start_noise import first_noise

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose
+from gateway.diagnose.rest.residual_structure import misfit
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.screen import projection
 from gateway.diagnose.rest.search import Search, pruned
-from gateway.diagnose.rest.structure import misfit
-from gateway.diagnose.rest.thresholds import REST
 from gateway.identify.nuisance import NUISANCE_STD
 from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.model.term import Label, Term

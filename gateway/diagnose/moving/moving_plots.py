@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.moving.fit import MovingProblem
+from gateway.diagnose.moving.penalised_fit import MovingProblem
 from gateway.diagnose.moving.state import MovingState, spread_of
 from gateway.model.effect import Over
 from gateway.model.effects import LIBRARY

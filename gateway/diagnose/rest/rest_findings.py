@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.diagnose.rest.decide import Decision
+from gateway.diagnose.rest.verdict import Decision
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.linear import RestProblem
 from gateway.model.effects import LIBRARY

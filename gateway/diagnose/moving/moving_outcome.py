@@ -9,13 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.diagnose.held import Held, listed
-from gateway.diagnose.moving.answer import MovingAnswer
-from gateway.diagnose.moving.fit import MovingProblem
-from gateway.diagnose.moving.parameters import figures_of, parameters_of
-from gateway.diagnose.moving.pictures import pictures
-from gateway.diagnose.moving.ratio import held_ratio
-from gateway.diagnose.moving.remarks import (
+from gateway.diagnose.held_out_residuals import Held, listed
+from gateway.diagnose.moving.moving_answer import MovingAnswer
+from gateway.diagnose.moving.moving_findings import (
     MovingOutcome,
     above_floor,
     does_not_carry,
@@ -27,6 +23,10 @@ from gateway.diagnose.moving.remarks import (
     rms_of,
     tell_apart,
 )
+from gateway.diagnose.moving.moving_plots import pictures
+from gateway.diagnose.moving.parameters import figures_of, parameters_of
+from gateway.diagnose.moving.penalised_fit import MovingProblem
+from gateway.diagnose.moving.ratio import held_ratio
 from gateway.diagnose.moving.select import Chosen
 from gateway.diagnose.moving.state import MovingState
 from gateway.identify.load_estimate import refused_findings

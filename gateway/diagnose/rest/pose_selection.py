@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.options import DiagnoseOptions
-from gateway.diagnose.rest.decide import Decision
-from gateway.diagnose.rest.thresholds import REST
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
+from gateway.diagnose.rest.verdict import Decision
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.identify.rest.problem import Knowledge, build_problem
