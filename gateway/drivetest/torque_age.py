@@ -41,8 +41,14 @@ _DELAYS_S: Final = (-0.03, 0.08)
 _GRID_S: Final = 0.002
 #: Window in which the positions are smoothed [s], symmetric: it delays nothing.
 _WINDOW_S: Final = 0.05
+#: A gap between two answers longer than this [SYNC periods] disturbs the motion for some time [s].
+_GAP_PERIODS: Final = 1.5
+_SETTLE_S: Final = 0.3
+#: Residual over the median residual from which on a sample is left out, and how often that is done.
+_OUTLIER: Final = 6.0
+_REJECTIONS: Final = 2
 #: Torque of the acceleration over the residual, both root mean square, below which there is no figure.
-_LEAST_SIGNAL: Final = 1.0
+_LEAST_SIGNAL: Final = 0.5
 #: Part of the delay that the model of the friction may explain wrongly [s].
 SYSTEMATIC_S: Final = 0.001
 #: Delay of the acceleration by the interpolation of the drive, in SYNC periods: largest, expected, smallest.
@@ -101,6 +107,9 @@ def torque_age(samples: np.ndarray, period_s: float) -> TimingFigure:
     fits = _Fit(time_s, smooth, torque)
     parts = np.array_split(np.arange(len(time_s)), _PARTS)
     delay_s = fits.best(np.arange(len(time_s)))
+    for _ in range(_REJECTIONS):
+        fits.reject(delay_s)
+        delay_s = fits.best(np.arange(len(time_s)))
     if not fits.follows(delay_s):
         return not_measured(NAME, "the torque word does not follow the acceleration of this axis enough")
     singles = np.array([fits.best(np.setdiff1d(np.arange(len(time_s)), part)) for part in parts])
@@ -123,6 +132,9 @@ class _Fit:
         speed = self._spline(self._time_s, 1)
         inside = (self._time_s > _DELAYS_S[1]) & (self._time_s < self._time_s[-1] + _DELAYS_S[0])
         self._used = (np.abs(speed) > _LEAST_SHARE * np.abs(speed).max()) & inside
+        gaps = np.diff(self._time_s)
+        for end_s in self._time_s[1:][gaps > _GAP_PERIODS * np.median(gaps)]:
+            self._used &= np.abs(self._time_s - end_s) > _SETTLE_S
 
     def best(self, rows: np.ndarray) -> float:
         """Return the delay with the smallest residual over some rows [s], by a parabola through the grid."""
@@ -132,6 +144,12 @@ class _Fit:
         before, here, after = cost[least - 1 : least + 2]
         bend = before - 2.0 * here + after
         return float(self._delays[least] + (0.5 * _GRID_S * (before - after) / bend if bend > 0.0 else 0.0))
+
+    def reject(self, delay_s: float) -> None:
+        """Leave out samples that are outliers: contact of a cable, a setpoint that came with a delay."""
+        rows = np.flatnonzero(self._used)
+        residual = np.abs(self._parts(rows, delay_s)[1])
+        self._used[rows[residual > _OUTLIER * np.median(residual)]] = False
 
     def follows(self, delay_s: float) -> bool:
         """Return whether the delay is inside the grid, and the torque of the acceleration above the residual."""

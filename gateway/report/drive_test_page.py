@@ -69,7 +69,7 @@ def _cell(report: DriveTestReport, name: str, factor: float) -> str:
     figure = _figure(report, name)
     if figure is None or figure.value is None or figure.interval is None:
         return "\N{EN DASH}"
-    low, high = (significant(factor * end, 3) for end in figure.interval)
+    low, high = (significant(factor * end, 2) for end in figure.interval)
     return f"{significant(factor * figure.value, 3)} [{low}, {high}]"
 
 
