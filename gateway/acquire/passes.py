@@ -40,7 +40,8 @@ class Pass:
     ----------
     excitation : Excitation
     speed : float
-        Share of the planned speed. periods : tuple of int
+        Share of the planned speed.
+    periods : tuple of int
         Their numbers, from 1.
     motion : Motion
         Motion of one period at that speed.

@@ -155,7 +155,8 @@ def expectation(
     workspace : Workspace
     poses : sequence of RestPose
     noise_nm : array of shape (N,)
-        Standard deviation of the half-sum of a joint torque. noise_source : str
+        Standard deviation of the half-sum of a joint torque.
+    noise_source : str
     gain_std : sequence of N floats
         Relative standard deviation of the torque constants. The information of known link masses is left out: with well
         known links the result is better.

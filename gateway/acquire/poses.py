@@ -67,7 +67,8 @@ def choose_poses(
     workspace : Workspace
     request : PoseRequest
     noise_nm : array of shape (N,)
-        Standard deviation of the half-sum of a joint torque. joined_rad : array of shape (k, N), optional
+        Standard deviation of the half-sum of a joint torque.
+    joined_rad : array of shape (k, N), optional
         Postures between which paths are known: only poses with a straight path to one of them are chosen.
 
     Raises

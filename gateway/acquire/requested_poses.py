@@ -78,7 +78,9 @@ def plan_asked(loaded: LoadedCell, config: ArmConfig, asked: Asked, earlier: Rec
     config : ArmConfig
     asked : Asked
     earlier : Recording or None
-        Recording that is continued. Raises
+        Recording that is continued.
+
+    Raises
     ------
     PlanRefused
         A pose is outside the limits, in an obstacle, or not reachable.

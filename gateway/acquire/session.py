@@ -208,7 +208,9 @@ def keeping(opened: OpenArm, path: Path, header: ArmHeader, earlier: Recording |
     header : ArmHeader
         Description of the arm for the recording, as far as known.
     earlier : Recording or None
-        Recording that is continued. Raises
+        Recording that is continued.
+
+    Raises
     ------
     InputError
         As `VisitQueue`.

@@ -143,12 +143,14 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     Parameters
     ----------
     opened : OpenArm
-        Connected and configured, brakes on. options : MoveOptions, optional
+        Connected and configured, brakes on.
+    options : MoveOptions, optional
 
     Raises
     ------
     PlanRefused
-        No free motion is possible. LimitExceeded, DriveError, KeyboardInterrupt
+        No free motion is possible.
+    LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped.
     """
     options = options or MoveOptions()
@@ -180,7 +182,8 @@ class _SlowMotion(MotionSetpoints):
         Under power.
     motion : Motion
     begin : callable
-        Starts the test. goes_on : bool
+        Starts the test.
+    goes_on : bool
         True if the setpoints continue to the end of the motion; else they end at the start of the test.
     """
 

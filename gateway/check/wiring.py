@@ -38,7 +38,8 @@ class WiredArm:
     robot : Robot
     gravity_m_s2 : array of shape (3,)
     axes : AxisConversion
-        Conversion of the cell file. torque_limit_nm : array of shape (N,)
+        Conversion of the cell file.
+    torque_limit_nm : array of shape (N,)
     trust : float
         Relative standard deviation of the links' masses.
     load_kg : float

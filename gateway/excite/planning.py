@@ -65,7 +65,8 @@ class MovingRequest:
     ----------
     purpose : tuple of Purpose
     period_s : float
-        Period of a series. periods : int
+        Period of a series.
+    periods : int
         Periods of a series; a sweep is driven `SWEEP_PERIODS` times.
     seed : int
     choice : Choice

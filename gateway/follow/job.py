@@ -90,7 +90,8 @@ def prepare(loaded: LoadedCell, arm: ArmConfig, request: FollowRequest) -> Prepa
     InputError
         A file cannot be used, a load is of another robot, cell, arm or frame, or constants contradict each other.
     DataUnusable
-        The result holds no identified load. PlanRefused
+        The result holds no identified load.
+    PlanRefused
         The path leaves the workspace, or an offset reaches its limit.
     """
     _, load, model = loaded_model(loaded, arm, request.load, request.label)

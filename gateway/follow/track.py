@@ -121,7 +121,9 @@ def following(track: Track, load: FedLoad | None = None) -> FollowedSetting:
     ----------
     track : Track
     load : FedLoad, optional
-        Load in the feedforward. Raises
+        Load in the feedforward.
+
+    Raises
     ------
     ValueError
         No row is complete.

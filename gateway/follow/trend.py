@@ -1,12 +1,12 @@
 """Check of the load in the feedforward: the torque residual regressed on the columns of the load.
 
     T = (u - J theta'') eta^(+-1)                                   measured torque behind the gear
-    r = T - tau(arm + load) - friction                              residual of the feedforward model r = s Y_load
-    phi_load + nuisance                                trend: the load is (1 + s) times as heavy as entered r = Y_load
-    [dm, dh] + nuisance                                  the same, mass and first moment apart
+    r = T - tau(arm + load) - friction                              residual of the feedforward model
+    r = s Y_load phi_load + nuisance                                trend: the load is (1 + s) times as heavy as entered
+    r = Y_load [dm, dh] + nuisance                                  trend with mass and first moment separate
 
-Nuisance per axis: offset, Coulomb and viscous friction, a part in proportion to the transmitted torque (error of the
-gear losses), and a part in proportion to the axis' own acceleration. Friction changes sign with the direction of
+Nuisance terms per axis: offset, Coulomb and viscous friction, one term proportional to the transmitted torque (error of
+the gear losses), and one proportional to the axis' own acceleration. Friction changes sign with the direction of
 motion; the load does not. A drive that interpolates linearly between targets changes its speed at each SYNC, and its
 torque, sampled there, misses part of what accelerates the axis. So the load is identified by gravity.
 Only rows in which an axis moves are used. Errors of neighbouring rows are correlated: the covariance is a
@@ -70,7 +70,9 @@ def load_trend(track: Track, model: FeedModel, load: FeedLoad) -> Trend | None:
     track : Track
     model : FeedModel
     load : FeedLoad
-        Load in the feedforward. Returns
+        Load in the feedforward.
+
+    Returns
     -------
     Trend or None
         None if too few rows move.

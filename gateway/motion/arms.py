@@ -69,7 +69,8 @@ class Arms:
     Parameters
     ----------
     arms : sequence of Arm
-        Connected and configured, brakes on. pacing : "lockstep" or "real"
+        Connected and configured, brakes on.
+    pacing : "lockstep" or "real"
 
     Attributes
     ----------

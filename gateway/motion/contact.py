@@ -79,7 +79,8 @@ class Contact:
         Parameters
         ----------
         q_rad : array of shape (N,)
-            Measured positions. torque_nm, modelled_nm : arrays of shape (N,)
+            Measured positions.
+        torque_nm, modelled_nm : arrays of shape (N,)
             Joint side.
         target_rad : array of shape (N,)
             Setpoints of the drives.

@@ -26,7 +26,8 @@ class Scene:
     Attributes
     ----------
     arms : Arms
-        The arms, brakes on. workspaces : tuple of Workspace
+        The arms, brakes on.
+    workspaces : tuple of Workspace
         One per arm: its robot, limits and links.
     period_s : float
         SYNC period.

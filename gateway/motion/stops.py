@@ -2,8 +2,8 @@
 
 Two kinds of stop can be requested; a third follows where they fail (`drives.stopping`: heartbeat stopped).
 
-along the path all drives are healthy: operator, prompt, slow disk, internal force
-quick stop contact, exceeded limit, second signal
+    along the path   all drives are healthy: operator, prompt, slow disk, internal force
+    quick stop       contact, exceeded limit, second signal
 """
 
 from __future__ import annotations

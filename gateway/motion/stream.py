@@ -128,7 +128,8 @@ class Stream:
     urgent : bool
         A quick stop was requested.
     sync_index : int
-        SYNC of the last answer. first_moved : bool
+        SYNC of the last answer.
+    first_moved : bool
         True after the first motion with these drives.
     """
 

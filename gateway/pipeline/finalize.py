@@ -35,7 +35,8 @@ def finalize(
     result : Result
         Of an estimation or a diagnosis.
     about : AnalysisInputs
-        Inputs of the estimation. table : Table
+        Inputs of the estimation.
+    table : Table
         All samples that were read.
     paths : sequence of Path
         The data files.

@@ -80,7 +80,8 @@ class Narrowness:
     ----------
     half : present half widths
     goal : requested half widths, infinite without a request
-    limit : expected half widths after `MOST_POSES` poses : poses of this load measured so far
+    limit : expected half widths after `MOST_POSES` poses
+    poses : poses of this load measured so far
     ahead : further poses that are expected to be needed
     """
 

@@ -30,7 +30,8 @@ class Goal:
     Attributes
     ----------
     mass_kg : float
-        Infinite if not requested. mass_share : float
+        Infinite if not requested.
+    mass_share : float
         Share of the mass, instead of kg; infinite if not requested.
     com_m : float
         Of each coordinate of the centre of gravity; infinite if not requested.

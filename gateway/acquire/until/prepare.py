@@ -62,7 +62,8 @@ def search_of(
     ----------
     loaded : LoadedCell
     workspace : Workspace
-        Workspace of the arm. arm : ArmConfig
+        Workspace of the arm.
+    arm : ArmConfig
     request : UntilRequest
     apart_rad : array of shape (k, N)
         Postures reserved for validation; samples measured there are left out.

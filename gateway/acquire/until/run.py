@@ -34,7 +34,8 @@ class UntilSummary:
     ----------
     recording : RecordingSummary
     decision : NextStep
-        The last decision. reason : str
+        The last decision.
+    reason : str
         Reason of the end, for the operator.
     """
 
