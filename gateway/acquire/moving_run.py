@@ -97,7 +97,7 @@ class MovingRun:
         self.missed: tuple[tuple[str, int], ...] = ()
         self.state = state
         self._legs, self._load = tuple(legs), load
-        self._station, self._store, self._tell = station, station.store, station.tell
+        self._station, self._store, self._notify = station, station.store, station.notify
         self._speed = station.options.override
         self._period_s = legs[0].transfer.settings.period_s
         self._first = station.options.first_done is not None
@@ -121,7 +121,7 @@ class MovingRun:
         refuse_sunk(self._legs[0].transfer, stream)
         self._stream = stream
         periods = sum(len(leg.driven.periods) for leg in self._legs)
-        self._tell(Started(self._legs[0].transfer.arm, self._load, periods, sum(self._ahead_s)))
+        self._notify(Started(self._legs[0].transfer.arm, self._load, periods, sum(self._ahead_s)))
         stream.take_over()
         for leg in self._legs:
             self.state.enter(Phase.MOVING, stream.sync_index)
@@ -135,13 +135,13 @@ class MovingRun:
                 self._steps += 2
                 self._drive(leg, again)
             self.missed += tuple((leg.driven.excitation.name, period) for period in self._incomplete)
-        self._tell(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
+        self._notify(Progress(self._steps, self._steps, "done", self._elapsed_s + self._now_s, 0.0))
 
     def report(self, what: str, row: int, rows: int) -> None:
         """Report the progress of the run; called by the motion loop at intervals."""
         done_s = self._now_s * max(row, 0) / rows
         left_s = self._now_s - done_s + sum(self._ahead_s)
-        self._tell(Progress(self._steps - len(self._ahead_s), self._steps, what, self._elapsed_s + done_s, left_s))
+        self._notify(Progress(self._steps - len(self._ahead_s), self._steps, what, self._elapsed_s + done_s, left_s))
 
     def _next(self) -> None:
         """Announce the next motion or rest."""
@@ -212,7 +212,7 @@ class MovingRun:
         """Report a period that is on disk."""
         if not isinstance(period, Period):
             return
-        self._tell(
+        self._notify(
             PeriodDone(
                 number=period.number,
                 name=period.name,

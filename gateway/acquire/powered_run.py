@@ -96,7 +96,7 @@ def execute(station: VisitStation, plan: Plan, load: str, drive: Callable[[Run, 
 
 def tracked_state(station: VisitStation, arm: str) -> StateTracker:
     """Return the state tracker of a run; it notifies the listeners of the station."""
-    return StateTracker(arm, lambda new: station.tell(StateChanged(new)))
+    return StateTracker(arm, lambda new: station.notify(StateChanged(new)))
 
 
 class PoweredRun(Protocol):
@@ -155,7 +155,7 @@ def under_power(station: VisitStation, run: PoweredRun, what: Powered, drive: Ca
     except BaseException as error:
         _keep_the_rest(station, run, what.arm, error)
         disk()
-        station.tell(Stopped(str(error) or type(error).__name__))
+        station.notify(Stopped(str(error) or type(error).__name__))
         raise
     finally:
         station.options.desk.forget(disk)

@@ -73,7 +73,7 @@ class Run:
         self._arm = station.arm
         self._workspace = station.workspace
         self._store, self._station = station.store, station
-        self._tell = station.tell
+        self._notify = station.notify
         self._period_s = plan.settings.period_s
         self._first = FIRST_SHARE if station.options.first_done is not None else 1.0
         self._ends = self._timed(plan, 0.0)
@@ -104,7 +104,7 @@ class Run:
         """Report the start of a run with its number of visits and the time [s] expected in addition to the plan."""
         self.check_start(stream)
         self._stream, self._further_s = stream, further_s
-        self._tell(Started(self.plan.arm, self._load, visits, self._slower * (self._ends[-1] + further_s)))
+        self._notify(Started(self.plan.arm, self._load, visits, self._slower * (self._ends[-1] + further_s)))
         stream.take_over()
 
     def go_on(self, plan: Plan, further_s: float) -> None:
@@ -115,7 +115,7 @@ class Run:
 
     def end(self) -> None:
         """Report the end of the run."""
-        self._tell(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
+        self._notify(Progress(len(self.plan.steps), len(self.plan.steps), "done", self._slower * self._ends[-1], 0.0))
 
     def _timed(self, plan: Plan, begin_s: float) -> list[float]:
         """Return the end times of the steps; the very first step is slow if these drives have not moved yet."""
@@ -187,7 +187,7 @@ class Run:
                     samples.append(sample)
                     continue
                 repeated += 1
-                self._tell(SampleRepeated(sample.sync_index, sample.silent))
+                self._notify(SampleRepeated(sample.sync_index, sample.silent))
                 if repeated > max(REPEATED_LEAST, REPEATED_SHARE * step.count):
                     raise IncompleteEpochs(
                         f"pose {step.pose}: {repeated} SYNCs were not answered by all axes while {len(samples)}"
@@ -210,7 +210,7 @@ class Run:
         if not isinstance(visit, Visit) or not visit.complete:
             return
         torque = visit.joint_torque_nm
-        self._tell(
+        self._notify(
             VisitDone(
                 number=visit.number,
                 pose=visit.pose,
@@ -224,14 +224,14 @@ class Run:
         )
         if visit.gravity_nm is not None and visit.friction_band_nm is not None:
             gravity, band = tuple(visit.gravity_nm.tolist()), tuple(visit.friction_band_nm.tolist())
-            self._tell(PoseDone(visit.pose, visit.load, gravity, band))
+            self._notify(PoseDone(visit.pose, visit.load, gravity, band))
 
     def report(self, what: str, row: int, rows: int) -> None:
         """Report the progress of the run; called by the motion loop at intervals."""
         begin, end = (self._ends[self._step], self._ends[self._step + 1]) if self._step >= 0 else self._ends[:1] * 2
         elapsed = begin + (end - begin) * max(row, 0) / rows
         left = self._slower * (self._ends[-1] - elapsed + self._further_s)
-        self._tell(Progress(self._step + 1, len(self.plan.steps), what, self._slower * elapsed, left))
+        self._notify(Progress(self._step + 1, len(self.plan.steps), what, self._slower * elapsed, left))
 
 
 def refuse_sunk(plan: Plan, stream: Stream) -> None:

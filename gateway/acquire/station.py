@@ -107,7 +107,7 @@ class VisitStation:
         """Motor temperatures (N,) [deg C] read since the sampling began."""
         return None if self.temperatures is None else self.temperatures.read_c
 
-    def tell(self, event: Event) -> None:
+    def notify(self, event: Event) -> None:
         """Send an event to all listeners and observers; an error of a listener requests a stop of the arm.
 
         All others are still notified.

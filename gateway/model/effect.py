@@ -83,7 +83,7 @@ class Effect:
     drawn : wrong link parameters of the robot model can imitate it
     friction : it is friction, which has many forms in a gear
     mistake : error and advice, for a commissioning mistake
-    told : descriptions of parameters whose key is not self-explanatory
+    parameter_texts : descriptions of parameters whose key is not self-explanatory
     """
 
     name: str
@@ -97,7 +97,7 @@ class Effect:
     drawn: bool = False
     friction: bool = False
     mistake: tuple[str, str] | None = None
-    told: Mapping[str, str] = field(default_factory=dict)
+    parameter_texts: Mapping[str, str] = field(default_factory=dict)
 
 
 def measured_axes(rows: Visits) -> list[int]:

@@ -49,7 +49,7 @@ class MovingRows:
     phase_s : array of shape (n,)
         Time since the start of the period; `time_s` if nothing repeats.
     load : str array of shape (n,)
-    given : bool array of shape (n,)
+    held_out : bool array of shape (n,)
         Sample of the hold-out data of the user, which no fit uses.
     q_rad, qd_rad_s, qdd_rad_s2, tau_nm : arrays of shape (n, N)
         Torque is 0 where not measured.
@@ -78,7 +78,7 @@ class MovingRows:
     run: NDArray[np.int_]
     phase_s: Floats
     load: NDArray[np.str_]
-    given: Mask
+    held_out: Mask
     q_rad: Floats
     qd_rad_s: Floats
     qdd_rad_s2: Floats
@@ -217,7 +217,7 @@ def prepare(
         parts.append(held)
         runs.append(held_run + fitted_run.max() + 1)
     run = np.concatenate(runs)
-    is_given = np.concatenate([np.full(len(part), number == 1) for number, part in enumerate(parts)])
+    is_held_out = np.concatenate([np.full(len(part), number == 1) for number, part in enumerate(parts)])
     step = max(1, int(np.ceil(len(run) / largest)))
     keep = np.zeros(len(run), dtype=bool)
     keep[::step] = True
@@ -225,7 +225,7 @@ def prepare(
         name: np.concatenate([getattr(part, name) for part in parts])[keep]
         for name in ("time_s", "load", "q_rad", "qd_rad_s", "qdd_rad_s2", "tau_nm", "q2nd_rad", "temperature_c")
     }
-    run, is_given = run[keep], is_given[keep]
+    run, is_held_out = run[keep], is_held_out[keep]
     tau = fields.pop("tau_nm")
     link = fields.pop("q2nd_rad")
     seen = np.isfinite(link).all(axis=0)
@@ -235,9 +235,9 @@ def prepare(
     for number in np.unique(run):
         time[run == number] -= time[run == number].min()
     in_period = np.concatenate([part.extra.get(PHASE_S, np.full(len(part), np.nan)) for part in parts])[keep]
-    speed = np.abs(fields["qd_rad_s"][~is_given]).max(axis=0)
+    speed = np.abs(fields["qd_rad_s"][~is_held_out]).max(axis=0)
     judged = np.isfinite(tau) & turns(fields["qd_rad_s"], speed)
-    if not judged[~is_given].any():
+    if not judged[~is_held_out].any():
         raise DataUnusable("no axis moves while its torque is measured; moving samples need speeds above 0.001 rad/s")
     return MovingRows(
         robot=robot,
@@ -245,7 +245,7 @@ def prepare(
         time_s=time,
         phase_s=np.where(np.isfinite(in_period), in_period, time),
         run=run,
-        given=is_given,
+        held_out=is_held_out,
         tau_nm=np.nan_to_num(tau),
         judged=judged,
         sign=smooth_sign(fields["qd_rad_s"], speed),

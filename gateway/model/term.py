@@ -65,7 +65,7 @@ class Term:
         Smallest and largest plausible value of reported parameters.
     modelled : bool
         True if the columns in motion depend on the modelled torque.
-    ordinary : bool
+    is_common : bool
         True for a property of any gear: it needs less evidence than a fault or an additional part.
     scales_reading : bool
         True if the columns of the bodies are scaled by the fitted factor.
@@ -81,7 +81,7 @@ class Term:
     SPREAD: ClassVar[tuple[float, ...]] = (NAN,)
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = NO_BOUNDS
     modelled: ClassVar[bool] = False
-    ordinary: ClassVar[bool] = False
+    is_common: ClassVar[bool] = False
     scales_reading: ClassVar[bool] = False
     with_friction: ClassVar[bool] = False
     takes_over: ClassVar[str] = ""

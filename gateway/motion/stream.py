@@ -149,7 +149,7 @@ class Stream:
         self._acceleration = np.concatenate([each.acceleration_rad_s2 for each in station.workspaces])
         self._jerk = np.concatenate([each.jerk_rad_s3 for each in station.workspaces])
         self._observers = station.options.observers
-        self._tell = guarded(station.report, station.options.desk)
+        self._progress = guarded(station.report, station.options.desk)
         self._first_done = station.options.first_done
         self._every = max(1, round(REPORT_S / station.period_s))
         self._gravity_nm: PerArm = ()
@@ -312,7 +312,7 @@ class Stream:
                 done.add_done_callback(lambda _done: sys.setswitchinterval(switch_s))
 
     def _report(self, what: str, row: int, rows: int) -> None:
-        self._tell(what, row, rows)
+        self._progress(what, row, rows)
         self._observers.reported(MotionProgress(what, row, rows))
 
     def _heed(self) -> None:

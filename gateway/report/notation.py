@@ -90,7 +90,7 @@ def parameter(name: str) -> tuple[str, str]:
 def parameter_of(effect_name: str, key: str) -> tuple[str, str]:
     """Return the text and unit of a parameter of an effect."""
     name, unit = parameter(key)
-    found = LIBRARY[effect_name].told if effect_name in LIBRARY else {}
+    found = LIBRARY[effect_name].parameter_texts if effect_name in LIBRARY else {}
     return found.get(key, name), unit
 
 

@@ -126,7 +126,7 @@ def run_until(station: VisitStation, search: LoadSearch, rows: Rows) -> NextStep
             measured = rows([visit for visit in collected.visits if visit.complete])
             new = stream.hold_while(lambda table=measured, at=at_rad: decide(search, table, at), "estimate")
             last[0] = new
-            station.tell(Narrowed(search.label, new.verdict.poses, narrowed(new)))
+            station.notify(Narrowed(search.label, new.verdict.poses, narrowed(new)))
             if new.plan is None:
                 break
             run.go_on(new.plan, new.expected_s)

@@ -33,7 +33,7 @@ def elastic_joints(
         bend, torque = motion.wind_up_rad[:, axis], state.full.modelled.rigid_nm[:, axis]
         if not np.isfinite(bend).all() or not motion.measured[axis]:
             continue
-        fitted = ~motion.given
+        fitted = ~motion.held_out
         seen = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
         compliance, std = seen.compliance_rad_nm, seen.std_rad_nm
         ratio = _foretold(pairs, design_of(torque), bend)

@@ -68,7 +68,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     trust, free = _trust(robot, options.inertials)
     stated = Knowledge(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
     knowledge = MovingKnowledge(_allowed(options), trust, free, stated)
-    if (~motion.given).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
+    if (~motion.held_out).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
         problem = problem_of(motion, trust, knowledge)
         answer = answer_of(table, robot, _told_to_fit(robot, options, MOVING.usual_trust), (), delay_s)
         return too_little(problem, state_of(problem, ()), answer)
@@ -112,7 +112,7 @@ def _told_to_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) ->
 def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Judges]:
     """The model that all rows choose which may, and those by which it is judged."""
     found = choose(motion, knowledge)
-    if motion.given.any():
+    if motion.held_out.any():
         return found, Judges((found,))
     near = replace(knowledge, trust=found.problem.null.trust) if knowledge.free else knowledge
     return found, Judges(tuple(choose(part, near) for part in judging(motion, MOVING.judged_blocks)))
@@ -133,7 +133,7 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
         state = state_of(problem, [term for item in sure for term in item.terms])
     kept = {term.label for term in state.terms}
     rejected = left_over(problem, state, knowledge.allowed)
-    if problem.motion.given.any():
+    if problem.motion.held_out.any():
         judges = Judges((replace(found, state=state),))
     as_read = state_of(found.as_read, ()) if found.mistakes else None
     return MovingOutcome(
@@ -171,11 +171,11 @@ def _allowed(options: DiagnoseOptions) -> frozenset[str]:
 
 def _foretold(motion: MovingRows, known: Collection[str]) -> MovingRows:
     """Hold-out rows under a load that is neither fitted nor known cannot be foretold: they are not judged."""
-    seen = [BARE_LABEL, *known, *np.unique(motion.load[~motion.given])]
-    strange = motion.given & ~np.isin(motion.load, seen)
+    seen = [BARE_LABEL, *known, *np.unique(motion.load[~motion.held_out])]
+    strange = motion.held_out & ~np.isin(motion.load, seen)
     if not strange.any():
         return motion
-    rest = motion.given & ~strange
+    rest = motion.held_out & ~strange
     if not rest.any():
         raise DataUnusable(
             f"--holdout: load {motion.load[strange][0]} is not in the data that are fitted; give it with --known, or"

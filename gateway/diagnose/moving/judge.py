@@ -34,7 +34,7 @@ class Judges:
     def pairs(self) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
         """(fitted, judged) rows of each."""
         motions = [choice.problem.motion for choice in self.choices]
-        return [(~motion.given & motion.judged.any(axis=1), motion.given) for motion in motions]
+        return [(~motion.held_out & motion.judged.any(axis=1), motion.held_out) for motion in motions]
 
     def before(self) -> Held:
         """What the model without effects leaves, mistakes as they were read."""
@@ -96,7 +96,7 @@ class Judges:
 
 def _residual(problem: MovingProblem, terms: Sequence[Term]) -> Floats:
     motion = problem.motion
-    return fit(problem, terms, ~motion.given, motion.given).residual_nm
+    return fit(problem, terms, ~motion.held_out, motion.held_out).residual_nm
 
 
 def _share_left(problem: MovingProblem) -> Floats:
@@ -111,7 +111,7 @@ def _joined(parts: Sequence[tuple[MovingProblem, Floats]]) -> Held:
     first = parts[0][0].motion
     residual, counted = np.zeros_like(first.tau_nm), np.zeros_like(first.judged)
     for problem, left in parts:
-        rows = problem.motion.given
+        rows = problem.motion.held_out
         counted[rows] = problem.motion.judged[rows]
         residual[rows] = left[rows]
     return Held(residual * counted, counted)

@@ -145,7 +145,7 @@ def remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
         )
         for name, joints in sorted(outcome.refuted)
     ]
-    if motion.given.any() and does_not_carry(outcome):
+    if motion.held_out.any() and does_not_carry(outcome):
         found.append(
             Finding(
                 "warn",

@@ -75,7 +75,7 @@ def undo(motion: Read, mistakes: Sequence[MovingMistake]) -> Read:
 def _worst(problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[Label]) -> MovingMistake | None:
     """The mistake whose undoing lowers the held-out error most, of those that lower it for sure."""
     neutral = _with_neutral_noise(problem)
-    now = fit(neutral, (), ~problem.motion.given, problem.motion.given)
+    now = fit(neutral, (), ~problem.motion.held_out, problem.motion.held_out)
     judged = []
     for mistake, limit in _suspects(neutral, now, allowed):
         if mistake.label in refuted or not _takes_power(neutral, mistake):
@@ -89,7 +89,7 @@ def _worst(problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[L
 def _suspects(problem: MovingProblem, now: MovingFit, allowed: frozenset[str]) -> Iterator[tuple[MovingMistake, float]]:
     """Mistakes that the fitted rows suggest, with the held-out ratio that undoing each must reach."""
     axes = [int(axis) for axis in np.flatnonzero(problem.motion.measured)]
-    everything = ~problem.motion.given
+    everything = ~problem.motion.held_out
     for axis in axes if "sign_reversed" in allowed else ():
         power = _friction_power(problem, now, axis)
         if power < 0 and not _right_in_a_run(problem, axis):
@@ -110,11 +110,11 @@ def _share_left(problem: MovingProblem, now: MovingFit, axis: int) -> float:
 def _right_in_a_run(problem: MovingProblem, axis: int) -> bool:
     """Whether friction takes power for sure in some run: a reversed sign would turn it in all of them."""
     motion = problem.motion
-    for number in np.unique(motion.run[~motion.given]):
-        rows = (motion.run == number) & ~motion.given
+    for number in np.unique(motion.run[~motion.held_out]):
+        rows = (motion.run == number) & ~motion.held_out
         if motion.judged[rows, axis].sum() < MOVING.fewest_rows:
             continue
-        if _friction_power(problem, fit(problem, (), rows, motion.given), axis) > MOVING.right_way:
+        if _friction_power(problem, fit(problem, (), rows, motion.held_out), axis) > MOVING.right_way:
             return True
     return False
 
@@ -145,7 +145,7 @@ def _friction_power(problem: MovingProblem, solved: MovingFit, axis: int) -> flo
 
 def _takes_power(problem: MovingProblem, mistake: MovingMistake) -> bool:
     other = _undone(problem, mistake)
-    solved = fit(other, (), ~other.motion.given, other.motion.given)
+    solved = fit(other, (), ~other.motion.held_out, other.motion.held_out)
     return all(_friction_power(other, solved, axis) > 0 for axis in mistake.axes)
 
 

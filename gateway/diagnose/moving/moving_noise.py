@@ -48,7 +48,7 @@ def noise_of(motion: MovingRows, columns: Columns, terms: Sequence[Term], modell
             if axis in axes and (modelled is not None or not term.modelled):
                 more.append(term.columns(motion, modelled)[:, axes.index(axis)])  # type: ignore[arg-type]
         _, rest = axis_alone(motion, columns, int(axis), more)
-        rows = motion.judged[:, axis] & ~motion.given
+        rows = motion.judged[:, axis] & ~motion.held_out
         floor = 1e-6 * max(float(np.abs(motion.tau_nm[rows, axis]).max()), 1e-6)
         sigma[axis] = max(float(np.sqrt(np.mean(rest**2))), floor)
         share[axis] = counting_share(rest)
@@ -59,10 +59,10 @@ def axis_alone(motion: MovingRows, columns: Columns, axis: int, more: Sequence[F
     """Coulomb friction [Nm] and residual (k,) of the fitted rows of one axis, by a fit of that axis alone in which its
     links, its loads and further columns (n, m) are free.
     """
-    rows = motion.judged[:, axis] & ~motion.given
+    rows = motion.judged[:, axis] & ~motion.held_out
     bodies = motion.rigid[:, axis]
     # a load left out would pass for noise where two of them differ
-    labels = np.setdiff1d(motion.load[~motion.given], [BARE_LABEL])
+    labels = np.setdiff1d(motion.load[~motion.held_out], [BARE_LABEL])
     loaded = [bodies[:, -PER_BODY:] * (motion.load == label)[:, None] for label in labels]
     own = columns.design[:, axis, columns.lasting[axis]]
     matrix = np.column_stack([own, bodies, *loaded, *more])[rows]

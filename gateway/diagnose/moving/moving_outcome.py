@@ -76,7 +76,7 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
         effects=effects,
         before=_summary(before, outcome.held_before, plain),
         after=_summary(after, outcome.held_after, answer),
-        holdout_kind="given" if problem.motion.given.any() else "blocks",
+        holdout_kind="given" if problem.motion.held_out.any() else "blocks",
         noise_floor_nm=listed(problem.motion.floor_nm),
         friction_band_nm=listed(_friction_level(problem, after)),
         rejected=_rejected(outcome),
@@ -101,7 +101,7 @@ def too_little(problem: MovingProblem, state: MovingState, answer: MovingAnswer)
     unknown = _unknown(problem)
     summary = FitSummary(rms_nm=listed(rms_of(state)), holdout_rms_nm=unknown, loads=answer.loads)
     step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
-    what = f"{int((~problem.motion.given).sum())} moving rows over {problem.motion.duration_s:.1f} s"
+    what = f"{int((~problem.motion.held_out).sum())} moving rows over {problem.motion.duration_s:.1f} s"
     return Result(
         robot=problem.motion.robot.name,
         loads=answer.loads,
@@ -195,7 +195,7 @@ def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, obj
         "delay_s": listed(motion.delay_s),
         "rows_judged": [int(x) for x in motion.judged.sum(axis=0)],
         "holdout_blocks": len(outcome.judges.choices),
-        "held_out": HELD_OUT["given" if motion.given.any() else _blocks(problem)],
+        "held_out": HELD_OUT["given" if motion.held_out.any() else _blocks(problem)],
         "inertials": "ignore" if trust is None else f"prior:{trust:g}",
         "rows_that_count": listed(problem.noise.share * motion.judged.sum(axis=0)),
         "candidates_tried": _tried(outcome),

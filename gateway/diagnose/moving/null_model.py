@@ -117,7 +117,7 @@ def null_model(motion: MovingRows, trust: float | None, knowledge: Knowledge) ->
     A load that is in no fitted row has no columns. Where nothing is known of the links and no row is of an unloaded arm
     or a known load, the first load is a part of the last link.
     """
-    fitted = motion.load[~motion.given]
+    fitted = motion.load[~motion.held_out]
     unknown = unknown_labels(motion.load, knowledge.known)
     seen = [label for label in unknown if label in fitted]
     lumped = trust is None and not knowledge.known and not (fitted == BARE_LABEL).any()
@@ -129,7 +129,7 @@ def null_model(motion: MovingRows, trust: float | None, knowledge: Knowledge) ->
         known={**knowledge.known, **nothing},
     )
     setup = MovingSetup(smooth_rad_s=rounding_rad_s(motion.speed_rad_s), nuisances=SEARCHED)
-    rows = replace(motion, tau_nm=np.where(motion.given[:, None], np.nan, motion.tau_nm))
+    rows = replace(motion, tau_nm=np.where(motion.held_out[:, None], np.nan, motion.tau_nm))
     columns = moving_columns(rows, motion.robot, stated, setup)
     level_nm = np.array([_coulomb_nm(motion, columns, axis) for axis in range(motion.axes)])
     prior = held_to_friction(columns.prior, columns.names, level_nm, OFFSET_SHARE if columns.loads else np.inf)
@@ -178,12 +178,12 @@ def _plausible_size(motion: MovingRows) -> Floats:
 
 
 def _torque_scale(motion: MovingRows) -> Floats:
-    scale = np.sqrt((motion.tau_nm[~motion.given] ** 2).mean(axis=0))
+    scale = np.sqrt((motion.tau_nm[~motion.held_out] ** 2).mean(axis=0))
     return np.where(scale > 0, scale, 1.0)
 
 
 def _coulomb_nm(motion: MovingRows, columns: Columns, axis: int) -> float:
     """Coulomb friction [Nm] of one axis, no less than what is lost in any noise."""
     least = LEAST_FRICTION * float(_torque_scale(motion)[axis])
-    moves = bool((motion.judged[:, axis] & ~motion.given).any())
+    moves = bool((motion.judged[:, axis] & ~motion.held_out).any())
     return max(abs(axis_alone(motion, columns, axis)[0]), least) if moves else least

@@ -73,7 +73,7 @@ def _over_decays(problem: MovingProblem, state: MovingState, term: Stribeck, val
     costs, found = [], []
     for share in FRACTIONS:
         member = Stribeck(term.axis, share * float(motion.speed_rad_s[term.axis]))
-        one = fit(problem, (*others, member), ~motion.given, motion.given, state.full)
+        one = fit(problem, (*others, member), ~motion.held_out, motion.held_out, state.full)
         costs.append(one.cost)
         found.append([*one.value[index], one.value[-1], member.decay_rad_s])
     weight = np.exp(-0.5 * (np.array(costs) - min(costs)))

@@ -111,4 +111,4 @@ def coupling_cost(problem: MovingProblem, others: Sequence[Term], term: MotorCou
     prior = columns.prior.with_std(own, (1e8 * seen) ** -0.5)
     clamped = replace(problem, null=replace(problem.null, columns=replace(columns, prior=prior)))
     member = replace(term, coefficient=coefficient)
-    return fit(clamped, (*others, member), ~problem.motion.given, problem.motion.given).cost
+    return fit(clamped, (*others, member), ~problem.motion.held_out, problem.motion.held_out).cost

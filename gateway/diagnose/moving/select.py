@@ -25,7 +25,7 @@ from gateway.model.term import Label, Term
 
 def demands(term: Term, axes: int) -> Demands:
     """What this effect must show on an arm of so many axes."""
-    if term.ordinary:
+    if term.is_common:
         return MOVING.ordinary
     return MOVING.special_all_axes if len(term.enters(axes)) > 2 else MOVING.special
 

@@ -32,11 +32,11 @@ def blocks(motion: MovingRows, count: int) -> Splits:
 
 def choosing(motion: MovingRows, count: int, known: frozenset[str]) -> Splits:
     """Splits that choose: whole runs where the others still show their load, blocks of time in the others."""
-    runs = np.unique(motion.run[~motion.given])
+    runs = np.unique(motion.run[~motion.held_out])
     whole = [number for number in runs if len(runs) >= MOVING.several_runs and _shared(motion, number, known)]
     splits: list[list[tuple[Mask, Mask]]] = [[] for _ in range(count)]
     for place, number in enumerate(whole):
-        mine = (motion.run == number) & ~motion.given
+        mine = (motion.run == number) & ~motion.held_out
         splits[place % count].append((mine, mine))
     for shift, number in enumerate(number for number in runs if number not in whole):
         own = list(_pieces(motion, number, count))
@@ -47,24 +47,24 @@ def choosing(motion: MovingRows, count: int, known: frozenset[str]) -> Splits:
 
 def judging(motion: MovingRows, count: int) -> tuple[MovingRows, ...]:
     """The rows, with each outer block in turn given to judge; as they are where rows were given."""
-    if motion.given.any():
+    if motion.held_out.any():
         return (motion,)
     return tuple(
-        replace(motion, given=test, judged=motion.judged & (train | test)[:, None])
+        replace(motion, held_out=test, judged=motion.judged & (train | test)[:, None])
         for train, test in blocks(motion, count)
     )
 
 
 def _shared(motion: MovingRows, number: int, known: frozenset[str]) -> bool:
     """Whether every load of a run is known, or hangs in another run too."""
-    fitted = ~motion.given
+    fitted = ~motion.held_out
     others = set(motion.load[fitted & (motion.run != number)])
     return all(label in others or label in known for label in {*motion.load[fitted & (motion.run == number)]})
 
 
 def _pieces(motion: MovingRows, number: int, count: int) -> Iterator[tuple[Mask, Mask]]:
     """Rows of each block of a run that may be fitted, and those with the rows near to it."""
-    mine = (motion.run == number) & ~motion.given
+    mine = (motion.run == number) & ~motion.held_out
     rows = np.flatnonzero(mine)
     rows = rows[np.argsort(motion.phase_s[rows], kind="stable")]
     gap = min(GAP_S, GAP_SHARE * float(np.ptp(motion.phase_s[rows]))) if len(rows) else 0.0
@@ -85,5 +85,5 @@ def _joined(motion: MovingRows, splits: list[list[tuple[Mask, Mask]]]) -> Splits
         if parts:
             test, near = (np.any([part[place] for part in parts], axis=0) for place in (0, 1))
             if test.any():
-                out.append((~motion.given & ~near, test))
+                out.append((~motion.held_out & ~near, test))
     return tuple(out)

@@ -34,7 +34,7 @@ class MovingState:
 
 def state_of(problem: MovingProblem, terms: Sequence[Term]) -> MovingState:
     """Fit a model to every split and to all rows that may be fitted."""
-    full = fit(problem, terms, ~problem.motion.given, problem.motion.given)
+    full = fit(problem, terms, ~problem.motion.held_out, problem.motion.held_out)
     fits = tuple(fit(problem, terms, train, test, full) for train, test in problem.splits)
     return MovingState(tuple(terms), fits, full, held_out(problem, fits))
 
@@ -44,8 +44,8 @@ def with_noise_of(problem: MovingProblem, terms: Sequence[Term], full: MovingFit
     motion = problem.motion
     noise = noise_of(motion, problem.null.columns, terms, full.modelled if full is not None else None)
     problem = replace(problem, noise=noise)
-    everything = ~motion.given
-    full = fit(problem, terms, everything, motion.given)
+    everything = ~motion.held_out
+    full = fit(problem, terms, everything, motion.held_out)
     return replace(problem, noise=scaled_to(noise, full.residual_nm, motion.judged & everything[:, None]))
 
 
@@ -87,7 +87,7 @@ def spread_of(problem: MovingProblem, state: MovingState, where: NDArray[np.int_
 
 def _without_blocks(problem: MovingProblem, state: MovingState) -> Sequence[MovingFit]:
     """Fits that leave out a block of time of every run: to leave out a whole run is to lose what only it shows."""
-    if len(np.unique(problem.motion.run[~problem.motion.given])) < MOVING.several_runs:
+    if len(np.unique(problem.motion.run[~problem.motion.held_out])) < MOVING.several_runs:
         return state.fits
     splits = blocks(problem.motion, MOVING.blocks)
     return [fit(problem, state.terms, train, test, state.full) for train, test in splits]

@@ -30,8 +30,8 @@ WIDE = 1e-8
 
 def log_evidence(problem: MovingProblem, terms: Sequence[Term]) -> float:
     """Log marginal likelihood of the rows to be fitted, up to a constant that trust and effects do not change."""
-    everything = ~problem.motion.given
-    solved = fit(problem, terms, everything, problem.motion.given)
+    everything = ~problem.motion.held_out
+    solved = fit(problem, terms, everything, problem.motion.held_out)
     prior = problem.null.columns.prior.beside(prior_of(terms)).precision
     return 0.5 * (_log_det(prior + WIDE * np.eye(len(prior))) + _log_det(solved.inverse) - solved.cost)
 
@@ -58,8 +58,8 @@ def choose_trust(problem: MovingProblem, terms: Sequence[Term]) -> float | None:
 def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingProblem:
     """The problem with each axis's scale and correlation as the model with the effects leaves them."""
     motion = problem.motion
-    everything = ~motion.given
-    left = fit(problem, terms, everything, motion.given).residual_nm
+    everything = ~motion.held_out
+    left = fit(problem, terms, everything, motion.held_out).residual_nm
     sigma, share = problem.noise.sigma_nm.copy(), problem.noise.share.copy()
     for axis in np.flatnonzero(motion.measured):
         rest = left[motion.judged[:, axis] & everything, axis]

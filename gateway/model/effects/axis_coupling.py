@@ -74,7 +74,7 @@ class MotorCoupling(_Coupling):
     parameters: ClassVar[tuple[str, ...]] = ("motor_coulomb_nm", "motor_viscous_nm_s_rad", "motor_inertia_kg_m2")
     linear: ClassVar[tuple[bool, ...]] = (True, True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, NAN)
-    ordinary: ClassVar[bool] = True
+    is_common: ClassVar[bool] = True
 
     def columns(self, motion: MovingRows, modelled: Modelled) -> Floats:
         i, j, c = self.inner, self.outer, self.coefficient

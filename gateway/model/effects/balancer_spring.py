@@ -32,7 +32,7 @@ USUAL_FREE: Final = 0.5
 #: Smallest share of the gravity torque on axis 2 that a balancer compensates (RMS divided by RMS).
 SMALLEST: Final = 0.15
 #: Largest correlation of a balancer with the gravity torque if it does not oppose it.
-MOST_ALIKE: Final = 0.5
+LARGEST_CORRELATION: Final = 0.5
 #: Exponent of the gas law: between isothermal (1) and adiabatic (1.4 of nitrogen).
 POLYTROPIC: Final = 1.3
 #: Forms to test: ratio, phase [rad], stroke of the rod divided by the length of the gas column.
@@ -57,7 +57,7 @@ class _Balancer(PassiveTorque):
     phase_rad: float = 0.0
     largest_nm: float = 1.0
     name: ClassVar[str] = "balancer_spring"
-    ordinary: ClassVar[bool] = True
+    is_common: ClassVar[bool] = True
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
         """Return True if the balancer compensates a substantial share of the gravity torque of its axis."""
@@ -66,7 +66,7 @@ class _Balancer(PassiveTorque):
         if not still.any():
             still = seen.modelled.rigid_nm[:, self.axis]
         large = np.sqrt(np.mean(push**2)) > SMALLEST * np.sqrt(np.mean(still**2))
-        return bool(large and (push @ still < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < MOST_ALIKE))
+        return bool(large and (push @ still < 0.0 or abs(np.corrcoef(push, still)[0, 1]) < LARGEST_CORRELATION))
 
     def lengths(self, q_rad: Floats, fixed: Floats) -> tuple[Floats, Floats, float]:
         """Return the angle from the shortest position, length divided by reach (n,), and ratio."""
@@ -254,7 +254,7 @@ EFFECT: Final = Effect(
     at_rest=_at_rest,
     in_motion=_in_motion,
     drawn=True,
-    told={
+    parameter_texts={
         "stiffness_n_m": "stiffness of the spring, if it has the reach below",
         "reach_m": "reach it is stated for: √(a² + b²), a and b the distances of its ends on link and base from axis 2",
         "lever_ratio": "2 a b / (a² + b²) of these distances",

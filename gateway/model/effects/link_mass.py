@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 #: Largest distance of a body on a link from the origin of the link [m].
 FARTHEST_M: Final = 2.0
 #: Standard deviations beyond a bound from which a body is impossible: one in a thousand by chance.
-SURE_STD: Final = 3.0
+BOUND_SIGMAS: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +66,9 @@ class LinkMass(OnAxis):
         if self.drawn is None:
             return True
         mass, moment = np.split(np.array(self.drawn) + theta, [1])
-        most = float(mass[0]) + SURE_STD * float(std[0])
-        far = float(np.linalg.norm(moment)) - SURE_STD * float(np.linalg.norm(std[1:]))
-        return bool(most > 0.0 and far < FARTHEST_M * most and theta[0] - SURE_STD * std[0] < self.arm_kg)
+        most = float(mass[0]) + BOUND_SIGMAS * float(std[0])
+        far = float(np.linalg.norm(moment)) - BOUND_SIGMAS * float(np.linalg.norm(std[1:]))
+        return bool(most > 0.0 and far < FARTHEST_M * most and theta[0] - BOUND_SIGMAS * std[0] < self.arm_kg)
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:
         """Return True: at rest the same columns correct a CAD mass that is too large, so that the sign is free."""

@@ -28,7 +28,7 @@ class LoadDependentFriction(OnAxis):
     SPREAD: ClassVar[tuple[float, ...]] = (0.2,)
     bounds: ClassVar[Mapping[str, tuple[float, float]]] = {"coefficient": (0.0, 0.6)}
     modelled: ClassVar[bool] = True
-    ordinary: ClassVar[bool] = True
+    is_common: ClassVar[bool] = True
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, load_friction=plus(setting.load_friction, self.axis, theta[0]))

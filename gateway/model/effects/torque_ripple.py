@@ -80,7 +80,7 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
     """Return the strongest ripples of each axis' residual over its own angle, as far as the sampling resolves them."""
     for axis in moving_axes(motion):
-        rows = motion.judged[:, axis] & ~motion.given
+        rows = motion.judged[:, axis] & ~motion.held_out
         q, rest = motion.q_rad[rows, axis], setup.residual_nm[rows, axis]
         steps = np.abs(np.diff(motion.q_rad[:, axis]))[rows[:-1] & (np.diff(motion.run) == 0)]
         reach = float(np.ptp(q))

@@ -24,7 +24,7 @@ TAKES_POWER: Final = 0.9
 @dataclass(frozen=True, slots=True)
 class _OverSpeed(OnAxis):
     name: ClassVar[str] = "velocity_friction"
-    ordinary: ClassVar[bool] = True
+    is_common: ClassVar[bool] = True
     with_friction: ClassVar[bool] = True
 
     def possible(self, value: Floats, std: Floats, seen: Seen) -> bool:

@@ -137,13 +137,13 @@ def test_no_gain_and_no_loss_goes_beyond_its_usual_range_unless_it_is_an_effect(
     """A scale of 0.75 and a loss of 0.3 stay at two standard deviations; as effects in the model they are found."""
     table, robot, _ = measured(1, World(gain={1: 0.75}, load_friction={2: 0.3}))
     plain = problem(table, robot)
-    everything = ~plain.motion.given
-    without = fit(plain, (), everything, plain.motion.given)
+    everything = ~plain.motion.held_out
+    without = fit(plain, (), everything, plain.motion.held_out)
     gain, loss = plain.null.usual.reshape(2, 6)
     assert without.value[gain[1]] == pytest.approx(-2.0 * plain.null.std_of(gain[1]), abs=2e-3)
     assert without.value[loss[2]] == pytest.approx(0.15, abs=1e-6)
     assert without.at_limit(int(loss[2]))
-    found = fit(plain, (LoadDependentFriction(2),), everything, plain.motion.given)
+    found = fit(plain, (LoadDependentFriction(2),), everything, plain.motion.held_out)
     assert found.value[-1] == pytest.approx(0.3, abs=0.03)
 
 

@@ -84,8 +84,8 @@ def test_all_periods_of_an_excitation_are_one_run() -> None:
     for part in judging(motion, 4):
         for number in np.unique(part.run):
             mine = part.run == number
-            fitted, held = part.phase_s[mine & ~part.given], part.phase_s[mine & part.given]
-            fitted = fitted[np.isin(fitted, part.phase_s[mine & ~part.given & part.judged.any(axis=1)])]
+            fitted, held = part.phase_s[mine & ~part.held_out], part.phase_s[mine & part.held_out]
+            fitted = fitted[np.isin(fitted, part.phase_s[mine & ~part.held_out & part.judged.any(axis=1)])]
             assert np.abs(fitted[:, None] - held).min() > 0.05, "no period shows what another one is judged on"
     tests = np.sum([test for _, test in blocks(motion, 6)], axis=0)
     assert tests.tolist() == [1] * len(motion)

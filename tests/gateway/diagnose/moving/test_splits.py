@@ -30,7 +30,7 @@ def unsplit(motion, splits):
     return {
         int(number)
         for train, _ in splits
-        for number in np.unique(motion.run[~motion.given])
+        for number in np.unique(motion.run[~motion.held_out])
         if not train[motion.run == number].any()
     }
 
@@ -59,20 +59,20 @@ def test_two_runs_are_held_out_in_blocks(robot):
 def test_rows_that_judge_are_in_no_split_that_chooses(robot):
     motion = runs(robot, ["none", "a"], label="a")
     for train, test in choosing(motion, 6, BARE):
-        assert not (motion.given & (train | test)).any()
+        assert not (motion.held_out & (train | test)).any()
     assert judging(motion, 4) == (motion,)
 
 
 def test_outer_blocks_judge_every_row_once_and_no_fit_comes_near(robot):
     motion = runs(robot, ["none", "a"])
     parts = judging(motion, 4)
-    assert np.sum([part.given for part in parts], axis=0).tolist() == [1] * len(motion)
+    assert np.sum([part.held_out for part in parts], axis=0).tolist() == [1] * len(motion)
     for part in parts:
-        assert set(part.run[part.given]) == {0, 1}, "a block of every run"
+        assert set(part.run[part.held_out]) == {0, 1}, "a block of every run"
         for train, test in choosing(part, 6, BARE):
-            assert not (part.given & (train | test)).any()
+            assert not (part.held_out & (train | test)).any()
         for number in (0, 1):
             mine = part.run == number
-            fitted = mine & ~part.given & part.judged.any(axis=1)
-            gap = np.abs(part.time_s[fitted][:, None] - part.time_s[mine & part.given]).min()
+            fitted = mine & ~part.held_out & part.judged.any(axis=1)
+            gap = np.abs(part.time_s[fitted][:, None] - part.time_s[mine & part.held_out]).min()
             assert gap > 0.17, "3 % of 6 s"
