@@ -1,4 +1,4 @@
-"""Faults inside a simulated drive, or in its reports."""
+"""Fault injection in a simulated drive: each fault changes the drive's state, its quirks or its reported values."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from sim.server import BusServer
 from sim.states import PdsState
 
 ENCODER_FAULT = 0x7305
-#: By these bits the serial numbers of a drive and of its successor differ.
+#: Bits in which the serial numbers of a drive and of its replacement differ.
 OTHER_SERIAL = 0x0100_0000
-STO_CODE = 0x5442
-WOBBLE_RAD, WOBBLE_HZ = 0.004, 1.5
-#: Defaults of strict, flooding and defective drives.
+EMCY_SAFE_TORQUE_OFF = 0x5442
+HUNTING_RAD, HUNTING_HZ = 0.004, 1.5
+#: Values that a fault without its own value takes.
 STRICT_INHIBIT_100US = 100
-REFUSED_S = 0.5
-CYCLE_US = 1_000
-OPTIONAL = frozenset({0x6502, 0x1029})
+START_REFUSED_S = 0.5
+SYNC_PERIOD_US = 1_000
+OBJECTS_WITHOUT_DATA = frozenset({0x6502, 0x1029})
 FLOOD_HZ = 5_000.0
-FOREIGN = 0x20
-DROPS_AFTER = 3
-SLIP_RAD_S = 0.02
-FALL_RAD_S2 = 5.0
+#: Offset to the node id in the EMCY identifier of `foreign_emcy_id`.
+EMCY_NODE_OFFSET = 0x20
+DROPS_AFTER_SYNCS = 3
+BRAKE_SLIP_RAD_S = 0.02
+BRAKE_FALL_RAD_S2 = 5.0
 
 
 def act(server: BusServer, fault: Fault) -> None:
-    """Carry out one fault on every drive it concerns."""
+    """Inject one fault into every drive that it concerns."""
     change = ACTIONS.get(fault.kind)
     if change is None:
         return
@@ -70,7 +71,7 @@ def _quick_stop(drive: FakeDrive, _fault: Fault) -> None:
 
 def _torque_off(drive: FakeDrive, _fault: Fault) -> None:
     before = drive.automaton.state
-    drive.node.emergency(STO_CODE, 0x81)
+    drive.node.emergency(EMCY_SAFE_TORQUE_OFF, 0x81)
     drive.automaton.disable_voltage()
     drive.motion.state_changed(before)
 
@@ -80,8 +81,8 @@ def _brake(drive: FakeDrive, _fault: Fault) -> None:
     drive.axis.lock()
 
 
-def _wobble(drive: FakeDrive, _fault: Fault) -> None:
-    drive.motion.wobble = (WOBBLE_RAD, WOBBLE_HZ)
+def _hunting(drive: FakeDrive, _fault: Fault) -> None:
+    drive.motion.wobble = (HUNTING_RAD, HUNTING_HZ)
 
 
 def _replace_torque(drive: FakeDrive, make: Callable[[Callable[[], int]], Callable[[], int]]) -> None:
@@ -100,7 +101,7 @@ def _unsigned(drive: FakeDrive, _fault: Fault) -> None:
     _replace_torque(drive, lambda get: lambda: abs(get()))
 
 
-def _deaf(drive: FakeDrive, _fault: Fault) -> None:
+def _ignore_heartbeat(drive: FakeDrive, _fault: Fault) -> None:
     drive.node.on_heartbeat_lost = lambda _node: None
 
 
@@ -118,7 +119,7 @@ def _other_make(drive: FakeDrive, fault: Fault) -> None:
 
 
 def _exchanged(drive: FakeDrive, fault: Fault) -> None:
-    """Exchange a drive: the configuration by a master is lost."""
+    """Replace the drive by another of the same product: serial number and torque limit differ, settings are lost."""
     limit = fault.code or drive.store.number((0x6072, 0)) * 9 // 10
     drive.reset()
     _shows(drive, (0x1018, 4), drive.store.number((0x1018, 4)) ^ OTHER_SERIAL)
@@ -146,7 +147,7 @@ def _strict_inhibit(drive: FakeDrive, _fault: Fault) -> None:
 
 
 def _start_refused(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.start_refused_s = fault.delay_s or REFUSED_S
+    drive.quirks.start_refused_s = fault.delay_s or START_REFUSED_S
 
 
 def _start_never(drive: FakeDrive, _fault: Fault) -> None:
@@ -155,11 +156,11 @@ def _start_never(drive: FakeDrive, _fault: Fault) -> None:
 
 def _cycle_period(drive: FakeDrive, fault: Fault) -> None:
     drive.quirks.watches_cycle = True
-    _shows(drive, (0x1006, 0), fault.code or CYCLE_US)
+    _shows(drive, (0x1006, 0), fault.code or SYNC_PERIOD_US)
 
 
 def _without_data(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.without_data |= {fault.index} if fault.index else OPTIONAL
+    drive.quirks.without_data |= {fault.index} if fault.index else OBJECTS_WITHOUT_DATA
 
 
 def _tpdo3_on(drive: FakeDrive, fault: Fault) -> None:
@@ -168,7 +169,7 @@ def _tpdo3_on(drive: FakeDrive, fault: Fault) -> None:
 
 
 def _foreign_emcy(drive: FakeDrive, fault: Fault) -> None:
-    _shows(drive, (0x1014, 0), fault.code or 0x80 + (drive.node_id + FOREIGN) % 128)
+    _shows(drive, (0x1014, 0), fault.code or 0x80 + (drive.node_id + EMCY_NODE_OFFSET) % 128)
 
 
 def _emcy_off(drive: FakeDrive, _fault: Fault) -> None:
@@ -198,7 +199,7 @@ def _mute(drive: FakeDrive, _fault: Fault) -> None:
 
 
 def _drops(drive: FakeDrive, fault: Fault) -> None:
-    drive.quirks.drops_after = fault.count or DROPS_AFTER
+    drive.quirks.drops_after = fault.count or DROPS_AFTER_SYNCS
 
 
 def _never_enables(drive: FakeDrive, _fault: Fault) -> None:
@@ -206,11 +207,11 @@ def _never_enables(drive: FakeDrive, _fault: Fault) -> None:
 
 
 def _slips(drive: FakeDrive, fault: Fault) -> None:
-    drive.axis.slip_rad_s = fault.speed_rad_s or SLIP_RAD_S
+    drive.axis.slip_rad_s = fault.speed_rad_s or BRAKE_SLIP_RAD_S
 
 
 def _falls(drive: FakeDrive, fault: Fault) -> None:
-    drive.axis.fall_rad_s2 = fault.accel_rad_s2 or FALL_RAD_S2
+    drive.axis.fall_rad_s2 = fault.accel_rad_s2 or BRAKE_FALL_RAD_S2
 
 
 ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
@@ -227,10 +228,10 @@ ACTIONS: dict[str, Callable[[FakeDrive, Fault], None]] = {
     "quick_stop": _quick_stop,
     "safe_torque_off": _torque_off,
     "brake_engaged": _brake,
-    "never_settles": _wobble,
+    "never_settles": _hunting,
     "demand_torque": _demand,
     "unsigned_torque": _unsigned,
-    "heartbeat_ignored": _deaf,
+    "heartbeat_ignored": _ignore_heartbeat,
     "wrong_rated": _scaled_rating(1000),
     "rated_zero": _scaled_rating(0),
     "wrong_vendor": _other_make,

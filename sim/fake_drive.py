@@ -1,7 +1,7 @@
-"""A simulated CANopen servo drive: written from CiA 301 and CiA 402-2, speaking on the wire.
+"""Simulated CANopen servo drive after CiA 301 and CiA 402-2, which exchanges CAN frames with the master under test.
 
-It shares object numbers with the master and nothing else. Words are formed from the motor's own torque, angle and speed
-by the arithmetic that the drive's profile states; setpoints go the same way back.
+It shares object numbers with the master and no code. Actual values are computed from the simulated motor's torque,
+angle and speed with the scaling of the drive's profile; setpoints are converted back with the same scaling.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sim.motor import MotorAxis
 from sim.node import OPERATIONAL, SlaveNode
 from sim.objects import VALUE_RANGE, ObjectStore
 from sim.pdo import DISABLED, EVENT_TYPES, Pdo, due
-from sim.quirks import FLOODING, Conduct
+from sim.quirks import FLOODING_TPDO, QuirkBehaviour
 from sim.states import Automaton, PdsState
 from sim.units import MAX_TORQUE_PER_MILLE, DriveUnits, Word, drive_units
 
@@ -33,14 +33,14 @@ REGISTER_GENERIC, REGISTER_COMMUNICATION, REGISTER_PROFILE = 0x01, 0x10, 0x20
 
 @dataclass(frozen=True, slots=True)
 class DriveSite:
-    """Position of a drive in the cell.
+    """Node id, axis and SYNC period of one drive in the cell.
 
     Attributes
     ----------
-    node_id : on the bus
-    spec : the axis of the cell it is built for
-    sync_period_s : of the SYNC that it receives
-    limited : it has software limits (not on a coupled axis, whose range depends on other joints)
+    node_id : CANopen node id
+    spec : axis of the cell that the drive moves
+    sync_period_s : period of the SYNC that it receives
+    limited : has software position limits (not on a coupled axis, whose range depends on other joints)
     """
 
     node_id: int
@@ -50,14 +50,14 @@ class DriveSite:
 
 
 class FakeDrive:
-    """One drive on the bus.
+    """One simulated drive: network node, object dictionary, CiA 402 state machine and motor.
 
     Attributes
     ----------
-    node : SlaveNode; store : its objects; units : its scales
-    automaton : CiA 402 state; mode : 0x6060 (0 none, 1 PP, 8 CSP, 10 CST)
-    axis : the motor it feeds
-    reading_nm : torque it measured last, gear output side [Nm]
+    node : SlaveNode; store : object dictionary; units : scaling of its objects
+    automaton : CiA 402 state machine; mode : 0x6060 (0 none, 1 PP, 8 CSP, 10 CST)
+    axis : the motor that it drives
+    reading_nm : torque measured last, at the gear output [Nm]
     error_code : 0x603F
     quirks : deviations from a tolerant and healthy drive
     """
@@ -73,7 +73,7 @@ class FakeDrive:
         self.reading_nm = 0.0
         self.automaton = Automaton()
         self.quirks = as_made(self.spec.profile)
-        self._conduct = Conduct(self)
+        self._behaviour = QuirkBehaviour(self)
         self._time_s = 0.0
         self.motion = DriveMotion(self)
         self.store = ObjectStore()
@@ -92,13 +92,13 @@ class FakeDrive:
         self.automaton.power_up()
 
     def reset_setpoints(self) -> None:
-        """Power-on values of everything the master commands."""
+        """Set mode, targets, offsets and error code to their values at power-up."""
         self.mode = 0
         self.target_counts = self.velocity_offset = self.torque_offset = self.target_torque = 0
         self.error_code = 0
 
     def reset(self, keeps: Callable[[int], bool] = lambda _index: False) -> None:
-        """Restart: brake closed, parameters and PDOs as at power-up except objects that the drive keeps."""
+        """Restart with the brake applied; objects and PDOs take their power-up values unless `keeps(index)` is true."""
         self.axis.lock()
         mode = self.mode
         self.reset_setpoints()
@@ -113,24 +113,24 @@ class FakeDrive:
         self.automaton.power_up()
 
     def take_quirks(self) -> None:
-        """Act on quirks that have changed."""
+        """Apply the present quirks to the objects, the heartbeat and the TPDOs."""
         self.store.values.update(self.quirks.values)
         self.node.mute = self.quirks.mute_heartbeat
         for tpdo in self.tpdos:
             tpdo.inhibit_abort = self.quirks.inhibit_abort
 
     def repair(self) -> None:
-        """Remove all faults of the drive and restart it; the caller sends its boot-up."""
+        """Remove all injected faults and restart the drive; the caller sends the boot-up message."""
         self.quirks = as_made(self.spec.profile)
         self._mend()
         self.reset()
 
     def _mend(self) -> None:
-        self._conduct = Conduct(self)
+        self._behaviour = QuirkBehaviour(self)
         self.node.unpowered = False
         self.node.on_heartbeat_lost = self._heartbeat_lost
-        self.node.may_start = self._conduct.may_start
-        self.node.sdo.refuse = self._conduct.refuse
+        self.node.may_start = self._behaviour.may_start
+        self.node.sdo.refuse = self._behaviour.refuse
         self.motion.brake_stuck, self.motion.wobble = False, None
         self.axis.slip_rad_s = self.axis.fall_rad_s2 = 0.0
 
@@ -146,8 +146,8 @@ class FakeDrive:
         self.preset_pdos()
 
     def preset_pdos(self) -> None:
-        """Power-on maps of CiA 402-2: statusword and controlword by event, the rest switched off."""
-        flooding = FLOODING if self.quirks.flood_hz else 0
+        """Set the default PDO mapping of CiA 402-2: PDO 1 by event (statusword, controlword), others invalid."""
+        flooding = FLOODING_TPDO if self.quirks.flood_hz else 0
         for n, (tpdo, rpdo) in enumerate(zip(self.tpdos, self.rpdos, strict=True)):
             tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | (0 if n in (0, flooding) else DISABLED)
             rpdo.cob_id = (0x200 + 0x100 * n + self.node_id) | (0 if n == 0 else DISABLED)
@@ -160,7 +160,7 @@ class FakeDrive:
         self._sync_count = 0
 
     def rpdo_received(self, number: int, data: bytes) -> None:
-        """A frame on the identifier of RPDO `number`."""
+        """Process a frame of RPDO `number` (0 = RPDO1); a synchronous RPDO is buffered until the next SYNC."""
         if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         rpdo = self.rpdos[number]
@@ -172,7 +172,7 @@ class FakeDrive:
             self._buffers[number] = data
 
     def sync(self) -> None:
-        """SYNC: synchronous RPDOs become valid, synchronous TPDOs are sampled and sent."""
+        """Process a SYNC: apply the buffered synchronous RPDOs, then sample and send the synchronous TPDOs."""
         if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         self._sync_count += 1
@@ -180,7 +180,7 @@ class FakeDrive:
             if data is not None:
                 self._buffers[number] = None
                 self.rpdos[number].unpack(data)
-        self._conduct.sync_came(self._time_s)
+        self._behaviour.sync_received(self._time_s)
         if self.node.state != OPERATIONAL:
             return
         for tpdo in self.tpdos:
@@ -188,14 +188,14 @@ class FakeDrive:
                 self.transmit(tpdo)
 
     def send_events(self, time_s: float) -> None:
-        """Event-driven TPDOs: on change, not faster than the inhibit time, at least every event time."""
+        """Send event-driven TPDOs: on change, limited by the inhibit time, and when the event timer elapses."""
         if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         for number, tpdo in enumerate(self.tpdos):
             if not tpdo.enabled or tpdo.transmission not in (0, *EVENT_TYPES):
                 continue
-            if number == FLOODING and self.quirks.flood_hz:
-                self._conduct.flood(tpdo, time_s)
+            if number == FLOODING_TPDO and self.quirks.flood_hz:
+                self._behaviour.flood(tpdo, time_s)
                 continue
             data, before = tpdo.pack(), self._last_event[number]
             waited = time_s - self._event_due_s[number]
@@ -205,23 +205,23 @@ class FakeDrive:
                 self.transmit(tpdo)
 
     def transmit(self, tpdo: Pdo) -> None:
-        """Put one TPDO on the bus."""
+        """Send one TPDO."""
         self._send(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
 
     # ------------------------------------------------------------------------------------------- state and faults
 
     def take_controlword(self, word: int) -> None:
-        """0x6040."""
+        """Process the controlword (0x6040)."""
         before = self.automaton.state
         self.automaton.command(word)
         if before is PdsState.FAULT and self.automaton.state is PdsState.SWITCH_ON_DISABLED:
             self.error_code = 0
             self.node.emergency(0x0000, 0)
-        self._hold_back()
+        self._undo_prevented()
         self.motion.state_changed(before)
 
-    def _hold_back(self) -> None:
-        """Undo a transition that the drive does not make: safety circuit open, or a drive that never enables."""
+    def _undo_prevented(self) -> None:
+        """Undo a transition that the open safety circuit or the quirk `never_enables` prevents."""
         automaton = self.automaton
         if self.quirks.sto_open and automaton.state not in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
             automaton.state = PdsState.SWITCH_ON_DISABLED
@@ -230,7 +230,7 @@ class FakeDrive:
 
     @property
     def enabled(self) -> bool:
-        """Whether it is in OPERATION ENABLED."""
+        """Return whether the drive is in OPERATION ENABLED."""
         return self.automaton.state is PdsState.OPERATION_ENABLED
 
     def drop_out(self) -> None:
@@ -239,25 +239,25 @@ class FakeDrive:
         self.motion.state_changed(PdsState.SWITCHED_ON)
 
     def statusword(self) -> int:
-        """0x6041."""
+        """Return the statusword (0x6041)."""
         word = self.automaton.state.value | VOLTAGE_ENABLED | self.motion.status_bits()
         return word | REMOTE if self.node.state == OPERATIONAL else word
 
     def take_mode(self, value: int) -> None:
-        """0x6060."""
+        """Set the mode of operation (0x6060)."""
         if value not in MODES and value != 0:
             raise SdoAbortedError(VALUE_RANGE)
         self.mode = value
         self.motion.mode_changed()
 
     def take_quick_stop_option(self, value: int) -> None:
-        """0x605A: 0 coasts, 1 to 3 end in SWITCH ON DISABLED, 5 to 7 stay in QUICK STOP ACTIVE."""
+        """Set the quick stop option (0x605A): 0 coast, 1-3 end SWITCH ON DISABLED, 5-7 hold QUICK STOP ACTIVE."""
         if value not in (0, 1, 2, 3, 5, 6, 7):
             raise SdoAbortedError(VALUE_RANGE)
         self.automaton.quick_stop_holds = value >= 5
 
     def raise_fault(self, code: int, register: int = REGISTER_GENERIC | REGISTER_PROFILE) -> None:
-        """Transition 13: EMCY, then the fault reaction."""
+        """Make transition 13 of CiA 402: send an EMCY, then start the fault reaction."""
         if self.automaton.state in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
             return
         before = self.automaton.state
@@ -276,13 +276,13 @@ class FakeDrive:
     def _nmt_changed(self, old: int, new: int) -> None:
         if new == OPERATIONAL:
             self._sync_count = 0
-            self._conduct.entered_operational()
+            self._behaviour.entered_operational()
             self._last_event = [None] * PDO_COUNT
         elif old == OPERATIONAL:
             self._connection_lost(0)
 
     def _connection_lost(self, code: int) -> None:
-        """Abort connection option, 0x6007: 1 fault, 2 disable voltage, 3 quick stop."""
+        """Act on the abort connection option (0x6007): 1 fault, 2 disable voltage, 3 quick stop."""
         option, before = self.store.number((0x6007, 0)), self.automaton.state
         if before is not PdsState.OPERATION_ENABLED:
             return
@@ -302,28 +302,28 @@ class FakeDrive:
         return -1 if self.store.number((0x607E, 0)) & POLARITY_POSITION else 1
 
     def counts_at(self, joint_rad: float) -> int:
-        """Position word at an angle of the gear output, cell's zero offset taken off here."""
+        """Return the position [counts] at a joint angle; the cell's zero offset is subtracted first."""
         return round((joint_rad - self.spec.zero_offset_rad) * self.counts_per_joint_rad)
 
     def position_counts(self) -> int:
-        """0x6064."""
+        """Return the position actual value (0x6064)."""
         return self._polarity * round(self.axis.position_rad * self.counts_per_joint_rad)
 
     def demand_counts(self) -> int:
-        """0x6062."""
+        """Return the position demand value (0x6062)."""
         return self._polarity * round(self.axis.servo.reference_rad * self.counts_per_joint_rad)
 
     def following_error_counts(self) -> int:
-        """0x60F4."""
+        """Return the following error actual value (0x60F4)."""
         return self._polarity * round(self.axis.servo.error_rad * self.counts_per_joint_rad)
 
     def take_target(self, counts: int) -> None:
-        """0x607A."""
+        """Set the target position (0x607A)."""
         self.target_counts = counts
         self.motion.target_set()
 
     def target_rad(self) -> float:
-        """Target position at the gear output, inside the software limits (0x607D; 0 and 0 switch them off)."""
+        """Return the target at the gear output, clipped to the software limits (0x607D; both 0 = no limits) [rad]."""
         counts = self.target_counts
         low, high = self.store.number((0x607D, 1)), self.store.number((0x607D, 2))
         if low != 0 or high != 0:
@@ -336,69 +336,71 @@ class FakeDrive:
         return self._polarity * round(motor * self.units.velocity.bits_per_unit)
 
     def velocity_word(self) -> int:
-        """0x606C."""
+        """Return the velocity actual value (0x606C)."""
         return self._speed_word(self.axis.omega_rad_s)
 
     def demand_velocity(self) -> int:
-        """0x606B."""
+        """Return the velocity demand value (0x606B)."""
         return self._speed_word(self.axis.servo.reference_step_rad * 1000.0)
 
     def joint_speed(self, word: int) -> float:
-        """Magnitude at the gear output [rad/s] of an unsigned speed word."""
+        """Convert an unsigned velocity value of the drive to a joint speed [rad/s]."""
         return word / (self.units.velocity.bits_per_unit * abs(self.spec.gear_ratio))
 
     def joint_ramp(self, word: int) -> float:
-        """Magnitude at the gear output [rad/s2] of an unsigned acceleration word."""
+        """Convert an unsigned acceleration value of the drive to a joint acceleration [rad/s2]."""
         bits = self.units.ramp_bits or self.units.velocity.bits_per_unit
         return word / (bits * abs(self.spec.gear_ratio))
 
     def take_velocity_offset(self, value: int) -> None:
-        """0x60B1."""
+        """Set the velocity offset (0x60B1)."""
         self.velocity_offset = value
         motor = value / self.units.velocity.bits_per_unit
         self.axis.servo.offset_rad_s = self._polarity * motor / (self.spec.position_sign * self.spec.gear_ratio)
 
     def _motor_nm(self, joint_nm: float) -> float:
-        """Torque word's sense: motor torque in the drive's own direction."""
+        """Convert a torque at the gear output to the motor torque with the drive's sign [Nm]."""
         return joint_nm / (self.spec.torque_sign * self.spec.gear_ratio)
 
     def torque_word(self, word: Word) -> Callable[[], int]:
-        """Function that gives a measured torque or current."""
+        """Return a function that reads the measured torque or current in the scaling of `word`."""
         return lambda: round(self._motor_nm(self.reading_nm) * word.bits_per_unit)
 
     def demand_word(self) -> int:
-        """0x6074, per mille of 0x6076; also 0x6077 of drives that show their demand there."""
+        """Return the torque demand (0x6074) in per mille of 0x6076; some drives report it in 0x6077 too."""
         return round(self._motor_nm(self.axis.servo.demand_nm) * 1000.0 / self.units.rated_torque_nm)
 
     def standard_current_word(self) -> int:
-        """0x6078, per mille of 0x6075."""
+        """Return the current actual value (0x6078) in per mille of 0x6075."""
         return round(self._motor_nm(self.reading_nm) * 1000.0 / self.units.rated_torque_nm)
 
     def _joint_nm(self, word: int) -> float:
         return word * self.units.offset_nm_per_bit * self.spec.torque_sign * self.spec.gear_ratio
 
     def take_torque_offset(self, word: int) -> None:
-        """0x60B2."""
+        """Set the torque offset (0x60B2)."""
         self.torque_offset = word
         self.motion.feed_torque()
 
     def take_target_torque(self, word: int) -> None:
-        """0x6071."""
+        """Set the target torque (0x6071)."""
         self.target_torque = word
         self.motion.feed_torque()
 
     def demanded_nm(self) -> float:
-        """Torque feedforward, in CST the whole demand, gear output side [Nm]."""
+        """Return the torque feedforward at the gear output; in CST this is the whole torque demand [Nm]."""
         word = self.torque_offset + (self.target_torque if self.mode == 10 else 0)
         return self._joint_nm(word)
 
     def take_max_torque(self, word: int) -> None:
-        """0x6072, per mille of the rated torque."""
+        """Set the maximum torque (0x6072), in per mille of the rated torque."""
         self.axis.servo.max_nm = word * 1e-3 * self.units.rated_torque_nm * abs(self.spec.gear_ratio)
 
     def digital_inputs(self) -> int:
-        """0x60FD: bit 0 negative limit, bit 1 positive limit; of this make: bit 16 holding brake closed, bit 24 safety
-        circuit closed (no emergency stop, torque allowed), bit 25 encoder referenced.
+        """Return the digital inputs (0x60FD).
+
+        Bit 0: negative limit switch; bit 1: positive limit switch. Manufacturer bits: 16 holding brake applied, 24
+        safety circuit closed (no emergency stop, torque allowed), 25 encoder referenced.
         """
         counts, low, high = self.position_counts(), self.store.number((0x607D, 1)), self.store.number((0x607D, 2))
         on = bool(low or high)
@@ -407,7 +409,7 @@ class FakeDrive:
         return limits | (not self.axis.free) << 16 | healthy
 
     def advanced(self, time_s: float) -> None:
-        """After a stretch of simulated time: monitoring."""
+        """Run the monitoring of heartbeats and motion after the simulation has advanced to `time_s`."""
         self._time_s = time_s
         self.node.watch(time_s)
         self.motion.supervise(time_s)

@@ -1,7 +1,7 @@
-"""Cascaded loops of one simulated drive, 1 kHz: position P, velocity PI with feedforward, current loop of first order.
+"""Cascaded control loops of one simulated drive, 1 kHz: position P, velocity PI with feedforward, first-order current.
 
-All quantities are at the gear output ("joint side" of a motor): angles are motor angle over ratio, torques motor torque
-times ratio. One call is one millisecond.
+All quantities are at the gear output: an angle is the motor angle divided by the gear ratio, a torque is the motor
+torque times the ratio. One call of `ServoLoop.torque` advances the loops by one millisecond.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ class ServoGains:
 
     Attributes
     ----------
-    position_1_s : position loop gain
-    speed_nm_s_rad : proportional gain of the velocity loop
-    reset_time_s : of its integral part
-    feedforward : share of the reference speed that is fed forward
-    window_rad : standstill window: with the reference at rest and the error inside it the integral part holds
-    current_s : time constant of the current loop
+    position_1_s : position loop gain [1/s]
+    speed_nm_s_rad : proportional gain of the velocity loop [Nm s/rad]
+    reset_time_s : integral time of the velocity loop [s]
+    feedforward : share of the reference speed that is fed forward, 0 to 1
+    window_rad : standstill window [rad]: with the reference at rest and a smaller error, the integrator is held
+    current_s : time constant of the current loop [s]
     """
 
     position_1_s: float
@@ -34,18 +34,18 @@ class ServoGains:
 
 
 class ServoLoop:
-    """State of the loops of one axis.
+    """Control loops of one axis, with their state.
 
     Attributes
     ----------
     reference_rad, reference_step_rad : position reference and its increment per millisecond
-    torque_only : cyclic synchronous torque: `offset_nm` is the whole demand
+    torque_only : cyclic synchronous torque mode: `offset_nm` is the whole torque demand
     offset_nm : torque feedforward (0x60B2) or torque demand
     offset_rad_s : speed feedforward (0x60B1)
-    max_nm, max_rad_s : limits
-    error_rad : following error
-    demand_nm, u_nm : torque demanded of the current loop, and the motor torque it gives
-    limited : a torque or speed limit acts
+    max_nm, max_rad_s : torque limit [Nm] and speed limit [rad/s]
+    error_rad : following error [rad]
+    demand_nm, u_nm : torque demand of the current loop, and the motor torque that it produces [Nm]
+    limited : the torque limit acts
     """
 
     __slots__ = (
@@ -76,19 +76,19 @@ class ServoLoop:
         self.reset(0.0)
 
     def reset(self, position_rad: float) -> None:
-        """Power off: no torque, the reference is the present position."""
+        """Reset the loops as at power-off: zero torque; the reference is the present position."""
         self.reference_rad, self.reference_step_rad = position_rad, 0.0
         self.error_rad = self.demand_nm = self.u_nm = self._integral_nm = 0.0
         self.limited = False
 
     def torque(self, position_rad: float, speed_rad_s: float) -> float:
-        """Motor torque after one millisecond [Nm, gear output]."""
+        """Advance the loops by one millisecond and return the motor torque at the gear output [Nm]."""
         gains = self.gains
         step = self.reference_step_rad
         reference = self.reference_rad = self.reference_rad + step
         error = self.error_rad = reference - position_rad
         limit = self.max_nm
-        lack = 0.0
+        speed_error = 0.0
         if self.torque_only:
             demand = self.offset_nm
             hold = True
@@ -98,14 +98,14 @@ class ServoLoop:
                 speed = self.max_rad_s
             elif speed < -self.max_rad_s:
                 speed = -self.max_rad_s
-            lack = speed - speed_rad_s
-            demand = gains.speed_nm_s_rad * lack + self._integral_nm + self.offset_nm
+            speed_error = speed - speed_rad_s
+            demand = gains.speed_nm_s_rad * speed_error + self._integral_nm + self.offset_nm
             hold = step == 0.0 and -gains.window_rad < error < gains.window_rad
         self.limited = not -limit <= demand <= limit
         if self.limited:
             demand = limit if demand > 0.0 else -limit
         elif not hold:
-            self._integral_nm += self._ki * lack
+            self._integral_nm += self._ki * speed_error
         self.demand_nm = demand
         self.u_nm += (demand - self.u_nm) * self._lag
         return self.u_nm

@@ -275,7 +275,7 @@ def test_scenario_file(tmp_path: Path) -> None:
         ('[[fault]]\nkind = "emcy"\nnod = 3', "unknown key 'nod'"),
         ('[[fault]]\nkind = "emcy"\nnode = 300', "node = 300"),
         ('[[fault]]\nkind = "emcy"\nnode = true', "node = True"),
-        ('[[fault]]\nkind = "master_killed"', "at the master"),
+        ('[[fault]]\nkind = "master_killed"', "fault of the master"),
         ('[[fault]]\nkind = "emcy"\nshare = nan', "share"),
         ("fault = 3", "nothing else"),
         ('[[faults]]\nkind = "emcy"', "nothing else"),

@@ -77,7 +77,7 @@ def test_a_process_of_its_own_answers_mounts_loads_and_writes_the_truth(tmp_path
     [
         (["no-such-cell.toml"], "no-such-cell.toml: cannot be read"),
         ([str(SMALL), "--undeclared", "{bad}"], "unknown effect"),
-        ([str(SMALL), "--fault", "{bad}"], "holds [[fault]] tables and nothing else"),
+        ([str(SMALL), "--fault", "{bad}"], "may only contain [[fault]] tables"),
         ([str(SMALL), "--bus", "nonsense"], "INTERFACE:CHANNEL"),
     ],
 )
