@@ -277,8 +277,8 @@ def test_scenario_file(tmp_path: Path) -> None:
         ('[[fault]]\nkind = "emcy"\nnode = true', "node = True"),
         ('[[fault]]\nkind = "master_killed"', "fault of the master"),
         ('[[fault]]\nkind = "emcy"\nshare = nan', "share"),
-        ("fault = 3", "nothing else"),
-        ('[[faults]]\nkind = "emcy"', "nothing else"),
+        ("fault = 3", "may only contain"),
+        ('[[faults]]\nkind = "emcy"', "may only contain"),
         ("[[fault", "not valid TOML"),
     ],
 )
