@@ -1,7 +1,7 @@
 """Whether every fault that stops an arm leaves a black box that opens and holds what happened.
 
 python -m benchmarks.blackbox [--out out/blackbox] [--kills 10] [kind ..]: simulated drives in lockstep, one stop a
-kind; what happens to the master itself in a process of its own, by the clock.
+kind; what happens to the master itself in a process of its own, in real time.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ from tests.support.chaos.scenarios import (
 from tests.support.figure import figure
 
 NODE: Final = 3
-#: The samples end so shortly before the stop at most [SYNCs]: what is silent has been waited for.
+#: The samples end so shortly before the stop at most [SYNCs]: a drive that does not respond has been waited for.
 LATEST_SYNCS: Final = 120
-#: By the clock: SYNC period, and between how much of a motion and how much the master is dealt with [s].
+#: In real time: SYNC period, and between how much of a motion and how much the master is dealt with [s].
 PERIOD_S: Final = 0.02
 MOVED_S: Final = (0.5, 3.0)
 #: What may be missing before a kill [s].
 MOST_LOST_S: Final = 1.0
 #: A box must lie there by then, and a master have ended [s].
 PATIENCE_S: Final = 60.0
-#: A master that is held up stands still for so long [s].
+#: Duration of a stop of the master [s].
 STALLED_S: Final = 1.5
 #: Frames after which the transmit queue takes none any more: the arm moves by then.
 FRAMES: Final = 700
@@ -138,7 +138,7 @@ def kill_master(master: Master, both: bool) -> float:
 
 
 def stall_master(master: Master) -> float:
-    """Have the master stand still for a while; it ends by itself afterwards."""
+    """Stop the master for a while; it ends by itself afterwards."""
     pid = master.process.pid or 0
     os.kill(pid, signal.SIGSTOP)
     time.sleep(STALLED_S)
@@ -156,7 +156,7 @@ MASTERS: Final[dict[str, tuple[Callable[[Master], float], float]]] = {
 
 
 def of_masters(kinds: Sequence[str], kills: int, seed: int = 1) -> Iterator[Stop]:
-    """Recordings by the clock whose master is dealt with while it moves."""
+    """Recordings in real time whose master is dealt with while it moves."""
     random, number = np.random.default_rng(seed), 0
     with tempfile.TemporaryDirectory(prefix="blackbox-") as name:
         folder, real = Path(name), with_real_pacing(PERIOD_S)

@@ -28,7 +28,7 @@ PICTURES = Path(__file__).parents[1] / "docs" / "pictures"
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Say whether the pictures of the documentation are taken anew."""
+    """Say whether the pictures of the documentation are taken again."""
     parser.addoption("--pictures", action="store_true", help="tests in a browser leave their pictures in docs/pictures")
 
 
@@ -100,7 +100,7 @@ def _may_be_slow(item: pytest.Item) -> bool:
     return bool(many_examples or item.get_closest_marker("slow") or item.get_closest_marker("vcan"))
 
 
-# How long a thread that was told to end may take.
+# How long a thread that was commanded to end may take.
 GRACE_S = 2.0
 # Threads that libraries keep for the life of the process.
 SHARED_THREADS = ("ThreadPoolExecutor", "pytest_timeout", "execnet")

@@ -84,7 +84,7 @@ def coloured(generator, shape, rate_hz):
 
 
 def several(seed, loads, world=None, gain_std=0.03, load_friction=(0.05, 0.02), duration_s=10.0, noise=0.02):
-    """Runs of one arm, by their load ((mass, x, y, z), None = bare), with what every arm has; and the robot model.
+    """Runs of one arm, by their load ((mass, x, y, z), None = bare), with nuisance parameters; and the robot model.
 
     Gains are off by `gain_std`, every axis loses a share of its torque: (mean, standard deviation).
     """

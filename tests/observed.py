@@ -17,7 +17,7 @@ def reading(axis: int, sync: int, statusword: int = ENABLED) -> DriveReading:
 
 
 def observed(sync: int, q_rad: np.ndarray, unresponsive: int | None = None, statusword: int = ENABLED) -> Observed:
-    """One SYNC: the arm stands at q, was told 1 mrad more, and gives a torque of its joint's number."""
+    """One SYNC: the arm is at q, is commanded 1 mrad more, and gives a torque of its joint's number."""
     readings = [None if axis == unresponsive else reading(axis, sync, statusword) for axis in range(6)]
     measured = np.where([each is None for each in readings], np.nan, q_rad)
     torque_nm = np.where(np.isnan(measured), np.nan, np.arange(1.0, 7.0))

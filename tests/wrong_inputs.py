@@ -48,7 +48,7 @@ class Kind:
         Command line; `make` has written what it names.
     code : int
     says : tuple of str
-        Regular expressions, each found in what is told.
+        Regular expressions, each found in what is reported.
     make : callable
         Writes files into the working folder.
     during : callable

@@ -1,6 +1,6 @@
 """How good the joint solution is: against the Cramer-Rao bound, its own intervals, and cells of 70 kg.
 
-Gaussian: tables of drawn arms with noise of stated covariance; the bound is worked out from pinocchio's regressor.
+Gaussian: tables of drawn arms with noise of stated covariance; the bound is computed from pinocchio's regressor.
 Stiction: tables from the simulator's friction set. Cells: the large example, its own planner's ten poses, links that
 are off by what the cell file trusts them to. The seeds are fixed; nothing was chosen among them.
 """

@@ -154,10 +154,10 @@ def _score(
 
 
 def _beyond(cell: BlindCell) -> list:
-    """Every effect built in, with its joints and its strength beyond what every arm has."""
+    """Every effect built in, with its joints and its strength beyond nuisance parameters."""
     entries = []
     for effect, size in zip(cell.truth.effects, cell.truth.strengths, strict=True):
-        # friction that changes with the position lies in the half-differences, where gains and biases do not reach
+        # friction that changes with the position is in the half-differences, where gains and biases do not reach
         friction = effect["name"] == "position_friction"
         beyond = size if friction else strength_beyond(cell.arm, cell.visits, effect)
         entries.append((effect["name"], effect["joints"], beyond))
@@ -190,7 +190,7 @@ def _inside(cell: BlindCell, load: LoadResult) -> list[bool]:
 def loads_knowing_effects(
     cell: BlindCell, robot: Robot, options: DiagnoseOptions, table: Table, truth: list
 ) -> tuple[LoadResult, ...]:
-    """Loads of an estimator that is told which effects there are, but not how large."""
+    """Return the loads of an estimator that is given the effects present, but not their sizes."""
     for effect in cell.truth.effects:
         if effect["name"] in MISTAKES:
             factor = float(effect["parameters"].get("factor", 1.0))  # type: ignore[union-attr]

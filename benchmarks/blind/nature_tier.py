@@ -1,7 +1,7 @@
 """The tier drawn by nature: which cells are run, and what is printed of them.
 
 Development seeds start at 0, test seeds at 30000; the test seeds are run once for the published table and never tuned
-on. Of each condition `cells` arms with only the ordinary are estimated and, the first `diagnosed` of them, diagnosed;
+on. Of each condition `cells` arms with only nuisances are estimated and, the first `diagnosed` of them, diagnosed;
 then `effects` arms with something beyond it are diagnosed with the robot at hand.
 """
 

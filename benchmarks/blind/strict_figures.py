@@ -1,4 +1,4 @@
-"""The tier of the simulator's own draws under strict scoring, strengths beyond what every arm has."""
+"""The tier of the simulator's own draws under strict scoring, strengths beyond nuisance parameters."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def accepted_arm(seed: int) -> dict:
         drawn.columns["pose"] = drawn.columns["pose"] + 1000
         urdf = robot.read_text(encoding="utf-8")
         table = write_cell(drawn, folder)[0].rename(folder / "unseen.csv")
-        # a tilted base stands in no file
+        # a tilted base is in no file
         robot.write_text(urdf, encoding="utf-8")
         answer = folder / "answer.json"
         words = ("accept", cell, "--load", result, "--from", table, "--tolerance", f"{TOLERANCE_PERCENT}%")

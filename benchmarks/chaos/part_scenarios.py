@@ -1,4 +1,4 @@
-"""Every kind of fault, three seeds, in lockstep and by the clock."""
+"""Every kind of fault, three seeds, in lockstep and in real time."""
 
 from __future__ import annotations
 

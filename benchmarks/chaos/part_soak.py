@@ -1,4 +1,4 @@
-"""Endurance: the arm swings slowly by the clock; memory stays flat, no epoch is incomplete but by the computer's doing.
+"""Endurance: the arm swings slowly in real time; memory stays flat, no epoch is incomplete but by the computer's doing.
 
 Master and drives have a core each, and a bare real-time sleeper beside them on it. An incomplete epoch is the
 computer's doing where a sleeper was not woken for more than half a period, within one period of it.
@@ -119,7 +119,7 @@ def _swing(served: Drives, seconds: float, on_progress: Callable[[float], None])
 
 
 def _swing_once(served: Drives, until_s: float, swung: Swung, on_progress: Callable[[float], None]) -> None:
-    """Swing until the time is over, or until the arm was stopped because this computer was held up."""
+    """Swing until the time is over, or until the arm was stopped because this computer was stalled."""
     setups = axis_setups(served.loaded, served.loaded.cell.arm[0])
     try:
         with open_bus(BusSpec.parse(served.bus)) as bus, DriveGroup(bus, setups, PERIOD_S, "real") as group:

@@ -1,4 +1,4 @@
-"""The master held up by the clock: no joint too fast afterwards, the stop at once, no row of another SYNC."""
+"""The master stalled in real time: no joint too fast afterwards, the stop at once, no row of another SYNC."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wall-clock drives that do not buffer set points, and what commands make of them."""
+"""Wall-clock drives that do not buffer setpoints, and what commands make of them."""
 
 from __future__ import annotations
 

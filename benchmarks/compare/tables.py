@@ -103,7 +103,7 @@ def _one_sided(seed: int) -> Case:
 
 
 def _several(seed: int) -> Case:
-    """A bare arm and two loads, no effect."""
+    """An unloaded arm and two loads, no effect."""
     cell = blind.draw_cell(seed)
     rng = np.random.default_rng([seed, 6])
     arm = cell.arm
@@ -128,7 +128,7 @@ def _of_nature(cell: NatureCell) -> Case:
 
 
 def _nature(seed: int) -> Case:
-    """Arms drawn by nature, nothing beyond what every arm has; conditions in turn."""
+    """Arms drawn by nature, nothing beyond nuisance parameters; conditions in turn."""
     return _of_nature(draw_nature_cell(seed, CONDITIONS[seed % len(CONDITIONS)]))
 
 
@@ -138,7 +138,7 @@ def _nature_effects(seed: int) -> Case:
 
 
 def _stored_bare(seed: int) -> Case:
-    """Loaded poses of a nature arm, against a stored identification of the bare arm."""
+    """Loaded poses of a nature arm, against a stored identification of the unloaded arm."""
     drawn_cell = _nature(seed)
     bare_rows = np.asarray(drawn_cell.table.load) == "none"
     bare = estimate(drawn_cell.table.take(bare_rows), drawn_cell.robot, drawn_cell.estimate).bare

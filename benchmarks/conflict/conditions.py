@@ -216,7 +216,7 @@ def one_posture(cell: ConflictCell) -> None:
 
 
 def nature(cell: ConflictCell) -> None:
-    """What real arms have besides: cogging, gross visits, worse repeatability, more scatter between visits."""
+    """What real arms have besides: cogging, outlier visits, worse repeatability, more scatter between visits."""
     cell.rough, cell.repeat_rad, cell.scatter = True, 4e-4, 0.08
 
 

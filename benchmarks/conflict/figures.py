@@ -28,7 +28,7 @@ def refused(answer: dict) -> bool:
 
 
 def warned(answer: dict) -> bool:
-    """An engineer is told that something is wrong: a warning, a failing finding or a refusal."""
+    """Return whether an engineer is warned: by a warning, a failing finding or a refusal."""
     return bool(checks(answer)) or answer["exit"] not in (0, DEFECT) or refused(answer)
 
 

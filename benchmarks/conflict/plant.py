@@ -80,7 +80,7 @@ class ConflictCell:
     hose : share of the load that acts as a hose on the last links when the load is on
     lopsided : how much larger the band is in the positive direction under load
     sides : approach directions of each pose
-    rough : what real arms have besides: cogging, gross visits, friction by position
+    rough : what real arms have besides: cogging, outlier visits, friction by position
     columns, options, length_unit, stored_bare : what is handed over: table, options, unit of the URDF, bare run apart
     gross : visits that are far off on one axis
     """

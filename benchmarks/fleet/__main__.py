@@ -22,7 +22,7 @@ HETEROGENEITY_STD = 0.5
 
 
 def _drifts(place: Path, plant: drifts.Plant) -> dict[str, dict]:
-    """Drifts that are told in a year of these robots."""
+    """Return the drifts that are detected in a year of these robots."""
     return drifts.drifts(drifts.filled(place / "store", plant, place / "tables")[0], plant)
 
 

@@ -1,4 +1,4 @@
-"""Recordings estimated anew: how it scales to two workers, what a killed worker costs, how flat the memory is."""
+"""Recordings estimated again: how it scales to two workers, what a killed worker costs, how flat the memory is."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ LOOK_S, ASK_S = 0.2, 2.0
 
 
 def figures(folder: Path, count: int) -> dict[str, dict]:
-    """All that is told of recordings, of which so many are estimated anew."""
+    """Return all figures of recordings, of which so many are estimated again."""
     base = recorded(folder / "base")
     found = scaling(base, folder / "scaling", min(count, SCALED))
     return found | complete_fleet(base, folder / "whole", count)

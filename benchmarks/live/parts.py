@@ -38,12 +38,12 @@ Figures = dict[str, dict]
 WIDE, NARROW = (1280, 900), (390, 844)
 #: Controlword bits (CiA 402-2, table of the controlword): quick stop is active low, and comes with enable voltage.
 RPDO1, ENABLED, QUICK_STOP_MASK, QUICK_STOP = 0x201, 0x0F, 0x06, 0x02
-#: Share of the speed before, below which a set point counts as one that brakes.
+#: Share of the speed before, below which a setpoint counts as one that brakes.
 BRAKES = 0.9
 #: SYNCs over which that speed is taken, and the slowest one at which a click is judged, counts per SYNC.
 BEFORE, LEAST_COUNTS = 12, 200.0
 PAGES = 50
-#: Pairs of runs that are tried on a computer that is held up, until one pair is whole.
+#: Pairs of runs that are tried on a computer that is stalled, until one pair is whole.
 MOST_TURNS = 5
 #: Postures between which the arm goes to and fro: joint angles [rad].
 TARGETS = ("-2,-0.2,0.4,0,0.3,0", "2,-0.2,0.4,0,0.3,0")
@@ -104,7 +104,7 @@ def pictures(window: Browser, out: Path) -> None:
 
 
 def paired(out: Path, minutes: float) -> Figures:
-    """Runs by the clock with and without the page in a browser, in turn: SYNCs that were not answered whole."""
+    """Runs in real time with and without the page in a browser, in turn: SYNCs that were not answered whole."""
     folder = out / "paired"
     _by_the_clock(folder, shown=False)  # the first one proves the stop of the drives: it is longer than all others
     both: list[tuple[Counted, Counted]] = []
@@ -131,7 +131,7 @@ def paired(out: Path, minutes: float) -> Figures:
 
 
 def _by_the_clock(folder: Path, *, shown: bool) -> Counted | None:
-    """One run; None where it was stopped, as by a computer that is held up."""
+    """One run; None where it was stopped, as by a computer that is stalled."""
     cell, report = cell_in(folder, "real", 3), folder / "run.json"
     report.unlink(missing_ok=True)
     more = ["--json", str(report), *(["--live"] if shown else [])]
@@ -159,7 +159,7 @@ def _caused(more: Sequence[float]) -> dict:
 
 
 def stopped(out: Path, clicks: int, *, alone: bool) -> Figures:
-    """Click to the first set point that brakes, and second click to the quick stop word, on the bus."""
+    """Click to the first setpoint that brakes, and second click to the quick stop word, on the bus."""
     slow_ms, word_ms = [], []
     folder = out / "stopped"
     cell = cell_in(folder, "real", 2)
@@ -217,7 +217,7 @@ def commands(frames: Iterable[can.Message]) -> list[tuple[float, int, int]]:
 
 
 def brakes_at(rows: Sequence[tuple[float, int, int]], clicked_s: float) -> float | None:
-    """When the first set point after a click goes less far than those before it."""
+    """When the first setpoint after a click goes less far than those before it."""
     times, targets = np.array([row[0] for row in rows]), np.array([row[2] for row in rows], dtype=float)
     steps = np.abs(np.diff(targets))
     start = int(np.searchsorted(times, clicked_s))
@@ -237,7 +237,7 @@ def quick_stop_at(rows: Sequence[tuple[float, int, int]], clicked_s: float) -> f
 
 
 def mistreated(out: Path) -> Figures:
-    """In lockstep, where a run is the same every time: set points with the page killed, frozen, or opened 50 times."""
+    """In lockstep, where a run is the same every time: setpoints with the page killed, frozen, or opened 50 times."""
     plain = _set_points(out, lambda _command, _stack: None, "plain", ())
     cases: dict[str, Callable[[Command, ExitStack], None]] = {
         "page killed": lambda command, _: os.kill(command.page_pid(), signal.SIGKILL),

@@ -1,4 +1,4 @@
-"""What the cyclic part costs: epochs in lockstep, jitter by the clock, function evaluation."""
+"""What the cyclic part costs: epochs in lockstep, jitter in real time, function evaluation."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def lockstep(cycles: int = CYCLES) -> dict[str, Any]:
 
 
 def by_the_clock(seconds: float = REAL_S) -> dict[str, Any]:
-    """Both arms held at a 4 ms SYNC by the clock; the simulated drives in another process, without physics."""
+    """Both arms held at a 4 ms SYNC in real time; the simulated drives in another process, without physics."""
     with TemporaryDirectory() as folder:
         for name in ("robot.urdf", "path.csv", "drive.toml"):
             (Path(folder) / name).write_text((CELL.parent / name).read_text())
@@ -95,7 +95,7 @@ def by_the_clock(seconds: float = REAL_S) -> dict[str, Any]:
 
 
 def _clocked(cell: PairCell, link: PairLink, wanted: int) -> dict[str, Any]:
-    """Hold both arms for some cycles; a machine that is too busy for 4 ms ends it early, and that is told."""
+    """Hold both arms for some cycles; a machine that is too busy for 4 ms ends it early, and that is reported."""
     cycles, delayed, ended = 0, 0, ""
     try:
         with powered(Stream(link.station(cell, MoveOptions()))) as stream:

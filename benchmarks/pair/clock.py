@@ -1,4 +1,4 @@
-"""Two arms by the clock: taught, run and kept at a gap, beside the same plant in lockstep.
+"""Two arms in real time: taught, run and kept at a gap, beside the same plant in lockstep.
 
 python -m benchmarks.pair.clock [--seeds 3,4,5,6] [--cycles 25] [--parts run,gap] [--period-ms 4] [--out out/pair-clock]
 

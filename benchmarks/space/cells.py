@@ -112,7 +112,7 @@ def _rounded(point: tuple[float, ...]) -> Vector:
 def _links(
     random: np.random.Generator, reach: float, joints: list[_Joint], flange: Vector, folder: Path, *, holes: bool
 ) -> list[str]:
-    """`<collision>` elements of base and links: along the way to the next joint, and about the joint itself."""
+    """`<collision>` elements of base and links: along the path to the next joint, and about the joint itself."""
     ends = [*(np.array(joint.origin) for joint in joints), np.array(flange)]
     thick = np.linspace(0.085, 0.035, len(ends)) * reach * float(random.uniform(0.8, 1.1))
     found = []
@@ -206,7 +206,7 @@ def _floor(random: np.random.Generator, mounting: str, reach: float) -> float | 
 
 
 def _boxes(random: np.random.Generator, reach: float) -> tuple[tuple[Vector, Vector], ...]:
-    """Up to four boxes beside the arm, none of which reaches into what stands still."""
+    """Up to four boxes beside the arm, none of which reaches into fixed bodies."""
     found = []
     for _ in range(int(random.integers(0, 5))):
         size = reach * random.uniform(0.1, 0.5, 3)

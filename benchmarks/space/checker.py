@@ -106,7 +106,7 @@ class Judge:
 
 
 def sampled(path_rad: np.ndarray, robot: Robot, size_m: float) -> Iterator[np.ndarray]:
-    """Postures along a way (n, N) of straight joint motions, no point of the arm more than `STEP_M` from the next.
+    """Postures along a path (n, N) of straight joint motions, no point of the arm more than `STEP_M` from the next.
 
     How far a stretch leads is measured at its points, `size_m` about the origin of every link to all sides.
     """

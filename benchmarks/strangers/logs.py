@@ -1,6 +1,6 @@
 """Logs of strangers: runs of one arm at rest and in motion, written as other programs write them.
 
-A log is right when it is imported as what was written and the load of the table lies inside its interval, or when it is
+A log is right when it is imported as what was written and the load of the table is inside its interval, or when it is
 refused with its line and a remedy. What was written comes from pinocchio; the runs are those whose plainly written
 table holds the load inside its interval, so that the layout alone is judged.
 """

@@ -32,7 +32,7 @@ def figures() -> dict[str, dict]:
     ended = 0
     for name, kind in CLASSES.items():
         with tempfile.TemporaryDirectory() as folder:
-            os.environ["XDG_STATE_HOME"] = folder  # every arm is proven anew
+            os.environ["XDG_STATE_HOME"] = folder  # every arm is proven again
             code, output = record(kind, Path(folder))
         ended += code == 0
         print(f"{name}: exit {code}{'' if code == 0 else ': ' + output}", file=sys.stderr, flush=True)

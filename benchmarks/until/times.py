@@ -1,6 +1,6 @@
 """Time under power for a load at rest: until it is known as today's poses let it be known, over today's time.
 
-Both examples over the virtual bus, in lockstep, by SYNC. The bare arm and the load are measured at all poses of the
+Both examples over the virtual bus, in lockstep, by SYNC. The unloaded arm and the load are measured at all poses of the
 cell, the ones to judge on too, and estimated with torque constants that are known; then the same load once more with
 `--until` at the half widths that came out, the widest coordinate standing for the centre of gravity.
 """

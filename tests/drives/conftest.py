@@ -37,7 +37,7 @@ class Wire:
         self.send_errors = 0
         #: By how much the wall clock, which also stamps frames, is ahead of the monotonic one.
         self.wall_ahead_s = 7.0e8
-        #: The process is held up for so long in its next wait for a frame.
+        #: The process is stalled for so long in its next wait for a frame.
         self.held_up_s = 0.0
         self._queue: list[tuple[float, int, can.Message]] = []
         self._number = itertools.count()
@@ -152,7 +152,7 @@ class Slave:
         #: Aborts a write of an inhibit time while the PDO exists.
         self.strict_inhibit = False
         self.takes_nmt = True
-        #: Heeds its consumer heartbeat time (0x1016) by the clock, and leaves operation as 0x6007 says.
+        #: Heeds its consumer heartbeat time (0x1016) in real time, and leaves operation as 0x6007 says.
         self.supervises = False
         self._master_s: float | None = None
         self._latched: bytes | None = None
@@ -277,7 +277,7 @@ class Slave:
             self.wire.emit(cob_id & 0x7FF, bytes(2), self._event_s - self.wire.now_s)
 
     def _supervise_sync(self) -> None:
-        """Communication cycle period (CiA 301, 0x1006): a SYNC that is late is a communication error."""
+        """Communication cycle period (CiA 301, 0x1006): a SYNC that is delayed is a communication error."""
         now_s, before_s, period_s = self.wire.now_s, self._sync_s, self.values.get((0x1006, 0), 0) * 1e-6
         self._sync_s = now_s
         if period_s and before_s is not None and now_s - before_s > 1.5 * period_s:
@@ -475,7 +475,7 @@ def make_slave(wire: Wire) -> Callable[..., Slave]:
 
 
 def stop_responding(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
-    """Set points go on without a heartbeat; after the last one the axes are held until all have stopped."""
+    """Setpoints go on without a heartbeat; after the last one the axes are held until all have stopped."""
     test, remaining = group.withhold_heartbeat(), iter(rows)
     while not test.done:
         row = next(remaining, None)
@@ -487,7 +487,7 @@ def stop_responding(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) -
 
 
 def prove_quick_stop(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) -> tuple[StopTrace, ...]:
-    """Set points, then the quick stop until all axes are at rest."""
+    """Setpoints, then the quick stop until all axes are at rest."""
     for row in rows:
         group.exchange(row)
     test = group.try_quick_stop()

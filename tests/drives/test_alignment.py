@@ -1,4 +1,4 @@
-"""By the clock: whatever stays away, and whenever it comes, no row carries what was true at another SYNC."""
+"""In real time: whatever stays away, and whenever it comes, no row carries what was true at another SYNC."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ USUAL_S = 0.0004
 
 
 class Rig:
-    """Three axes by the clock; each moves on by one count a SYNC, and each reading is compared with the truth."""
+    """Three axes in real time; each moves on by one count a SYNC, and each reading is compared with the truth."""
 
     def __init__(self, wire: Wire, setups: Callable[[int], list[AxisSetup]], stamped: bool) -> None:
         self.wire = wire

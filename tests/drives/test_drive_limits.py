@@ -75,7 +75,7 @@ def test_an_axis_found_outside_moves_only_inwards(bus, slave, generic, found, si
 def test_an_axis_held_outside_stays_where_it_is_when_a_path_inwards_begins_a_hair_further_out(
     bus, slave, generic, found, side
 ):
-    """What is read while it is held differs by some counts from what it was told to hold."""
+    """What is read while it is held differs by some counts from what it was commanded to hold."""
     slave.position = found
     with ready(bus, generic, position_limit_rad=(-100 * COUNT_RAD, 100 * COUNT_RAD)) as group:
         group.enable()

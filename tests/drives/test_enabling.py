@@ -1,4 +1,4 @@
-"""The way up: stopped by a person, ended by an axis that falls back, bounded in time, and no target follows an axis."""
+"""Enabling: stopped by a person, ended by an axis that falls back, bounded in time, and no target follows an axis."""
 
 from __future__ import annotations
 
@@ -88,9 +88,9 @@ def test_without_a_stop_request_all_are_enabled(group, slaves):
 
 @pytest.mark.parametrize(("place", "below"), [("switched on", "ready"), ("operation enabled", "switched on")])
 def test_an_axis_that_falls_back_is_not_led_up_again(group, slaves, place, below):
-    """It reaches a state, and some SYNCs later is below it while another axis is still on its way.
+    """It reaches a state, and some SYNCs later is below it while another axis is still in transit.
 
-    One word was on its way when the fall was told.
+    One word was in transit when the fall was reported.
     """
     slaves[0].stuck_in = "ready"
     real = slaves[1]._control
@@ -157,7 +157,7 @@ def test_rows_that_never_become_complete_end_the_enabling(group, slaves, wire):
 
 
 def test_the_target_during_enabling_does_not_follow_an_axis_that_drops(group, slaves, wire):
-    """Every SYNC before its brake holds the axis sinks by 100 counts: it is told to stay where it stood."""
+    """Every SYNC before its brake holds the axis sinks by 100 counts: its target stays at its former position."""
     stood = slaves[1].position
     slaves[0].stuck_in = "ready"
     real = slaves[1]._control

@@ -71,7 +71,7 @@ def test_an_answer_that_comes_after_the_next_sync_contradicts_its_successor(grou
 
 
 def test_of_a_single_drive_too_an_answer_to_the_sync_before_is_not_accepted(bus, add_slaves, setups):
-    """Nothing else comes late here: what stayed away itself is what is watched for."""
+    """Nothing else comes with delay here: what stayed away itself is what is watched for."""
     slaves = add_slaves(1)
     with DriveGroup(bus, setups(1), 0.004) as group:
         group.connect()
@@ -229,7 +229,7 @@ class HeldUp:
 
 @pytest.mark.parametrize(("asleep_s", "is_complete"), [(0.03, True), (0.009, False)])
 def test_by_the_clock_a_master_that_slept_past_the_window_reads_what_waits_for_it(monkeypatch, asleep_s, is_complete):
-    """Window 9 ms. Who wakes in time finds the window over; who was held up finds the answers in its queue."""
+    """Window 9 ms. Who wakes in time finds the window over; who was stalled finds the answers in its queue."""
     bus = HeldUp(asleep_s, [Message(arbitration_id=0x181, data=bytes(8)), Message(arbitration_id=0x182, data=bytes(8))])
     monkeypatch.setattr("drives.epoch.time", SimpleNamespace(monotonic=lambda: bus.now_s))
     collector = EpochCollector(bus, [(0x181, 8), (0x182, 8)])  # type: ignore[arg-type]

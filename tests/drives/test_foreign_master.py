@@ -1,4 +1,4 @@
-"""A bus that another master leads is left alone: nothing is sent, and it is said who was heard."""
+"""A bus that another master leads is left alone: nothing is sent, and the senders are reported."""
 
 from __future__ import annotations
 

@@ -326,7 +326,7 @@ def test_another_master_in_a_run_stops_all_axes(group, slaves, wire, can_id):
 @pytest.mark.parametrize(("can_id", "frames"), [(0x000, 1), (0x080, 1), (0x203, 3), (0x604, 3)])
 @pytest.mark.parametrize("echo", [False, True])
 def test_the_first_sync_or_nmt_frame_of_another_master_stops(bus, slaves, setups, wire, can_id, frames, echo):
-    """Whatever the SYNC index: it is told at the very SYNC after which it is there."""
+    """Whatever the SYNC index: it is reported at the very SYNC after which it is there."""
     wire.echo = bus.echoes = echo
     for offset in range(5):
         with DriveGroup(bus, setups(6), PERIOD_S) as group:
@@ -497,7 +497,7 @@ def test_a_period_is_a_positive_time(bus, setups, period_s):
 
 
 def test_a_master_that_paused_does_not_call_a_heartbeat_lost(group, slaves, wire):
-    """In lockstep the drives' time stands still while nobody sends SYNC."""
+    """In lockstep the drives' time is stopped while nobody sends SYNC."""
     group.enable()
     slaves[0].heartbeat()
     group.hold()

@@ -1,4 +1,4 @@
-"""A bus that only is listened to: constants, rows, set points and emergencies are heard, and nothing is ever sent."""
+"""A bus that only is listened to: constants, rows, setpoints and emergencies are received, and nothing is ever sent."""
 
 from __future__ import annotations
 

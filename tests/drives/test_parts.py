@@ -326,7 +326,7 @@ def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
 
 
 def test_a_scan_says_of_which_node_the_identity_could_not_be_read_and_why(bus, make_slave):
-    """It answers the first question and is silent from then on."""
+    """It answers the first question and does not respond from then on."""
     make_slave(2)
     unresponsive = make_slave(3)
     was_missing: list[bool] = []

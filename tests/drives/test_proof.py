@@ -30,7 +30,7 @@ def slaves(add_slaves: Callable[[int], list[Slave]]) -> list[Slave]:
 
 @pytest.fixture
 def group(bus: object, slaves: list[Slave], setups: Callable[[int], list[AxisSetup]]) -> Iterator[DriveGroup]:
-    """By the clock: that is what the drives supervise by."""
+    """In real time: that is what the drives supervise by."""
     with DriveGroup(bus, setups(3), PERIOD_S, "real") as group:  # type: ignore[arg-type]
         group.connect()
         group.configure()
@@ -39,7 +39,7 @@ def group(bus: object, slaves: list[Slave], setups: Callable[[int], list[AxisSet
 
 
 def rows(slaves: list[Slave], number: int) -> list[list[DriveCommand]]:
-    """So many set points, each `STEP` counts further."""
+    """So many setpoints, each `STEP` counts further."""
     return [
         [DriveCommand((slave.position + STEP * row) * COUNT_RAD) for slave in slaves] for row in range(1, number + 1)
     ]
@@ -56,7 +56,7 @@ def last_beat_s(wire: Wire) -> float:
 
 
 def test_each_drive_leaves_operation_after_its_heartbeat_time(group, slaves, wire):
-    """30 steps of 20 counts; axis 1 goes on by 700, 500 and 300 counts while it brakes, the others stand at once."""
+    """30 steps of 20 counts; axis 1 goes on by 700, 500 and 300 counts while it brakes, the others stop at once."""
     slaves[0].moves_in = {"quick stop": [700, 500, 300]}
     traces = stop_responding(group, rows(slaves, 30))
     for trace in traces:
@@ -176,7 +176,7 @@ def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, sl
 
 
 def slow(slave: Slave, syncs: int) -> None:
-    """The drive leaves OPERATION ENABLED so many SYNCs after it was told to."""
+    """The drive leaves OPERATION ENABLED so many SYNCs after it was commanded to."""
     plain, targets = slave._control, [0]
 
     def control(word: int) -> None:

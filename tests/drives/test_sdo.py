@@ -1,4 +1,4 @@
-"""SDO transfers, and every way in which an answer may be late, foreign or wrong (CiA 301, 7.2.4.3)."""
+"""SDO transfers, and every case in which an answer may be delayed, foreign or wrong (CiA 301, 7.2.4.3)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def sdo(bus, slave):
 
 
 def delayed_once(delay_s):
-    """The first answer comes late, all others in time."""
+    """The first answer comes with delay, all others in time."""
     delays = iter([delay_s])
     return lambda request, answer: [(next(delays, 0.001), answer)]
 
@@ -100,7 +100,7 @@ def test_a_delayed_answer_is_not_taken_for_a_fresh_one_of_the_same_object(sdo, s
 
 
 def test_a_repeated_read_waits_until_the_first_answer_has_arrived(sdo, slave):
-    """The read is repeated by itself; the late answer holds what the object was at the first request."""
+    """The read is repeated by itself; the delayed answer holds what the object was at the first request."""
     values = iter([111, 999])
     delays = iter([0.35, 0.001])
 

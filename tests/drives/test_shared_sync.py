@@ -1,4 +1,4 @@
-"""One SYNC for the drives of two buses by the clock: its five parts, what each bus sees, what is taken back."""
+"""One SYNC for the drives of two buses in real time: its five parts, what each bus sees, what is taken back."""
 
 from __future__ import annotations
 

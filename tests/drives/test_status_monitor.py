@@ -166,7 +166,7 @@ def test_an_axis_at_rest_may_stand_a_little_elsewhere_by_sdo(rig: Rig, off: floa
         rig.checks(*rows)
 
 
-# ------------------------------------------------------------------------------- by the clock nobody waits for SDO
+# ------------------------------------------------------------------------------- in real time nobody waits for SDO
 
 LATEST = SAME_IN_A_ROW + SETTLED_SYNCS + 2
 

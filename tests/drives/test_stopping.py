@@ -1,4 +1,4 @@
-"""The way down: a master that was held up, standstill before the brakes, sag, the end of the heartbeat, two proofs."""
+"""Disabling: a master that was stalled, standstill before the brakes, drop, the end of the heartbeat, two proofs."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def beats_s(wire: Wire) -> list[float]:
     return [at for (can_id, _), at in zip(wire.sent, wire.sent_at_s, strict=True) if can_id == HEARTBEAT]
 
 
-# -- a master that was held up -----------------------------------------------------------------------------------------
+# -- a master that was stalled -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("where", ["before the commands", "while waiting for the SYNC"])
@@ -146,7 +146,7 @@ def test_a_set_point_that_never_went_out_with_a_sync_is_not_the_place_to_stop_at
     assert slaves[0].values[0x607A, 0] == last
 
 
-# -- standstill before the brakes, and sag -----------------------------------------------------------------------------
+# -- standstill before the brakes, and drop ----------------------------------------------------------------------------
 
 
 def test_an_axis_that_moves_is_brought_to_rest_before_it_is_disabled(group, slaves):
@@ -206,7 +206,7 @@ def test_the_voltage_stays_on_until_the_brake_has_had_its_time_to_close(bus, sla
 
         slave._sync = sync  # type: ignore[method-assign]
         group.disable()
-        assert states.count("switched on") in (syncs + 1, syncs + 2)  # its state is read one SYNC late
+        assert states.count("switched on") in (syncs + 1, syncs + 2)  # its state is read one SYNC later
         assert slave.state == "switch on disabled"
 
 
@@ -295,7 +295,7 @@ def test_a_ramp_is_waited_for_two_seconds(group, slaves, syncs, enough):
 
 
 def slow_to_obey(slave: Slave, syncs: int) -> None:
-    """It leaves OPERATION ENABLED so many SYNCs after it was told to."""
+    """It leaves OPERATION ENABLED so many SYNCs after it was commanded to."""
     plain, commanded = slave._control, [0]
 
     def control(word: int) -> None:
@@ -360,7 +360,7 @@ def test_arms_that_all_stop_responding_are_not_monitored_for_a_drop(group, slave
     assert syncs.count("switch on disabled") <= len(slaves) * 6
 
 
-# -- what fails on the way down ----------------------------------------------------------------------------------------
+# -- what fails while disabling ----------------------------------------------------------------------------------------
 
 
 def test_a_drive_that_cannot_be_disarmed_is_named_and_the_others_are(group, slaves, wire):
@@ -530,7 +530,7 @@ def test_only_enabled_axes_are_released(group):
 
 
 def test_the_quick_stop_is_traced_axis_by_axis(group, slaves):
-    """Axis 1 goes on by 700, 500, 300 counts while it brakes, for three SYNCs; axis 2 stands at once."""
+    """Axis 1 goes on by 700, 500, 300 counts while it brakes, for three SYNCs; axis 2 stops at once."""
     slaves[0].moves_in = {"quick stop": [700, 500, 300]}
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
     first, second, *_ = prove_quick_stop(group, rows)
@@ -554,7 +554,7 @@ def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(gro
     assert {slave.state for slave in slaves if slave.node_id != 5} == {"switch on disabled"}
 
 
-# -- whatever goes wrong on the way down -------------------------------------------------------------------------------
+# -- whatever goes wrong while disabling -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("bad"), KeyError("x")])

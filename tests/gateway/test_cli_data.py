@@ -286,7 +286,7 @@ def test_what_is_expected_has_to_be_in_the_data(table):
     ],
 )
 def test_a_load_that_was_not_mounted_is_asked_for(table, tmp_path, command, seed, says, status):
-    """Rows of the bare arm under the label of a load; noise that leaves the interval about 0, or below it."""
+    """Rows of the unloaded arm under the label of a load; noise that leaves the interval about 0, or below it."""
     out, page = tmp_path / "out.json", tmp_path / "page.html"
     path = table(
         "bare.csv",

@@ -1,4 +1,4 @@
-"""Every fault inside a drive, in lockstep and by the clock: what it does to an axis that is enabled and moves."""
+"""Every fault inside a drive, in lockstep and in real time: what it does to an axis that is enabled and moves."""
 
 from __future__ import annotations
 

@@ -191,7 +191,7 @@ def test_following_error_ends_in_fault_with_emergency_and_history(drives):
     master, simulation = drives
     master.configure(NODE, 8)
     start = master.enable(NODE)
-    master.write(NODE, 0x6072, 0, 1, 2)  # no torque left: the arm sags
+    master.write(NODE, 0x6072, 0, 1, 2)  # no torque left: the arm drops
     master.write(NODE, 0x6065, 0, 2000, 4)
     for _ in range(100):
         status, _, _ = master.cycle(NODE, 0x0F, start)

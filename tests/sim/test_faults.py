@@ -225,7 +225,7 @@ def test_commands_that_reach_no_drive(rig: Rig) -> None:
 
 @pytest.mark.parametrize("kind", [kind for kind, about in KINDS.items() if about.where == "wire"])
 def test_every_kind_of_the_wire_is_carried_out(rig: Rig, kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """And by nobody's waiting: what is late is sent by whoever receives next, so that it is late by the clock too."""
+    """Without waiting: a delayed answer is sent by the next receive, so that it is delayed in real time too."""
     monkeypatch.setattr("sim.faulty_wire.time.sleep", lambda _seconds: pytest.fail("the serving thread waits"))
     assert KINDS[kind].reaction in REACTIONS
     in_recv = {"rpdo_lost", "rpdo_gone", "sync_lost"}

@@ -250,7 +250,7 @@ def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of
 
 
 def test_a_torque_that_is_read_at_every_set_point_holds_what_rotors_take(world_of):
-    """Speed is fed forward in steps: the torque swings in step with the set points, its reading does not."""
+    """Speed is fed forward in steps: the torque swings in step with the setpoints, its reading does not."""
     by_milliseconds, at_once = swung(world_of("small"), 1), swung(world_of("small"), 10)
     accelerates = np.cos(2.0 * np.pi * np.arange(10, 2010, 10) / 2000.0)[20:]
     rotor = world_of("small").plant.rotor_inertia_kg_m2 * 0.15 * np.pi**2
@@ -259,7 +259,7 @@ def test_a_torque_that_is_read_at_every_set_point_holds_what_rotors_take(world_o
 
 
 def swung(world: ArmWorld, ticks: int) -> np.ndarray:
-    """Mean reading between set points 10 ms apart of a swing of 2 s, read every so many milliseconds."""
+    """Mean reading between setpoints 10 ms apart of a swing of 2 s, read every so many milliseconds."""
     release(world)
     start, read = np.array([axis.position_rad for axis in world.axes]), []
     for tick in range(0, 2000, 10):

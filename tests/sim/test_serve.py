@@ -241,7 +241,7 @@ def test_real_pacing_follows_the_clock_without_sync(channel):
 
 @pytest.mark.parametrize(("unbuffered", "count", "too_fast"), [(True, 50, True), (True, 0, False), (False, 9, False)])
 def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unbuffered, count, too_fast, channel):
-    """Set points for 10 ms every 2 ms: what takes them when they come is driven beyond its speed."""
+    """Setpoints for 10 ms every 2 ms: what takes them when they come is driven beyond its speed."""
     options = ServeOptions(bus=f"virtual:{channel}", pacing="real", unbuffered=unbuffered)
     simulation = Simulation(SMALL, options)
     unit = simulation.arms[0]
@@ -270,7 +270,7 @@ def test_a_master_that_sends_too_fast_moves_drives_without_a_buffer_too_fast(unb
     ids=str,
 )
 def test_delayed_setpoints_change_the_delay_of_a_drive_for_a_moment_only(delay_s, held, channel):
-    """By the clock: drives are locked to the SYNC; else two arms with unlike histories would pull at a common part."""
+    """In real time: drives are locked to the SYNC; else two arms with unlike histories would pull at a common part."""
     simulation = Simulation(SMALL, ServeOptions(bus=f"virtual:{channel}", pacing="real"))
     unit = simulation.arms[0]
     drive = unit.drives[2]

@@ -1,4 +1,4 @@
-"""Buses of one plant that one thread serves by the clock: whose frame is acted on first, and at which time."""
+"""Buses of one plant that one thread serves in real time: whose frame is acted on first, and at which time."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ def serve(place) -> Iterator[Callable[..., Drives]]:
 
 
 class Hands:
-    """Stands in for stdin: hangs the load that was asked for, or forgets it, then presses Enter."""
+    """Replacement of stdin: mounts the load that was asked for, or forgets it, then presses Enter."""
 
     def __init__(self, drives, capsys, mounts, forgets):
         self.drives, self.capsys, self.mounts, self.forgets = drives, capsys, mounts, forgets

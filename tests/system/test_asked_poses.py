@@ -62,7 +62,7 @@ def test_a_pose_is_measured_once_more_by_its_number(place, gateway, serve):
     again = record(gateway, place, drives, "--pose", "1")
     assert again.exit_code == 0, again.output
     assert visits(place) == [(1, -1), (1, -1), (1, 1), (1, 1), (2, -1), (2, 1)]
-    table = place.recording().table()  # a repeated visit is told apart by its time
+    table = place.recording().table()  # a repeated visit is distinguished by its time
     assert sorted(table.pose.tolist()) == [1, 1, 1, 1, 2, 2]
     missing = record(gateway, place, drives, "--pose", "7")
     assert (

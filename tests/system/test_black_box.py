@@ -71,7 +71,7 @@ def move(place, gateway, drives, *more):
 @pytest.mark.slow
 @pytest.mark.parametrize("at_sync", [300, 1200])
 def test_a_move_that_is_stopped_leaves_one_beside_the_ledger(place, gateway, serve, at_sync):
-    """At 300 the stop of the drives is still being proven, at 1200 the arm is on its way."""
+    """At 300 the stop of the drives is still being proven, at 1200 the arm is in motion."""
     drives = serve(fault=f'[[fault]]\nkind = "drive_fault"\nnode = 4\nat_sync = {at_sync}\nsyncs = 0\n')
     done = move(place, gateway, drives)
     assert done.exit_code == 4, done.output

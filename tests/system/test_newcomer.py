@@ -1,7 +1,8 @@
 """A stranger's arm: from its URDF and its drives' data sheets to a load, by commands and answers alone.
 
 The drives count in units of their own (rated current in 10 mA, peak ampere, 0.1 rpm, 16 bit), have ids 11 to 16 and
-no profile in the package; two axes turn against their joints. What is told to the gateway is what an engineer knows.
+no profile in the package; two axes turn against their joints. The gateway is given what an engineer can read
+from data sheets.
 """
 
 from __future__ import annotations

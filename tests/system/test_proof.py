@@ -1,4 +1,4 @@
-"""The proof of a stop on simulated drives: loss of the master, quick stop, the way back; and brakes that slip."""
+"""The proof of a stop on simulated drives: loss of the master, quick stop, the path back; and brakes that slip."""
 
 from __future__ import annotations
 

@@ -81,7 +81,7 @@ def plan(untyped, gateway):
 def test_what_motion_determines_is_what_is_there(untyped, plan, serve, gateway):
     """Recorded, gone on with, estimated, diagnosed, drawn, and used: every number within its own deviations.
 
-    The load goes on with the file's own plan, and the bare arm with one that has more in it.
+    The load goes on with the file's own plan, and the unloaded arm with one that has more in it.
     """
     drives = serve()
 

@@ -1,4 +1,4 @@
-"""Bad input and faults: typed error, exit code, advice; the arm stands still, what was recorded is kept."""
+"""Bad input and faults: typed error, exit code, remedy; the arm stays at rest, what was recorded is kept."""
 
 import pytest
 

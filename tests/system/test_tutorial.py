@@ -1,4 +1,4 @@
-"""The tutorial `your own robot`, typed as it stands: each command of the page works, the load is the one that hangs.
+"""The tutorial `your own robot`, typed as it is: each command of the page works, the estimated load is the mounted one.
 
 The port of the bus is another one, since tests run beside each other.
 """

@@ -27,7 +27,7 @@ from tests.support.chaos.killing import few_samples
 from tests.support.chaos.processes import Drives, poses
 from tests.support.independent_drives import PATIENCE
 
-#: An emulated processor that others use as well answers late; nothing here is about time.
+#: An emulated processor that others use as well answers with delay; nothing here is about time.
 PATIENCE_S = {"answer_timeout_s": 1.0 * PATIENCE, "gap_timeout_s": 0.5 * PATIENCE}
 PATIENT = GroupOptions(**PATIENCE_S)
 

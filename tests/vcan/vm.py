@@ -180,7 +180,7 @@ def provide_kernel() -> tuple[Path, str]:
 
 
 def kernel_names() -> str:
-    """What the distribution's kernel package depends on; its lists are read anew where it is not known."""
+    """What the distribution's kernel package depends on; its lists are read again where it is not known."""
     try:
         found = run(["apt-cache", "depends", KERNEL_META], "the kernel package is unknown")
     except VcanMissing:

@@ -1,4 +1,4 @@
-"""What no rest pose can tell apart, or show at all, when links and load are unknown."""
+"""What no rest pose can distinguish, or show at all, when links and load are unknown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Short forms of what is tried by the clock: one of each kind, at 20 ms."""
+"""Short forms of the benchmarks in real time: one of each kind, at 20 ms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curves of the live page: what was moved along with time is what would be drawn anew."""
+"""Curves of the live page: what was moved along with time is what would be drawn again."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PAGE = """<!doctype html><meta charset=utf-8>
 <style>:root {{ --muted: #5a6675; --grid: #e6eaef; --paper: #ffffff; --torque: #0a63c2; }}
 .chart {{ width: 420px }}</style>
 <div id=place></div><script>{script}</script>"""
-#: Shares of the pixels that are other than those of the paper: moved along for 14 s, 60 times a second, and drawn anew.
+#: Shares of the pixels that differ from the paper: moved along for 14 s at 60 Hz, and drawn again.
 INKED = """
 const strip = new Strip(document.querySelector("#place"), "torque", "Nm", ["--torque"]);
 const time = [], values = [];

@@ -1,4 +1,4 @@
-"""The pair by the clock, its bench in lockstep: way after way with every limit in force."""
+"""The pair in real time, its bench in lockstep: cycle after cycle with every limit in force."""
 
 from __future__ import annotations
 

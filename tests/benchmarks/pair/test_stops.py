@@ -52,7 +52,7 @@ def rig_at_rest(rig: PairRig, name: str = "B", limit_n: float | None = NO_LIMIT_
 
 
 def enabled(rig: PairRig) -> list[bool]:
-    """Which of the twelve follow set points."""
+    """Which of the twelve follow setpoints."""
     drives = [drive for unit in rig.simulation.arms for drive in unit.drives]
     return [drive.automaton.state is PdsState.OPERATION_ENABLED for drive in drives]
 
@@ -250,7 +250,7 @@ class _Seen:
 
 @pytest.fixture
 def clocked(tmp_path: Path) -> Path:
-    """The example by the clock, at 20 ms, taught."""
+    """The example in real time, at 20 ms, taught."""
     folder = tmp_path / "pair"
     shutil.copytree(CELL.parent, folder, ignore=shutil.ignore_patterns("*.pair"))
     cell = folder / "cell.toml"
@@ -310,7 +310,7 @@ def prove(words: list[str], settings: dict[str, str]) -> None:
 
 @contextmanager
 def serving(cell: Path, buses: str) -> Iterator[Simulation]:
-    """The pair by the clock, in a thread."""
+    """The pair in real time, in a thread."""
     simulation = Simulation(cell, ServeOptions(bus=buses), PairOptions(None))
     thread = threading.Thread(target=simulation.run, name="pair-sim")
     thread.start()

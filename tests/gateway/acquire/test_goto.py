@@ -22,7 +22,7 @@ from gateway.motion.workspace import workspace_of
 
 TARGET = (0.3, -0.2, 0.4, 0.5, -0.4, 0.6)
 PERIOD_S = 0.01
-#: Set points come back in counts of the drives.
+#: Setpoints come back in counts of the drives.
 COUNTS_RAD = 1e-4
 LEFT, RIGHT = (-1.2, -0.2, 0.4, 0.0, 0.0, 0.0), (1.2, -0.2, 0.4, 0.0, 0.0, 0.0)
 

@@ -39,7 +39,7 @@ class Store(MemoryStore):
 
 
 class Unrested:
-    """A series whose last set point is that of the one before."""
+    """A series whose last setpoint is that of the one before."""
 
     def __init__(self, series) -> None:
         self.series = series
@@ -103,7 +103,7 @@ def test_every_sync_of_every_period_is_kept(drive, plan, store, events, fake):
         assert np.diff(period.sync_index).tolist() == [1] * 199
         planned = plan.excitations[0].at(np.arange(1, 201) * PERIOD_S)[0]
         assert period.target_rad == pytest.approx(planned, abs=1e-9)
-        # the fake stands where it was told one SYNC before
+        # the fake is where it was commanded one SYNC before
         assert period.q_rad[1:] == pytest.approx(period.target_rad[:-1], abs=1e-5)
     assert all(two.sync_index[0] == one.sync_index[-1] + 1 for one, two in pairwise(store.periods))
     assert [event.period for event in events if isinstance(event, PeriodDone)] == [1, 2, 3]
@@ -223,7 +223,7 @@ def test_two_excitations_are_joined_by_a_planned_transfer(drive, workspace, stor
 
 
 def test_the_first_motion_with_these_drives_is_slow_and_not_measured(drive, store, fake):
-    """The arm stands at the start already: one period at a tenth of its speed comes first."""
+    """The arm is at the start already: one period at a tenth of its speed comes first."""
     fake.q_rad = fake.target_rad = HOME_RAD.copy()
     done = []
     drive(options=MoveOptions(first_done=lambda: done.append(True)))

@@ -205,7 +205,7 @@ def test_the_quick_stop_is_tried_while_the_arm_moves(rig, phases):
 
 
 def test_a_drive_that_has_stopped_by_itself_is_no_contact(rig):
-    """One gives up early: its torque vanishes and its set points go on without it."""
+    """One gives up early: its torque vanishes and its setpoints go on without it."""
     opened, slaves = rig
     slaves[3].torque = 900
     plain = slaves[3]._sync

@@ -15,7 +15,7 @@ KT = 0.31
 RATED_NM, RATED_A = 1.27, 1.27 / KT
 SCALES = Scales(RATED_NM / 1000.0, RATED_A * KT / 1000.0)
 STEPS = np.arange(600)
-#: A demand that goes both ways, in per mille, and what a current loop makes of it.
+#: A demand that goes in both directions, in per mille, and what a current loop makes of it.
 DEMAND = np.rint(180.0 * np.sin(STEPS / 40.0)).astype(int)
 NOISE = np.rint(np.random.default_rng(1).normal(0.0, 3.0, len(STEPS))).astype(int)
 MEASURED = DEMAND + NOISE

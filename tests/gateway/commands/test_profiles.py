@@ -151,7 +151,7 @@ def test_the_sheet_of_another_drive_is_refused(sheet, tmp_path):
 
 
 def test_beside_a_running_master_nothing_is_sent(sheet, tmp_path):
-    """SYNC of another master is heard: no frame goes out."""
+    """SYNC of another master is received: no frame goes out."""
     with open_bus(BusSpec.parse("virtual:profiles-busy")) as other:
         beating = threading.Event()
 

@@ -56,7 +56,7 @@ def test_positions_in_counts_give_the_acceleration_within_a_thousandth():
 
 
 def test_a_first_period_whose_end_is_not_its_beginning_does_not_ring():
-    """The servo still lags at the end; the arm began at rest where it was told to."""
+    """The servo still lags at the end; the arm began at rest where it was commanded to."""
     q, _, qdd = series(TIME_S)
     tail = 1e-4 * (TIME_S / PERIOD_S - 0.5)[:, None]
     found = by_harmonics(q + tail, PERIOD_S)

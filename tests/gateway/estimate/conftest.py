@@ -99,7 +99,7 @@ def table_of():
 def make_measured(arm, poses, loads, rng=None, left=0.0, sides=(1, -1), bias=0.0):
     """Two-sided rest table: pinocchio's gravity, a friction band, `left` of it scattered, `bias` of it common.
 
-    loads: label -> (mass, x, y, z) or None for the bare arm
+    loads: label -> (mass, x, y, z) or None for the unloaded arm
     """
     rows = {"load": [], "pose": [], "q": [], "tau": [], "direction": []}
     band_nm = arm.band_nm

@@ -133,7 +133,7 @@ def test_one_orientation_of_the_flange_leaves_the_height_open_or_is_refused(arm,
     load = found.loads[0]
     assert load.unidentifiable == ("com_z_m",)
     np.testing.assert_allclose([load.mass_kg, load.com_m[0]], TOOL[:2], rtol=2e-2)
-    # the torque of J4 lies inside its friction band, where a gear may hold a part of it
+    # the torque of J4 is inside its friction band, where a gear may hold a part of it
     assert abs(load.com_m[1] - TOOL[2]) < min(0.1 * abs(TOOL[2]), 2.0 * load.com_std_m[1])
     assert np.isnan(load.com_m[2])
 

@@ -42,7 +42,7 @@ CONDITIONS = {
 
 @pytest.fixture(scope="module")
 def gravity(arm, poses):
-    """Gravity torque by pinocchio of the bare arm and with the load (2, n, 6)."""
+    """Gravity torque by pinocchio of the unloaded arm and with the load (2, n, 6)."""
     return np.array([arm.gravity_torque(poses[:8]), arm.gravity_torque(poses[:8], TRUTH)])
 
 
@@ -178,7 +178,7 @@ def test_a_gain_of_half_is_refused(arm, poses, gravity, band_nm, table_of):
 
 
 def test_a_bare_identification_keeps_the_gains_it_was_made_with(arm, poses, gravity, band_nm, table_of):
-    """The same gains err under the load: a stored bare arm gives as narrow an interval as bare rows in the table."""
+    """Gains err equally under the load: a stored unloaded arm gives as narrow an interval as bare rows in the table."""
     table = measured_by(CONDITIONS["gains"], gravity, poses, band_nm, table_of, np.random.default_rng(7))
     bare = estimate(table.take(table.load == "none"), arm.robot, EstimateOptions()).bare
     stored = estimate(table.take(table.load == "tool"), arm.robot, EstimateOptions(bare=bare)).loads[0]

@@ -114,7 +114,7 @@ LOADS |= {"c": (8.0, 0.05, 0.0, 0.12), "d": (3.0, 0.0, 0.06, 0.05)}
 
 @pytest.mark.slow
 def test_intervals_of_four_loads_hold_the_truth_with_gains_and_losses_as_every_arm_has_them():
-    """Gains off by 3 %, losses of 5 %, noise that hangs together over 0.1 s; white noise and no gains: a quarter."""
+    """Gains off by 3 %, losses of 5 %, noise that is autocorrelated over 0.1 s; white noise and no gains: a quarter."""
     off = []
     for seed in range(6):
         table, robot = several(seed, LOADS)
@@ -172,7 +172,7 @@ def test_measured_run_of_a_kr300(measured_data):
     np.testing.assert_allclose(found.rows.rms_nm, [236, 907, 1449, 58, 44, 41], rtol=0.01)
     load = found.loads[0]
     assert load.mass_kg == pytest.approx(27, abs=0.5)
-    assert load.com_m[2] + 0.24 == pytest.approx(-1.55, abs=0.01)  # before the flange, which lies at z = -0.24 m
+    assert load.com_m[2] + 0.24 == pytest.approx(-1.55, abs=0.01)  # before the flange, which is at z = -0.24 m
     assert load.mass_std_kg > 10  # and the interval says how little that means
     said = run(table, robot, EstimateOptions(inertials="exact")).findings
     assert any("diagnose" in finding.advice for finding in said)

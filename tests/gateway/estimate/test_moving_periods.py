@@ -1,4 +1,4 @@
-"""Periods of an excitation: all that motion tells comes back, noise is told by what differs, a touch is set aside."""
+"""Periods of an excitation: parameters come back, noise is from differences, a touched period is rejected."""
 
 from dataclasses import replace
 
@@ -132,7 +132,7 @@ def test_the_order_of_the_rows_does_not_matter(clean, robot):
 
 @pytest.mark.slow
 def test_intervals_hold_under_coloured_noise(clean, robot):
-    """Noise that hangs together over five rows, 6 draws of ten numbers and of the friction of six axes."""
+    """Noise that is autocorrelated over five rows, 6 draws of ten numbers and of the friction of six axes."""
     truth = np.array([MASS, *COM, *SIX])
     size = np.array([2.0, 2.0, 1.0, 0.3, 0.2, 0.2])
     inside, axes = [], []

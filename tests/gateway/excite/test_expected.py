@@ -52,7 +52,7 @@ def test_a_series_of_a_family_starts_at_rest() -> None:
 def test_expected_load_stds_are_those_of_least_squares_on_drawn_noise(
     small_cell, workspace, noise, states: States
 ) -> None:
-    """Torques by pinocchio, fitted with columns by pinocchio; noise of as many independent rows as it stands for."""
+    """Torques by pinocchio, fitted with columns by pinocchio; noise of as many independent rows as it is for."""
     model, data = peer_of(robot_text(small_cell, small_cell.cell.arm[0]))
     rows = list(zip(states.q_rad, states.qd_rad_s, states.qdd_rad_s2, strict=True))
     columns = np.array([pinocchio.computeJointTorqueRegressor(model, data, *row).copy()[:, -10:] for row in rows])

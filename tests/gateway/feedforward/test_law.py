@@ -1,4 +1,4 @@
-"""From motion to offsets: by formulas worked out here, and against a simulated drive's own arithmetic elsewhere."""
+"""From motion to offsets: by formulas computed here, and against a simulated drive's own arithmetic elsewhere."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def test_equation_8_is_the_whole_model_of_one_vertical_axis_with_a_point_load(pl
     dynamics = ArmDynamics(planar, parameters_of(planar, load))
     torque = dynamics.torque([0.3, 0, 0, 0, 0, 0], [0.0] * 6, [GAIN, 0, 0, 0, 0, 0])[0]
     assert torque == pytest.approx(equation_8(rotor_free, LOAD, TIP + BEYOND, GAIN), rel=1e-7)
-    # worked out by hand: (20 x 0.3^2 + 0.5 + 12 x 0.7^2) x 2.5
+    # computed by hand: (20 x 0.3^2 + 0.5 + 12 x 0.7^2) x 2.5
     assert torque == pytest.approx(20.45, rel=1e-7)
 
 

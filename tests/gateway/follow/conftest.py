@@ -1,4 +1,4 @@
-"""Six drives that do what they are told, and the large example arm as the gateway knows it."""
+"""Six drives that follow their commands, and the large example arm as the gateway models it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Row:
 
 @dataclass
 class PerfectDrives:
-    """Drives that stand where they were told one SYNC before; what they were told is kept."""
+    """Drives that are where they were commanded one SYNC before; the commands are kept."""
 
     statusword: int = OPERATION_ENABLED
     commanded: list[tuple[DriveCommand, ...]] = field(default_factory=list)
@@ -73,7 +73,7 @@ class PerfectDrives:
         return (0.0,) * 6
 
     def when_stopping(self, notify):
-        """Nobody is told."""
+        """Do nothing."""
 
     def align(self, at_s):
         """There is no clock."""

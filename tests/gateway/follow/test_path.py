@@ -135,7 +135,7 @@ def test_a_path_out_of_the_workspace_is_refused_with_its_place(tmp_path, workspa
 
 
 def test_a_box_between_two_set_points_is_met(tmp_path, workspace):
-    """Thin links, a box of 20 mm: no set point of this coarse path is in it, the way is."""
+    """Thin links, a box of 20 mm: no setpoint of this coarse path is in it, the segment between is."""
     text = TIMED + "".join(f"{2 * t},{-0.3 + 0.2 * t},1,0,0,0,0\n" for t in range(4))
     path = read_path(write(tmp_path, "p.csv", text), replace(workspace, jerk_rad_s3=workspace.jerk_rad_s3 * 50), 0.5)
     q_rad = path.motions[0].q_rad

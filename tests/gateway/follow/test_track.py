@@ -36,7 +36,7 @@ def test_overshoot_is_the_motion_beyond_a_resting_place_in_the_direction_of_the_
     measured[55] += 0.03  # beyond
     measured[60] -= 0.05  # short
     measured[30] += 0.2  # in motion
-    measured[125] -= 0.04  # beyond, the other way round
+    measured[125] -= 0.04  # beyond, the other direction
     np.testing.assert_allclose(following(track(six(target), six(measured))).overshoot_rad, 0.04)
 
 

@@ -1,4 +1,4 @@
-"""Shares of a variance by source, against the variance of the linear map worked out one source at a time."""
+"""Shares of a variance by source, against the variance of the linear map computed one source at a time."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What every arm has: priors, losses read from half differences, options that mean something."""
+"""Nuisance parameters: priors, losses read from half differences, options that mean something."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Who is answered: a browser on this computer with the address that was printed, nobody else; what the button does."""
+"""Who is answered: a browser on this computer with the address that was printed, no one else; what the button does."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a page is told: frames from rows, speed, states in words, and the same for one that is opened later."""
+"""What a page receives: frames from rows, speed, states in words, and the same for one that is opened later."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is heard on a bus that somebody else is the master of becomes what the page is fed; nothing is sent."""
+"""Frames received on a bus with another master become the data of the page; nothing is sent."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def qh165_dh() -> SimpleNamespace:
 
 
 def make_rest_table(load, pose, direction, tau, **columns):
-    """Rest rows; the arm stands at zero where `q` is not given."""
+    """Rest rows; the arm is at zero where `q` is not given."""
     q = columns.pop("q", np.zeros((len(load), 6)))
     return make_table(load, pose, q, tau, direction=direction, **columns)
 

@@ -1,4 +1,4 @@
-"""Capsules contain the shapes they stand for, and hardly more."""
+"""Capsules contain the shapes they stand for, and barely more."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an exporter filled in is told from what somebody stated; soft limits of a URDF narrow the hard ones."""
+"""Values filled in by an exporter are distinguished from stated ones; soft limits of a URDF narrow the hard ones."""
 
 from __future__ import annotations
 

@@ -132,7 +132,7 @@ def test_a_sweep_of_one_joint_that_passes_an_angle_in_both_directions_has_both_s
     assert visits.sum_nm[0, 2] == pytest.approx(100.0)
     assert visits.difference_nm[0, 2] == pytest.approx(20.0)
     assert visits.time_s[0] == pytest.approx(4.0)
-    # the axes that stood still have the one side that they had, or an unknown one
+    # the axes at rest have the one side that they had, or an unknown one
     still = np.delete(np.arange(6), 2)
     assert np.isnan(visits.difference_nm[0, still]).all()
     assert visits.side[0].tolist() == [0 if k == 2 else others for k in range(6)]

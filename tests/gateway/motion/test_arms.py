@@ -14,12 +14,12 @@ from gateway.motion.arm import Arm
 from gateway.motion.arms import Arms
 from tests.gateway.conftest import BAND_NM, FakeDrives
 
-#: Of a SYNC that arms share by the clock.
+#: Of a SYNC that arms share in real time.
 PARTS = ("begin", "prepare", "sync", "gather", "check")
 
 
 class Drives(FakeDrives):
-    """Drives that note their SYNCs by the clock and tell the other arms before they stop because of a fault."""
+    """Drives that note their SYNCs in real time and notify the other arms before they stop because of a fault."""
 
     def __init__(self, axes, gravity) -> None:
         super().__init__(axes, gravity, BAND_NM)
@@ -146,7 +146,7 @@ def test_an_arm_that_waits_for_another_one_does_not_run_away_with_the_time(drive
 
 
 def test_set_points_begin_where_every_joint_was_seen(pair, drives):
-    """A drive of the arm that waits leaves SYNCs unanswered: its set points must not begin nowhere."""
+    """A drive of the arm that waits leaves SYNCs unanswered: its setpoints must begin at its position."""
     slow = threading.Event()
     plain, held = drives[1].enable, drives[0].hold
 

@@ -1,4 +1,4 @@
-"""How thick an arm is: collision geometry, meshes, stated and assumed radii; every shape lies inside its capsules."""
+"""How thick an arm is: collision geometry, meshes, stated and assumed radii; every shape is inside its capsules."""
 
 import struct
 
@@ -28,7 +28,7 @@ def with_shape(cell, link: int, shape: str, place: str = SHIFTED) -> str:
 
 
 def outside_by(capsules: list, points: np.ndarray) -> float:
-    """How far the farthest of the points lies outside all capsules [m]."""
+    """How far the farthest of the points is outside all capsules [m]."""
     gap = np.full(len(points), np.inf)
     for start, end, radius in capsules:
         segment = end - start
@@ -51,7 +51,7 @@ def capsules_of(body, name: str) -> list:
 
 
 def placed(points: np.ndarray) -> np.ndarray:
-    """Points of the shape's frame in the link, by a rotation worked out here: Rz Ry Rx."""
+    """Points of the shape's frame in the link, by a rotation computed here: Rz Ry Rx."""
     (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a), np.sin(a)) for a in (0.4, -0.5, 0.6))
     rx = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
     ry = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])

@@ -1,4 +1,4 @@
-"""Distances to keep-out boxes against brute force, against coal, and all along ways."""
+"""Distances to keep-out boxes against brute force, against coal, and all along paths."""
 
 from dataclasses import replace
 

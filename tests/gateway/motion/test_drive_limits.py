@@ -1,4 +1,4 @@
-"""Limits of the drives from those of the joints, with numbers worked out by hand."""
+"""Limits of the drives from those of the joints, with numbers computed by hand."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ from gateway.motion.stream import MoveOptions
 
 
 class Clock:
-    """A monotonic clock that only moves when it is told to."""
+    """A monotonic clock that only moves when it is set."""
 
     def __init__(self) -> None:
         self.now_s = 100.0
@@ -67,7 +67,7 @@ class Typist:
         self._clock.now_s = max(self._clock.now_s, until_s)
 
     def select(self, reading, writing, failed, timeout_s):
-        """As `select.select`, by the clock."""
+        """As `select.select`, in real time."""
         ready = real_select(reading, writing, failed, 0.0)
         if ready[0] or timeout_s == 0.0:
             return ready

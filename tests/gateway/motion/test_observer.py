@@ -1,4 +1,4 @@
-"""Who looks on is handed every SYNC and every event, and can neither stop nor hold up what moves."""
+"""An observer receives every SYNC and every event, and can neither stop nor delay motion."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an arm's drives are told of the cell, and how an arm sees them."""
+"""What an arm's drives are given of the cell, and how an arm sees them."""
 
 from __future__ import annotations
 

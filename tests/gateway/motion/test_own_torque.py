@@ -41,7 +41,7 @@ def own(axes, workspace):
 
 
 def swing(count=80, size=0.1):
-    """Set points from rest, and their speeds and accelerations."""
+    """Setpoints from rest, and their speeds and accelerations."""
     time_s, rate = PERIOD_S * np.arange(count), 2 * np.pi * 0.5
     scale = size * np.array([1.0, 0.7, -0.8, 1.2, -0.5, 0.9])
     phase = (rate * time_s)[:, None]
@@ -54,7 +54,7 @@ def test_rotors_links_and_friction_of_a_motion(own, small_cell, workspace):
     model.gravity.linear = np.zeros(3)
     for row in q[:41]:
         own.take(row)
-    # differences stand for the middle between set points: half a SYNC late in speed, one in acceleration
+    # differences hold at the middle between setpoints: half a SYNC of delay in speed, one in acceleration
     expected = pinocchio.rnea(model, model.createData(), q[40], 0.5 * (qd[39] + qd[40]), qdd[39]) + ROTOR * qdd[39]
     assert own.inertia_nm == pytest.approx(expected, rel=0.01, abs=0.01)
     speed = 0.5 * (qd[39] + qd[40])

@@ -17,7 +17,7 @@ angles = st.lists(st.floats(-3, 3), min_size=6, max_size=6).map(np.array)
 
 
 def driven(motion: Motion, start: np.ndarray, stop_at: int | None, most: float = 1.0) -> np.ndarray:
-    """Set points as they go out, from the start on; `stop_at` = SYNC at which a stop is asked for."""
+    """Setpoints as they go out, from the start on; `stop_at` = SYNC at which a stop is asked for."""
     driven_path = MotionSetpoints([start], [motion])
     clock = PathClock(driven_path.count, PERIOD_S, LIMITS.acceleration_rad_s2, LIMITS.jerk_rad_s3, most)
     sent = [start]

@@ -1,4 +1,4 @@
-"""Arms under power: whatever ends a motion, the stop fits the cause and the brakes are on before anybody is told."""
+"""Arms under power: the stop fits its cause, and the brakes are closed before any observer is notified."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""The state of a cell in words, and who is told of it."""
+"""The state of a cell in words, and who is notified of it."""
 
 from __future__ import annotations
 

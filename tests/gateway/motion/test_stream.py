@@ -1,4 +1,4 @@
-"""The loop that sends set points: how long it holds, whom it hears and tells, when it comes to rest."""
+"""The loop that sends setpoints: how long it holds, whom it reads and notifies, when it comes to rest."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def test_a_wish_says_how_urgent_it_is(make, fake, workspace, kind, urgent, movin
 
 
 def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_detected(make, fake, workspace):
-    """The servo lags, so that rest takes a while after the last set point."""
+    """The servo lags, so that rest takes a while after the last setpoint."""
     lag = 0.9
     plain = fake._follow
 

@@ -34,7 +34,7 @@ def plane_of(workspace, name: str):
 
 @pytest.mark.parametrize("lean", [0.0, 0.4, np.pi / 2, 2.2])
 def test_the_floor_is_normal_to_gravity_and_everything_stays_above_it(small_cell, lean):
-    """Heights worked out here: wrist and load along the direction against gravity, less their thickness."""
+    """Heights computed here: wrist and load along the direction against gravity, less their thickness."""
     up = np.array([np.sin(lean), 0.0, np.cos(lean)])
     workspace = of(small_cell, gravity_m_s2=tuple(-9.80665 * up))
     floor = plane_of(workspace, "floor")
@@ -89,7 +89,7 @@ def test_false_is_none_and_zero_is_a_height(small_cell):
 
 
 def test_a_low_shoulder_gets_space_above_the_floor(large_cell):
-    """Axis 2 of this arm lies in the plane of the base's origin."""
+    """Axis 2 of this arm is in the plane of the base's origin."""
     workspace = of(large_cell)
     radius = 0.05 * reach_m(workspace.robot)
     assert plane_of(workspace, "floor").height_m == pytest.approx(-2 * radius)
@@ -245,7 +245,7 @@ def test_the_base_of_the_urdf_blocks_the_path(small_cell):
 
 
 def test_an_example_without_boxes_is_planned_clear_of_floor_and_column(small_cell):
-    """The middle of the wrist, all along the planned way: heights and distances to axis 1 worked out here."""
+    """The middle of the wrist, all along the planned path: heights and distances to axis 1 computed here."""
     arm = small_cell.cell.arm[0].model_copy(update=NOTHING)
     cell = small_cell.model_copy(update={"cell": small_cell.cell.model_copy(update={"arm": (arm,)})})
     robot = arm_robot(cell, arm)
@@ -255,5 +255,5 @@ def test_an_example_without_boxes_is_planned_clear_of_floor_and_column(small_cel
     wrist = link_frames(robot, path)[:, 4, :3, 3]
     thick = 0.05 * reach_m(robot)
     assert wrist[:, 2].min() > thick
-    low = wrist[:, 2] < 0.26  # the shoulder lies at 0.4 m, the column ends two radii below it
+    low = wrist[:, 2] < 0.26  # the shoulder is at 0.4 m, the column ends two radii below it
     assert (np.hypot(wrist[low, 0], wrist[low, 1]) > 0.1 * reach_m(robot) + thick - 1e-9).all()

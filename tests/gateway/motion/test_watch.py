@@ -205,7 +205,7 @@ def test_a_rhythm_that_is_not_kept_stops_the_arm(watch):
 
 @pytest.mark.parametrize(("delayed", "allowed", "fine"), [(6, 2.0, True), (8, 2.0, False), (6, 0.0, False)])
 def test_in_real_time_a_drive_may_take_its_setpoints_with_delay(workspace, delayed, allowed, fine):
-    """What a drive that buffers set points is behind is no following error."""
+    """What a drive that buffers setpoints is behind is no following error."""
     period_s = 0.05
     step = workspace.following_error_rad[5] / 3.0
     targets = [joint(6, step * (row - delayed)) for row in range(40)]

@@ -1,4 +1,4 @@
-"""Limits, boxes and torque shares, against points and torques worked out by pinocchio."""
+"""Limits, boxes and torque shares, against points and torques computed by pinocchio."""
 
 from dataclasses import replace
 
@@ -171,7 +171,7 @@ def test_an_arm_far_outside_is_not_moved(workspace, beyond):
 
 
 def test_a_box_on_the_path_in_refuses(workspace):
-    """The box lies between both ends, where the flange passes."""
+    """The box is between both ends, where the flange passes."""
     q_rad = np.array([workspace.upper_rad[0] + 0.3, 0.9, 0.0, 0.0, 0.0, 0.0])
     assert workspace.path_into_range(q_rad) is not None
     between = q_rad - [0.16, 0, 0, 0, 0, 0]
@@ -223,7 +223,7 @@ def test_a_path_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
 
 
 def test_the_least_efficient_side_of_the_loads_counts(workspace, postures):
-    """A load that hangs on the other side of a joint may relieve it: the bare arm then needs more."""
+    """A load that hangs on the other side of a joint may relieve it: the unloaded arm then needs more."""
     links = gravity_of(workspace, postures, workspace.links)
     relief = replace(workspace, max_load=np.array([3.0, -0.9, 0.0, 0.0]))
     loaded = links + gravity_of(workspace, postures, np.r_[np.zeros(20), relief.max_load])

@@ -80,7 +80,7 @@ class Bench:
         """A way with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, N) beside.
 
         Both grippers feel it about the part's middle, so that the part has no cause to turn. Positions are those of
-        instants (M, 1) that are `off_s` beside what is told of them.
+        instants (M, 1) that are `off_s` beside what is reported of them.
         """
         joints = sum(arm.axes for arm in self.cell.arms)
         uncertainty = uncertainty or ModelUncertainty(constants_of(joints))
@@ -272,7 +272,7 @@ def test_a_joint_that_has_not_turned_yet_has_little_weight(bench):
 
 
 def held_force(bench: Bench, extra_nm: np.ndarray, turned: float) -> np.ndarray:
-    """Force (3,) that the hands are told of after twelve SYNCs at the start, with torques (12,) beside the part's."""
+    """Estimated force (3,) after twelve SYNCs at the start, with torques (12,) besides those of the part."""
     seen = [
         Shown(nm, np.full(6, turned), np.zeros(6), np.zeros(6))
         for nm in np.split(bench.balance._share[0] + extra_nm, 2)

@@ -1,4 +1,4 @@
-"""What the hands give way to: compliance of gears told by cycles that were commanded differently."""
+"""What the hands yield to: compliance of gears told by cycles that were commanded differently."""
 
 from __future__ import annotations
 

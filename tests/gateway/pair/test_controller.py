@@ -1,4 +1,4 @@
-"""The step machine on a spring between two hands that answers late: learning, refusals, freezing, speed."""
+"""The step machine on a spring between two hands that answers with delay: learning, refusals, freezing, speed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def first_function(path: PairPath, count: int = 9) -> TransformFunction:
 
 
 class Spring:
-    """Two hands and a part that is millimetres longer than the data sheet says, its length changing along the way."""
+    """Two hands and a part that is millimetres longer than the data sheet says, its length changing along the path."""
 
     def __init__(self, path: PairPath, cell: PairCalibration) -> None:
         self._path, self._cell = path, cell
@@ -86,7 +86,7 @@ def controller_of(name: str, path: PairPath, cell: PairCalibration, **changes: o
 @pytest.mark.parametrize("name", [name for name, row in EMBODIMENTS.items() if row.sensing == "force"])
 def test_every_row_runs_on_the_same_controller(name: str, path: PairPath, bare: PairCalibration) -> None:
     row = EMBODIMENTS[name]
-    # hands that answer late: what they stand at belongs to commands of as long before, as corrections do
+    # hands that answer late: what they are at belongs to commands of as long before, as corrections do
     rule = None if row.learning is None else replace(row.learning, lead_s=LearningRule().lead_s)
     controller = controller_of(name, path, bare, learning=rule)
     assert controller.needs_measured == (row.learning is not None and row.learning.source == "measured")
@@ -221,7 +221,7 @@ def test_distance_error_goes_where_it_is_commanded(path: PairPath, bare: PairCal
 
 
 def test_gap_that_was_left_is_learned_at_the_command_that_it_belongs_to(path: PairPath, bare: PairCalibration) -> None:
-    """Hands that hardly yield, sensors heard half a loop time late, three commands: 0.3 stays after a cycle."""
+    """Hands that barely yield, sensors read with half a loop time of delay, three commands: 0.3 stays after a cycle."""
     cell, delay = replace(bare, loop_time_s=0.024), 3
     row = replace(EMBODIMENTS["E5"], gains=Gains((1e9, 1e9)), learning=LearningRule(left_share=0.7, smooth_s=0.0))
     every = function_of_knots(path.s_m[:: len(path) - 1], np.tile(FIXED, (2, 1, 1)))
@@ -316,7 +316,7 @@ def test_a_force_that_is_known_at_the_end_moves_the_next_cycle_against_it(
     wanted = 0.7 * 50.0 / bare.chain_stiffness[0, 0]
     assert moved[len(path) // 2] == pytest.approx(wanted, rel=0.05)
     assert (moved > 0.0).all()
-    # what rests on a taught point and is hardly told there stays
+    # what rests on a taught point and is barely estimated there stays
     assert moved[0] < moved[len(path) // 2]
 
 

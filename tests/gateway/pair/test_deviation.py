@@ -114,7 +114,7 @@ def test_a_force_of_one_sync_does_not_last_because_no_sample_follows_it():
     [(0.0017, 4, "1.7 ms late, of 4 ms"), (0.0015, 4, "from the start"), (0.0017, 60, "from the start")],
 )
 def test_a_stop_shortly_after_a_delayed_sync_names_it(delay_s, rows_ago, cause):
-    """Drives take set points over half a period after a SYNC, give or take some; 0.2 s are 50 SYNCs."""
+    """Drives take setpoints over half a period after a SYNC, give or take some; 0.2 s are 50 SYNCs."""
     found, balance, _ = deviation(50.0)
     balance.wrench = push(101.0)
     for row in range(-70, ROWS):

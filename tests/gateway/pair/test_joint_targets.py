@@ -28,7 +28,7 @@ def external(arm):
 
 
 def sample(arm, index: int, delay_s: float = 0.0, speed_rad_s=SPEED_RAD_S) -> ArmSample:
-    """Of an arm that moves evenly and freely, at a SYNC that comes late; gravity and friction are all it needs."""
+    """Sample of an arm in free, even motion at a delayed SYNC; it needs gravity and friction torque only."""
     at_s = index * DT_S + delay_s
     q = arm.start_rad + speed_rad_s * (at_s - LAG_S - DT_S)
     still = np.zeros((1, 6))

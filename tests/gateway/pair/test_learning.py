@@ -27,7 +27,7 @@ def first_function(path: PairPath, count: int = 9) -> TransformFunction:
 
 
 def true_commands(path: PairPath, cell: PairCalibration) -> np.ndarray:
-    """Slave's commands that would leave no force: millimetres off, smoothly along the way."""
+    """Slave's commands that would leave no force: millimetres off, smoothly along the path."""
     nominal = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED)
     u = path.s_m / path.length_m
     off = np.stack([1e-3 * np.sin(3 * u), 2e-3 * u, 1e-3 * u**2, 2e-3 * u, 1e-3 * np.cos(2 * u), 1e-3 * u], axis=1)
@@ -260,7 +260,7 @@ def left_cycles(
 
 
 def test_of_the_force_that_was_left_the_stated_share_is_learned(path: PairPath, cell: PairCalibration) -> None:
-    """At the nine points, where the function meets what it was told: 0.3 of it stays, cycle by cycle."""
+    """At the nine points, where the function meets what was learned: 0.3 of it stays, cycle by cycle."""
     points = path.uniform(9)
     first, second, third = (each[points] for each in left_cycles(path, cell, 0.7))
     assert second == pytest.approx(0.3 * first, abs=2e-6)
@@ -268,7 +268,7 @@ def test_of_the_force_that_was_left_the_stated_share_is_learned(path: PairPath, 
 
 
 def test_barely_known_values_stay_near_the_first_function(path: PairPath, cell: PairCalibration) -> None:
-    """Half believed at the end of the path: what is learned settles at half of what is told there."""
+    """Weight one half at the end of the path: what is learned settles at half of what is estimated there."""
     points, trust = path.uniform(9), np.ones(len(path))
     trust[-1] = 0.5
     wrong = left_cycles(path, cell, 1.0, trust)

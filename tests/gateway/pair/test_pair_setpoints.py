@@ -1,4 +1,4 @@
-"""Set points of both arms along a way: at full rate, slowed down, faded in, and when the force in the part rises."""
+"""Setpoints of both arms along a path: at full rate, slowed down, faded in, and when the force in the part rises."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ROWS, DT_S = 12, 0.004
 
 
 class Pair:
-    """What a way needs of the pair; torque offsets are a tenth of the set points."""
+    """What a path needs of the pair; torque offsets are a tenth of the setpoints."""
 
     def __init__(self) -> None:
         self.dt_s = DT_S

@@ -126,7 +126,7 @@ LAGS, TAUS = np.linspace(0.012, 0.018, 12), np.linspace(0.09, 0.05, 12)
 
 
 def behind(sent: np.ndarray, lag_s: np.ndarray, tau_s: np.ndarray) -> np.ndarray:
-    """What servos (n,) of the law e + tau e' = T u' lag at each SYNC, set points (M, n) interpolated between SYNCs."""
+    """What servos (n,) of the law e + tau e' = T u' lag at each SYNC, setpoints (M, n) interpolated between SYNCs."""
     parts, out = 50, [np.zeros(sent.shape[1])]
     for before, now in zip(sent, sent[1:], strict=False):
         lag = out[-1]
@@ -143,7 +143,7 @@ def swinging(seed: int = 0) -> np.ndarray:
 
 
 def encoders(noise_rad: float = 0.0) -> np.ndarray:
-    """What is told of them by encoders that are noisy."""
+    """Return the lag estimated from noisy encoders."""
     sent = swinging()
     law = LagLaw(DT_S, 12, rows=100)
     shown = sent - behind(sent, LAGS, TAUS) + noise_rad * np.random.default_rng(1).standard_normal(sent.shape)

@@ -77,7 +77,7 @@ def run(pair, store, name: str, cycles: int = 1, **changes):
 
 @pytest.fixture(scope="module")
 def taught(tmp_path_factory):
-    """A pair whose path was taught at its two ends: the store, what was told, the function, the pair."""
+    """A pair whose path was taught at its two ends: the store, the events, the function, the pair."""
     pair = Together(3 * AWAY)
     store = PairStore(pair.cell, tmp_path_factory.mktemp("taught"))
     events = []
@@ -401,7 +401,7 @@ def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, s
 
 @pytest.mark.slow
 def test_the_path_back_learns_for_itself_unless_learning_is_off(pair, store):
-    """Both ways have the same part between the hands; what one learns does not come from the other."""
+    """Both directions have the same part between the hands; what one learns does not come from the other."""
     row = replace(EMBODIMENTS["C2c"], gains=cell_gains(pair.cell))
     most = {}
     for frozen in (False, True):

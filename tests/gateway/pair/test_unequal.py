@@ -51,7 +51,7 @@ def pair(request: pytest.FixtureRequest) -> Iterator[Together]:
 
 @pytest.mark.slow
 def test_an_unstated_relation_is_taught_and_driven(pair: Together, tmp_path: Path) -> None:
-    """Taught to what 5 N and 1.5 Nm are on this part; the way and the way back under it stay far below the limit."""
+    """Taught to what 5 N and 1.5 Nm are on this part; the path and the path back under it stay far below the limit."""
     store = PairStore(pair.cell, tmp_path)
     options = PairMotionOptions(speed=1.0, force_limit_n=1e4)
     taught_path = open_taught_path(pair.cell, store, resume=False)

@@ -1,4 +1,4 @@
-"""Two arms and the part between them, quasi-static: joints stand where they were told, a spring pushes both hands.
+"""Two arms and the part between them, quasi-static: joints stand where they were commanded, a spring pushes both hands.
 
 Written from statics: the hands are where forward kinematics has them, the spring acts at the slave's hand between where
 it is and where the grasps put it, the master feels the opposite at its own, and joints feel both by virtual work.
@@ -100,7 +100,7 @@ class Joints:
         return self._step(self.part.next_rad[self.index])
 
     def _step(self, target_rad: np.ndarray) -> Epoch:
-        """What was told before is reached, and where the joints go next is told."""
+        """The former targets are reached, and the next ones are stored."""
         assert self.enabled
         part, after = self.part, target_rad
         if self.index == 0:  # one SYNC for both: the slave's joints go with the master's

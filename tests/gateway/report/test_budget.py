@@ -1,4 +1,4 @@
-"""Where a mass's uncertainty comes from, as picture and as numbers; nuisances and what was set aside as tables."""
+"""Where a mass's uncertainty comes from, as picture and as numbers; nuisances and what was rejected as tables."""
 
 import re
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Units and frames of every export format, against numbers worked out by hand."""
+"""Units and frames of every export format, against numbers computed by hand."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The checksum of a result file: what it sees, what it does not, and what an edited file is told."""
+"""The checksum of a result file: what it sees, what it does not, and the message for an edited file."""
 
 import hashlib
 import json

@@ -102,7 +102,7 @@ def test_an_axis_lags_by_its_time_constant(world_of: Worlds) -> None:
 
 
 def test_a_step_of_speed_takes_as_much_torque_however_short_the_stretch_it_is_seen_in(world_of: Worlds) -> None:
-    """A drive that is told a speed 20 us before the next look at the plant does not kick its arm."""
+    """A drive that receives a speed 20 us before the next look at the plant does not kick its arm."""
     impulse, most = [], []
     for stretches in ([4.0, 4.0], [0.02, 3.98, 4.0], [1.0] * 8):
         world = world_of(filter_s=0.0)
@@ -188,7 +188,7 @@ def test_force_agrees_with_pybullet(world_of: Worlds) -> None:
         go(world, 0.4)
         last.append(world.wrench[:3].copy())
     assert np.linalg.norm(last[1]) > 15.0
-    assert np.linalg.norm(last[0] - last[1]) < 0.35 * np.linalg.norm(last[1])  # friction lies between them
+    assert np.linalg.norm(last[0] - last[1]) < 0.35 * np.linalg.norm(last[1])  # friction is between them
 
 
 @pytest.mark.parametrize("plant", ["light", "bullet"])
@@ -277,7 +277,7 @@ def test_time_is_what_both_buses_have_seen_and_is_complete_at_a_sync(simulation_
     assert world.time_s == pytest.approx(0.006)
     left.sync()
     assert world.time_s == pytest.approx(0.008)
-    left.advance(0.5)  # the other bus was held up, and catches up with the half of it
+    left.advance(0.5)  # the other bus was stalled, and catches up with the half of it
     right.advance(0.25)
     assert world.time_s == pytest.approx(0.509)
 

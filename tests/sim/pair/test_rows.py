@@ -132,7 +132,7 @@ def test_links_weigh_in_the_rows_what_they_weigh_in_the_file(robot: str) -> None
 
 
 def test_a_small_arm_has_gears_as_stiff_as_their_torque_asks_for() -> None:
-    """A gear of 240 Nm lies between those of 120 Nm, 6e4 Nm/rad, and of 500 Nm, 2.5e5 Nm/rad."""
+    """A gear of 240 Nm is between those of 120 Nm, 6e4 Nm/rad, and of 500 Nm, 2.5e5 Nm/rad."""
     world = world_of("large-small.toml", None)
     world.close()
     stiffness = world.arms[1].train.stiffness_nm_rad

@@ -104,7 +104,7 @@ def test_one_arm_alone_goes_on_when_the_other_bus_does_not_respond(world: PairWo
     assert world.time_s == pytest.approx(together_s + 0.004)
     world.catch_up(0)
     assert world.time_s == pytest.approx(together_s + 0.008)
-    # the SYNC that was late finds its time gone; from then on both buses are in step again
+    # the SYNC that was delayed finds its time gone; from then on both buses are in step again
     world.ask(1, 0.004)
     assert world.time_s == pytest.approx(together_s + 0.008)
     world.ask(0, 0.004)

@@ -32,7 +32,7 @@ def figures(cycles: int = 100_000, seconds: float = 10.0) -> dict[str, dict[str,
     cycles : int
         Lockstep cycles for rate and incomplete epochs.
     seconds : float
-        Length of each run by the clock.
+        Length of each run in real time.
     """
     limit_hz = largest_rate_hz(cycle_bits_worst([0, *[8] * 12]), 1e6)
     found: dict[str, dict[str, Any]] = {

@@ -91,7 +91,7 @@ class PdoMapExchange:
 
 
 class DroppingNetwork(canopen.Network):
-    """A network that drops what it is told to send."""
+    """A network that drops what it is asked to send."""
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
         """Nothing is sent."""

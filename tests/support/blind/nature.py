@@ -86,7 +86,7 @@ def diagnose_options(cell: NatureCell) -> DiagnoseOptions:
 
 
 def run_nuisance_only(task: tuple[int, str, bool]) -> dict:
-    """Score of an arm with nothing beyond the ordinary: seed, condition, whether it is diagnosed too."""
+    """Score of an arm with nothing beyond nuisances: seed, condition, whether it is diagnosed too."""
     seed, condition, diagnosed = task
     cell = draw_cell(seed, condition)
     columns, outliers = cell.measure(cell.visits)
@@ -107,7 +107,7 @@ def run_nuisance_only(task: tuple[int, str, bool]) -> dict:
 
 
 def run_effect(seed: int) -> dict:
-    """Score of an arm with something beyond the ordinary, the robot at hand for more poses and fresh ones."""
+    """Score of an arm with something beyond nuisances, the robot at hand for more poses and fresh ones."""
     cell = draw_effect_cell(seed)
     robot = robot_from_urdf(cell.stated.urdf, f"seed {seed}")
     side = Robotside(cell)
@@ -171,7 +171,7 @@ class Robotside:
 
 
 def truth_of(cell: NatureCell) -> list:
-    """Mechanism, joints and strength of what is beyond the ordinary."""
+    """Mechanism, joints and strength of what is beyond nuisances."""
     return [(e.mechanism, list(e.joints), s) for e, s in zip(cell.effects, cell.strengths, strict=True)]
 
 

@@ -16,7 +16,7 @@ from tests.support.blind.strict import LEAST, STRONG, There, kind, there
 
 QUANTITIES = ("mass", "x", "y", "z")
 METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
-#: Gross visits that have to be found, in bands.
+#: Outlier visits that have to be found, in bands.
 LARGE_BANDS = 4.0
 
 
@@ -41,7 +41,7 @@ def widths(cells: Iterable[Cell], method: str) -> list[float]:
 
 
 def nuisance_figures(cells: Sequence[Cell]) -> Figures:
-    """Figures of the cells with nothing beyond the ordinary, pooled and by condition."""
+    """Figures of the cells with nothing beyond nuisances, pooled and by condition."""
     out: Figures = {}
     good = [cell for cell in cells if not cell["misstated"]]
     wrong = [cell for cell in cells if cell["misstated"]]
@@ -85,7 +85,7 @@ def _refused(cell: Cell, word: str) -> float:
 
 
 def effect_figures(cells: Sequence[Cell]) -> Figures:
-    """Figures of the cells with something beyond the ordinary."""
+    """Figures of the cells with something beyond nuisances."""
     named = [cell for cell in cells if cell["kind"] in ("one", "several") and not cell["misstated"]]
     misstated = [cell for cell in cells if cell["kind"] in ("one", "several") and cell["misstated"]]
     strange = [cell for cell in cells if cell["kind"] == "strange"]
@@ -120,7 +120,7 @@ def _size(cell: Cell) -> float:
 
 
 def outlier_figures(cells: Sequence[Cell]) -> Figures:
-    """Gross visits found, and good ones thrown out, of all cells that were diagnosed."""
+    """Outlier visits found, and good ones thrown out, of all cells that were diagnosed."""
     asked = [cell for cell in cells if cell["verdict"] and cell["kind"] != "wiring"]
     found = [value for cell in asked for value in _found(cell)]
     thrown = [value for cell in asked for value in _thrown(cell)]
@@ -138,7 +138,7 @@ def _found(cell: Cell) -> list[float]:
 
 
 def _thrown(cell: Cell) -> list[float]:
-    """Whether a visit that went well was set aside on any axis; of visits of one pose and load, once."""
+    """Whether a visit that went well was rejected on any axis; of visits of one pose and load, once."""
     outliers = {(pose, load) for pose, load, _, _ in cell["outliers"]}
     rejected = {(pose, load) for pose, load, _, _ in cell["set_aside"]}
     return [float((pose, load) in rejected) for pose, load in {(p, name) for p, name in cell["visits"]} - outliers]
@@ -182,7 +182,7 @@ def _words(cell: Cell) -> str:
 
 
 def falsely_named(cells: Sequence[Cell]) -> list[tuple[str, str, int]]:
-    """(condition, what was named, how often) of the cells with only the ordinary."""
+    """(condition, what was named, how often) of the cells with only nuisances."""
     counter = Counter((cell["condition"], _words(cell)) for cell in cells if cell["found"])
     return [(condition, words, count) for (condition, words), count in sorted(counter.items())]
 
@@ -190,7 +190,7 @@ def falsely_named(cells: Sequence[Cell]) -> list[tuple[str, str, int]]:
 def by_condition(cells: Sequence[Cell]) -> list[list[str]]:
     """Rows of a table, a condition each.
 
-    How many were estimated and diagnosed, coverage of the four and width by both methods, named, gross visits found,
+    How many were estimated and diagnosed, coverage of the four and width by both methods, named, outlier visits found,
     good ones thrown out.
     """
     rows = []

@@ -1,9 +1,9 @@
-"""Which effects no rest pose can tell apart, by the rank of their joint columns over the whole joint space.
+"""Which effects no rest pose can distinguish, by the rank of their joint columns over the whole joint space.
 
 python -m tests.support.blind.pairs: columns of every effect at random poses all over the joint space, bare and loaded,
-with what unknown links, loads and friction bands take up projected out. What is left of an effect says whether it can
-be seen at all; a pair whose columns together have less rank than each for itself cannot be told apart, and the largest
-canonical correlation says how near to that the others come.
+with the columns of unknown links, loads and friction bands projected out. The rest of an effect shows whether it is
+detectable. A pair whose joint rank is below the sum of both cannot be distinguished; the largest canonical correlation
+shows how near to that the others come.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from tests.support.rigs.tables import simulated_table
 Floats = NDArray[np.float64]
 
 POSES = 120
-#: Standard deviation of what every arm has: known beforehand to a share, it takes up no effect.
+#: Standard deviation of nuisance parameters: with such a prior they take up no effect.
 NOT_THERE = 1e-9
 #: Least torque, Nm, that rows are measured by: an axis that carries nothing has but the noise of the readings (1e-9).
 CARRIES_NM = 0.01
@@ -41,7 +41,7 @@ UNSEEN, NOTHING, RANK, NEAR = 1e-4, 1e-7, 1e-4, 0.995
 
 @dataclass(frozen=True)
 class Confusable:
-    """Effects that links and loads take up wholly, pairs that no pose tells apart, pairs that hardly any does."""
+    """Effects that links and loads take up wholly, pairs that no pose distinguishes, pairs that almost none does."""
 
     unseen: list[Label]
     same: list[tuple[Label, Label]]

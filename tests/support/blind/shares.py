@@ -50,7 +50,7 @@ def figure_table(figures: Figures) -> Table:
 
 
 def reached(value: float, goal: str) -> bool:
-    """Whether a value lies within its goal."""
+    """Whether a value is within its goal."""
     if goal == "printed":
         return True
     if ".." in goal:

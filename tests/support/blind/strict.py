@@ -1,6 +1,6 @@
 """Strict scores: an answer is right when exactly what is there is named, and what is named is there.
 
-``improved`` with a wrong name is a misname. ``undecided`` is right for one effect that stands in a list of at most two.
+``improved`` with a wrong name is a misname. ``undecided`` is right for one effect that is in a list of at most two.
 What is too weak to be asked for may be named, since it is there, and may be left out.
 """
 

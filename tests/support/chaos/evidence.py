@@ -1,4 +1,4 @@
-"""What is left of one scenario: what the engineer was told, what was counted, and what the drives went through."""
+"""Evidence of one scenario: reports to the engineer, counters, and states of the drives."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ class Outcome:
     recorded, wrong : values in finished visits; of them those that the drive had not sent in answer to that SYNC
     in_samples : the fault was meant for the samples of a visit
     counted : counters that were asked for, as found
-    error : what the engineer is told
-    held_up : by the clock: the machine that this runs on did not keep its time, which may be what was complained of
+    error : what is reported to the engineer
+    held_up : in real time: the machine that this runs on did not keep its time, which may be what was complained of
     tries : how often it was begun
     """
 

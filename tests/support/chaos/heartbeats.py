@@ -1,4 +1,4 @@
-"""What goes out of the master's heartbeat once a stop was told and is not confirmed."""
+"""The master's heartbeat after a stop that was commanded and is not confirmed."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Heartbeats:
 
     Attributes
     ----------
-    stops : how many were told
+    stops : how many were commanded
     late : of them, with a heartbeat later than `SILENT_AFTER_S` and a period after the stop word
     last_s : time from the stop word to the last heartbeat, of each
     """
@@ -85,7 +85,7 @@ def _judge(track: Track, kind: str, period_s: float, result: Heartbeats) -> None
     if not words:
         result.complaints.append(f"{kind}: the arm was not told to stop")
         return
-    # what is sent to drives that are found and checked anew is no answer to this stop
+    # what is sent to drives that are found and checked again does not answer this stop
     until_s = min((at for at, number, _ in track.frames if number == 0 and at > words[0]), default=float("inf"))
     beats = [at - words[0] for at, number, _ in track.frames if number in HEARTBEATS and at < until_s]
     last_s = max([0.0, *beats])

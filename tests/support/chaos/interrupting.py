@@ -101,7 +101,7 @@ def ramp_s(cell: Path) -> float:
 
 
 class Interrupter:
-    """Runs commands and interrupts them; the drives of one arm are kept, those of two are made anew each time.
+    """Runs commands and interrupts them; the drives of one arm are kept, those of two are made again each time.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ class Broken:
 
 
 def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
-    """One fault; what was not as stated, and whether the machine was held up meanwhile."""
+    """One fault; what was not as stated, and whether the machine was stalled meanwhile."""
     drives.renew()
     rng = random.Random(f"{kind} {seed}")
     bus = drives.loaded.cell.bus[drives.loaded.cell.arm[0].bus]
@@ -197,7 +197,7 @@ def judge(
 
 
 def play_again(drives: Drives, kind: str, seed: int) -> tuple[list[str], int]:
-    """`play`, again where the machine was held up; what was not as stated, and how often it was begun again."""
+    """`play`, again where the machine was stalled; what was not as stated, and how often it was begun again."""
     real = drives.loaded.cell.bus[drives.loaded.cell.arm[0].bus].pacing == "real"
     for tries in range(TRIES):
         with RealTime() if real else nullcontext():

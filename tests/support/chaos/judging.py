@@ -15,7 +15,7 @@ from tests.support.chaos.stated import SDO_REQUEST, STATED, Stated
 
 #: SYNCs from the first word of a stop to the last axis that is no longer enabled.
 SAFE_BOUND = 5
-#: By the clock: a SYNC, or an answer, that is late by this share of a period is not on time.
+#: In real time: a SYNC, or an answer, that is delayed by this share of a period is not on time.
 DELAYED_SHARE = 0.5
 ENABLED_WORD = 0x000F
 ENABLED = PdsState.OPERATION_ENABLED
@@ -43,7 +43,7 @@ def judge(watched: Watched, outcome: Outcome, fault: Fault | None, error: Except
 
 
 def judge_cause(outcome: Outcome, stated: Stated, fault: Fault | None, error: Exception | None) -> None:
-    """Class, words, advice and node of what the engineer is told."""
+    """Return class, text, remedy and node of what is reported to the engineer."""
     said, complain = outcome.error, outcome.complaints.append
     if not said:
         complain("nothing was said")
@@ -95,7 +95,7 @@ def judge_counts(outcome: Outcome, stated: Stated, evidence: Evidence) -> None:
 
 
 def judge_samples(outcome: Outcome, fault: Fault | None, evidence: Evidence) -> None:
-    """Every visit is there and whole; what was taken again was told, and is kept with the visit."""
+    """Every visit is there and whole; what was repeated was reported, and is kept with the visit."""
     complain = outcome.complaints.append
     visits = [visit for visit in evidence.visits if visit.complete]
     if len(visits) != evidence.planned:
@@ -174,7 +174,7 @@ def compare(watched: Watched, outcome: Outcome, evidence: Evidence, base: int) -
 
 
 def held_up(watched: Watched, period_s: float) -> bool:
-    """By the clock: whether the machine that this runs on did not let master or drives keep their time."""
+    """In real time: whether the machine that this runs on did not let master or drives keep their time."""
     seen, limit_s = watched.seen, DELAYED_SHARE * period_s
     rhythm = zip(seen.states, seen.came_s, seen.came_s[1:], strict=False)
     return seen.slowest_s > limit_s or any(

@@ -172,12 +172,12 @@ class Stops:
 def drives_without_master(
     kills: int, how: str, seed: int = 1, progress: Callable[[], None] = lambda: None, period_s: float = 0.02
 ) -> Stops:
-    """Take the master away while the arm moves, by the clock, and watch the drives.
+    """Take the master away while the arm moves, in real time, and watch the drives.
 
     Parameters
     ----------
     how : str
-        "sigkill"; "sigstop": the master stands still for a while and then goes on; "full queue": nothing it sends
+        "sigkill"; "sigstop": the master is stopped for a while and then goes on; "full queue": nothing it sends
         leaves the adapter any more.
     """
     stops = Stops()

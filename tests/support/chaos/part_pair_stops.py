@@ -1,7 +1,7 @@
 """Two arms are stopped with one part between them: the largest true force inside the part, over PyBullet in lockstep.
 
 Row B (one relation, hands that yield) at speed 1.5, stopped at three instants of its way: by a person, by a quick stop
-of healthy drives, by a drive that faults and by one that falls silent.
+of healthy drives, by a drive that faults and by one that stops responding.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ INSTANTS_S: Final = (0.9, 1.5, 2.1)
 BEFORE_S = 0.2
 #: Axis that fails, counted over both arms.
 FAILING = 8
-#: SYNCs from a drive that falls silent to the stop of the others: five unanswered ones, one to tell them, one to act.
+#: SYNCs from the last answer of a drive to the stop of the others: five unanswered, one to command, one to act.
 UNANSWERED_SYNCS = 7
 
 

@@ -43,7 +43,7 @@ waypoints_rad = [
 speed_share = 1.0
 dwell_s = 0.2
 """
-#: What a program says that was held up by other work on this computer; it is then run again.
+#: Output of a program that was stalled by other work on this computer; it is then run again.
 DISTURBED = re.compile(
     r"stalled for|SYNCs in a row unanswered|this computer wakes a loop|SYNCs were delayed|is this computer busy"
 )
@@ -187,7 +187,7 @@ def _edit(period_s: float) -> Callable[[str], str]:
 
     def edit(text: str) -> str:
         text = re.sub(r"samples = \d+", "samples = 10", re.sub(r"count = \d+", "count = 4", real(text)))
-        # what an axis lags behind a set point by the drives' buffers grows with the period
+        # what an axis lags behind a setpoint by the drives' buffers grows with the period
         return re.sub(r"(?m)^(jerk_limit_rad_s3 = .*)$", r"\1\nfollowing_error_limit_rad = 0.2", text)
 
     return edit

@@ -21,7 +21,7 @@ _SPAWN = multiprocessing.get_context("spawn")
 
 
 class Remote:
-    """As `Rig`, by the clock, the drives being elsewhere.
+    """As `Rig`, in real time, the drives being elsewhere.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ def _serve(folder: Path, period_s: float, bus: str, pipe: Connection) -> None:
 
 @contextmanager
 def remote(period_s: float) -> Iterator[Remote]:
-    """Drives of the small arm by the clock, in a process of their own.
+    """Drives of the small arm in real time, in a process of their own.
 
     Parameters
     ----------

@@ -64,7 +64,7 @@ class Answers:
 
     Attributes
     ----------
-    syncs : SYNCs from each request to the last set point, over what the ramp takes
+    syncs : SYNCs from each request to the last setpoint, over what the ramp takes
     late : what was not answered within one SYNC and the ramp, in words
     """
 
@@ -136,7 +136,7 @@ def fall(period_s: float, acceleration: float, joint: int, folder: Path) -> tupl
 
 
 def fall_without_voltage(period_s: float, acceleration: float) -> float:
-    """Largest angle [rad] of a joint of the wire whose brake gives way as the voltage is disabled in its test."""
+    """Largest angle [rad] of a joint of the wire whose brake yields as the voltage is disabled in its test."""
     with _rig(cell_in_lockstep(period_s), period_s) as (opened, slaves):
         slave = slaves[0]
         plain, opened_once = slave._sync, [False]

@@ -175,7 +175,7 @@ class Rig:
         self.server.later(lambda: [drive.node.emergency(0, 0) for drive in self.server.drives])
 
     def watched(self) -> Watched:
-        """What was seen since `renew`, once the drives have done what they were told."""
+        """What was seen since `renew`, once the drives have followed their commands."""
         self.call(lambda: None)
         drives = self.server.drives
         return Watched(
@@ -274,7 +274,7 @@ def small_cell(folder: Path, edit: Callable[[str], str] = lambda text: text) -> 
 
 
 def with_real_pacing(period_s: float) -> Callable[[str], str]:
-    """Edit of a cell's text: SYNC by the clock."""
+    """Edit of a cell's text: SYNC in real time."""
 
     def edit(text: str) -> str:
         return re.sub(r"sync_period_s = [\d.]+", f"sync_period_s = {period_s}", by_the_clock(text))

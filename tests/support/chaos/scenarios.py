@@ -1,6 +1,6 @@
 """One fault at a random instant of a short run, and whether it ends as stated.
 
-The run is the real one (pre-flight check, plan, stream, watch, drive group), in lockstep or by the clock; what the
+The run is the real one (pre-flight check, plan, stream, watch, drive group), in lockstep or in real time; what the
 drives did is seen from their own side.
 """
 
@@ -98,7 +98,7 @@ BETWEEN_RUNS = frozenset({"drive_exchanged"})
 SLOWLY = frozenset({"tpdo_stuck", "rpdo_lost"})
 #: The torque is watched once the brakes have handed over the load.
 TAKEN_OVER = frozenset({"torque_spike"})
-#: Rest poses in lockstep; a lost heartbeat is told by the clock as well, which a fast computer outruns in two poses.
+#: Rest poses in lockstep; a lost heartbeat also takes real time, which a fast computer outruns in two poses.
 LOCKSTEP_POSES, LOCKSTEP_POSES_LONG = 2, 8
 BY_THE_CLOCK_TOO = frozenset({"heartbeat_lost", "heartbeat_back"})
 #: Beginning of a fault after the start of the run, or of the phase that it is meant for [s].
@@ -124,7 +124,7 @@ def kinds() -> Iterable[str]:
 
 
 def short_plan(opened: OpenArm, seed: int, lockstep_poses: int = LOCKSTEP_POSES) -> Plan:
-    """One rest pose by the clock, more in lockstep, from both sides; every joint travels on the way to the first."""
+    """One rest pose in real time, more in lockstep, from both sides; every joint travels to the first."""
     rng = random.Random(seed)
     config, workspace = opened.config, opened.workspace
     first = tuple(-float(np.sign(angle) or 1.0) * rng.uniform(0.25, 0.35) for angle in opened.arm.where())

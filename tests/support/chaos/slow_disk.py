@@ -1,4 +1,4 @@
-"""A recording to a disk that is slow: motion goes on until the queue is full, then it stops along its way."""
+"""A recording to a disk that is slow: motion goes on until the queue is full, then it stops along its path."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from tests.support.chaos.rig import with_real_pacing
 from tests.support.chaos.witness import Ending, Track
 
 SYNC = 0x080
-#: How often it is tried anew where this computer was too busy with something else.
+#: How often it is tried again where this computer was too busy with something else.
 TRIES = 4
 COMPLETE = "all poses measured"
 
@@ -70,7 +70,7 @@ class SlowDisk:
 
 
 def record_on_slow_disk(write_s: float, period_s: float = 0.01, capacity: int = CAPACITY, visits: int = 24) -> SlowDisk:
-    """Record by the clock to a slow disk.
+    """Record in real time to a slow disk.
 
     Parameters
     ----------

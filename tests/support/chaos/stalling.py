@@ -1,4 +1,4 @@
-"""A master that is held up by the clock at random instants while it records, and what the drives saw of it."""
+"""A master that is stalled in real time at random instants while it records, and what the drives saw of it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ SLOW_RAD_S, FAST_RAD_S = 0.05, 0.4
 RPDO1, SYNC = 0x200, 0x080
 #: Longest wait for anything.
 PATIENCE_S = 40.0
-#: Wide swings: the arm is under way most of the time.
+#: Wide swings: the arm is in motion most of the time.
 POSES = [
     RestPose(n + 1, (sign * 0.7, 0.35 * sign, -0.25 * sign, 0.8 * sign, 0.5 * sign, 1.2 * sign), "fit")
     for n, sign in enumerate((1, -1, 1, -1, 1, -1))
@@ -62,7 +62,7 @@ class Stalls:
     Attributes
     ----------
     stalls : how many
-    moving : of them, with set points under way and an overrun that has to be a stop
+    moving : of them, with setpoints being sent and an overrun that has to be a stop
     late : of those, without a stop word for every axis within two periods of waking
     share : largest true speed afterwards, as a share of its axis's limit
     fast : stalls after which a joint went beyond its speed limit
@@ -140,7 +140,7 @@ def _record(folder: Path, bus: str, pipe: Connection) -> None:
 
 
 def _many(loaded: Any, folder: Path, bus: str, pipe: Connection) -> None:
-    """Open the arm, record again and again; an error that says so has it opened anew."""
+    """Open the arm, record again and again; an error that says so has it opened again."""
     try:
         with open_arm(loaded, BusOverride(BusSpec.parse(bus), ledger=folder / "ledger.json")) as opened:
             turns = itertools.cycle(
@@ -210,7 +210,7 @@ def short_visits(text: str) -> str:
 
 
 def _wait(recorder: Recorder, served: Drives, rng: random.Random, *, at_rest: bool) -> None:
-    """Until a random instant at which the arm is under way, or stands and is measured."""
+    """Until a random instant at which the arm is in motion, or rests and is measured."""
     least_rad_s = rng.choice((SLOW_RAD_S, FAST_RAD_S))
     _until(recorder, lambda: served.ask("speed") > least_rad_s)
     if at_rest:
@@ -234,7 +234,7 @@ def _until(recorder: Recorder, seen: Callable[[], bool]) -> None:
 
 
 def _one(recorder: Recorder, served: Drives, rng: random.Random, period_s: float, result: Stalls) -> None:
-    """One stall while the arm is under way."""
+    """One stall while the arm is in motion."""
     length_s = rng.uniform(LEAST_PERIODS * period_s, LONGEST_SHARE * heartbeat_time_s(served))
     served.ask("log")
     time.sleep(0.1)
@@ -287,7 +287,7 @@ def stops(data: bytes) -> bool:
 
 
 def _is_moving(track: Track, before_s: float) -> bool:
-    """Whether the last two set points of an axis before a time differ."""
+    """Whether the last two setpoints of an axis before a time differ."""
     for node in range(1, 7):
         frames = [data for at, number, data in track.frames if number == RPDO1 + node and at < before_s]
         if len(frames) >= 2 and all(data[0] & 0x0F == 0x0F for data in frames[-2:]) and frames[-1] != frames[-2]:

@@ -1,7 +1,7 @@
 """What has to be said and counted of each kind of fault: one table, judged by `tests.support.chaos.judging`.
 
-The reaction of a kind stands in `sim.faults.KINDS`; here stands by which error, of which rule, in which words, about
-whom it is told, and which counters have to show it where nothing stops.
+The reaction of a kind is in `sim.faults.KINDS`. This table holds the error, its rule, its text and the node that it
+names, and the counters that have to show it where nothing stops.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Count:
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """How one kind is told.
+    """Expected report of one kind of fault.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Stated:
     rule : of `gateway.motion.reactions.REACTIONS` whose advice it ends with; "" = none
     named : whom it names
     counts : counters where nothing is raised
-    real : counters by the clock, where they differ
+    real : counters in real time, where they differ
     """
 
     error: type[BaseException] | None = None

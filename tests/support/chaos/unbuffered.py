@@ -1,4 +1,4 @@
-"""Drives that take each set point over when it comes, however irregularly, moved by every command."""
+"""Drives that take each setpoint over when it comes, however irregularly, moved by every command."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Fastest:
 def fastest_unbuffered(
     period_s: float, commands: Sequence[Command], progress: Callable[[], None] = lambda: None
 ) -> Fastest:
-    """Let commands move drives that do not buffer set points, to their end or for `LONGEST_S`.
+    """Let commands move drives that do not buffer setpoints, to their end or for `LONGEST_S`.
 
     Parameters
     ----------

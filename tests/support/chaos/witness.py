@@ -115,7 +115,7 @@ class Witness:
     def __init__(self, server: BusServer) -> None:
         self._server = server
         self._limits = np.array([drive.spec.speed_limit_rad_s for drive in server.drives])
-        # flat: a list of objects that grows is walked by the garbage collector, and the drives stand still meanwhile
+        # flat: a list of objects that grows is walked by the garbage collector, and the drives stall meanwhile
         self._lines = array("d")
         self._frames = bytearray()
         self._last_s = 0.0

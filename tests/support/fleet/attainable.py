@@ -20,7 +20,7 @@ SIZES = 12
 
 
 def detected_on(robot: Robot, lag_differences: float, series: int) -> float:
-    """Day on which the wear of a robot is told; infinite = not in the year."""
+    """Return the day on which the wear of a robot is detected; infinite = not in the year."""
     axis = robot.worn
     value = np.asarray(robot.columns[f"gain{axis + 1}"])
     warm = robot.temperature_c[:, axis]

@@ -8,7 +8,7 @@ from scipy.stats import norm
 
 from tests.support.fleet.plant import WEAR, Robot, covariance
 
-#: A drift is told where it would be missed in 5 %.
+#: A drift counts as detectable where it would be missed in 5 %.
 POWER_SIGMAS = 1.645
 FALSE_PER_YEAR = 0.01
 LOOKS_DAY = np.arange(28.0, 366.0, 7.0)
@@ -18,7 +18,7 @@ def threshold(series: int) -> float:
     """Least constant threshold of weekly looks at so many drifts for 1 false alarm in 100 robot years, by numbers.
 
     Drift over its standard deviation from look to look is a Gauss-Markov chain; its density is carried over a grid,
-    and what lies outside the threshold is taken away at every look. White noise: information goes with the cube of
+    and what is outside the threshold is taken away at every look. White noise: information goes with the cube of
     the time.
     """
     wanted = FALSE_PER_YEAR / series

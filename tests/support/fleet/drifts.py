@@ -95,7 +95,7 @@ def questions(store: Store) -> dict[str, dict]:
 
 
 def drifts(store: Store, plant: Plant) -> dict[str, dict]:
-    """Day on which drifts are told over the earliest possible, power, and false alarms."""
+    """Return the day of detection of drifts over the earliest possible, power, and false alarms."""
     started = time.perf_counter()
     with workers(None) as spread:
         found = run_analysis(store, spread, AsOf(NOW))
@@ -144,7 +144,7 @@ def _printed(value: float, unit: str = "") -> dict:
 
 
 def _detected_on(health: RobotHealth, robot: Robot) -> float:
-    """Day on which the worn gain was told; infinite = never."""
+    """Return the day on which the worn gain was detected; infinite = never."""
     for trend in health.trends:
         if trend.quantity == "gain" and trend.joint == robot.worn + 1 and trend.found_on is not None:
             return float((datetime.fromisoformat(trend.found_on) - FIRST).days + 1)

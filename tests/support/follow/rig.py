@@ -1,6 +1,6 @@
 """A simulated cell, identified and followed through the gateway's own commands; the simulator keeps its truth.
 
-What the gateway is told differs from what the simulator obeys: links drawn with build errors, datasheet rotor inertia
+The model of the gateway differs from that of the simulator: links drawn with build errors, datasheet rotor inertia
 rounded, friction only as the rest poses show it, the load as it was identified.
 """
 

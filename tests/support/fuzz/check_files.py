@@ -121,7 +121,7 @@ def tables() -> st.SearchStrategy[bytes]:
 
 
 def check_csv(data: bytes) -> None:
-    """Every number as it stands in the file, row by row, or `InputError` that names the file."""
+    """Every number as it is in the file, row by row, or `InputError` that names the file."""
     path = in_file(data, "table.csv")
     table = bounded(lambda: read_csv(path, None), (InputError,), len(data))
     if table is None:

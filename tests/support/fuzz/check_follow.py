@@ -62,7 +62,7 @@ def csv_paths() -> st.SearchStrategy[bytes]:
 
 
 def check_toml_path(data: bytes) -> None:
-    """Set points inside the limits of the arm's axes, or a typed error."""
+    """Setpoints inside the limits of the arm's axes, or a typed error."""
     _check_path(data, "path.toml")
 
 

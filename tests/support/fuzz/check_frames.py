@@ -59,7 +59,7 @@ def emergencies() -> st.SearchStrategy[bytes]:
 
 
 def check_emergency(data: bytes) -> None:
-    """Code, register and vendor bytes as they stand in the frame; what is not there is None or empty."""
+    """Code, register and vendor bytes as they are in the frame; what is not there is None or empty."""
     with cpu_limit():
         message = parse_emergency(NODE, data, 7, PROFILE)
     assert message.code == (struct.unpack("<H", data[:2])[0] if len(data) > 1 else None)

@@ -83,7 +83,7 @@ def paths() -> st.SearchStrategy[bytes]:
 
 
 def check_path(data: bytes) -> None:
-    """Every pose as it stands in the file, or `InputError`."""
+    """Every pose as it is in the file, or `InputError`."""
     path = in_file(data, "part.csv")
     read = bounded(lambda: read_path(path), (InputError,), len(data))
     if read is None:

@@ -36,7 +36,7 @@ TIERS = ("known", "stated", "ratios")
 
 @dataclass(frozen=True, slots=True)
 class MovingCell:
-    """One arm with its runs, as it stands and as its owner states it; `gain_std` None = the owner states nothing."""
+    """One arm with its runs, as it is and as its owner states it; `gain_std` None = the owner states nothing."""
 
     seed: int
     tier: str

@@ -1,4 +1,4 @@
-"""How well a moving run can tell a load at all: the Bayesian linear model that is told everything but the numbers.
+"""Best possible estimate of a load from a moving run: the Bayesian linear model, given all but the numbers.
 
 Links, load, torque constants, friction, rotors, delays, cogging and the scatter of every stroke are columns, with the
 priors that the arm was drawn with; load, friction, rotors and delays have none. The noise is weighed by its spectrum.
@@ -35,7 +35,7 @@ class Cell(Protocol):
 
     @property
     def arm(self) -> MovingArm:
-        """The arm as it stands."""
+        """The arm as it is."""
         ...
 
     @property

@@ -51,7 +51,7 @@ def drawn_truth(
     # what nobody declared of a gear is lost in proportion to the torque as well: half of what differs by direction
     undeclared = (1.0 / friction.driving - friction.driven) / 2.0
     share = np.mean([np.abs(rigid_nm(arm, motion, label)).mean(axis=0) for label in start_s], axis=0) / arm.rated_nm
-    # a gear that transmits nothing is driven by its motor, whichever way it turns
+    # a gear that transmits nothing is driven by its motor, whichever direction it turns
     idle = cold / friction.driving
     axes = {
         "coulomb_nm": friction.coulomb_nm * idle,

@@ -48,7 +48,7 @@ def plain_least_squares(cell: MovingCell, table: Table) -> Floats:
     """What anyone would write: a row of pinocchio's at a time, links, load, friction and rotors, axes weighted once.
 
     The links keep the CAD's values with the standard deviation that is stated; no gains, no delays, no covariance of
-    noise that hangs together.
+    noise that is autocorrelated.
     """
     model = pinocchio.buildModelFromXML(cell.stated.urdf)
     data = model.createData()

@@ -40,7 +40,7 @@ def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
 
 
 def _with_effects() -> Result:
-    """Effects, nuisances, a budget, gross visits, acceptance that passes, fails and cannot be told."""
+    """Effects, nuisances, a budget, outlier visits, acceptance that passes, fails and is undecided."""
     found = from_json(json.dumps(full_result()))
     loads = tuple(replace(load, budget=BUDGET) for load in found.loads)
     found = replace(

@@ -25,7 +25,7 @@ def word(value: int) -> bytes:
 
 
 def frames() -> bytes:
-    """Answers to every SYNC and three more; node 4 fails at the stop, node 5 is silent from 1 s before it."""
+    """Answers to every SYNC and three more; node 4 fails at the stop, node 5 does not respond from 1 s before it."""
     end_s = WALL_S + SLOW * PERIOD_S * (SYNCS - 1)
     sent: list[tuple[float, int, int, bytes]] = []
     for sync in range(SYNCS + 3):
@@ -50,7 +50,7 @@ def frames() -> bytes:
 
 
 def values() -> dict[str, np.ndarray]:
-    """Samples (n, N): J1 turns at 0.5 rad/s and lags what it was told by 2 mrad; J2 lacks 10 SYNCs."""
+    """Samples (n, N): J1 turns at 0.5 rad/s and lags its command by 2 mrad; J2 lacks 10 SYNCs."""
     now = PERIOD_S * np.arange(SYNCS)
     found = {name: np.zeros((SYNCS, AXES)) for name, _ in FIELDS}
     found["q_rad"][:, 0] = 0.5 * now

@@ -45,7 +45,7 @@ class GapRig:
     power: Power = field(default_factory=Power)
 
     def run(self, name: str, speed: float) -> PairRun:
-        """An embodiment that stands at the start, powered."""
+        """An embodiment at rest at the start, powered."""
         row = embodiment_of(self.cell, name)
         options = PairMotionOptions(speed=speed, back_speed=BACK_SPEED)
         stream = Stream(self.link.station(self.cell, options.moves))

@@ -142,7 +142,7 @@ def _row(seed: int, trouble: Trouble, why: str, force_n: float) -> Row:
 
 
 def _swapped(seed: int) -> Row:
-    """Two sensors of the gap are connected the wrong way round; how far any gap goes off [m]."""
+    """Two sensors of the gap are connected inverted; returns how far any gap deviates [m]."""
     trouble = Trouble("two distance sensors swapped", word="swapped")
     with gap_rig(seed) as rig:
         plain = rig.device.measure

@@ -57,7 +57,7 @@ class Power:
         self._stack.enter_context(powered(stream))
 
     def off(self) -> None:
-        """Leave the block: the arms stand in their brakes."""
+        """Leave the block: the arms are in their brakes."""
         self._stack.close()
 
     def attempt(self, action: Callable[[], Done]) -> Done:
@@ -97,7 +97,7 @@ class PairRig:
         options: PairMotionOptions,
         back: TransformFunction | None = None,
     ) -> PairRun:
-        """A row that stands at the start, powered, the part gripped there free of force."""
+        """A row at rest at the start, powered, the part gripped there free of force."""
         stream = Stream(self.link.station(self.cell, options.moves))
         run = PairRun(self.cell, stream, row, first, options, back)
         self.power.on(stream)

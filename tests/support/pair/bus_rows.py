@@ -255,7 +255,7 @@ def snag(bench: Bench) -> None:
 
 
 def first_slower(run: PairRun, decided: list[float], now_s: Callable[[], float]) -> list[float]:
-    """Time at which the first set points slower than planned are sent once a stop is decided, as the only entry."""
+    """Time at which the first setpoints slower than planned are sent once a stop is decided, as the only entry."""
     begun: list[float] = []
     stream = run.motion.stream
     plain = stream._send
@@ -330,7 +330,7 @@ STAGES: dict[str, Callable[[Bench], None]] = {
 
 
 def skewed(seed: int, taught: Taught) -> list[Row]:
-    """C8 with the slave's SYNC constantly .5 ms late, and late by anew 0 to 1 ms each time."""
+    """C8 with the slave's SYNC delayed by a constant 0.5 ms, and by another 0 to 1 ms each time."""
     rows: list[Row] = []
     for label, skew_s, jitter_s in (("C8 skew .5 ms", 0.5e-3, 0.0), ("C8 jitter 1 ms", 0.0, 1.0e-3)):
         with inline_rig(seed, {"skew_s": skew_s, "skew_jitter_s": jitter_s}) as rig:

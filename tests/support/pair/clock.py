@@ -1,4 +1,4 @@
-"""Two arms by the clock: taught, run and kept at a gap, beside the same plant in lockstep.
+"""Two arms in real time: taught, run and kept at a gap, beside the same plant in lockstep.
 
 python -m benchmarks.pair.clock [--seeds 3,4,5,6] [--cycles 25] [--parts run,gap] [--period-ms 4] [--out out/pair-clock]
 
@@ -58,7 +58,7 @@ CELL, GAP_CELL = "cell.toml", "distance.toml"
 #: SYNC period of both [s], and how many of it a force waits for its answer: two on the bus, 1.5 in the drives' buffers.
 PERIOD_S, PERIODS_IN_LOOP = 0.004, 3.5
 DAMPING = re.compile(r"(?m)^(impedance_damping|damping_s) = \{ straight = (\S+), turned = (\S+) \}")
-#: Largest force by the clock over that of the same plant in lockstep; largest gap error [mm].
+#: Largest force in real time over that of the same plant in lockstep; largest gap error [mm].
 MOST_OVER_LOCKSTEP, MOST_GAP_MM = 1.1, 0.1
 #: Stops of one seed after which it is given up: by stalls of the machine, and by anything else.
 STALLS, PATIENCE = 200, 10
@@ -91,7 +91,7 @@ class Truth:
 
 
 def _served(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection, options: Mapping[str, Any]) -> None:
-    """Both arms and their drives in this process, until told to quit."""
+    """Both arms and their drives in this process, until commanded to quit."""
     pair_cell(folder, edit)
     path = folder / CELL
     simulation = Simulation(path, ServeOptions(bus=bus), PairOptions(options["seed"], plant="light"))
@@ -108,14 +108,14 @@ def _served(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection
 
 @dataclass(slots=True)
 class Bench:
-    """A pair and what is truly inside the part: by the clock, or in lockstep."""
+    """A pair and what is truly inside the part: in real time, or in lockstep."""
 
     cell: PairCell
     link: PairLink
     grip: Callable[[bool], Any]
     most: Callable[[float, float], float]
     power: Power = field(default_factory=Power)
-    #: By how much a SYNC of the last cycle was late, share of the period.
+    #: By how much a SYNC of the last cycle was delayed, share of the period.
     delayed: float = 0.0
 
     def teach(self, path_taught: TaughtPath) -> TransformFunction:
@@ -134,7 +134,7 @@ class Bench:
         back: TransformFunction | None = None,
         laws_s: Floats | None = None,
     ) -> PairRun:
-        """An embodiment that stands at the start, gone there with open grippers; a part gripped there free of force."""
+        """An embodiment at rest at the start, moved there with open grippers; a part gripped there free of force."""
         options = PairMotionOptions(speed=SPEED, laws_s=laws_s)
         stream = Stream(self.link.station(self.cell, options.moves))
         row = embodiment_of(self.cell, name)
@@ -192,7 +192,7 @@ def at_period(text: str, period_s: float) -> str:
 
 @contextmanager
 def clocked(seed: int, period_s: float, file: str = CELL) -> Iterator[Bench]:
-    """By the clock, the drives in another process."""
+    """In real time, the drives in another process."""
     text, bus = at_period((PAIR_EXAMPLE / file).read_text(), period_s), pair_bus()
     with (
         TemporaryDirectory() as folder,
@@ -234,7 +234,7 @@ class Cycles:
     seed : of the arms
     period_s : of the SYNC
     most : largest true force [N] or gap error [m] of every cycle
-    sync_late : by how much a SYNC of every cycle was late, share of the period
+    sync_late : by how much a SYNC of every cycle was delayed, share of the period
     function : what was learned last, None = nothing
     laws_s : how each joint follows, as teaching has told it; None = it has not
     stalled : why cycles were broken off by the machine, one sentence each
@@ -253,7 +253,7 @@ class Cycles:
     stopped: list[str] = field(default_factory=list)
 
     def cycles(self, unit: float, digits: int = 0) -> str:
-        """What was measured of every cycle; those with a late SYNC have a star."""
+        """What was measured of every cycle; those with a delayed SYNC have a star."""
         pairs = zip(self.most, self.sync_delay, strict=True)
         return " ".join(f"{unit * most:.{digits}f}{'*' * (delayed > DELAYED_SHARE)}" for most, delayed in pairs)
 
@@ -263,7 +263,7 @@ class Cycles:
         return f"{len(self.stalled)} stalls, {len(self.delayed)} late, {len(self.stopped)} others"
 
     def calm(self, first: int) -> list[float]:
-        """What was measured of the cycles without a late SYNC, from a number on."""
+        """What was measured of the cycles without a delayed SYNC, from a number on."""
         pairs = zip(self.most[first:], self.sync_delay[first:], strict=True)
         return [most for most, delayed in pairs if delayed <= DELAYED_SHARE]
 
@@ -291,7 +291,7 @@ def attempt(attempts: Cycles, opened: Callable[[], AbstractContextManager[Bench]
 
 
 def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], attempts: Cycles, name: str, count: int) -> Cycles:
-    """So many whole cycles, learning off after the twelfth; what is stopped begins anew with what was learned."""
+    """So many whole cycles, learning off after the twelfth; what is stopped begins again with what was learned."""
     back: TransformFunction | None = None
 
     def run(bench: Bench) -> None:
@@ -311,7 +311,7 @@ def cycles_of(opened: Callable[[], AbstractContextManager[Bench]], attempts: Cyc
 
 
 def taught(seed: int, period_s: float) -> tuple[Cycles, float]:
-    """First function, taught by the clock, and the largest force that its points were left with, as felt [N]."""
+    """First function, taught in real time, and the largest force that its points were left with, as estimated [N]."""
     attempts, path_taught = Cycles(seed, period_s), TaughtPath("", "")
 
     def teach(bench: Bench) -> None:
@@ -329,7 +329,7 @@ def taught(seed: int, period_s: float) -> tuple[Cycles, float]:
 
 
 def beside(path_taught: Cycles, count: int) -> tuple[Cycles, Cycles]:
-    """Row C8 by the clock and in lockstep, both begun with the same function."""
+    """Row C8 in real time and in lockstep, both begun with the same function."""
     found, seed, period_s = list[Cycles](), path_taught.seed, path_taught.period_s
     for how, opened in (("by the clock", clocked), ("in lockstep", stepped)):
         begun = Cycles(seed, period_s, function=path_taught.function, laws_s=path_taught.laws_s)
@@ -340,14 +340,14 @@ def beside(path_taught: Cycles, count: int) -> tuple[Cycles, Cycles]:
 
 
 def gap(seed: int, period_s: float) -> Cycles:
-    """E5 by the clock."""
+    """E5 in real time."""
     attempts = cycles_of(lambda: clocked(seed, period_s, GAP_CELL), Cycles(seed, period_s), "E5", GAP_CYCLES)
     print(f"seed {seed}: E5 by the clock: {attempts.cycles(1e3, 3)} mm, {attempts.broken_off}", flush=True)
     return attempts
 
 
 def run_figures(runs: list[tuple[Cycles, Cycles]], count: int) -> dict[str, dict]:
-    """By the clock beside lockstep, once learning was over."""
+    """In real time beside lockstep, once learning was over."""
     both = np.array([[max(attempts.most[LEARNING:], default=math.nan) for attempts in pair] for pair in runs])
     over = both[:, 0] / both[:, 1]
     within = np.concatenate(

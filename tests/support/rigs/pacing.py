@@ -13,5 +13,5 @@ def in_lockstep(text: str) -> str:
 
 
 def by_the_clock(text: str) -> str:
-    """Text of a cell file in which every bus runs by the clock."""
+    """Text of a cell file in which every bus runs in real time."""
     return _PACING.sub('pacing = "real"', text)

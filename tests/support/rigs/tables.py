@@ -17,7 +17,7 @@ def make_table(
     """Rows as given; pose -1 is a moving row.
 
     `run`, `time`, `qd`, `qdd`, `direction`, `std`, `count`, `q2nd`, `temperature`, `motor`, `extra` and `file` as they
-    stand, unknown (at rest) where they are not given; one value stands for all rows and axes.
+    are, unknown (at rest) where they are not given; one value holds for all rows and axes.
     """
     n, axes = len(load), np.shape(q)[1]
 

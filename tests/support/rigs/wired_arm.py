@@ -1,7 +1,7 @@
 """An opened arm in lockstep whose drives are the slaves of the wire: every frame passes, no simulator is needed.
 
-The joints are kinematic: a held one is where it was told to be, one whose brake fails accelerates, and the drive that
-catches it takes its speed away at a constant rate. Nothing of it is shared with the product but object numbers.
+The joints are kinematic: a held one is at its command, and one whose brake fails accelerates. The drive that catches it
+decelerates it at a constant rate. Nothing of it is shared with the product but object numbers.
 """
 
 from __future__ import annotations

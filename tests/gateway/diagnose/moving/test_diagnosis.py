@@ -179,7 +179,7 @@ def test_a_secondary_encoder_shows_an_elastic_joint(compliance, found):
     assert [effect.name for effect in result.effects] == found
     for effect in result.effects:
         assert effect.joints == (2,)
-        # friction stands in the torque that is read, not in the torque of the links
+        # friction is in the torque that is read, not in the torque of the links
         assert effect.parameters["compliance_rad_nm"] == pytest.approx(compliance, rel=0.2)
         assert effect.evidence.holdout_rms_ratio < 0.7
         assert result.verdict == "improved"

@@ -1,4 +1,4 @@
-"""Torque that is reported late, and friction that is another in every run: every arm has them, so neither is named."""
+"""Delayed torque readings and friction that differs between runs are nuisances: neither is named."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
 from tests.moving_arm import GRAVITY, World, coloured, measured
 
-#: Rows of the torque are made at a finer rate, of which it is late by whole steps.
+#: Rows of the torque are made at a finer rate, of which it is delayed by whole steps.
 FINE_HZ, EVERY, PERIODS, PERIOD_S, NOISE = 200.0, 4, 3, 10.0, 0.02
-#: Rows [-] by which the torque of each axis is late: of 5 ms each.
+#: Rows [-] by which the torque of each axis is delayed: of 5 ms each.
 DELAY_ROWS = np.array([1, 1, 2, 0, 1, 0])
 DRY_SHARE, SCATTER = 0.15, 0.1
 LOAD = (3.0, 0.02, -0.03, 0.15)
@@ -75,7 +75,7 @@ def test_delays_are_reported_where_they_are_certain() -> None:
 
 @pytest.mark.slow
 def test_each_torque_meets_the_motion_that_it_belongs_to() -> None:
-    """Of an axis that is late its own motion is moved, and that of all the others where its torque is modelled."""
+    """Of an axis that is delayed its own motion is moved, and that of all the others where its torque is modelled."""
     at, robot, _ = measured(3, World(), PERIOD_S, FINE_HZ, 0.0)
     delay = np.array([0.0, 0.01, 0.0, 0.0, 0.005, 0.0])
     now = prepare_in_step(at, None, robot, GRAVITY, np.zeros(6))

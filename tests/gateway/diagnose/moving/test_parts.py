@@ -1,4 +1,4 @@
-"""Parts of the diagnosis of moving runs against closed forms and against fits done the long way."""
+"""Parts of the diagnosis of moving runs against closed forms and against fits done in full."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ def held(residual):
 
 
 def test_the_interval_holds_the_ratio_of_the_processes_although_rows_are_autocorrelated():
-    """Two residuals of RMS 1 and 0.8 that hang together over 0.1 s at 25 Hz, and in part with each other."""
+    """Two residuals of RMS 1 and 0.8 that are autocorrelated over 0.1 s at 25 Hz, and in part with each other."""
     inside = 0
     for seed in range(200):
         generator = np.random.default_rng(seed)

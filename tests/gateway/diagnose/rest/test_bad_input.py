@@ -53,7 +53,7 @@ def test_barely_known_constants_are_refused_with_the_reason(healthy):
             diagnose(table, bench.robot, replace(bench.options, gain_std=(wrong,) * 6))
 
 
-# --------------------------------------------------------------------------------------------------------- gross visits
+# ------------------------------------------------------------------------------------------------------- outlier visits
 
 
 def with_outliers(table: Table, bench: Bench, entries: list[tuple[int, int]], bands: float = 6.0) -> Table:
@@ -108,7 +108,7 @@ def test_where_every_visit_is_an_outlier_none_is_rejected_and_that_is_reported(h
     words = [each for each in result.findings if "outliers cannot be identified on these axes" in each.what]
     assert len(words) == 1
     assert words[0].severity == "warn"
-    # what it says of the load, it says with as much doubt as the visits scatter
+    # what it says of the load, it says with as much uncertainty as the visits scatter
     load, tool = result.loads[0], bench.arm.loads["tool"]
     assert load.refused or abs(load.mass_kg - tool.mass_kg) < 3.0 * load.mass_std_kg
     assert load.mass_std_kg > 2.0 * mass_of(sound)[1]

@@ -265,7 +265,7 @@ def test_fresh_poses_are_judged_first_and_then_used_for_the_load_too():
 
 @pytest.mark.slow
 def test_sweeps_of_single_joints_determine_the_band_of_the_joints_that_moved():
-    """Each of axes 2 to 6 passes six angles up and down again, numbered on, while the others stand still."""
+    """Each of axes 2 to 6 passes six angles up and down again, numbered on, while the others are stopped."""
     bench, tables = Bench(1, []), []
     for load in ("none", "tool"):
         for axis in range(1, 6):

@@ -1,4 +1,4 @@
-"""What every arm has is not named, what goes beyond is; the simulator's forms, with no formula of the model in them."""
+"""Nuisances of a usual size are not named, larger effects are; forms of the simulator, none of the model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Poses that are left out choose nothing: densities, choices and gains by pose against fits done the long way."""
+"""Poses that are left out choose nothing: densities, choices and gains by pose against fits done in full."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def test_what_is_reported_unseen_is_what_the_others_choose(monkeypatch):
     ids=lambda value: value["name"] if isinstance(value, dict) else "",
 )
 def test_an_effect_is_compared_with_the_nuisance_parameters(hidden, axis):
-    """Compared with an ordinary parameter that may stretch as far, an effect would be worth nothing."""
+    """Compared with a nuisance parameter of as wide a prior, an effect would gain nothing."""
     bench = Bench(4, [hidden])
     result = diagnose(bench.both(), bench.robot, bench.options)
     assert found(result) == [(hidden["name"], (axis,))]

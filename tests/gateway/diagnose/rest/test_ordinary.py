@@ -1,4 +1,4 @@
-"""What every arm has, as parameters of every hypothesis: their columns, their places, and their priors."""
+"""Nuisance parameters of every hypothesis: their columns, their places, and their priors."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def undirected(table):
 
 
 def place_of(problem, rng):
-    """Links, loads, bands and ordinary parameters as an arm might have them, all of them away from nothing."""
+    """Links, loads, bands and nuisance parameters as an arm might have them, all of them away from nothing."""
     links = problem.links * rng.uniform(0.8, 1.2, len(problem.links))
     loads = np.array([[8.0, 0.4, -0.3, 0.9]] * len(problem.labels))
     band = np.abs(np.nan_to_num(problem.rows.sum_nm)).mean(axis=0) * 0.2 + 1.0

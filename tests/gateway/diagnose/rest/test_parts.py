@@ -1,4 +1,4 @@
-"""Parts of the diagnosis at rest against closed forms, draws, and fits done the long way."""
+"""Parts of the diagnosis at rest against closed forms, draws, and fits done in full."""
 
 from __future__ import annotations
 

@@ -192,7 +192,7 @@ def test_a_result_says_what_it_would_have_seen():
 
 
 def test_fresh_rows_are_judged_by_axis_and_over_all():
-    """By chi-square where the noise is known, by F where it was told by few rows; pooled by the root of the rows."""
+    """By chi-square where the noise is known, by F where it was estimated from few; pooled by the root of the rows."""
     group = np.repeat([0, 2, 4], [4, 6, 3])  # half sums of axes 1 and 3, half differences of axis 2 of three
     covariance = np.diag(np.repeat([4.0, 0.25, 1.0], [4, 6, 3]))
     residual = np.concatenate([np.full(4, 3.0), np.full(6, 0.5), np.full(3, 0.1)])
