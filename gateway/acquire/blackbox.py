@@ -69,8 +69,7 @@ class BlackBoxWatch:
 
 @contextmanager
 def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
-    """Record the last seconds while this context is open; keep the file named in the header if it is left with an
-    error.
+    """Record the last seconds while this context is open; keep the file named in the header after an error.
 
     Errors of the black box become notes of the error that ended the run. They do not stop the arm.
     """

@@ -166,8 +166,7 @@ Taken = Callable[[int, int, ArmSample, np.ndarray], None]
 
 
 class PeriodicSetpoints(MotionSetpoints):
-    """Setpoint source that repeats one period a number of times without a stop; every sample at full speed is passed
-    on.
+    """Setpoint source that repeats one period without a stop; every sample at full speed is passed on.
 
     Parameters
     ----------

@@ -187,8 +187,7 @@ def expectation(
 def expected_stds(
     workspace: Workspace, q_rad: np.ndarray, moment: np.ndarray, errors: tuple[np.ndarray, Sequence[float]]
 ) -> np.ndarray:
-    """Return the expected standard deviations (4,) of mass and centre of gravity; NaN where the poses do not determine
-    them.
+    """Return the expected standard deviations (4,) of mass and centre of gravity; NaN where not determined.
 
     Parameters
     ----------

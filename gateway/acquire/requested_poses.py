@@ -126,8 +126,7 @@ def _numbered(
 
 
 def postures_to_ask(about: AnalysisInputs) -> np.ndarray | None:
-    """Return random postures (k, N) [rad] that a result may request: inside the limits, free, approachable in both
-    directions.
+    """Return random postures (k, N) [rad] that a result may request: free and approachable in both directions.
 
     None without a cell; empty if a thousand draws find no such posture.
     """

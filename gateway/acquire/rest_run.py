@@ -246,8 +246,7 @@ def refuse_sunk(plan: Plan, stream: Stream) -> None:
 
 
 def with_half_sums(arm: Arm, first: Visit, second: Visit) -> Visit:
-    """Return the second visit of a pose with half-sum and half-difference of both approach directions (upward minus
-    downward).
+    """Return the second visit of a pose with half-sum and half-difference (upward minus downward approach).
 
     Each torque is converted to the joint with the gear efficiency of its own direction (driving or back-driven).
     """

@@ -1,4 +1,4 @@
-"""What a measurement run works with: arm, workspace, listeners, and the store for visits and periods."""
+"""Station of a measurement run: arm, workspace, listeners, and the store for visits and periods."""
 
 from __future__ import annotations
 

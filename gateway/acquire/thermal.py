@@ -61,9 +61,7 @@ def blocks_of(labels: Sequence[str], poses: Sequence[RestPose], thermal: Thermal
 
 
 def bracket_of(label: str, poses: Sequence[RestPose]) -> tuple[Block, ...]:
-    """Return the blocks of a load between two of the unloaded arm: a drift linear in time cancels in their
-    difference.
-    """
+    """Return the blocks of a load between two of the unloaded arm: linear drift cancels in their difference."""
     once = tuple(poses)
     return (Block(BARE_LABEL, once), Block(label, once), Block(BARE_LABEL, _again(once)))
 
@@ -79,8 +77,7 @@ def warm_up(
     longest_s: float,
     measure: Callable[[Sequence[RestPose], Path], None],
 ) -> str:
-    """Move between a few poses until their friction no longer changes, or the time is over; return a text with the
-    outcome.
+    """Move between a few poses until their friction no longer changes, or the time is over; return the outcome.
 
     Parameters
     ----------

@@ -104,8 +104,8 @@ def _displaced(arm: str, workspace: Workspace, start_rad: np.ndarray, joint: int
         if workspace.path_clear(np.array([start_rad, start_rad]), ends).all():
             return _tuple(target)
     raise WrongPlace(
-        f"arm '{arm}', joint {joint + 1}: no room for {size} rad to either side; move the arm to a posture away from"
-        " limits and obstacles",
+        f"arm '{arm}', joint {joint + 1}: no room for {size} rad in either direction; move the arm to a posture"
+        " away from limits and obstacles",
         arm,
     )
 

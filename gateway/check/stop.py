@@ -133,8 +133,7 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
 
 
 def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
-    """Move slowly, withhold the heartbeat and monitor the stop of every drive; repeat with a quick stop; then move
-    back.
+    """Move slowly, withhold the heartbeat and monitor every drive; repeat with a quick stop; then move back.
 
     A drive that reacts to the lost heartbeat with a communication fault is reset afterwards, also after an interrupted
     test, because the test has caused that fault. Any other fault remains. If a drive did not stop as stated, nothing

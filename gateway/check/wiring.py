@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moves:
-    """Motor-side means at rest, each posture approached from both sides.
+    """Motor-side means at rest, each posture approached in both directions.
 
     Attributes
     ----------

@@ -198,16 +198,12 @@ def _bands(reading: Reading, arm: WiredArm, moves: Moves) -> tuple[Floats, Float
 
 
 def _scatter(band: Floats) -> Floats:
-    """Return the scatter (N,) of half-differences (n, N) from their median: gear losses differ where one axis was
-    displaced.
-    """
+    """Return the scatter (N,) of half-differences (n, N) from their median."""
     return np.median(np.abs(band - np.median(band, axis=0)), axis=0) * 1.4826
 
 
 def _scored(evidence: _Evidence, reading: Reading, parity: Sequence[int]) -> list[tuple[float, Wiring]]:
-    """Return the evidence of every single difference compatible with friction; if friction requires one, of those
-    alone.
-    """
+    """Return the evidence of every single difference compatible with friction."""
     joints = range(1, len(parity) + 1)
     opposite = [joint for joint in joints if parity[joint - 1] < 0]
     names = ("torque_reversed", "position_reversed") if opposite else ("reversed",)
@@ -226,9 +222,7 @@ def _scored(evidence: _Evidence, reading: Reading, parity: Sequence[int]) -> lis
 
 
 def _factor(evidence: _Evidence, reading: Reading, name: str, joint: int) -> tuple[float, float, float]:
-    """Return the evidence averaged over the factors, the mean factor, and its standard deviation (both of the
-    logarithm).
-    """
+    """Return the mean evidence over the factors, the mean factor, and its standard deviation (logarithms)."""
     logs = np.array([evidence.of(reading.with_wiring(Wiring(name, (joint,), float(factor)))) for factor in FACTORS])
     weight = np.exp(logs - logsumexp(logs))
     mean = float(weight @ np.log(FACTORS))

@@ -132,9 +132,7 @@ def stds_of_all(asked: AskedNumbers, rows: Floats) -> Floats:
 
 
 def _usual_prior(links: tuple[Floats, Floats], first: int, gain_std: Floats) -> Prior:
-    """Return the prior of links, of parameters without a prior, and from index `first` of gain and load friction of
-    every axis.
-    """
+    """Return the prior of links and free parameters, and from index `first` of the gain and load friction."""
     gain = first + np.arange(len(gain_std))
     usual = {"gain": gain, "load_friction": gain + len(gain)}
     return moving_prior(links, first + 2 * len(gain), usual, gain_std)
@@ -169,9 +167,7 @@ class LoadAsked:
 
     @property
     def turn(self) -> Floats:
-        """Derivative of mass, centre of gravity and inertia (in the order of a result) with respect to the
-        parameters.
-        """
+        """Derivative of mass, centre of gravity and inertia with respect to the parameters."""
         body = self.load.parameters
         turn = np.zeros((PER_LINK_MOVING, PER_LINK_MOVING + 2 * self.workspace.robot.axes))
         turn[:4, :4], turn[4:, :PER_LINK_MOVING] = load_directions(body[:4]), central_directions(body)
@@ -259,9 +255,7 @@ class DriveTrainAsked:
 def mean_log_std(
     asked: Sequence[AskedNumbers], states: States, rigid: Floats, motions: int, duration_s: float
 ) -> Floats:
-    """Return the mean logarithm (motions,) of all requested standard deviations; arguments as in
-    `AskedNumbers.rows`.
-    """
+    """Return the mean logarithm (motions,) of all requested standard deviations."""
     stds = [expected_stds(each, each.rows(states, rigid, motions, duration_s), motions) for each in asked]
     return np.log(np.concatenate(stds, axis=1)).mean(axis=1)
 

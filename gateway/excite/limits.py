@@ -142,9 +142,7 @@ class MovingLimits:
         )
 
     def _torque_nm(self, states: States, rigid: Floats | None) -> Floats:
-        """Return the largest motor torque (n, N) [Nm, at the joint] without or with a load; 0 if links are not
-        known.
-        """
+        """Return the largest motor torque (n, N) [Nm, at the joint] without or with a load; 0 if unknown."""
         if self.bodies is None:
             return np.zeros_like(states.q_rad)
         if rigid is None:

@@ -128,9 +128,7 @@ class ArmDynamics:
 
 
 def _link_constants(robot: Robot, phi: Floats, number: int) -> tuple[float, ...]:
-    """Return rotation (9, row by row), origin (3), mass, first moment (3) and inertia (6) of a link; joint axis on
-    z.
-    """
+    """Return rotation (9), origin (3), mass, first moment (3) and inertia (6) of a link; joint axis on z."""
     turn = _turn_to_z(robot.axis[number])
     before = np.eye(3) if number == 0 else _turn_to_z(robot.axis[number - 1])
     rotation = before.T @ robot.placement[number, :3, :3] @ turn

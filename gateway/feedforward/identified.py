@@ -117,7 +117,7 @@ def read_identified(loaded: LoadedCell, arm: ArmConfig, robot: Robot) -> Identif
 
 
 def checked(result: Result, where: str, axes: int) -> Identified:
-    """Return the result as an identification of an arm of so many axes.
+    """Return the result as an identification of an arm with `axes` axes.
 
     Raises
     ------

@@ -153,9 +153,7 @@ class FeedforwardLaw:
         return [factor * rate for factor, rate in zip(self._velocity, rates, strict=True)], out
 
     def excess(self, torque_nm: Sequence[float]) -> tuple[int, float] | None:
-        """Return the axis (from 0) furthest beyond its limit and its offset [Nm]; None if all are within their
-        limits.
-        """
+        """Return the axis (from 0) furthest beyond its limit and its offset [Nm]; None if there is none."""
         shares = [abs(value) / limit for value, limit in zip(torque_nm, self._limits, strict=True)]
         worst = max(range(len(shares)), key=shares.__getitem__)
         return (worst, torque_nm[worst]) if not shares[worst] <= 1.0 or math.isnan(shares[worst]) else None

@@ -166,12 +166,12 @@ def _waypoints(name: str, read: _Waypoints, workspace: Workspace, period_s: floa
     rests_s = read.dwell_s * (read.repeat * len(pairs) + (read.repeat - 1) * len(back))
     least_s = read.repeat * _least_s(pairs, limits, period_s) + (read.repeat - 1) * _least_s(back, limits, period_s)
     if not rests_s + least_s <= LONGEST_S:
-        raise InputError(f"{where}: the path takes {rests_s + least_s:.3g} s at least, {LONGEST_S:g} s are the most")
+        raise InputError(f"{where}: the path takes {rests_s + least_s:.3g} s at least, the limit is {LONGEST_S:g} s")
     once, again = ([straight(start, end, limits, period_s) for start, end in each] for each in (pairs, back))
     motions = (*once, *(again + once) * (read.repeat - 1))
     path = FollowPath(name, points[0], motions, read.dwell_s, period_s, limits)
     if path.duration_s > LONGEST_S:
-        raise InputError(f"{where}: the path takes {path.duration_s:.0f} s, {LONGEST_S:g} s are the most")
+        raise InputError(f"{where}: the path takes {path.duration_s:.0f} s, the limit is {LONGEST_S:g} s")
     return path
 
 

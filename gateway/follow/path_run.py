@@ -87,9 +87,7 @@ def follow(station: FollowStation, path: FollowPath, settings: Sequence[Setting]
 
 
 def _lead(workspace: Workspace, start_rad: np.ndarray) -> np.ndarray:
-    """Return the start of the last short segment to the path's start: above it on every joint if allowed, else the
-    start.
-    """
+    """Return the start of the last short segment to the path's start: above it on every joint if allowed."""
     above = start_rad + LEAD_RAD
     return above if workspace.path_clear(above[None], start_rad[None])[0] else start_rad
 
@@ -118,9 +116,7 @@ class _Run:
 
     @contextmanager
     def under_power(self) -> Generator[None]:
-        """Enable the arm and hold until the drives have taken over the torque of the brakes; offsets are zero on
-        exit.
-        """
+        """Enable the arm and hold until the drives carry the torque of the brakes; offsets are zero on exit."""
         try:
             with powered(Stream(self._station)) as self._stream:
                 self._stream.take_over()

@@ -76,8 +76,7 @@ def feed_model(
     *,
     fed: bool = True,
 ) -> FeedModel:
-    """Return the model of an arm: links of the robot model, corrected by the result's identification of the unloaded
-    arm.
+    """Return the model of an arm: robot model, corrected by the result's identification of the unloaded arm.
 
     `fed` is False if the offsets are only computed: the drives then need no objects for them.
 

@@ -93,9 +93,9 @@ def kinematic_difference(first: Robot, second: Robot) -> str:
     apart_m = np.linalg.norm(apart - across @ shift, axis=1)
     for joint in range(first.axes):
         if turned[joint] > SAME_AXIS_RAD:
-            return f"axis {joint + 1} points {np.degrees(turned[joint]):.1f} degrees elsewhere"
+            return f"the directions of axis {joint + 1} differ by {np.degrees(turned[joint]):.1f} degrees"
         if apart_m[joint] > SAME_AXIS_M:
-            return f"axis {joint + 1} is {1e3 * apart_m[joint]:.0f} mm elsewhere"
+            return f"the positions of axis {joint + 1} differ by {1e3 * apart_m[joint]:.0f} mm"
     return ""
 
 

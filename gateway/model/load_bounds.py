@@ -37,8 +37,7 @@ class LoadBounds:
         margin_kg: float = 0.0,
         margin_m: Sequence[float] = (0.0, 0.0, 0.0),
     ) -> str:
-        """Return a text with the violation of the bounds and the likely unit; empty if the load is credible or not
-        known.
+        """Return the violation of the bounds and the likely unit; empty if the load is credible or not known.
 
         Parameters
         ----------

@@ -62,8 +62,7 @@ def find_mesh(name: str, source: str) -> Path:
 
 
 def mesh_corners(path: Path) -> Floats:
-    """Return corners (n, 3) of a convex body that contains a mesh, in the unit of the file; the convex hull if it is
-    simple.
+    """Return corners (n, 3) of a convex body that contains a mesh, in the unit of the file.
 
     Raises
     ------

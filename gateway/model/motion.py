@@ -103,17 +103,13 @@ class MovingRows:
         return self.q_rad.shape[1]
 
     def by_angle(self, axis: int) -> Floats:
-        """Return the derivative of the rigid-body regressor with respect to the angle of one axis [1/rad], computed
-        once.
-        """
+        """Return the derivative of the rigid-body regressor with respect to one joint angle [1/rad]."""
         if ("angle", axis) not in self._derivatives:
             self._derivatives["angle", axis] = angle_derivative(self, axis)
         return self._derivatives["angle", axis]
 
     def by_tilt(self, direction: int) -> Floats:
-        """Return the derivative of the rigid-body regressor with respect to base tilt about x (0) or y (1) [1/rad],
-        computed once.
-        """
+        """Return the derivative of the rigid-body regressor with respect to base tilt about x (0) or y (1)."""
         if ("tilt", direction) not in self._derivatives:
             self._derivatives["tilt", direction] = tilt_derivative(self, direction)
         return self._derivatives["tilt", direction]
@@ -202,8 +198,7 @@ def at_links(table: Table) -> Table:
 def prepare(
     table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats, largest: float = LARGEST
 ) -> MovingRows:
-    """Return the samples of the moving runs in `table` (to fit) and `given` (never fitted), thinned to at most
-    `largest`.
+    """Return the samples of moving runs in `table` (to fit) and `given` (held out), at most `largest`.
 
     Raises
     ------
@@ -266,9 +261,7 @@ def _in_time_order(table: Table) -> tuple[Table, NDArray[np.int_]]:
 
 
 def time_order(moving: Table) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-    """Return the order (n,) of moving samples by run and time, and the run number (n,); periods of an excitation are
-    one run.
-    """
+    """Return the order (n,) of moving samples by run and time, and the run number (n,)."""
     repeated = excitation_runs(moving)
     own = np.where(repeated >= 0, np.char.add("\x00", repeated.astype(str)), moving.run.astype(str))
     names = np.char.add(np.char.add(np.asarray(moving.file, dtype=str), "\x00"), own)
@@ -283,9 +276,7 @@ def _rigid(robot: Robot, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats, gr
 
 
 def angle_derivative(motion: MovingRows, axis: int) -> Floats:
-    """Return the derivative of the rigid-body regressor with respect to one joint angle: (n, N, 10 N) per rad,
-    central difference.
-    """
+    """Return the derivative (n, N, 10 N) [1/rad] of the rigid-body regressor with respect to one joint angle."""
     step = np.zeros(motion.robot.axes)
     step[axis] = STEP_RAD
     ends = [
@@ -296,9 +287,7 @@ def angle_derivative(motion: MovingRows, axis: int) -> Floats:
 
 
 def tilt_derivative(motion: MovingRows, direction: int) -> Floats:
-    """Return the derivative of the regressor with respect to base tilt about its x (0) or y (1) axis: (n, N, 10 N)
-    per rad.
-    """
+    """Return the derivative (n, N, 10 N) [1/rad] of the regressor with respect to base tilt about x or y."""
     turn = np.zeros(3)
     turn[direction] = 1.0
     rest = np.zeros_like(motion.q_rad)

@@ -23,8 +23,7 @@ _MOTION = 12  # fall (3), gain (3), products of the spin xx yy zz xy yz zx
 
 
 def _wrench_map() -> Floats:
-    """Return the map (12, 6 * 10) from the motion of a link to its wrench: rows of [force; moment] by [m, h (3), I
-    (6)].
+    """Return the map (12, 6 * 10) from the motion of a link to its wrench: [force; moment] by [m, h, I].
 
     Force `m fall + ([gain]x + [spin]x [spin]x) h`, moment `h x fall + I gain + spin x (I spin)`.
     """

@@ -128,9 +128,7 @@ def _checked(robot: Robot, q: Floats, out: Floats | None, columns: int) -> Float
 
 
 def _blocks(count: int, most: int) -> tuple[int, list[int]]:
-    """Return the size and the starts of the blocks; the last one overlaps the one before, so that all are of equal
-    size.
-    """
+    """Return the size and the starts of the blocks; the last one overlaps the one before."""
     size = min(count, most)
     if not size:
         return 0, []

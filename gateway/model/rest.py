@@ -92,9 +92,7 @@ def neutral(n: int, axes: int) -> AlteredModel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Modelled readings (n, N): half-sums, half-differences (0 for one-sided visits), and the torque behind the
-    gears.
-    """
+    """Modelled readings (n, N): half-sums, half-differences (0 if one-sided), and torque behind the gears."""
 
     sum_nm: Floats
     difference_nm: Floats
@@ -157,9 +155,7 @@ class Model:
         return bodies
 
     def joint_torque(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
-        """Return the torque (n, N) that the gears transmit, and its derivative (n, N, 4 N) with respect to the body
-        parameters.
-        """
+        """Return the torque (n, N) that the gears transmit, and its derivative (n, N, 4 N) by body parameters."""
         if not setting.compliance_rad_nm.any():
             rows = self.regressor(setting)
             return _dot(rows, bodies) - self.passive(setting), rows
@@ -187,9 +183,7 @@ class Model:
         return self._levers
 
     def _wound_up(self, setting: AlteredModel, bodies: Floats) -> _Bent:
-        """Return the equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`, iterated to
-        convergence.
-        """
+        """Return the equilibrium of elastic gears: `tau = tau(bent) + K (q - compliance tau - bent)`."""
         straight = self.rows.q_rad + setting.zero_offset_rad
         steps = 0
         while True:

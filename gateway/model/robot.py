@@ -143,9 +143,7 @@ def transform(rotation: Floats, translation: Floats | Sequence[float]) -> Floats
 
 
 def rotation_rpy(rpy_rad: Sequence[float] | Floats) -> Floats:
-    """Return the rotation (3, 3) of fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll), as URDF defines
-    it.
-    """
+    """Return the rotation (3, 3) of fixed-axis roll, pitch, yaw [rad]: Rz(yaw) Ry(pitch) Rx(roll)."""
     (cr, cp, cy), (sr, sp, sy) = np.cos(rpy_rad), np.sin(rpy_rad)
     return np.array(
         [
@@ -238,9 +236,7 @@ def robot_from_urdf(text: str, where: str, tip: str | None = None) -> Robot:
 
 
 def _refuse_units(robot: Robot, where: str) -> None:
-    """Refuse lengths and masses that no arm has: a URDF is in metres and kilograms, whatever unit the CAD system
-    used.
-    """
+    """Refuse lengths and masses that no arm has: a URDF is in metres and kilograms."""
     from_joints_m = np.linalg.norm(np.nan_to_num(robot.com_m), axis=1).max()
     for what, length_m in (("from joint to joint", reach_m(robot)), ("to a centre of mass", float(from_joints_m))):
         if length_m > LONGEST_M:

@@ -55,8 +55,7 @@ def solid_box(size_m: Floats, pose: Floats) -> Solid:
 
 
 def solid_of(body: LinkShape, source: str) -> Solid:
-    """Return the body, in the link's frame, of one shape of a link; for a mesh its convex hull or a simpler body around
-    it.
+    """Return the body, in the link's frame, of one shape of a link; for a mesh a convex body around it.
 
     Parameters
     ----------

@@ -87,9 +87,7 @@ def block(constants: RestConstants, work: RestBuffers, q: Floats, out: Floats) -
 
 
 def _push(constants: RestConstants, work: RestBuffers) -> None:
-    """Compute, for every axis, the horizontal vector k and -k . o as rows that act on [origin, x, y, z], into
-    `work.push`.
-    """
+    """Compute the horizontal vector k and -k . o of every axis as rows on [origin, x, y, z], into `work.push`."""
     x, y = np.ascontiguousarray(work.places[:, :2].transpose(1, 2, 0)).reshape(2, len(constants.axis), 4, -1)
     axis_x = np.zeros((x.shape[0], x.shape[2]))
     axis_y = np.zeros_like(axis_x)

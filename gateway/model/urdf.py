@@ -36,9 +36,7 @@ _GRIPPER: Final = re.compile(r"finger|gripper|jaw|knuckle|claw|thumb", re.IGNORE
 
 @dataclass(frozen=True, slots=True)
 class Inertial:
-    """Element `<inertial>`: tensor as (xx, xy, xz, yy, yz, zz) [kg m2] about the centre of mass, in the frame of
-    `pose`.
-    """
+    """Element `<inertial>`: tensor (xx, xy, xz, yy, yz, zz) [kg m2] about the centre of mass, in `pose`."""
 
     pose: Pose
     mass_kg: float
@@ -192,9 +190,7 @@ class _Tree:
         return path[::-1]
 
     def likely_tip(self) -> str:
-        """Return the probable last link of the arm: along the longest branch, to a gripper or to two equal short
-        branches.
-        """
+        """Return the probable last link of the arm: before a gripper or two equal short branches."""
         below = dict.fromkeys(self.reached, 0)
         for link in reversed(self.reached[1:]):
             above = _parent(self.parent[link])

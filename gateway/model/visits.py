@@ -46,9 +46,7 @@ class Gears:
 
     @staticmethod
     def of(efficiency: ArrayLike | None, axes: int, coupling: ArrayLike | None = None) -> Gears:
-        """Return the gears of N axes from one efficiency for all or one each (None = 1); an identity coupling counts
-        as None.
-        """
+        """Return the gears of N axes from one efficiency or one per axis (None = 1), and the coupling."""
         eta = np.broadcast_to(np.asarray(1.0 if efficiency is None else efficiency, dtype=float), (axes,))
         mixed = None if coupling is None else np.asarray(coupling, dtype=float)
         return Gears(eta, None if mixed is None or np.array_equal(mixed, np.eye(axes)) else mixed)
@@ -68,9 +66,7 @@ class Gears:
         return self._joints(output * np.where(work > 0, eta, np.where(work < 0, 1.0 / eta, 1.0)))
 
     def before(self, behind_nm: Floats, direction: float) -> Floats:
-        """Return the joint torque (n, N) [Nm] that loss-free gears would give for the torque behind them; inverse of
-        `behind`.
-        """
+        """Return the joint torque (n, N) [Nm] of loss-free gears for the torque behind them; inverse of `behind`."""
         output, facing = self._outputs(behind_nm, direction)
         eta = self.efficiency
         return self._joints(np.where(output * facing > 0, output / eta, output * eta))
@@ -168,7 +164,7 @@ class Visits:
 
 
 def visits_at(q_rad: Floats, gears: Gears) -> Visits:
-    """Visits of postures (n, N) from both sides under no load, one after the other, with nothing measured."""
+    """Return unmeasured visits of postures (n, N), approached in both directions without a load."""
     n, axes = q_rad.shape
     unknown = np.full((n, axes), np.nan)
     return Visits(

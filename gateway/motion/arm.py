@@ -22,9 +22,7 @@ class ArmDrives(Protocol):
         ...
 
     def enable(self, stop_requested: Callable[[], bool], /) -> Epoch:
-        """Enable the drives at their present positions; `stop_requested` is called at every SYNC until the brakes are
-        open.
-        """
+        """Enable the drives at their present positions; call `stop_requested` at every SYNC until then."""
         ...
 
     def exchange(self, commands: Sequence[DriveCommand], /) -> Epoch:

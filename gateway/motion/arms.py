@@ -38,9 +38,7 @@ _KEPT: Final = 100_000
 
 
 def _first_cause(failures: Sequence[BaseException]) -> BaseException:
-    """Return the first cause with the other failures as notes; an arm that stopped because another one failed is not a
-    cause.
-    """
+    """Return the first cause with the other failures as notes; arms stopped by another arm are not a cause."""
     first_hand = [error for error in failures if not isinstance(error, StopRequested)]
     cause = (first_hand or failures)[0]
     for error in first_hand:

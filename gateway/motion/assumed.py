@@ -23,9 +23,7 @@ def assumed_noise_nm(workspace: Workspace) -> np.ndarray:
 
 
 def reference_load(workspace: Workspace, q_rad: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the heaviest load of the cell file, else half of the load that the free share of the torque limits can
-    carry.
-    """
+    """Return the heaviest load of the cell file, else half of what the free torque can carry."""
     if workspace.max_load is not None:
         return float(workspace.max_load[0]), workspace.max_load[1:] / workspace.max_load[0]
     com_m = workspace.points_m[0]

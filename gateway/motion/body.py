@@ -80,16 +80,13 @@ class Body:
     radius_m: Floats
 
     def segments_m(self, frames: Floats) -> Floats:
-        """Return the ends (n, k, 2, 3) [m] of the segments in the base frame, from frames (n, N + 1, 4, 4), base
-        first.
-        """
+        """Return the ends (n, k, 2, 3) [m] of the segments in the base frame, from frames (n, N + 1, 4, 4)."""
         of_link = frames[:, self.link + 1]
         ends = np.stack([self.start_m, self.end_m], axis=1)
         return np.matmul(ends, of_link[:, :, :3, :3].transpose(0, 1, 3, 2)) + of_link[:, :, None, :3, 3]
 
     def levers_m(self, robot: Robot) -> Floats:
-        """Return the largest distance (k, N) [m] of a body's points from each joint axis in any posture; 0 for later
-        joints.
+        """Return the largest distance (k, N) [m] of a body's points from each joint axis; 0 for later joints.
 
         A point moves by at most the sum of these levers times the joint rotations. A rotation does not move a ball
         about its centre.

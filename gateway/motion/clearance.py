@@ -306,8 +306,7 @@ def space_of(arm: ArmConfig, robot: Robot, lower_rad: Floats, upper_rad: Floats)
 def space_between(
     robot: Robot, body: Body, boxes_m: Floats, planes: tuple[Plane, ...], range_rad: tuple[Floats, Floats]
 ) -> Space:
-    """Return the collision pairs for given bodies, boxes (b, 2, 3) and planes; lower and upper ends (N,) of the joint
-    range.
+    """Return the collision pairs for given bodies, boxes (b, 2, 3), planes, and ends (N,) of the joint range.
 
     See `space_of`.
     """

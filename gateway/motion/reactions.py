@@ -82,13 +82,13 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "of the samples, at least 10",
             "the visit was aborted; check cabling, termination and bus load, then record --resume",
         ),
-        "urgent": Rule("a second signal (SIGINT, SIGTERM, SIGHUP)", "stop", 1, "signal", "go on with --resume"),
+        "urgent": Rule("a second signal (SIGINT, SIGTERM, SIGHUP)", "stop", 1, "signal", "continue with --resume"),
         "asked": Rule(
             "Ctrl-C, a request to terminate, a terminal that was closed, a key that was released, the live page",
             "along the path",
             1,
             "signal",
-            "go on with --resume",
+            "continue with --resume",
         ),
         "disk": Rule(
             "a disk that is too slow for the recording",

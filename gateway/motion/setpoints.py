@@ -23,9 +23,7 @@ class SetpointSource(Protocol):
         ...
 
     def rates(self, at: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the speeds [rad/s] and accelerations [rad/s2] of all joints of all arms in one array each, at full
-        rate.
-        """
+        """Return the speeds [rad/s] and accelerations [rad/s2] of all joints of all arms at full rate."""
         ...
 
     def targets(self, at: float, rate: float) -> PerArm:
@@ -41,9 +39,7 @@ class SetpointSource(Protocol):
         ...
 
     def modelled(self, at: float) -> PerArm | None:
-        """Return the modelled torque [Nm] of the motion without contact at these setpoints; None = gravity of the
-        unloaded arm.
-        """
+        """Return the modelled torque [Nm] without contact; None = gravity of the unloaded arm."""
         ...
 
     def take(self, at: float, rate: float, samples: tuple[ArmSample, ...]) -> None:

@@ -257,9 +257,7 @@ class Stream:
         source.take(at, rate, samples)
 
     def hold(self, what: str, row: int, rows: int, *, heed: bool = True) -> tuple[ArmSample, ...]:
-        """Exchange one SYNC with the arms at rest; raises as `drive`. Without `heed`, stop requests are handled
-        later.
-        """
+        """Exchange one SYNC at rest; raises as `drive`. Without `heed`, stop requests are handled later."""
         if row % self._every == 0:
             self._report(what, row, rows)
         if heed:

@@ -1,4 +1,4 @@
-"""Temperatures of the drives of an arm, read over SDO while it is measured; the motion loop does not wait for them."""
+"""Motor temperatures of an arm, read over SDO during a measurement without blocking the motion loop."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from gateway.motion.opening import OpenArm
 
 
 class PostingClient(Protocol):
-    """An SDO client that asks without waiting."""
+    """SDO client that sends requests without waiting for the answer."""
 
     def post(self, index: int, subindex: int, data_type: str) -> Posted:
-        """Ask for an object; the answer is kept when it comes."""
+        """Request an object; the answer is stored when it arrives."""
         ...
 
 
 class MotorTemperatures:
-    """One value per axis and visit, one question at a time.
+    """Motor temperatures: one value per axis and visit, requested one axis at a time.
 
     Parameters
     ----------
@@ -36,13 +36,13 @@ class MotorTemperatures:
         self.begin()
 
     def begin(self) -> None:
-        """Drop the values; each drive is asked once more."""
+        """Discard the values and request the temperature of each drive again."""
         self._read_c = np.full(len(self._axes), np.nan)
         self._open = deque(axis for axis, known in enumerate(self._axes) if known is not None)
         self._posted: Posted | None = None
 
     def poll(self) -> None:
-        """Take the answer to the last question and ask the next drive; called once per SYNC, never waits."""
+        """Store the last answer and request the next drive; called once per SYNC, never waits."""
         if self._posted is not None and not self._posted.answered and time.monotonic() < self._posted.until_s:
             return
         if self._posted is not None:

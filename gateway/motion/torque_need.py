@@ -109,9 +109,7 @@ def links_with_loads(workspace: Workspace, arm: ArmConfig, loads: Sequence[FeedL
 
 
 def possible_loads(workspace: Workspace, arm: ArmConfig) -> tuple[FeedLoad, ...]:
-    """Return the rated and the heaviest load, if defined: solid bodies with their centre of gravity in the last
-    link.
-    """
+    """Return the rated and the heaviest load, if defined, as solid bodies in the last link."""
     loads = [] if arm.rated_load_kg is None else [rated_load(arm, workspace.robot)]
     if workspace.max_load is not None:
         com_m = workspace.max_load[1:] / workspace.max_load[0]

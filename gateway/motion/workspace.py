@@ -98,9 +98,7 @@ class Workspace:
         return replace(self, space=self.space.with_clearance())
 
     def draw(self, random: np.random.Generator, count: int) -> np.ndarray:
-        """Draw random postures (count, N) [rad] inside the joint limits, each joint within half a turn of its
-        middle.
-        """
+        """Draw random postures (count, N) [rad] inside the joint limits, within half a turn of their middle."""
         middle, half = (self.upper_rad + self.lower_rad) / 2, (self.upper_rad - self.lower_rad) / 2
         return middle + np.minimum(half, np.pi) * random.uniform(-1, 1, (count, self.robot.axes))
 
@@ -172,8 +170,7 @@ class Workspace:
         return torque / self.efficiency
 
     def path_clear(self, start_rad: np.ndarray, end_rad: np.ndarray) -> np.ndarray:
-        """Return True for each straight joint motion from start (n, N) to end (n, N) that violates no limit: bool array
-        (n,).
+        """Return True for each straight motion from start (n, N) to end (n, N) that violates no limit: bool (n,).
 
         Collisions and joint limits are checked along the whole path, the holding torque at points `PATH_STEP_RAD`
         apart.

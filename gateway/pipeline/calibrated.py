@@ -41,9 +41,7 @@ class Calibrated:
     provenance: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 
     def gain_std(self, stated: Sequence[float]) -> tuple[float, ...]:
-        """Return the relative standard deviations (N,) of the torque constants; the stated ones where not
-        calibrated.
-        """
+        """Return the relative standard deviations (N,) of the torque constants; else the stated ones."""
         return tuple(np.where(np.isfinite(self.std), self.std, stated).tolist())
 
 

@@ -181,8 +181,7 @@ def _poses(entered: EnteredLoad, visits: Visits, residual_nm: Floats) -> list[Ma
 
 
 def flange_equivalent(entered: EnteredLoad, q_rad: Floats, torque_nm: Floats) -> tuple[Floats, Floats]:
-    """Return the force (n,) [N] and moment (n,) [Nm] at the flange that cause a torque (n, N): least squares of `J' w =
-    tau`.
+    """Return the force (n,) [N] and moment (n,) [Nm] at the flange equivalent to a torque (n, N): `J' w = tau`.
 
     Near a singular posture, the part of the torque that no moderate force explains is left out.
     """

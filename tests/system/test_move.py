@@ -108,7 +108,7 @@ def test_where_another_command_cannot_begin_it_names_the_next_step_and_that_work
     cell = place.variant("posts", ("keep_out = [\n", f"keep_out = [\n{posts}"))
     refused = gateway("check", cell, "--bus", drives.bus, "--move", "--yes")
     assert refused.exit_code == 5, refused.output
-    assert "joint 1: no room for 0.15 rad (8.59 deg) to either side" in said(refused)
+    assert "joint 1: no room for 0.15 rad (8.59 deg) in either direction" in said(refused)
     command = said(refused).split("To continue, move the arm (asks first): servo-gateway ")[1]
     assert command.startswith(f"move {cell} --bus {drives.bus} --to home")
     moved = gateway(*shlex.split(command), "--yes", "--override", 100)

@@ -173,9 +173,7 @@ def best_first(
 
 
 def _left(std: Floats, aim: Floats) -> Floats:
-    """Return the distance of standard deviations (n, 4) to the aimed half widths (4,): sum of logarithms, 0 =
-    reached.
-    """
+    """Return the distance of standard deviations (n, 4) to the aimed half widths (4,): sum of logarithms."""
     asked = np.isfinite(aim) & (aim > 0)
     ratio = half_width(1.0) * std[:, asked] / aim[asked]
     return np.log(np.maximum(ratio, 1.0)).sum(axis=1)

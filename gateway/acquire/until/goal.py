@@ -103,9 +103,7 @@ def _number(text: str, name: str, value: str) -> tuple[float, str]:
 
 
 def half_widths(load: LoadEstimate | None) -> Floats:
-    """Return the half widths (4,) of the 95 % intervals of a load's mass [kg] and centre of gravity [m]; infinite if
-    not known.
-    """
+    """Return the half widths (4,) of the 95 % intervals of mass [kg] and centre of gravity [m]; infinite if unknown."""
     if load is None:
         return np.full(4, math.inf)
     std = np.concatenate([[load.mass_std_kg], load.com_std_m])

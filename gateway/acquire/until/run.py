@@ -67,8 +67,7 @@ def record_until(
     listeners: Sequence[Listener] = (),
     options: MoveOptions | None = None,
 ) -> UntilSummary:
-    """Measure a load pose by pose until its uncertainty is small enough or no pose helps; the brakes are on before and
-    after.
+    """Measure a load pose by pose until its uncertainty is small enough or no pose helps; then apply the brakes.
 
     Parameters
     ----------

@@ -226,9 +226,7 @@ def _seconds(search: LoadSearch, at_rad: Floats, q_rad: Floats) -> Floats:
 
 
 def _plan(search: LoadSearch, at_rad: Floats, best_rad: Floats, named: tuple[int, int]) -> Plan:
-    """Return the plan of the best pose with a free path; `named` holds its number and the samples per approach
-    direction.
-    """
+    """Return the plan of the best reachable pose; `named` is its number and the samples per approach direction."""
     number, samples = named
     if not len(best_rad):
         raise PlanRefused(

@@ -35,9 +35,7 @@ def terms_at_rest(rows: Visits, setup: RestSetup, allowed: Iterable[str] = LIBRA
 
 
 def terms_in_motion(motion: MovingRows, setup: MotionSetup, allowed: Iterable[str] = LIBRARY) -> list[Term]:
-    """Return every effect at every location and in every form that moving samples can show, except residual-based
-    ones.
-    """
+    """Return every effect at every location and in every form for moving samples, except residual-based ones."""
     effects = [LIBRARY[name] for name in sorted(allowed) if not LIBRARY[name].by_residual]
     return [term for effect in effects for term in effect.in_motion(motion, setup)]
 

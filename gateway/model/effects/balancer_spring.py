@@ -185,9 +185,7 @@ class GasBalancer(_Balancer):
         return bool(theta[0] > 0)
 
     def report(self, theta: Floats, covariance: Floats) -> tuple[Named, Named]:
-        """Return the stiffness at the shortest length, and `gas_stroke` = full rod stroke divided by the gas column
-        length.
-        """
+        """Return the stiffness at the shortest length, and `gas_stroke` = rod stroke / gas column length."""
 
         def named(value: Floats) -> Named:
             ratio, stroke = _share(value[2]), _stroke(value[3])
