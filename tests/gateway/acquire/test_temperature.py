@@ -9,11 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from drives.bus import BusSpec
 from gateway.acquire.session import BusOverride, RecordRequest, make_plan, open_arm, record
 from gateway.cell.config import load_cell, with_pacing
+from gateway.cli import main
 from gateway.data.recording.reader import read
+from gateway.result.result import read_result
 from sim.serve import running
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.xdist_group("session")]
@@ -45,16 +48,18 @@ def cell(tmp_path) -> Path:
 def test_the_recording_holds_the_temperature_of_the_drives(cell, tmp_path):
     pytest.importorskip("pybullet")
     loaded = with_pacing(load_cell(cell), "lockstep")
-    plan = make_plan(loaded, n_poses=2)
-    plan = replace(plan, poses=plan.poses[:2])
+    plan = make_plan(loaded, n_poses=5)
     truth = {}
-    with running(cell, bus=f"virtual:{uuid.uuid4()}", pacing="lockstep") as simulation:
+    options = {"pacing": "lockstep", "payload": cell.parent / "payload.toml"}
+    with running(cell, bus=f"virtual:{uuid.uuid4()}", **options) as simulation:
         world = simulation.simulation.arms[0].world
         # not the course of any model: 20 deg C at first, 0.5 K a second, each motor a degree above the one before
         world.plant = replace(world.plant, temperature_c=lambda time_s: 20.0 + 0.5 * time_s + np.arange(6.0))
         begun_s = world.time_s
         with open_arm(loaded, BusOverride(BusSpec.parse(simulation.bus))) as opened:
             record(opened, plan, RecordRequest("none", tmp_path / "run.h5"))
+            simulation.mount("load")
+            record(opened, plan, RecordRequest("load", tmp_path / "run.h5", resume=True))
         truth["least"], truth["most"] = 20.0 + 0.5 * begun_s, 20.0 + 0.5 * world.time_s
     arm = read(tmp_path / "run.h5").arms[0]
     found = np.array([visit.temperature_c for visit in arm.visits])
@@ -67,3 +72,12 @@ def test_the_recording_holds_the_temperature_of_the_drives(cell, tmp_path):
     assert np.ptp(warmed, axis=1).max() < 1.0
     assert (np.diff(warmed.mean(axis=1)) > 0.0).all()
     assert np.array_equal(read(tmp_path / "run.h5").table().temperature_c, found, equal_nan=True)
+
+    result, page = tmp_path / "result.json", tmp_path / "page.html"
+    for words in (["estimate", tmp_path / "run.h5", "--json", result], ["report", result, "-o", page]):
+        done = CliRunner().invoke(main, [str(word) for word in words])
+        assert done.exit_code == 0, done.output
+    ranges = np.array(read_result(result).data.temperature_c)
+    assert ranges[1:] == pytest.approx(np.array([found.min(axis=0), found.max(axis=0)]).T[1:])
+    assert np.isnan(ranges[0]).all()
+    assert "Temperature of motor or drive while measuring: J2" in page.read_text(encoding="utf-8")
