@@ -1,6 +1,6 @@
 """What the certificate states, whether a wrong load is accepted, what a load costs, and whether a replay differs.
 
-python -m benchmarks.certify [--arms 200] [--draws 1000] [--replays 10] [--paths 20]
+python -m benchmarks.certify [--arms 200] [--draws 1000] [--replays 10] [--paths 20] [--drifts 60]
                             [--jobs 1] [--out out/certify]
 
 Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of their own.
@@ -13,6 +13,7 @@ Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of
   that the estimate assumes, the mass is estimated from each draw, and half the 95 % interval of its error is held
   against the expanded uncertainty of the certificate.
 - Replay: stored measurements are computed again with another number of threads.
+- Temperature: mass with a drift by recorded temperatures, against time alone.
 - Load cost: cycle times of `cost` on drawn paths against a search with pinocchio, and the time-optimal bound.
 """
 
@@ -32,6 +33,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--replays", type=int, default=10)
     parser.add_argument("--paths", type=int, default=20)
+    parser.add_argument("--drifts", type=int, default=60)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/certify"))
     arguments = parser.parse_args(argv)
@@ -42,6 +44,7 @@ def main(argv: list[str]) -> int:
     from benchmarks.certify.certificate import certificate_figures, drawn_mass
     from benchmarks.certify.load_cost import cost_figures, cost_of_path
     from benchmarks.certify.replays import replay_figures, replayed
+    from benchmarks.certify.temperature import drifting_arm, temperature_figures
     from tests.support.figure import show
 
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -53,6 +56,7 @@ def main(argv: list[str]) -> int:
     figures |= certificate_figures(draws)
     figures |= replay_figures(run(replayed, range(arguments.replays), arguments.jobs, out / "replays.jsonl"))
     figures |= cost_figures(run(cost_of_path, range(arguments.paths), arguments.jobs, out / "paths.jsonl"))
+    figures |= temperature_figures(run(drifting_arm, range(arguments.drifts), arguments.jobs, out / "drifts.jsonl"))
     (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n", encoding="utf-8")
     show(figures)
     return 0 if all(entry["met"] is not False for entry in figures.values()) else 1
