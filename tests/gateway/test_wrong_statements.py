@@ -1,7 +1,7 @@
 """Statements about an arm that the data contradict, from the command line: named, refused, or the load is right anyway.
 
 The arms are those of `benchmarks.conflict`, whose torques come from pinocchio; here their torque constants are exact
-and their links as stated, so that what is wrong is the one thing that is named.
+and their links as stated. The wrong statement is then the only one that is named.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Going somewhere: named postures, a way that is checked all along, and every end of it in the brakes."""
+"""The move command: named postures, a path checked over its whole length, and every stop ends in the brakes."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def with_box(cell, low_m, high_m):
 
 
 def post(cell):
-    """A post in front of the arm, in the way of a turn of joint 1 from one side to the other."""
+    """A post in front of the arm that blocks a turn of joint 1 from one side to the other."""
     return with_box(cell, (0.45, -0.05, -0.5), (0.6, 0.05, 0.95))
 
 
 def went(arm, target, *more):
-    """Plan the way and go; the plan that was driven."""
+    """Plan the path and drive it; return the plan."""
     plan = plan_transfer(arm, target)
     go(arm, plan, *more)
     return plan

@@ -164,7 +164,7 @@ def test_a_period_that_lacks_a_sync_twice_is_left_out(drive, store, fake):
 
 
 def stop_at(row: int, fake, kind=StopKind.ALONG_PATH):
-    """Somebody who asks for a stop at a SYNC."""
+    """An operator who asks for a stop at a SYNC."""
     cause = StoppedByPerson("stopped by SIGINT")
     return lambda: StopRequest(kind, cause) if fake.sync_index >= row else None
 

@@ -88,7 +88,7 @@ def test_expected_std_is_the_cramer_rao_bound(small_cell, workspace, poses):
 
 
 def test_what_is_expected_holds_the_torque_constants(small_cell, workspace, poses):
-    """Generalised least squares, each axis off by a draw of its constant at all poses alike."""
+    """Generalised least squares, each axis with one drawn error of its constant at all poses."""
     noise_nm, gain_std = assumed_noise_nm(workspace), np.array([0.03, 0.05, 0.02, 0.1, 0.05, 0.01])
     promise = expectation(workspace, poses, noise_nm, "test", gain_std)
     rows = load_rows(small_cell, np.array([pose.q_rad for pose in poses]))
@@ -339,7 +339,7 @@ def test_settings_come_from_the_cell(small_cell):
 
 
 def test_a_visit_of_the_large_arm_takes_five_to_six_seconds(large_cell):
-    """Both sides at one pose, without the way to it."""
+    """Both approaches of one pose, without the transfer to it."""
     plan = make_plan(large_cell)
     short = plan_poses("main", _workspace(large_cell), plan.poses[:1], plan.settings)[0]
     assert 4.5 < short.duration_s < 6.0

@@ -135,7 +135,7 @@ def test_incomplete_epochs_are_sampled_again_and_marked(station, plan, store, ev
 
 
 def stopped_by(station, asked, kind=StopKind.ALONG_PATH):
-    """The same station, where somebody wants the arm to stop as soon as `asked` says so."""
+    """The same station, where an operator stops the arm as soon as `asked` says so."""
     desk = StopDesk(lambda: StopRequest(kind, StoppedByPerson("a person")) if asked() else None)
     return replace(station, options=MoveOptions(desk))
 

@@ -40,7 +40,7 @@ def asks_at(slaves: list[Joint], sync: int, kind: StopKind, asked: list[int]) ->
 
 
 def phases_of(slave: Joint) -> dict[str, int]:
-    """A SYNC in the middle of what goes on one after the other in a proof that nobody stops."""
+    """A SYNC in the middle of what goes on one after the other in an uninterrupted proof."""
     states, targets = slave.states, [target for _, target in slave.commands]
 
     def first(after: int, found: Callable[[int], bool]) -> int:

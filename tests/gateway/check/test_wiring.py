@@ -1,4 +1,4 @@
-"""Wirings told from small moves; the torques are pinocchio's, behind gears with friction, as drives report them."""
+"""Wirings determined from small moves; torques are pinocchio's, behind gears with friction, as drives report them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ START = np.array([0.2, 0.5, 0.2, 0.6, 0.7, 0.3])
 
 
 def moves(axes: AxisConversion = AXES, order=None, seed=1) -> Moves:
-    """Motor words of the arm that stands there, wired as `axes` and `order` say."""
+    """Motor words of the arm at rest there, wired as `axes` and `order` say."""
     data, rng = PIN.createData(), np.random.default_rng(seed)
     asked = [START, *(START + step * np.eye(6)[joint] for joint, step in enumerate((0.15, 0.15, 0.15, 0.3, 0.3, 0.3)))]
     order = np.arange(6) if order is None else np.array(order)

@@ -1,4 +1,4 @@
-"""Before a load is hung, the arm moves to the loading posture, if the cell names it and a path is free."""
+"""Before a load is mounted, the arm moves to the loading posture, if the cell names it and a path is free."""
 
 from __future__ import annotations
 

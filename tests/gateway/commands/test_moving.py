@@ -13,7 +13,7 @@ MOVE: dict[str, Any] = {"override": 50, "hold_to_run": False, "yes": True, "paci
 
 
 def printing(moving: MoveChoice, **_named: Any) -> None:
-    """A command whose words nobody reads any more."""
+    """A command whose output is closed."""
     assert moving.override == 50
     raise BrokenPipeError
 

@@ -1,4 +1,4 @@
-"""A terminal that takes no output: whoever prints never waits, and what was dropped is counted."""
+"""A terminal that takes no output: printing never waits, and dropped lines are counted."""
 
 from __future__ import annotations
 

@@ -106,7 +106,7 @@ def test_a_reversed_sign_is_a_failing_finding(arm, tmp_path):
 
 @pytest.mark.slow
 def test_the_last_axis_is_looked_at_too(arm, tmp_path):
-    """A cable on the last axis: the joints that an effect may sit on go to N."""
+    """A cable on the last axis: the joints that an effect may act on go to N."""
     effect = {"name": "cable_torque", "joints": [arm.axes], "parameters": {"stiffness_nm_rad": 4.0}}
     code, body, said = diagnosed(arm, tmp_path / "out.json", table(arm, tmp_path / "run.csv", [effect]))
     assert code in (0, 7), said

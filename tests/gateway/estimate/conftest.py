@@ -51,7 +51,7 @@ def assert_same(found, truth):
 
 @dataclass
 class Arm:
-    """The arm as pinocchio knows it, with something on the flange."""
+    """Pinocchio's model of the arm, with a body on the flange."""
 
     text: str = field(default_factory=urdf)
     band_nm: np.ndarray = field(default_factory=lambda: BAND_NM)

@@ -1,4 +1,4 @@
-"""What is said of a load and of the rows: by numbers that stand on either side of each limit."""
+"""What is said of a load and of the rows: by numbers on either side of each limit."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_what_lumps_with_the_load_is_named_and_nothing_else(arm):
 
 
 def test_moments_that_a_load_leaves_open_are_bounded_by_an_unknown_load():
-    """Mass up to a load nobody knows, moments up to that 0.3 m away; what is known stays as it is."""
+    """Mass up to an unknown load, moments up to that 0.3 m away; what is known stays as it is."""
     known = SimpleNamespace(refused=None, covariance=np.diag([1.0, 2.0, 3.0, 4.0]), unidentifiable=())
     assert recommendation._with_unknown(known, 1.0) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]
     half = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("com_y_m",))

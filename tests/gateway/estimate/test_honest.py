@@ -23,7 +23,7 @@ SCATTER = 0.1
 
 @dataclass(frozen=True)
 class Nature:
-    """How the arm differs from its model: relative standard deviations, and an efficiency that nobody states."""
+    """How the arm differs from its model: relative standard deviations, and an unstated efficiency."""
 
     gain: float = 0.0
     bias: float = 0.0

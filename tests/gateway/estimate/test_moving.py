@@ -59,7 +59,7 @@ def test_friction_and_residual_of_a_bare_run(arm, table_of, inertials):
         np.testing.assert_allclose(friction(found, "rotor_inertia"), ROTOR, rtol=1e-3)
         np.testing.assert_allclose(friction(found, "offset"), OFFSET, atol=1e-3)
     np.testing.assert_allclose(found.rows.rms_nm, 0, atol=1e-2)
-    assert np.isnan(found.sigma_nm).all()  # one run tells no noise floor
+    assert np.isnan(found.sigma_nm).all()  # one run determines no noise floor
 
 
 def test_load_from_bare_and_loaded_run(arm, table_of):

@@ -181,7 +181,7 @@ def test_torques_without_stated_constants_may_all_share_one_error(clean, robot):
 
 
 def test_links_that_share_one_error_are_known_by_their_masses(clean, robot):
-    """A factor of every link looks like a gain of all axes: a link's ten numbers tell it once, not several times."""
+    """A factor of every link looks like a gain of all axes: ten numbers of a link determine it once, not ten times."""
     trust, options = 0.05, EstimateOptions(inertials="prior:0.05")
     columns = moving_columns(table_of_periods(clean, periods=1), robot, options, MovingSetup())
     factor = np.where(np.arange(len(columns.names)) < columns.bodies, columns.prior.mean, 0.0)

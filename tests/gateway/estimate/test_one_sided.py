@@ -1,4 +1,4 @@
-"""Poses approached from one side: friction that grows with the transmitted torque is no mass."""
+"""Poses approached from one side: friction that grows with the transmitted torque is not taken for mass."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from gateway.result.drawn import Drawn
 from gateway.result.result import AxisMotion, LoadResult, Result, to_json
 from tests.gateway.feedforward.conftest import EXAMPLES
 
-#: As a run in motion tells it of axis 2 of the large arm, of which a rotor of 305 kg m2 is typed and no friction.
+#: As identified by a run in motion for axis 2 of the large arm, of which a rotor of 305 kg m2 is typed and no friction.
 AXIS_2 = AxisMotion(
     2,
     coulomb_nm=95.0,
@@ -83,7 +83,7 @@ def test_what_was_identified_comes_before_what_was_typed_with_file_and_date(cell
     assert {known[1].rotor_kg_m2.source, known[1].coulomb_nm.source} == {SOURCE}
     assert (known[1].breakaway_nm, known[1].stribeck_rad_s, known[1].load_friction) == (110.0, 0.02, 0.03)
     assert known[1].notes == ()
-    # an axis of which motion told nothing keeps what is typed
+    # an axis that motion did not identify keeps what is typed
     assert (known[0].rotor_kg_m2.value, known[0].rotor_kg_m2.source) == (
         220.0,
         "datasheet p. 4, times gear ratio squared",

@@ -41,8 +41,8 @@ def arm_inertia(rotor_kg_m2, mass_kg, distance_m, own_kg_m2):
 def equation_8(inertia_kg_m2, mass_kg, lever_m, acceleration_rad_s2):
     """tau = (J + m6 L) q'' with L = r6^2, r6 from the joint's axis to the load's centre of gravity.
 
-    The print gives L = (s1 + l1 + s6)^2, which counts s1 twice when s1 is measured from the joint, as J needs it, and
-    l1 is the arm's length: (l1 + s6)^2 is right.
+    The print gives L = (s1 + l1 + s6)^2. With s1 measured from the joint, as J needs it, and l1 the arm's length, this
+    counts s1 twice: (l1 + s6)^2 is right.
     """
     return (inertia_kg_m2 + mass_kg * lever_m**2) * acceleration_rad_s2
 

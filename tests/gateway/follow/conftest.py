@@ -110,7 +110,7 @@ def arm(loaded, perfect):
 
 @pytest.fixture
 def feed(loaded):
-    """Model of the large arm as the feedforward knows it."""
+    """Model of the large arm that the feedforward uses."""
     config = loaded.cell.arm[0]
     return feed_model(config, arm_robot(loaded, config), [load_profile("generic-cia402")] * 6, Result(robot="qh165"))
 

@@ -88,7 +88,7 @@ def test_a_path_that_barely_moves_determines_nothing(model, motion, measured):
 
 
 def test_axes_that_do_not_move_leave_directions_open(model, motion, measured):
-    """Axis 1 alone under vertical gravity tells nothing of the load."""
+    """Axis 1 alone under vertical gravity gives no information on the load."""
     q = motion[0].copy()
     q[:, 1:] = q[0, 1:]
     fed = assumed_load("a", MASS, COM, "")

@@ -1,4 +1,4 @@
-"""A body that stays mounted has one mass: late mounting, two loads of one label, a load in the unloaded run."""
+"""A body that stays mounted has one mass: delayed mounting, two loads of one label, a load in the unloaded run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The feed never makes the motion loop wait: what finds no room is left out, and a page that is gone is let go."""
+"""The feed never makes the motion loop wait: rows beyond the buffer are dropped, and a closed page is released."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_a_screen_is_not_fed_faster_than_it_shows(rig, scene):
 
 
 def test_a_page_that_does_not_read_costs_rows_and_no_time(rig, scene):
-    """The kernel's room fills up; every row after that is left out and counted, and nothing is ever waited for."""
+    """The kernel's buffer fills up; every row after that is left out and counted, and nothing is ever waited for."""
     rig.feed.began(scene)
     for sync in range(1, 5001):
         rig.feed.sampled(observed(sync, Q_RAD))

@@ -91,7 +91,7 @@ def test_without_a_wish_the_next_free_port_is_taken():
 
 
 def test_no_other_computer_on_the_network_reaches_it(page):
-    """127.0.0.2 is the same computer by another of its addresses: nobody listens there."""
+    """127.0.0.2 is the same computer by another of its addresses: no server listens there."""
     port = int(page.address.split(":")[2].split("/")[0])
     with socket.socket() as elsewhere, pytest.raises(ConnectionRefusedError):
         elsewhere.connect(("127.0.0.2", port))

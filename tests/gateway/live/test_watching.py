@@ -25,7 +25,7 @@ STEP_RAD = 0.01
 
 
 class FakeListenOnlyBus:
-    """What `ListenOnlyBus` tells, as a test has it; motor angles of six axes."""
+    """Readings of `ListenOnlyBus`, set by the test; motor angles of six axes."""
 
     def __init__(self) -> None:
         self.bus = SimpleNamespace(listen=lambda _seconds: None)

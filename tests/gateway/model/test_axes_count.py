@@ -87,7 +87,7 @@ def test_names_count_to_the_last_link(cell):
 
 @pytest.mark.parametrize("convention", ["modified", "standard"])
 def test_a_table_of_seven_rows_is_the_arm_of_seven_axes(convention):
-    """The lightweight arm's lines by Denavit-Hartenberg rows; its last axis is moved aside in the URDF."""
+    """The lightweight arm's lines by Denavit-Hartenberg rows; its last axis is shifted in the URDF."""
     quarter, along = np.pi / 2, (0.36, 0.0, 0.42, 0.0, 0.40, 0.0)
     turns = (-quarter, quarter, quarter, -quarter, -quarter, quarter)
     alpha = (0.0, *turns) if convention == "modified" else (*turns, 0.0)

@@ -1,4 +1,4 @@
-"""Arms under one clock: brought up together, one SYNC each, stopped together whoever fails first."""
+"""Arms under one clock: brought up together, one SYNC each, stopped together whichever fails first."""
 
 from __future__ import annotations
 
@@ -274,7 +274,7 @@ def test_a_sync_that_one_arm_cannot_take_part_in_is_left_by_all(drives, part):
 
 
 def test_who_is_in_the_middle_of_a_sync_leaves_it_before_being_stopped(drives):
-    """The thread that stops an arm could not get at its bus otherwise until the other arm stands."""
+    """The thread that stops an arm could not use its bus otherwise until the other arm is at rest."""
     arms = Arms([Arm(str(index), each, each.axes) for index, each in enumerate(drives)], "real")
     up(arms)
     order = []

@@ -187,7 +187,7 @@ def test_a_thin_plate_between_two_postures_blocks_the_path(workspace):
 
 
 def test_paths_are_clear_exactly_where_fine_sampling_is(workspace):
-    """Against 1000 samples a way, of boxes, floor, column and the arm itself; a closer way may be refused."""
+    """Against 1000 samples of each path, with boxes, floor, column and the arm itself; a closer path may be refused."""
     random = np.random.default_rng(5)
     boxes = np.array([[[0.3, 0.2, 0.0], [0.4, 0.5, 0.9]], [[-0.6, -0.4, 0.5], [-0.4, 0.0, 0.8]]])
     own = workspace.space

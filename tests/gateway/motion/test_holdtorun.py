@@ -147,7 +147,7 @@ def test_the_wait_ends_with_the_first_repeat(typist, clock):
 
 
 def test_keys_that_were_not_looked_at_for_long_do_not_prove_that_one_is_held(typist, clock):
-    """Nobody looks while the drives are read before they are enabled: the key may have been released meanwhile."""
+    """The key is not checked while the drives are read before enabling: the key may have been released meanwhile."""
     typist.hold(1.0, repeats=5)
     typist.key.wait()
     typist.pass_until(clock.now_s + 5.0)
@@ -260,7 +260,7 @@ def test_a_first_key_may_take_longer_to_repeat_than_the_next_one(clock, keyboard
 
 
 def test_a_key_pressed_twice_before_the_start_is_pressed_once(clock, keyboard):
-    """Whoever presses again while the drives come up has not yet shown how fast the key repeats."""
+    """A second press while the drives are enabled does not yet show how fast the key repeats."""
     reading, writing = keyboard
     key = HeldKey(reading)
     for _ in range(2):

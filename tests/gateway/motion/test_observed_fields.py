@@ -1,4 +1,4 @@
-"""What is handed on of a SYNC: every field of the arm that is asked for, NaN where a drive was silent."""
+"""Observed fields of a SYNC: all of the requested arm, NaN where a drive did not respond."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What an arm takes for its own motion, where it was identified, is no sign of contact: against pinocchio."""
+"""The identified torque of an arm's own motion does not count as contact: against pinocchio."""
 
 from __future__ import annotations
 

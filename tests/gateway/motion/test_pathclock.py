@@ -52,7 +52,7 @@ def test_a_stop_anywhere_on_a_straight_motion_keeps_line_and_limits(start, targe
 
 
 def curved(duration_s: float) -> Motion:
-    """A way on which every joint turns round, from rest to rest."""
+    """A path on which every joint reverses, from rest to rest."""
     knots = np.linspace(0.0, duration_s, 7)
     points = np.array(
         [[0.0] * 6, [0.1, 0.2, -0.1, 0.1, 0.0, 0.2], [0.3, 0.1, 0.1, -0.1, 0.2, 0.1], [0.2, -0.1, 0.2, 0.0, 0.3, 0.0]]

@@ -1,4 +1,4 @@
-"""Ways of several arms, sampled between their rows."""
+"""Paths of several arms, sampled between their rows."""
 
 from __future__ import annotations
 

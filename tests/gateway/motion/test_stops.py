@@ -1,4 +1,4 @@
-"""Wishes to stop: the first cause is kept, the most urgent kind wins, signals and listeners ask like everybody else."""
+"""Stop requests: the first cause is kept, the most urgent kind wins, signals and listeners are sources too."""
 
 import os
 import signal
@@ -158,7 +158,7 @@ def test_an_output_that_is_a_file_or_nothing_is_not_looked_at(tmp_path):
 
 
 def ended_by_rich() -> SystemExit:
-    """What rich raises when it prints and nobody reads."""
+    """What rich raises when it prints to a closed pipe."""
     try:
         try:
             raise BrokenPipeError

@@ -1,4 +1,4 @@
-"""What stands around an arm, and what is assumed of it: floor, wall, column, the load's size, the arm itself."""
+"""Surroundings of an arm, stated and assumed: floor, wall, column, the load's size, the arm itself."""
 
 import itertools
 from pathlib import Path

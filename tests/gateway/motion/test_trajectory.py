@@ -1,4 +1,4 @@
-"""Motions keep their limits and lie on a straight line."""
+"""Motions keep their limits and are straight lines."""
 
 import numpy as np
 import pytest

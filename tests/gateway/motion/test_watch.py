@@ -81,7 +81,7 @@ def test_following_error(watch, workspace):
 
 
 def test_speed_is_measured_over_the_syncs_that_passed(watch, workspace):
-    """A gap of four SYNCs is no jump."""
+    """A gap of four SYNCs does not count as a jump."""
     speed = workspace.speed_rad_s[0]
     index = [0, 1, 2, 7, 8, 9, 14, 15, 16]
     q = [joint(1, speed * PERIOD_S * k) for k in index]
@@ -140,12 +140,12 @@ def test_modelled_torque_is_gravity(watch, workspace):
 
 
 class TestSettle:
-    """The arm stands when nothing moves beyond noise."""
+    """The arm is at rest when nothing moves beyond noise."""
 
     limit_nm = np.full(6, 100.0)
 
     def run(self, q_of_t, torque_of_t, noise_nm: float = 0.0, seconds: float = 3.0) -> float:
-        """Time until it stands; infinite if it never does."""
+        """Return the time until it is at rest; infinite if it never is."""
         random = np.random.default_rng(1)
         test = SettleTest(PERIOD_S, self.limit_nm)
         for row in range(int(seconds / PERIOD_S)):
@@ -205,7 +205,7 @@ def test_a_rhythm_that_is_not_kept_stops_the_arm(watch):
 
 @pytest.mark.parametrize(("delayed", "allowed", "fine"), [(6, 2.0, True), (8, 2.0, False), (6, 0.0, False)])
 def test_in_real_time_a_drive_may_take_its_setpoints_with_delay(workspace, delayed, allowed, fine):
-    """What a drive that buffers setpoints is behind is no following error."""
+    """The lag of a drive that buffers setpoints does not count as a following error."""
     period_s = 0.05
     step = workspace.following_error_rad[5] / 3.0
     targets = [joint(6, step * (row - delayed)) for row in range(40)]
@@ -254,7 +254,7 @@ def test_a_joint_may_stand_a_little_beyond_its_range(workspace, side, beyond, st
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_joint_outside_its_range_may_move_in_and_never_out_again(workspace, side):
-    """0.1 rad outside; a third of the way in it turns round."""
+    """0.1 rad outside; after a third of the path inwards it reverses."""
     edge = workspace.upper_rad[1] if side > 0 else workspace.lower_rad[1]
     begin = edge + side * 0.1
     watch = Watch("main", workspace, PERIOD_S)

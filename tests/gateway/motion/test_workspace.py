@@ -201,7 +201,7 @@ def test_the_first_bad_place_of_a_path_is_named(workspace):
 
 
 def test_a_path_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
-    """The arm is stretched out halfway; at both ends it is not. Whichever of several ways it is."""
+    """The arm is stretched out halfway; at both ends it is not. Whichever of several paths it is."""
     path = np.array([[0.0, -1.2, 0.0, 0.0, 0.0, 0.0], [0.0, 2.0, 0.0, 0.0, 0.0, 0.0]])
     places = np.linspace(0, 1, 200)[:, None] * (path[1] - path[0]) + path[0]
     free = replace(among_boxes(workspace, NO_BOX), lower_rad=np.full(6, -3.0), upper_rad=np.full(6, 3.0))
@@ -223,7 +223,7 @@ def test_a_path_that_needs_too_much_torque_in_its_middle_is_refused(workspace):
 
 
 def test_the_least_efficient_side_of_the_loads_counts(workspace, postures):
-    """A load that hangs on the other side of a joint may relieve it: the unloaded arm then needs more."""
+    """A load on the other side of a joint may relieve it: the unloaded arm then needs more."""
     links = gravity_of(workspace, postures, workspace.links)
     relief = replace(workspace, max_load=np.array([3.0, -0.9, 0.0, 0.0]))
     loaded = links + gravity_of(workspace, postures, np.r_[np.zeros(20), relief.max_load])

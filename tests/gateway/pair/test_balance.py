@@ -77,7 +77,7 @@ class Bench:
     def run(
         self, force_n: np.ndarray, extra_nm=(0.0, 0.0), uncertainty: ModelUncertainty | None = None, off_s=0.0
     ) -> ModelUncertainty:
-        """A way with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, N) beside.
+        """A path with a force (M, 3) inside the part, on gripper 2 as it is, and torques (M, N) beside.
 
         Both grippers feel it about the part's middle, so that the part has no cause to turn. Positions are those of
         instants (M, 1) that are `off_s` beside what is reported of them.
@@ -135,7 +135,7 @@ def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(b
 
 @pytest.mark.parametrize("force_n", [(30.0, 0.0, 0.0), (0.0, -20.0, 10.0)])
 def test_thirteen_torques_hold_the_same_six_numbers(thirteen, force_n):
-    """By virtual work of both hands; what is left of thirteen rows tells of 5 constants a joint and 4 of the part."""
+    """By virtual work of both hands; the other thirteen rows determine 5 constants a joint and 4 of the part."""
     uncertainty = thirteen.run(pulled(thirteen, force_n))
     thirteen.balance.learn()
     found = thirteen.balance.internal_force()
@@ -147,7 +147,7 @@ def test_thirteen_torques_hold_the_same_six_numbers(thirteen, force_n):
 
 
 def test_friction_of_the_additional_axis_is_estimated_too(thirteen):
-    """Joint 3 of the arm of seven rubs a quarter less than the cell says; its neighbours rub as it does."""
+    """Joint 3 of the arm of seven has a quarter less friction than the cell says; its neighbours do not."""
     extra = np.zeros((len(thirteen.path), 7))
     extra[:, 2] = -0.25 * thirteen.cell.arms[0].coulomb_nm[2] * thirteen.turns(0, 2)
     uncertainty = thirteen.run(pulled(thirteen, (0.0, 0.0, 0.0)), (extra, 0.0))
@@ -193,7 +193,7 @@ def test_both_hands_receive_the_force_and_the_weight_of_the_part(bench):
 
 
 def test_a_change_of_friction_is_estimated_from_the_shared_part(bench):
-    """Joint 2 of the master rubs a quarter more than the cell says: 6.75 Nm."""
+    """Joint 2 of the master has a quarter more friction than the cell says: 6.75 Nm."""
     extra = np.zeros((len(bench.path), 6))
     extra[:, 1] = 0.25 * bench.cell.arms[0].coulomb_nm[1] * bench.turns(0, 1)
     uncertainty = bench.run(pulled(bench, (0.0, 0.0, 0.0)), (extra, 0.0))
@@ -206,7 +206,7 @@ def test_a_change_of_friction_is_estimated_from_the_shared_part(bench):
 
 
 def test_wrong_instants_determine_no_inertia(bench):
-    """30 us at 4 ms feign accelerations above the true ones: torques that nothing needs would be told as rotors'."""
+    """30 us at 4 ms feign accelerations above the true ones: torques without a cause would be attributed to rotors."""
     off_s = np.random.default_rng(1).normal(0.0, 30e-6, (len(bench.path), 1))
     uncertainty = bench.run(np.zeros((len(bench.path), 3)), off_s=off_s)
     bench.balance.learn()
@@ -241,7 +241,7 @@ def test_a_cable_force_in_one_direction_changes_no_constants_of_the_arms(bench):
 
 
 def test_friction_of_another_day_is_no_cable(bench):
-    """All joints rub a quarter more, or less, than the cell says: told at once."""
+    """All joints have a quarter more, or less, friction than the cell says: estimated at once."""
     for share in (0.25, -0.25):
         extra = [
             share * arm.coulomb_nm * np.stack([bench.turns(a, joint) for joint in range(6)], axis=1)
@@ -321,7 +321,7 @@ def test_a_sync_that_one_arm_does_not_answer_leaves_the_force_as_it_is(bench):
 
 @pytest.mark.slow
 def test_intervals_hold_what_they_say_where_constants_are_drawn(bench):
-    """30 draws of the friction of all joints and of a force that sways; 95 % of the rows, within what 30 draws tell."""
+    """30 draws of joint friction and of a varying force; 95 % of the rows, within the scatter of 30 draws."""
     random = np.random.default_rng(3)
     inside, half = [], []
     for _ in range(30):

@@ -1,4 +1,4 @@
-"""What the hands yield to: compliance of gears told by cycles that were commanded differently."""
+"""Compliance of the hands: of gears, estimated from cycles with different commands."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def cycle(compliance: np.ndarray, needed: np.ndarray, command: np.ndarray) -> np
 
 
 def drawn(count: int, seed: int) -> np.ndarray:
-    """A way (count, 6) of a few tenths of a millimetre and a milliradian that sways."""
+    """A path (count, 6) of a few tenths of a millimetre and a milliradian that sways."""
     random = np.random.default_rng(seed)
     time = np.linspace(0.0, 2.0 * np.pi, count)[:, None]
     size = np.repeat([3e-4, 1e-3], 3)

@@ -56,7 +56,7 @@ class Spring:
         return np.concatenate([back @ first[:3], back @ first[3:]]), second
 
     def _stand(self, m: int, slave: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Where the arms stand, which follow the path without lag, and corrections one step late."""
+        """Position of the arms, which follow the path without lag and corrections one step later."""
         master = self._path.commands[m]
         ahead = slave_command(self._cell.w_t_b1, master, self._cell.w_t_b2, FIXED)
         if slave is None:
@@ -86,7 +86,7 @@ def controller_of(name: str, path: PairPath, cell: PairCalibration, **changes: o
 @pytest.mark.parametrize("name", [name for name, row in EMBODIMENTS.items() if row.sensing == "force"])
 def test_every_row_runs_on_the_same_controller(name: str, path: PairPath, bare: PairCalibration) -> None:
     row = EMBODIMENTS[name]
-    # hands that answer late: what they are at belongs to commands of as long before, as corrections do
+    # delayed hands: their position belongs to commands of that time before, as corrections do
     rule = None if row.learning is None else replace(row.learning, lead_s=LearningRule().lead_s)
     controller = controller_of(name, path, bare, learning=rule)
     assert controller.needs_measured == (row.learning is not None and row.learning.source == "measured")

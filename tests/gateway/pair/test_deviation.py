@@ -1,4 +1,4 @@
-"""How far both hands are off, told by the force in the part or by distance sensors."""
+"""Deviation of both hands, from the force in the part or from distance sensors."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ AB, CD = (Sample("a"), Sample("b")), (Sample("c"), Sample("d"))
 
 
 class Arm:
-    """An arm that shows what its samples are; its way begins at joint angles of 0.3 rad."""
+    """An arm that shows what its samples are; its path begins at joint angles of 0.3 rad."""
 
     def __init__(self) -> None:
         self.q_rad = np.full((ROWS, 6), 0.3)
@@ -99,7 +99,7 @@ def test_a_force_above_twice_its_limit_for_longer_than_its_time_stops_both():
 
 
 def test_a_force_of_one_sync_does_not_last_because_no_sample_follows_it():
-    """100 N, 8 ms: three SYNCs that have told it, others between them or not."""
+    """100 N, 8 ms: three SYNCs that show it, others between them or not."""
     found, balance, _ = deviation(50.0)
     balance.wrench = push(101.0)
     stops = []
@@ -119,7 +119,7 @@ def test_a_stop_shortly_after_a_delayed_sync_names_it(delay_s, rows_ago, cause):
     balance.wrench = push(101.0)
     for row in range(-70, ROWS):
         sample = Sample("a")
-        sample.sync_index = row + (row >= 0)  # one SYNC between standing and the way is not told
+        sample.sync_index = row + (row >= 0)  # one SYNC between standstill and the path is not reported
         sample.time_s = 10.0 + DT_S * sample.sync_index + (delay_s if row == 3 - rows_ago else 0.0)
         if row < 0:
             found.listen((sample, Sample("b")))
@@ -131,7 +131,7 @@ def test_a_stop_shortly_after_a_delayed_sync_names_it(delay_s, rows_ago, cause):
 
 
 def at_rest(away_rad: float) -> tuple:
-    """Samples of both arms, the second one this far from the beginning of its way."""
+    """Samples of both arms, the second one this far from the beginning of its path."""
     second = SimpleNamespace(q_rad=np.array([0.3] * 5 + [0.3 - away_rad]))
     return SimpleNamespace(q_rad=np.full(6, 0.3), sync_index=0, time_s=0.0), second
 

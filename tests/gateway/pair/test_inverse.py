@@ -150,7 +150,7 @@ def test_a_seven_axis_arm_follows_a_path_exactly_and_evenly(seven: PairArm, comm
 def test_of_all_postures_that_reach_a_pose_the_one_nearest_to_the_start_is_taken(
     seven: PairArm, commands: np.ndarray
 ) -> None:
-    """Nothing of the way to the start is left in the direction that the fingertip does not see, and it is no summit."""
+    """Nothing of the transfer to the start is left in the null space of the fingertip, and it is not a maximum."""
     free = replace(seven.chain, rest_rad=None)
     for row in (0, 300, 620, len(commands) - 1):
         q = path_joint_angles(seven.chain, commands[: row + 2], seven.start_rad)[0][row]
@@ -172,7 +172,7 @@ def test_a_pose_has_one_posture_whatever_the_approach(seven: PairArm, commands: 
 def test_a_posture_far_from_the_nearest_is_brought_there_in_few_steps(
     seven: PairArm, commands: np.ndarray, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Newton's steps to the nearest to a posture 0.5 rad off in joint 2, from 0.5 rad aside; without curvature 7."""
+    """Newton's steps to the nearest to a posture 0.5 rad off in joint 2, from 0.5 rad beside; without curvature 7."""
     chain = replace(seven.chain, rest_rad=seven.start_rad + 0.5 * np.eye(7)[1])
     looks, plain = [], ForwardChain.poses
     monkeypatch.setattr(ForwardChain, "poses", lambda self, q: (looks.append(1), plain(self, q))[1])

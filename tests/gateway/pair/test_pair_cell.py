@@ -26,7 +26,7 @@ def folder(tmp_path):
 
 
 def identified(joint, typed, factor):
-    """An axis of which motion tells `factor` times what is typed, to within 5 %."""
+    """An axis identified in motion at `factor` times what is typed, to within 5 %."""
     values = {key: factor * getattr(typed, key).value for key in KEYS}
     stds = {
         "rotor_inertia_std_kg_m2": 0.02 * values["rotor_inertia_kg_m2"],

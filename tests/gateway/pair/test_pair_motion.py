@@ -1,4 +1,4 @@
-"""What is prepared before a way of a pair, what it refuses, and how both arms are brought to where it begins."""
+"""Preparation of a path of a pair, its refusals, and the transfer of both arms to its start."""
 
 from __future__ import annotations
 
@@ -121,7 +121,7 @@ def test_a_prepared_trajectory_holds_the_nominal_joints_of_both_arms_and_their_r
 
 
 def test_distance_sensors_at_the_wanted_relation_say_that_nothing_is_to_be_moved(distance_cell):
-    """Each plane stands where its beam ends there; a hand that is moved along a beam changes what it says."""
+    """Each plane is where its beam ends there; a hand that is moved along a beam changes its reading."""
     layout = distance_cell.gap
     gaps = np.array([channel.gap_m for channel in layout.config.channel])
     assert layout.estimator.demanded_m == pytest.approx(gaps)

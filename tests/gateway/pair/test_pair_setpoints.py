@@ -46,7 +46,7 @@ class Pair:
 
 
 class Deviation:
-    """Tells a number, has a force, and is troubled when told to."""
+    """A deviation, a force and a fault, all set by the test."""
 
     def __init__(self) -> None:
         self.value_m, self.trouble, self.force_n, self.within_friction = 0.0, "", 0.0, False
@@ -71,7 +71,7 @@ class Deviation:
 
 
 class PreparedTrajectory:
-    """Commands become targets as they are: row m of arm k is m^2 + k, plus what is felt."""
+    """Commands become targets as they are: row m of arm k is m^2 + k, plus the deviation."""
 
     def __init__(self) -> None:
         rows = np.arange(ROWS)[:, None]
@@ -109,7 +109,7 @@ SAMPLES = tuple(SimpleNamespace(q_rad=np.full(6, np.nan)) for _ in range(2))
 
 
 def test_a_joint_that_lags_longer_than_the_others_is_sent_ahead(pair, deviation):
-    """By its speed times what it lags longer than all on average, and no more at the end of the way."""
+    """By its speed times what it lags longer than all on average, and no more at the end of the path."""
     pair.laws_s = np.tile((0.010, 0.012), (12, 1))
     pair.laws_s[6] = 0.022, 0.024
     prepared, rows = PreparedTrajectory(), 200
@@ -230,7 +230,7 @@ def test_smooth_goes_from_0_to_1_and_is_at_rest_at_both_ends():
 
 
 def forces(pair: Pair, deviation: Deviation, sizes_n: list[float]) -> list[StopKind]:
-    """What is asked for while a force stands that both arms are to be stopped for."""
+    """Request that is made while a force exceeds the limit for a stop of both arms."""
     pair_path, _ = along(pair, deviation)
     pair_path.targets(0.0, 1.0)
     for size_n in sizes_n:

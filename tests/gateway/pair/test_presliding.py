@@ -1,4 +1,4 @@
-"""Torque offset for friction: by hand, late by the servos' lag."""
+"""Torque offset for friction, delayed by the servos' lag: against hand calculation."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def test_sliding_mean_becomes_unstable_at_five() -> None:
 
 
 def learned_error(cycles: int, updates: int, schedule: str) -> list[float]:
-    """A scalar learner on the store: error of each cycle while its correction takes all of it away."""
+    """A scalar learning law on the store: error of each cycle while its correction takes all of it away."""
     store, offset, function, errors = CorrectionStore(cycles, 2), 1.0, 0.0, []
     for _ in range(updates):
         error = offset - function

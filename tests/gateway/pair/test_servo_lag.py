@@ -1,4 +1,4 @@
-"""What joints lag is seen on the way and given back as time slows down, against servos of a known law."""
+"""Lag of joints is estimated in motion and given back as time slows down, against servos of a known law."""
 
 from __future__ import annotations
 

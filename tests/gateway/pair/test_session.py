@@ -356,7 +356,7 @@ def test_one_relation_has_the_learning_points_of_a_row_that_learns(pair, distanc
 
 
 def test_speeds_that_were_learned_lie_between_rest_and_the_fastest(pair, store):
-    """Halfway between a stored speed and rest a function lies halfway between both."""
+    """Halfway between a stored speed and rest a function is midway between both."""
     first = constant_function(pair.cell.nominal_relation)
     store.save("first", first, learn_source="taught", speed=0.0)
     path = store.save("second", constant_function(pair.true), learn_source="command", speed=2.0, embodiment="C8")
@@ -371,7 +371,7 @@ def test_speeds_that_were_learned_lie_between_rest_and_the_fastest(pair, store):
 
 @pytest.mark.slow
 def test_what_takes_longer_than_a_sync_is_computed_while_both_arms_stand(pair, store, monkeypatch):
-    """What is known of the arms for a whole way, and how far each joint is sent ahead on it: 10 ms each."""
+    """Model of the arms over a whole path, with each joint sent 10 ms ahead."""
     preparing, computed = [False], []
     plain = PairMotion.prepare
 

@@ -1,4 +1,4 @@
-"""Two arms that are not alike, from the cell file to a taught and driven part: sizes, and numbers of axes."""
+"""Two different arms, from the cell file to a taught and driven part: sizes, and numbers of axes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Two arms and the part between them, quasi-static: joints stand where they were commanded, a spring pushes both hands.
+"""Two arms and the part between them, quasi-static: joints are at their commands, a spring pushes both hands.
 
-Written from statics: the hands are where forward kinematics has them, the spring acts at the slave's hand between where
-it is and where the grasps put it, the master feels the opposite at its own, and joints feel both by virtual work.
+Written from statics: the hands are where forward kinematics has them. The spring acts at the slave's hand between its
+pose and that of the grasps, with the opposite force at the master's. Joint torques follow by virtual work.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Part:
 
 
 class Joints:
-    """Drives of one arm; with each SYNC they stand where the SYNC before has told them."""
+    """Drives of one arm; with each SYNC they are at the command of the SYNC before."""
 
     def __init__(self, index: int, arm: PairArm, part: Part, period_s: float) -> None:
         self.index, self.arm, self.part, self.period_s = index, arm, part, period_s

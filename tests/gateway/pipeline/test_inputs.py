@@ -1,4 +1,4 @@
-"""Data knows its arm: what another one has measured is refused, what was corrected since is used and named."""
+"""Data carries its arm: measurements of another arm are refused, constants corrected since are used and named."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the gateway wrote itself is judged as the engineer left it; what somebody else wrote since, as it is."""
+"""What the gateway wrote itself is judged as the engineer left it; what another tool wrote since, as it is."""
 
 from __future__ import annotations
 

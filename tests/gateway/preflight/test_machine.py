@@ -18,7 +18,7 @@ from gateway.preflight.machine import (
 
 
 class Clock:
-    """A clock of its own; every wait ends late by `late_s`."""
+    """A clock of its own; every wait ends `delay_s` later."""
 
     def __init__(self, delay_s: float) -> None:
         self.now_s = 1000.0

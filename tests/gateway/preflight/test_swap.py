@@ -1,4 +1,4 @@
-"""Drives in each other's place, told from what each keeps of its own axis; readings from the cell's numbers."""
+"""Exchanged drives, detected from what each stores of its own axis; readings from the cell's numbers."""
 
 import math
 from itertools import combinations

@@ -1,4 +1,4 @@
-"""What motion tells, on the page and at the terminal: inertia, friction over speed, rotors, one period."""
+"""Results of motion, on the page and at the terminal: inertia, friction over speed, rotors, one period."""
 
 from __future__ import annotations
 

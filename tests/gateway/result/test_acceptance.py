@@ -89,7 +89,7 @@ def test_a_mass_above_the_rating_fails(most, outcome):
 
 
 def test_reach_and_moment_count_from_the_flange():
-    """The centre lies 0.05 m off; 6.05 kg there weigh 6.05 * 9.80665 * 0.05 Nm. Errors add up in squares."""
+    """The centre is 0.05 m off; 6.05 kg there weigh 6.05 * 9.80665 * 0.05 Nm. Errors add up in squares."""
     judged = accepted(RESULT, (), [Rating("reach", 0.06, "p. 1"), Rating("moment", 2.0, "p. 1")])
     reach, moment = judged.acceptance
     assert (reach.value, reach.unit, reach.outcome) == (pytest.approx(0.05), "m", "pass")

@@ -304,7 +304,7 @@ EQUAL_WHEN_PRINTED = {
     "digits": ["1", "load_1"],
     "screen": ["gripper_of_line_1", "gripper_of_line_2"],
 }
-#: What names a load in the file of each format; the languages of the controllers take upper and lower case alike.
+#: Name of a load in the file of each format; controller languages do not distinguish upper and lower case.
 NAMED = {
     "abb": r"PERS loaddata (\w+):=",
     "ur": r"def (\w+)\(\):",

@@ -1,4 +1,4 @@
-"""The last seconds are on disk while they happen, whoever is killed; nothing waits, nothing old stays."""
+"""The last seconds are on disk while they happen, whichever process is killed; nothing waits, old files are removed."""
 
 import os
 import signal
@@ -34,7 +34,7 @@ from gateway.data.blackbox.ring_buffer import HEADER, KEPT_S, MOST_WALL_S, Ring,
 from gateway.errors import InputError
 
 ROOT = Path(__file__).parents[4]
-#: Steps as the motion loop does, tells the time of each, and never ends.
+#: Steps as the motion loop does, prints the time of each, and never ends.
 LOOP = """
 import sys, time
 from pathlib import Path
@@ -75,7 +75,7 @@ def loop(path: Path) -> subprocess.Popen[str]:
 
 
 def seconds(process: subprocess.Popen[str], duration_s: float) -> float:
-    """Let it run so long; the last time that it told."""
+    """Run the recorder for a time; return the last time that it printed."""
     begun_s, reported_s = None, 0.0
     assert process.stdout is not None
     while begun_s is None or reported_s - begun_s < duration_s:

@@ -70,7 +70,7 @@ def until(queue: VisitQueue, met: Callable[[], bool], limit_s: float = 5.0) -> l
 
 
 def gone(pid: int, limit_s: float = 2.0) -> bool:
-    """Whether a process ends in time; one that nobody waits for is a zombie and has ended."""
+    """Whether a process ends in time; a zombie without a waiting parent has ended."""
     end_s = time.monotonic() + limit_s
     while time.monotonic() < end_s:
         try:

@@ -264,7 +264,7 @@ def test_damaged_content_is_named(path, change, message):
 
 
 def _stored_elsewhere(kind):
-    """The torque words of a visit, as HDF5 keeps them in another file: a pipe, which would hang whoever reads it."""
+    """The torque words of a visit, as HDF5 keeps them in another file: a pipe, which would block its reader."""
 
     def change(file) -> None:
         group, pipe = file["/arms/main/visits/0001"], Path(file.filename).with_name("pipe")

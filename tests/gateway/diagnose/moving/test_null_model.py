@@ -57,7 +57,7 @@ def torque_scale(motion) -> np.ndarray:
 
 
 def test_links_carry_the_prior_of_the_robot_model(robot):
-    """As bodies: a link that weighs more has the centre of gravity of its drawing, as sure as the drawing."""
+    """As bodies: a heavier link has the centre of gravity of its drawing, with the uncertainty of the drawing."""
     motion, null = built(robot, ["none"])
     mean, std = link_prior(robot, TRUST, PER_LINK_MOVING)
     links, prior = null.columns.links, null.columns.prior
@@ -175,7 +175,7 @@ def test_friction_of_each_run_is_held_to_its_scatter(robot):
 @pytest.mark.parametrize("trust", [TRUST, None])
 @pytest.mark.parametrize("known", [{}, {"a": (3.0, 0.02, -0.01, 0.08)}])
 def test_a_fit_of_the_search_is_that_of_an_estimate_with_the_same_columns(trust, known):
-    """Two ways to the same minimum: normal equations of summed products, and an orthogonal reduction of the rows."""
+    """Two methods for one minimum: normal equations of summed products, and an orthogonal reduction of the rows."""
     loads = {"none": None, "a": (3.0, 0.02, -0.01, 0.08), "b": (8.0, 0.05, 0.0, 0.12)}
     table, robot = several(3, loads, load_friction=(0.25, 0.1))
     motion = prepare(table, None, robot, GRAVITY)

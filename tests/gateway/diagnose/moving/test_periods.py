@@ -67,7 +67,7 @@ def test_noise_is_what_differs_between_periods() -> None:
 
 
 def test_what_an_axis_holds_at_a_standstill_is_no_noise() -> None:
-    """Within its friction an axis that stands holds what it stopped with: another torque in every period."""
+    """Within its friction an axis at rest holds the torque with which it stopped: another torque in every period."""
     table, robot, scale = driven(3, World(), 11.0)
     is_at_rest = table.extra["x_phase_s"] > 0.6 * PERIOD_S
     held = np.where(is_at_rest[:, None], 5.0 * table.extra["x_period"][:, None], 0.0)

@@ -11,7 +11,7 @@ from gateway.model.effects.balancer_spring import CoilBalancer
 
 @pytest.mark.parametrize("weight", [0.0, 3.0, 1e6])
 def test_a_shape_is_between_its_prior_and_what_the_rows_say(monkeypatch, weight):
-    """Rows with the weight w about 0.8 rad and a prior of 0.4 rad about 0: w s^2 / (1 + w s^2) of the way."""
+    """Rows with the weight w about 0.8 rad and a prior of 0.4 rad about 0: w s^2 / (1 + w s^2) of the distance."""
     term, wanted = CoilBalancer(phase_rad=0.0), np.array([0.8, 0.2])
 
     def cost(_problem, _state, _term, shape):

@@ -1,4 +1,4 @@
-"""What an effect has to show before it is believed: each demand alone decides."""
+"""Conditions for naming an effect: each of them alone decides."""
 
 from __future__ import annotations
 

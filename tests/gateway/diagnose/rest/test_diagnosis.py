@@ -127,7 +127,7 @@ def test_three_poses_are_not():
 
 @pytest.mark.slow
 def test_rivals_are_named_with_poses_that_distinguish_them():
-    """A cable whose axis was turned by little and far from its neutral angle looks like an offset; wide angles tell."""
+    """A cable at small rotations far from its neutral angle looks like an offset; wide angles distinguish them."""
     seed, half_rad = 3, 0.10
     at_rad = float(Bench(seed, [], poses=5).poses[0, 4])
     bench = Bench(seed, [effect("cable_torque", [5], stiffness_nm_rad=1.6, neutral_rad=at_rad - 1.2)], poses=5)
@@ -186,7 +186,7 @@ def test_one_sided_visits_show_the_friction_by_direction():
     rng = np.random.default_rng(0)
     pick = np.arange(0, len(table.pose), 2) + rng.integers(0, 2, len(table.pose) // 2)
     result = diagnose(table.take(pick), bench.robot, bench.options)
-    # each axis came from both sides, in different visits, and each rubs
+    # each axis came from both sides, in different visits, and each has friction
     assert found(result) == [("static_friction", (axis,)) for axis in range(1, 7)]
     for entry in result.effects:
         axis = entry.joints[0] - 1
@@ -285,7 +285,7 @@ def test_sweeps_of_single_joints_determine_the_band_of_the_joints_that_moved():
 
 
 def quiet(bench: Bench) -> Bench:
-    """The same arm with gears that rub a thirtieth of what they do."""
+    """Return the arm with a thirtieth of its gear friction."""
     bench.plant = replace(bench.plant, coulomb_nm=bench.plant.coulomb_nm * 0.03)
     return bench
 

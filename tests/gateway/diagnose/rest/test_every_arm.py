@@ -33,7 +33,7 @@ def diagnosed(cell: NatureCell) -> Result:
 @pytest.mark.slow
 @pytest.mark.parametrize("condition", ["gains", "bias", "losses", "efficiency", "warm_up"])
 def test_what_every_arm_has_is_not_named(condition):
-    """Constants off by percents, friction that differs by a tenth by direction, losses nobody declared, cold gears."""
+    """Constants off by percents, friction that differs by a tenth by direction, undeclared losses, cold gears."""
     named, away = [], []
     for seed in SEEDS:
         cell = draw_cell(seed, condition)
@@ -81,7 +81,7 @@ def test_what_is_stated_of_the_constants_decides_what_is_named():
 
 @pytest.mark.slow
 def test_the_interval_of_a_mass_holds_the_constants():
-    """Links and noise as they are: the worse the constants are known, the less sure the mass."""
+    """Links and noise as they are: the worse the constants are known, the larger the uncertainty of the mass."""
     bench, only = Bench(3, []), frozenset({"base_tilt"})
     table = bench.both()
     std = [

@@ -90,7 +90,7 @@ def test_columns_are_the_derivatives_of_the_modelled_rows(problem, fits):
             sides.append(modelled(problem, setting, at[:24], at[24:].reshape(-1, 4), found.band))
         change = (sides[0] - sides[1]) / (2 * step)
         assert columns[sums, place] == pytest.approx(change[sums], abs=1e-4)
-        # how far friction grows with the torque is no word on what weighs there
+        # growth of friction with the torque carries no information on the load
         assert not columns[~sums, place].any()
     for axis in range(6):
         raised = found.band + 1e-4 * (np.arange(6) == axis)

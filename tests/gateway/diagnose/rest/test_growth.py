@@ -75,7 +75,7 @@ STEPS: dict[str, Callable[[Sized], object]] = {
 @pytest.mark.parametrize("step", STEPS)
 def test_four_times_the_visits_take_four_times_the_memory(tables: tuple[Sized, Sized], step: str) -> None:
     small, large = tables
-    STEPS[step](small), STEPS[step](large)  # what is cached is no growth
+    STEPS[step](small), STEPS[step](large)  # caching does not count as growth
     ratio = peak_bytes(lambda: STEPS[step](large)) / peak_bytes(lambda: STEPS[step](small))
     assert ratio < LARGEST_RATIO
 

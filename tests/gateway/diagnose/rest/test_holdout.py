@@ -20,7 +20,7 @@ NOISE = np.array([0.5, 2.0, 1.0])
 
 
 class Linear:
-    """A linear hypothesis with a normal prior on its coefficients, and all that can be told of it in closed form."""
+    """A linear hypothesis with a normal prior on its coefficients, and its results in closed form."""
 
     def __init__(self, design, spread, target) -> None:
         self.design, self.spread, self.target = design, spread, target

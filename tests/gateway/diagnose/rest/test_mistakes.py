@@ -132,7 +132,7 @@ def test_a_band_is_determined_by_visits_from_both_sides():
     none, two = np.zeros((4, 1)), np.ones((4, 1))
     assert determined_bands(rows_of(none, two))[0]
     assert not determined_bands(rows_of(none, none))[0]  # no direction was written down
-    assert not determined_bands(rows_of(two, none))[0]  # all from below: an offset looks alike
+    assert not determined_bands(rows_of(two, none))[0]  # all from below: an offset looks the same
     assert determined_bands(rows_of([[1.0], [-1.0], [1.0], [-1.0]], none))[0]
     assert not determined_bands(rows_of([[1.0], [-1.0], [0.0], [0.0]], none))[0]
     assert not determined_bands(rows_of([[1.0], [0.0], [0.0], [1.0]], none))[0]
@@ -181,7 +181,7 @@ def test_a_mistake_is_judged_on_left_out_poses_with_its_uncertainty():
     before, after = np.array([4.0, 6.0, 5.0, 3.0, 7.0]), np.array([2.0, 1.0, 3.0, 2.5, 1.5])
     ratio, upper = held_ratio(*judged(before, 1.0), *judged(after, 1.0))
     assert ratio == pytest.approx(np.sqrt((after**2).sum() / (before**2).sum()))
-    # of all ways to draw five poses with replacement, each as likely
+    # of all draws of five poses with replacement, each as likely
     drawn = np.array(list(itertools.product(range(5), repeat=5)))
     ratios = np.sqrt((after**2)[drawn].sum(axis=1) / (before**2)[drawn].sum(axis=1))
     assert upper == pytest.approx(np.quantile(ratios, 0.95), rel=0.03)

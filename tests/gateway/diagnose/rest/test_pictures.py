@@ -90,7 +90,7 @@ def test_a_balancer_is_drawn_over_its_joint_angle():
         q = np.zeros(6)
         q[1] = angle
         truth.append(-plant.passive_torque(q, 0.0, np.zeros(6))[1])
-    # sines of the angle and a constant may stand with the links: what is left of the spring is the same shape
+    # sines of the angle and a constant may be attributed to the links: the rest of the spring is the same shape
     shapes = np.column_stack([np.ones_like(x), np.sin(x), np.cos(x)])
     rest = [values - shapes @ np.linalg.lstsq(shapes, values, rcond=None)[0] for values in (y, np.array(truth))]
     assert np.linalg.norm(rest[0] - rest[1]) < 0.3 * np.linalg.norm(rest[1])

@@ -1,4 +1,4 @@
-"""Ripple where nobody says the gear ratio: the order is found where the angles can tell it, and not named elsewhere."""
+"""Ripple without a stated gear ratio: the order is named where the angles determine it, and only there."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tests.resting_arm import Bench, effect, found, problem_of
 
 
 def swinging(seed: int, poses: int, axis: int, order: float, ratio: float = 5.0) -> Bench:
-    """An arm of which one axis swings by so many floors (RMS), seen by someone who knows its URDF alone."""
+    """An arm of which one axis has ripple of so many noise floors (RMS), diagnosed with its URDF alone."""
     bench = Bench(seed, [], poses=poses)
     size = float(np.sqrt(2.0) * ratio * half_floor(bench.plant, bench.arm.protocol)[axis])
     entry = effect("torque_ripple", [axis + 1], amplitude_nm=size, per_revolution=order, phase_rad=1.0)

@@ -229,7 +229,7 @@ def test_four_fresh_poses_see_a_doubled_residual(known_by):
 
 
 def test_the_size_that_fresh_poses_would_detect_is_reported():
-    """A structure of that RMS on the half sums of one axis, in floors, four times in five."""
+    """A structure of that RMS on the half sums of one axis, in noise floors, four times in five."""
     rng = np.random.default_rng(6)
     size = fresh_seen(np.array([4, 0, 8]))
     assert np.isinf(size[1])
