@@ -1,7 +1,7 @@
 """Whether every fault that stops an arm leaves a black box that opens and holds what happened.
 
 python -m benchmarks.blackbox [--out out/blackbox] [--kills 10] [kind ..]: simulated drives in lockstep, one stop a
-kind; what happens to the master itself in a process of its own, in real time.
+kind. Faults of the master itself run in a process of its own, in real time.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ PERIOD_S: Final = 0.02
 MOVED_S: Final = (0.5, 3.0)
 #: What may be missing before a kill [s].
 MOST_LOST_S: Final = 1.0
-#: A box must lie there by then, and a master have ended [s].
+#: Time by which a black box must exist, and a master have ended [s].
 PATIENCE_S: Final = 60.0
 #: Duration of a stop of the master [s].
 STALLED_S: Final = 1.5
@@ -82,7 +82,7 @@ def stopping() -> list[str]:
 
 
 def stop_by(made: Rig, kind: str, folder: Path) -> Stop:
-    """Record until the fault stops the arm, and look at what lies beside the recording."""
+    """Record until the fault stops the arm, and check the files beside the recording."""
     made.renew()
     fault = Fault(kind, **({"node": NODE, "seed": 1} | DETAILS.get(kind, {})))
     begin = Beginning(made, kind, 1, fault)

@@ -150,7 +150,7 @@ def judged(folder: Path, mass_kg: float) -> dict:
 
 
 def figures(answers: list[dict], centre: str) -> dict[str, dict]:
-    """Figures of one kind of weighed load."""
+    """Figures of one type of weighed load."""
     from tests.support.figure import figure
 
     own = [answer for answer in answers if answer["centre"] == centre]

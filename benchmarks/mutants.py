@@ -2,9 +2,9 @@
 
 python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--packages drives,gateway/motion] [--out out/mutants]
 
-Mutants are drawn at random over all places of the rooms, each is tried in a copy of the project. The mirrored tests of
-the fast suite run once as they are, and have to pass; those that came to the changed lines are asked first, then the
-others, then the slow suite. What no test notices is listed with its place.
+Mutants are drawn at random over all places of the packages, each is tried in a copy of the project. The mirrored tests
+of the fast suite run once as they are, and have to pass. Then the tests that cover the changed lines run first, then
+the others, then the slow suite. What no test notices is listed with its place.
 """
 
 import sys

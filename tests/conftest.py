@@ -42,8 +42,8 @@ def pictures(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of a group on one worker: what they share is made once, and none disturbs another's clock.
 
-    pytest-xdist tells the group behind the id of a test, by an attribute that pytest has since given another name: it
-    is set here by the one that holds. Nothing is done where the id tells it already.
+    pytest-xdist appends the group to the id of a test, by an attribute that pytest has since given another name: it
+    is set here by the one that holds. Nothing is done where the id has it already.
     """
     if not getattr(config.option, "loadgroup", False):
         return
@@ -94,7 +94,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
 def _may_be_slow(item: pytest.Item) -> bool:
     """Whether a test is outside the fast suite: marked slow, on real vcan, or a property test with many examples.
 
-    Tests on vcan run apart, most often in an emulated processor, whose speed the reference work does not foretell.
+    Tests on vcan run apart, most often in an emulated processor, whose speed the reference work does not predict.
     """
     many_examples = settings.get_current_profile_name() == "slow" and item.get_closest_marker("hypothesis")
     return bool(many_examples or item.get_closest_marker("slow") or item.get_closest_marker("vcan"))

@@ -1,4 +1,4 @@
-"""Moving runs made by an independent dynamics library, with an effect that no estimator knows of.
+"""Moving runs made by an independent dynamics library, with an effect that no estimator is given.
 
 The torque is pinocchio's inverse dynamics plus friction, rotor inertia, one effect and noise that is correlated over
 0.1 s. The links of the true arm differ by 3 % from the robot model, as drawings do.
@@ -35,7 +35,7 @@ class World:
     ripple: dict = field(default_factory=dict)  # axis -> (size over scale, per revolution)
     gain: dict = field(default_factory=dict)  # axis -> reported over true
     swap: tuple | None = None
-    strange: dict = field(default_factory=dict)  # axis -> size of a torque over scale that hangs on joint 1
+    strange: dict = field(default_factory=dict)  # axis -> size of a torque over scale that depends on joint 1
     payload: tuple | None = None  # mass, x, y, z
 
 

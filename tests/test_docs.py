@@ -82,7 +82,7 @@ def test_kinds_are_said_in_words() -> None:
 
 
 def _requirements(names: list[str]) -> set[str]:
-    """Names of all packages that these need, extras aside."""
+    """Names of all packages that these need, without extras."""
     found: set[str] = set()
     while names:
         name = re.match(r"[\w.-]+", names.pop())[0].lower().replace("_", "-")  # type: ignore[index]

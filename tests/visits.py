@@ -1,4 +1,4 @@
-"""Visits as a small arm would have been measured, and what stands above them in a recording."""
+"""Visits as a small arm would have been measured, and the header of their recording."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def write_slowly(pause_s: float, path: Path, content: bytes) -> None:
 
 
 def write_behind(gate: Path, path: Path, content: bytes) -> None:
-    """A disk that hangs until the gate is there, or whoever would open it has gone."""
+    """A disk that blocks until the gate is there, or its opener has ended."""
     end_s = time.monotonic() + 20.0
     while not gate.exists() and time.monotonic() < end_s:
         time.sleep(0.002)

@@ -30,7 +30,7 @@ from tests.visits import ARM_HEADER, header_of, visit
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MOST_LINES = 10
-#: A port that somebody else has.
+#: A port in use by another process.
 TAKEN_PORT = 47321
 HEADER = "load,pose," + ",".join(f"q{axis}_rad" for axis in range(1, 7)) + ",tau2_nm"
 ROW = "none,1,0.1,0.2,0.3,0.4,0.5,0.6,12.5"
@@ -159,9 +159,9 @@ def profile(old: str, new: str) -> Callable[[Path], object]:
 
 @contextmanager
 def port_taken() -> Generator[None]:
-    """Somebody listens there."""
+    """Listen on the port."""
     with socket.socket() as listener:
-        with suppress(OSError):  # somebody else does
+        with suppress(OSError):  # another process does
             listener.bind(("127.0.0.1", TAKEN_PORT))
             listener.listen()
         yield
@@ -757,7 +757,7 @@ def wrong(kind: Kind) -> list[str]:
 
 def main(names: Sequence[str]) -> int:
     """Print which kinds are not answered as they should be, and how many are; exit 1 unless all are."""
-    from tests.slips import SLIPS  # which is made of what stands here
+    from tests.slips import SLIPS  # which is made of this content
 
     kinds = [kind for kind in (*KINDS, *SLIPS) if not names or any(name in kind.name for name in names)]
     failed = {kind.name: found for kind in kinds if (found := wrong(kind))}

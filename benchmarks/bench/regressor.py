@@ -1,7 +1,7 @@
 """Rows per second of the regressor, as ratios to a pinocchio loop and to a plain fill of the same array.
 
-Everything is timed in one process, the candidates in turn, in processor time (other work on the machine then stays
-out); each ratio is the median over the rounds, with the quartiles as interval.
+Everything is timed in one process, the candidates in turn, in processor time, which excludes other work on the
+machine. Each ratio is the median over the rounds, with the quartiles as interval.
 """
 
 from __future__ import annotations

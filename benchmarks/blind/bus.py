@@ -13,7 +13,7 @@ from gateway.result.result import UNKNOWN_THREE, Result, read_result
 from sim.blind import LEAST_STRENGTH
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-#: Cells in turn, with the class of their payload [kg] and how far its centre of gravity may stand out [m].
+#: Cells in turn, with the class of their payload [kg] and the largest offset of its centre of gravity [m].
 CELLS = (("small", 8.0, 0.12), ("large", 120.0, 0.25))
 TIMEOUT_S = 1200.0
 REFUSED = 7

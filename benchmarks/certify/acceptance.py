@@ -36,7 +36,7 @@ def accepted_arm(seed: int) -> dict:
         table, robot = write_cell(drawn, folder)
         result, cell = folder / "result.json", folder / "cell.toml"
         code, said = invoked("estimate", table, "--warm", "--cell", cell, "--json", result)
-        # 7: the rating of the arm cannot be told from the interval of the mass; the load is there
+        # 7: the rating of the arm cannot be judged from the interval of the mass; the load is there
         if code not in (0, 7):
             return {"seed": seed, "outcome": "not identified", "said": said[-200:]}
         poses, resolution = chosen_poses(cell, result)

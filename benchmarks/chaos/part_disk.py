@@ -1,4 +1,4 @@
-"""A slow disk, a stop that nobody confirms: the loop does not wait for the one, nor is it kept up by the other."""
+"""A slow disk and an unconfirmed stop: the loop waits for neither."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Requests to stop at random instants of proofs, brake test, bring-up, motion and way down; brakes that fail."""
+"""Requests to stop at random instants of proofs, brake test, bring-up, motion and disabling; brakes that fail."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ PERIOD_S = 0.02
 PACINGS: Final = ("lockstep", "real")
 #: In lockstep nothing depends on the clock: so many are played at a time, kinds dealt out in so many hands a seed.
 JOBS, HANDS = 2, 4
-#: Kinds whose rows are printed one by one: what happens while nobody watches a drive, and who else is on the bus.
+#: Kinds whose rows are printed one by one: faults outside monitoring, and other bus participants.
 NAMED: Final = (
     *sorted(IN_BRAKES),
     *sorted(BETWEEN_RUNS),

@@ -78,7 +78,7 @@ def _of_condition(name: str, variant: str, answers: Sequence[dict]) -> Figures:
 
 
 def condition_table(answers: Sequence[dict]) -> Table:
-    """One row a condition: cells, silent, intervals, detection, refusals, error and stated standard deviation."""
+    """One row a condition: cells, unreported errors, intervals, detection, refusals, error and stated std."""
     heads = ("cells", "silent", "warned", "refused", "mass holds", "centre holds", "mean error", "rms", "median std")
     table = Table("condition", "variant", *heads, "s", title="silent: off by 3 stated std, no warning, no refusal")
     for name, variant in dict.fromkeys((a["condition"], a["variant"]) for a in answers):

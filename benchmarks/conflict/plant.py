@@ -82,7 +82,7 @@ class ConflictCell:
     sides : approach directions of each pose
     rough : what real arms have besides: cogging, outlier visits, friction by position
     columns, options, length_unit, stored_bare : what is handed over: table, options, unit of the URDF, bare run apart
-    gross : visits that are far off on one axis
+    outliers : visits that are far off on one axis
     """
 
     rng: np.random.Generator

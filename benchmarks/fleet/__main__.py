@@ -17,7 +17,7 @@ from tests.support.figure import show
 from tests.support.fleet import drifts
 
 PARTS = ("store", "drifts", "unlike", "recordings")
-#: Standard deviation of the logarithm of wander over noise, where no two robots are of one kind.
+#: Standard deviation of the logarithm of random walk over noise, in a heterogeneous fleet.
 HETEROGENEITY_STD = 0.5
 
 

@@ -178,7 +178,7 @@ def _a_worker(program: int) -> int:
 def _analysed(store: Store, asked: Callable[[int], None]) -> tuple[float, float]:
     """Largest memory [MB] of `fleet analyse` with two workers and these, and how long it took [s].
 
-    `asked` hears of the number of its process every two seconds.
+    `asked` receives its process id every two seconds.
     """
     command = store.path.with_suffix(".json")
     words = ["fleet", "analyse", str(store.path), "--workers", "2", "--json", str(command)]

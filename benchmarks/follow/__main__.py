@@ -2,8 +2,8 @@
 
 python -m benchmarks.follow [--out out/follow] [--seeds 1 2 3]
 
-The simulated arms obey links that differ from the drawing (a seed each), friction that scatters from one motion to the
-next, and drives of which the gateway knows what their profile says. One report is left beside the summary.
+The simulated arms have links that differ from the drawing (a seed each), friction that scatters between
+motions, and drives of which the gateway has the profile. One report is left beside the summary.
 """
 
 from __future__ import annotations

@@ -207,7 +207,7 @@ setTimeout(() => { live.clicked.push(Date.now()); button.click(); }, 60);
 
 
 def commands(frames: Iterable[can.Message]) -> list[tuple[float, int, int]]:
-    """When [s, wall clock], controlword and target of the node with the longest way, frame by frame."""
+    """When [s, wall clock], controlword and target of the node with the longest motion, frame by frame."""
     by_node: dict[int, list[tuple[float, int, int]]] = {}
     for frame in frames:
         if RPDO1 <= frame.arbitration_id < RPDO1 + 6 and len(frame.data) == 8:

@@ -33,7 +33,7 @@ from tests.support.rigs.pacing import in_lockstep
 Floats = NDArray[np.float64]
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-#: Cells in turn, with the heaviest load [kg], how far its centre may stand out [m], and its longest edge [m].
+#: Cells in turn, with the heaviest load [kg], the largest offset of its centre [m], and its longest edge [m].
 CELLS = (("small", 8.0, 0.12, 0.3), ("large", 120.0, 0.25, 0.8))
 LABEL = "load"
 STREAM = 78
@@ -45,7 +45,7 @@ _CONSTANT = re.compile(r"^(torque_constant_nm_per_a = \{.*?) \}", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A folder with the files of one cell, and what the simulator hangs on its flange."""
+    """A folder with the files of one cell, and the body that the simulator mounts on its flange."""
 
     folder: Path
     tool: Payload

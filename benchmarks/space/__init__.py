@@ -1,1 +1,1 @@
-"""Random cells: every planned way against an independent collision checker."""
+"""Random cells: every planned path against an independent collision checker."""

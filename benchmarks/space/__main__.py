@@ -1,4 +1,4 @@
-"""Plan random cells and let PyBullet look for what touches on the way; print the figures, write `summary.json`.
+"""Plan random cells and let PyBullet check the paths for collisions; print the figures, write `summary.json`.
 
 python -m benchmarks.space [--out out/space] [--cells FIRST LAST]
 
@@ -100,7 +100,7 @@ def judge(cell: DrawnCell) -> dict:
 
 
 def path_of(plan: Plan) -> np.ndarray:
-    """Corners (n, N) [rad] of the way that a plan moves along."""
+    """Corners (n, N) [rad] of the path of a plan."""
     return np.array([step.q_rad for step in plan.steps if isinstance(step, MoveTo | Approach)])
 
 

@@ -167,7 +167,7 @@ def _cylinder(radius: float, length: float) -> str:
 
 
 def _collision(middle: np.ndarray, along: np.ndarray, shape: str) -> str:
-    """An element whose z lies along a unit vector."""
+    """Return an element whose z axis is along a unit vector."""
     pitch = float(np.arccos(np.clip(along[2], -1, 1)))
     yaw = float(np.arctan2(along[1], along[0])) if abs(along[2]) < 1 - 1e-12 else 0.0
     place = " ".join(f"{value:.6f}" for value in middle)
@@ -199,7 +199,7 @@ def _upward(random: np.random.Generator, mounting: str) -> Vector:
 
 
 def _floor(random: np.random.Generator, mounting: str, reach: float) -> float | None:
-    """Half of the upright arms say nothing; others stand on something, or hang as high as a reach or more."""
+    """Half of the upright arms state no height; others are on a base, or inverted at a reach or more."""
     if mounting in ("wall", "ceiling"):
         return -round(float(random.uniform(0.8, 1.4)) * reach, 3)
     return None if random.random() < 0.5 else -round(float(random.uniform(0.0, 0.3)) * reach, 3)

@@ -1,4 +1,4 @@
-"""An independent judge of ways: PyBullet with the URDF as it reads it, floor, wall, column and boxes beside it."""
+"""An independent collision check of paths: PyBullet with the URDF, floor, wall, column and boxes."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ SAMPLES = 200
 class Judge:
     """Finds what touches at a posture. Use as a context manager.
 
-    Left out, by its own test over random postures: neighbours, and what touches wherever the joints stand; of floor,
-    wall, column and boxes that holds for the base and the first link only.
+    Left out, by its own test over random postures: neighbours, and pairs that touch at all angles. Of floor, wall,
+    column and boxes that holds for the base and the first link only.
     """
 
     def __init__(self, cell: DrawnCell, floor_m: float) -> None:

@@ -125,7 +125,7 @@ def recording(forged: bool = False) -> tuple[str, list[bytes], Callable[[Path], 
     if not forged:
         return "run.h5", [seed], read
 
-    seal.PROBE_TIMEOUT_S = 5.0  # what hangs is waited for; a minute each would take hours
+    seal.PROBE_TIMEOUT_S = 5.0  # a blocked reader is waited for; a minute each would take hours
 
     def sealed_and_read(path: Path) -> Any:
         """The checksum is made to fit the edits, so that libhdf5 gets to see them."""

@@ -89,7 +89,7 @@ def moving_run(seed: int) -> Run:
 
 
 def number_text(rng: np.random.Generator) -> tuple[str, Callable[[float], str]]:
-    """A way to write numbers."""
+    """A notation of numbers."""
     forms = {
         "all digits": repr, "nine decimals": lambda value: f"{value:.9f}", "exponents": lambda value: f"{value:.10e}",
         "a plus": lambda value: f"{value:+.9f}",

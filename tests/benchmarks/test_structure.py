@@ -30,10 +30,10 @@ def found() -> dict[str, dict]:
     "name",
     [
         "files at the root of gateway",
-        "circles of imports between rooms",
+        "circular imports between packages",
         "circles of imports between files",
-        "imports from a lower room to a higher one",
-        "rooms that have no floor",
+        "imports from a lower layer to a higher one",
+        "packages that have no layer",
         "public class names used twice",
     ],
 )

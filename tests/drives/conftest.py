@@ -26,7 +26,7 @@ CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "i32": "i"}
 
 
 class Wire:
-    """An adapter as python-can's, with slaves behind it; time passes only while somebody waits."""
+    """An adapter as python-can's, with slaves behind it; time passes only while a caller waits."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0
@@ -144,7 +144,7 @@ class Slave:
         self._beat_s = wire.now_s
         #: Time at which an event-driven TPDO3 is due, which it sends at 5 kHz.
         self._event_s = wire.now_s
-        #: A communication error stands until this time: START is refused (CiA 301, 0x1029).
+        #: A communication error persists until this time: START is refused (CiA 301, 0x1029).
         self.communication_error_until_s = 0.0
         #: Supervises SYNC (0x1006): the time of the last one.
         self._sync_s: float | None = None
@@ -500,7 +500,7 @@ def prove_quick_stop(group: DriveGroup, rows: Iterable[Sequence[DriveCommand]]) 
 def release(
     group: DriveGroup, axis: int, seconds: float, limit_rad: float = math.inf, disables_voltage: bool = True
 ) -> BrakeTest:
-    """One axis hangs on its brake for a time, or until it has moved too far; then all are disabled."""
+    """One axis is held by its brake for a time, or until it has moved too far; then all are disabled."""
     for _ in range(math.ceil(1.0 / group.timing.period_s)):
         if group.stands:
             break

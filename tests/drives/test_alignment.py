@@ -117,7 +117,7 @@ def test_a_lost_frame_costs_at_most_four_rows(rig_of: Callable[[bool], Rig], sta
 
 
 def test_a_time_stamp_gives_the_age_of_the_first_delayed_frame(rig_of: Callable[[bool], Rig]) -> None:
-    """Sent just before the next SYNC and read after it: what only its stamp can tell when nothing was amiss before."""
+    """Sent just before the next SYNC and read after it: only its time stamp shows the delay."""
     rig = rig_of(True)
     rig.step()
     stale = rig.wire.now_s + rig.wire.wall_ahead_s

@@ -31,7 +31,7 @@ def cell(tmp_path, request):
 
 
 def is_known(name):
-    """Whether the arithmetic of a profile is whole; it may still be refused for an encoder that nobody has named."""
+    """Whether the arithmetic of a profile is whole; it may still be refused for an unnamed encoder."""
     profile = load_profile(name)
     return not (profile.torque.assumed or profile.no_motion)
 

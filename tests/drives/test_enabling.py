@@ -131,7 +131,7 @@ def test_an_axis_that_falls_back_while_the_brakes_open_ends_it(group, slaves):
 
 
 def test_rows_that_never_become_complete_end_the_enabling(group, slaves, wire):
-    """Each axis answers often enough not to count as silent, but never all three at once."""
+    """Each axis answers often enough not to count as not responding, but never all three at once."""
 
     class Absent(dict):
         def __init__(self, phase, begin):
@@ -143,7 +143,7 @@ def test_rows_that_never_become_complete_end_the_enabling(group, slaves, wire):
 
     for phase, slave in enumerate(slaves):
         slave.tpdo_delay_s = Absent(phase, 6)
-    if group.timing.pacing == "real":  # answers that cannot be assigned for so long count as silence
+    if group.timing.pacing == "real":  # answers that cannot be assigned for so long count as missing
         with pytest.raises(IncompleteEpochs, match="SYNCs in a row unanswered"):
             group.enable()
     else:

@@ -1,4 +1,4 @@
-"""One row = one SYNC: what is lost, late, doubled, torn or cut never becomes a reading of the wrong SYNC."""
+"""One row = one SYNC: a lost, delayed, doubled, torn or cut frame never becomes a reading of the wrong SYNC."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_delayed_answer_never_enters_the_next_row(group, slaves, delay_s):
 
 
 def test_an_answer_that_comes_after_the_next_sync_contradicts_its_successor(group, slaves):
-    """Later than every wait: two different frames of one TPDO answer one SYNC, and neither is believed."""
+    """Later than every wait: two different frames of one TPDO answer one SYNC, and neither is accepted."""
     slaves[0].tpdo_delay_s[slaves[0].sync_seen + 1] = 0.0413
     slaves[0].tpdo_delay_s[slaves[0].sync_seen + 2] = 0.0006
     assert step(group, slaves).missing == (0,)
@@ -207,7 +207,7 @@ def test_a_question_that_is_lost_as_well_is_asked_again(group, slaves, wire):
 
 
 class HeldUp:
-    """A bus whose master is put aside for long in its first wait; what has arrived meanwhile is there afterwards."""
+    """A bus whose master is suspended for long in its first wait; what has arrived meanwhile is there afterwards."""
 
     def __init__(self, asleep_s: float, arrived: list[Message]) -> None:
         self.now_s, self._asleep_s, self._arrived = 0.0, asleep_s, arrived

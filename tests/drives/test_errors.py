@@ -38,7 +38,7 @@ def test_what_was_said_is_not_repeated_while_stopping():
 
 
 def test_a_bus_that_fails_is_reported_in_ten_lines_with_the_cause_first():
-    """The bus fails, then every node in every way while stopping, disabling and disarming."""
+    """The bus fails, then every node in every mode while stopping, disabling and disarming."""
     error = BusError(
         "frame 201 could not be sent within 20 ms: Transmit buffer full", advice="check that the bus is up"
     )

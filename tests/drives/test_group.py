@@ -497,7 +497,7 @@ def test_a_period_is_a_positive_time(bus, setups, period_s):
 
 
 def test_a_master_that_paused_does_not_call_a_heartbeat_lost(group, slaves, wire):
-    """In lockstep the drives' time is stopped while nobody sends SYNC."""
+    """In lockstep the drives' time is stopped while no SYNC is sent."""
     group.enable()
     slaves[0].heartbeat()
     group.hold()

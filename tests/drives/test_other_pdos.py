@@ -111,7 +111,7 @@ def test_a_controlword_for_a_stranger_is_refused(bus, slaves, setups, locked):
 
 
 def read_only(slave, *addresses):
-    """Parameter records that the drive does not let anybody change (0x06010002)."""
+    """Parameter records that the drive lets no client change (0x06010002)."""
     real = slave._sdo_download
 
     def download(request, address):

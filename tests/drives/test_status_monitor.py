@@ -1,4 +1,4 @@
-"""What a drive tells besides its state, epoch by epoch."""
+"""Status that a drive reports besides its state, epoch by epoch."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def test_an_axis_at_rest_may_stand_a_little_elsewhere_by_sdo(rig: Rig, off: floa
         rig.checks(*rows)
 
 
-# ------------------------------------------------------------------------------- in real time nobody waits for SDO
+# ------------------------------------------------------------------------------- in real time no SDO is awaited
 
 LATEST = SAME_IN_A_ROW + SETTLED_SYNCS + 2
 

@@ -250,7 +250,7 @@ def test_one_axis_that_does_not_obey_leaves_the_others_led_down(group, slaves):
 
 
 def test_an_axis_that_answers_sdo_alone_is_brought_to_rest_before_it_is_disabled(group, slaves):
-    """It has left NMT state OPERATIONAL and hears no SYNC; what it does is asked for, and told, by SDO."""
+    """It has left NMT state OPERATIONAL and receives no SYNC; its state is read by SDO."""
     move(group, 3)
     positions = iter([4000, 3000, 1500, 500, 100, 10])
     slave = slaves[1]

@@ -93,7 +93,7 @@ def test_a_refused_start_that_was_not_said_to_be_over_is(bus, slaves, setups, wi
 
 @pytest.mark.parametrize("profile", ["generic-cia402", "kollmorgen-akd-x00606"])
 def test_a_slave_that_never_starts_is_named_with_its_state(bus, slaves, wire, profile):
-    """With a heartbeat that the profile asks for, and without one: by its silence at SYNC."""
+    """With a heartbeat that the profile asks for, and without one: by its missing answer to SYNC."""
     slaves[1].communication_error_until_s = wire.now_s + FREE_S + 1e9
     for slave in slaves:
         slave.values[0x1018, 1] = 0x6A

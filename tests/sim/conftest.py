@@ -123,7 +123,7 @@ class Master:
             self.send(0x080, b"")
 
     def enable(self, node: int, cycles: int = 30) -> int:
-        """Walk to OPERATION ENABLED where the axis stands; returns its position."""
+        """Walk to OPERATION ENABLED where the axis is; returns its position."""
         position = self.number(node, 0x6064, signed=True)
         for word in (0x06, 0x07, *[0x0F] * cycles):
             status, _, _ = self.cycle(node, word, position)

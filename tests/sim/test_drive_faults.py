@@ -47,7 +47,7 @@ class Bench:
                 drive.take_controlword(word)
 
     def move(self, syncs: int, step_rad: float) -> None:
-        """Some SYNCs on, the axis told to go on by so much with each."""
+        """Run some SYNCs, with the axis commanded by so much at each."""
         for _ in range(syncs):
             self._target += round(step_rad * self.drive.counts_per_joint_rad)
             self.drive.take_target(self._target)

@@ -263,7 +263,7 @@ def test_quick_stop_ramps_down_and_switches_off(drives):
 
 
 def moving(master, simulation):
-    """Axis 3 at half its speed limit; returns its motor and the position to be told on."""
+    """Axis 3 at half its speed limit; returns its motor and the position for the next command."""
     master.configure(NODE, 8)
     start = master.enable(NODE)
     step = round(0.5 * 0.01 * 100 * 131072 / (2 * math.pi))

@@ -167,7 +167,7 @@ def test_a_burst_holds_answers_back_and_lets_them_come_at_once(rig: Rig) -> None
     rig.wire.arm(Fault("burst", node=2, syncs=0, delay_s=0.2))
     begin_s = time.monotonic()
     seen = [frame for number in range(1, 4) for frame in rig.cycle(number)]
-    assert time.monotonic() - begin_s < 0.2  # nobody waited
+    assert time.monotonic() - begin_s < 0.2  # without waiting
     assert ids(seen) == [0x181, 0x183] * 3
     while 0x182 not in ids(burst := rig.seen()):
         rig.wire.recv(0.01)

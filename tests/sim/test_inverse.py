@@ -16,7 +16,7 @@ G = 9.80665
 
 
 def pendulum(mass_kg: float, length_m: float, inertia_kg_m2: float) -> SimChain:
-    """One joint about y; at angle 0 the rod lies along x."""
+    """One joint about y; at angle 0 the rod is along x."""
     body = SimBody(mass_kg, np.array([length_m, 0.0, 0.0]), inertia_kg_m2 * np.eye(3))
     one = np.ones(1)
     return SimChain("pendulum", np.eye(4)[None], np.array([[0.0, 1.0, 0.0]]), (body,), -one, one, one, one)

@@ -44,7 +44,7 @@ def release(world: ArmWorld) -> None:
 
 
 def drive_to(world: ArmWorld, q: np.ndarray, seconds: float) -> None:
-    """Smooth reference (quintic) from where the references stand, as a cyclic master would stream it."""
+    """Smooth reference (quintic) from the present references, as a cyclic master would stream it."""
     start = np.array([axis.servo.reference_rad for axis in world.axes])
     steps = int(seconds / 0.01)
     for k in range(1, steps + 1):

@@ -33,7 +33,7 @@ class Wire:
 
 
 class Served:
-    """As much of a server as the thread asks for; it stops once all are silent."""
+    """As much of a server as the thread asks for; it stops once all have ended."""
 
     step_s = 0.001
 

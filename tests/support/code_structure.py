@@ -115,7 +115,7 @@ def _imported(tree: ast.Module, files: Mapping[str, Path]) -> Iterable[str]:
 
 
 def layer_of(module: str) -> str:
-    """The folder of `gateway` or the package that a module belongs to; a file of `gateway`'s root is its own room."""
+    """Return the folder of `gateway` or the package of a module; a file of `gateway`'s root is its own package."""
     parts = module.split(".")
     return ".".join(parts[:2]) if parts[0] == "gateway" else parts[0]
 
@@ -152,7 +152,7 @@ def circles(edges: Iterable[tuple[str, str]]) -> list[list[str]]:
 
 
 def upward(structure: CodeStructure) -> list[tuple[str, str]]:
-    """Imports of a module of a higher floor by one of a lower floor; rooms that `FLOORS` does not name are left out."""
+    """Return imports of a module of a higher layer by one of a lower layer; packages outside `LAYERS` are left out."""
     floor = {f"gateway.{name}": number for number, names in enumerate(LAYERS) for name in names}
     return sorted(
         (start, end)
@@ -177,13 +177,13 @@ def figures(structure: CodeStructure) -> dict[str, dict]:
     repeated = {name: where for name, where in structure.classes.items() if len(where) > 1}
     return found | {
         "files at the root of gateway": {"value": len(at_root), "goal": "<= 2", "list": at_root},
-        "circles of imports between rooms": {"value": len(circles(layers)), "goal": "== 0", "list": circles(layers)},
+        "circular imports between packages": {"value": len(circles(layers)), "goal": "== 0", "list": circles(layers)},
         "circles of imports between files": {
             "value": len(circles(structure.imports)),
             "goal": "== 0",
             "list": circles(structure.imports),
         },
-        "imports from a lower room to a higher one": {
+        "imports from a lower layer to a higher one": {
             "value": len(upward(structure)),
             "goal": "<= 2",
             "list": [f"{start} -> {end}" for start, end in upward(structure)],
@@ -193,7 +193,7 @@ def figures(structure: CodeStructure) -> dict[str, dict]:
             "goal": "<= 20",
             "list": [f"{path}: {name}" for path, name in TORQUE_PATH],
         },
-        "rooms that have no floor": {"value": len(bare), "list": bare},
+        "packages that have no layer": {"value": len(bare), "list": bare},
         "public class names used twice": {
             "value": len(repeated),
             "goal": "== 0",

@@ -2,8 +2,8 @@
 
 python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--packages drives,gateway/motion] [--out out/mutants]
 
-Mutants are drawn at random over all places of the rooms, each is tried in a copy of the project. The mirrored tests run
-once as they are, and have to pass; the tests that came to the changed lines there are asked first, then all the others.
+Mutants are drawn at random over all places of the packages, each is tried in a copy of the project. The mirrored tests
+run once as they are, and have to pass; the tests that came to the changed lines there are asked first, then all the others.
 What no test notices is listed with its place.
 """
 
@@ -31,7 +31,7 @@ from coverage import CoverageData
 from tests.support.figure import figure
 
 ROOT: Final = Path(__file__).resolve().parents[2]
-#: Rooms with the share of mutants that has to be noticed.
+#: Packages with the share of mutants that has to be detected.
 PACKAGES: Final = {
     "drives": 95.0,
     "gateway/motion": 95.0,
@@ -110,7 +110,7 @@ def places(tree: ast.Module) -> Iterator[Place]:
 
 
 def _left_alone(node: ast.AST) -> Iterator[ast.AST]:
-    """Annotations, and what an error says: a wrong word in it is no wrong deed."""
+    """Annotations and texts of errors: a wrong word there changes no behaviour."""
     for name in ("annotation", "returns"):
         part = getattr(node, name, None)
         if isinstance(part, ast.AST):
@@ -172,7 +172,7 @@ def mutated(text: str, number: int) -> str:
 
 
 def draw(count: int, seed: int, packages: Sequence[str], root: Path = ROOT) -> list[Mutant]:
-    """So many mutants of each room, in proportion to the places it has; at least one a room."""
+    """Draw mutants of each package in proportion to its places; at least one a package."""
     every: dict[str, list[Mutant]] = {}
     for package in packages:
         for path in sorted((root / package).rglob("*.py")):
@@ -190,7 +190,7 @@ def draw(count: int, seed: int, packages: Sequence[str], root: Path = ROOT) -> l
 
 
 def mirrored(path: str) -> str:
-    """Folder of the tests that mirror the room of a module."""
+    """Folder of the tests that mirror the package of a module."""
     parts = Path(path).parts
     return str(Path("tests", *parts[:2]) if parts[0] == "gateway" else Path("tests", parts[0]))
 

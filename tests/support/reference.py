@@ -165,7 +165,7 @@ def _cell(text: str) -> str:
 
 
 def effects_page() -> str:
-    """Every effect that the diagnosis knows."""
+    """Every effect of the diagnosis."""
     lines = [
         "# Effects",
         "",

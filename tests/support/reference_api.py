@@ -50,7 +50,7 @@ def api_page() -> str:
 
 
 def _documented(name: str, found: Any) -> list[str]:
-    """Signature and docstring of a function, a method or a class that is no error."""
+    """Signature and docstring of a function, a method or a class other than an error."""
     text = textwrap.dedent(inspect.getdoc(found) or "")
     if inspect.isclass(found) and issubclass(found, Exception):
         return [*_paragraphs(text), ""]

@@ -57,7 +57,7 @@ class Place:
         return read(self.run)
 
     def variant(self, name: str, *changes: tuple[str, str]) -> Path:
-        """A cell file that differs: each (old, new) replaces the first place where `old` stands."""
+        """A cell file that differs: each (old, new) replaces the first occurrence of `old`."""
         text = self.cell.read_text(encoding="utf-8")
         for old, new in changes:
             assert old in text, old
@@ -68,9 +68,9 @@ class Place:
 
 
 def with_few_poses(place: Place) -> None:
-    """Where the course of a command is claimed and not the accuracy of its result: half as many visits.
+    """Half as many visits, for tests of a command's sequence and not of the accuracy.
 
-    Loads are hung where the arm stands, not at a posture to which it would go at a tenth of its speed.
+    Loads are mounted where the arm is, not at a posture to which it would go at a tenth of its speed.
     """
     text = re.sub(r"(?m)^loading_rad = .*\n", "", place.cell.read_text(encoding="utf-8"))
     for old, new in (("count = 4", "count = 3"), ("validation = 2", "validation = 0")):

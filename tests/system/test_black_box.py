@@ -1,4 +1,4 @@
-"""The last seconds before a stop lie beside the recording: samples, and the frame that was the reason."""
+"""The last seconds before a stop are stored beside the recording: samples, and the frame that was the reason."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A bus that fails while the arm moves: told in ten lines at most, the cause first, nothing twice."""
+"""A bus that fails while the arm moves: reported in ten lines at most, the cause first, nothing twice."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What the gateway is not told is found over the bus: an effect is built into the arm, and `commission` names it."""
+"""Unstated effects are found over the bus: an effect is built into the arm, and `commission` names it."""
 
 from __future__ import annotations
 

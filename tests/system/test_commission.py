@@ -15,10 +15,10 @@ TRUTH_KG, TRUTH_COM_M = 6.0, (0.02, 0.01, 0.10)
 
 @pytest.mark.slow
 def test_the_whole_job_and_what_follows_from_it(place, serve, commission, gateway):
-    """The load is hung where the arm stands."""
+    """The load is mounted where the arm is."""
     lines = place.cell.read_text().splitlines(keepends=True)
     text = "".join(line for line in lines if not line.startswith("loading_rad"))
-    # six poses show their own noise; of four the fresh ones may lie off by chance
+    # six poses show their own noise; of four the fresh ones may deviate by chance
     place.cell.write_text(text.replace("count = 4", "count = 6", 1))
     drives = serve()
     more = ("--expect", "load=6.0,0.6", "--operator", "A. Person", "--junit", place.folder / "accept.xml")

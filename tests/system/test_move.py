@@ -1,4 +1,4 @@
-"""move: to a posture, slowly, asked, inside every limit; and the way on where another command cannot begin."""
+"""move: to a posture, slowly, asked, inside every limit; and the next step where another command cannot begin."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """A stranger's arm: from its URDF and its drives' data sheets to a load, by commands and answers alone.
 
 The drives count in units of their own (rated current in 10 mA, peak ampere, 0.1 rpm, 16 bit), have ids 11 to 16 and
-no profile in the package; two axes turn against their joints. The gateway is given what an engineer can read
+no profile in the package. Two axes turn against their joints. The gateway is given what an engineer can read
 from data sheets.
 """
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.system
 
 OWN = Path(__file__).parents[2] / "examples" / "own"
 MOST_COMMANDS, MOST_ANSWERS = 8, 40
-#: Few poses, taken fast: what is tried here is the way, not the accuracy.
+#: Few poses, taken fast: this tests the procedure, not the accuracy.
 POSES = "poses = { count = 3, validation = 0, samples = 10, approach_speed_rad_s = 0.2 }\n"
 LOCKSTEP = ("--pacing", "lockstep")
 

@@ -1,4 +1,4 @@
-"""The pre-flight check holds for every command that opens an arm, and tells who sleeps and which bus is which."""
+"""The pre-flight check holds for every command that opens an arm, and reports stopped nodes and swapped buses."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def test_a_ramp_that_was_changed_is_proven_again(place, gateway, serve):
 
 @pytest.mark.slow
 def test_drives_are_given_the_limits_that_the_cell_needs_and_get_theirs_back(place, gateway, serve):
-    """J6 needs a fifth of what its drive may give; the drive's own limit comes back by `restore`, and is no finding."""
+    """J6 needs a fifth of what its drive may give; the drive's own limit comes back by `restore`, without a finding."""
     drives = serve()
     last = drives.handle.simulation.arms[0].drives[5].store.values
     found = int(last[0x6072, 0])

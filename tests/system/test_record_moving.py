@@ -34,7 +34,7 @@ PATH = """name = "nod"
 waypoints_rad = [[0.0, -0.2, 0.4, 0.0, 0.3, 0.0], [0.3, 0.2, 0.1, 0.0, 0.3, 0.0]]
 speed_share = 0.9
 """
-#: What motion tells, of which joints (friction of those that were swept), and its largest standard deviation, share.
+#: Results of motion, of which joints (friction of those that were swept), and its largest standard deviation, share.
 DETERMINED = {
     "coulomb_nm": ([1, 4], 0.05),
     "viscous_nm_s_rad": ([1, 4], 0.1),
@@ -44,7 +44,7 @@ DETERMINED = {
 
 @pytest.fixture
 def untyped(place, monkeypatch):
-    """A cell in which nobody has typed a rotor or friction; friction is the same in every motion, as its truth is."""
+    """A cell without typed rotor or friction; friction is the same in every motion, as its truth is."""
     monkeypatch.setattr("sim.nominal.SCATTER", 0.0)
     text = place.cell.read_text(encoding="utf-8")
     place.cell.write_text(re.sub(r"(?m)^(rotor_inertia_kg_m2|coulomb_nm|viscous_nm_s_rad) = .*\n", "", text))

@@ -35,7 +35,7 @@ def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serv
         return abs(load.mass_kg - TRUTH_KG * (1.0 + PER_S * rows.time_s.mean()))
 
     forth, back, both = off_kg(table.pose < AGAIN), off_kg(table.pose >= AGAIN), off_kg(table.pose > 0)
-    # less than half would be left if each way alone did not have the drift in its model
+    # less than half would be left if each direction alone did not have the drift in its model
     assert both < 0.7 * max(forth, back), (both, forth, back)
     findings = [finding["where"] for finding in result["findings"] if "both times" in finding["what"]]
     assert {"J2", "J3"} <= set(findings)

@@ -32,7 +32,7 @@ _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 @dataclass(frozen=True)
 class Block:
-    """What stands between fences: kind "" is typed in a terminal, `sim` in that of the simulator, `toml` is a file."""
+    """Text between fences: kind "" is typed in a terminal, `sim` in that of the simulator, `toml` is a file."""
 
     kind: str
     lines: tuple[str, ...]

@@ -94,7 +94,7 @@ def _miss(seed: int, condition: str) -> np.ndarray:
 
 
 def _expected(cell) -> np.ndarray:
-    """Half-sums of the arm that its owner believes in, with the true load."""
+    """Half-sums of the arm as its owner states it, with the true load."""
     arm, rows = cell.arm, rows_of(cell.visits)
     cad = np.concatenate([[b.mass_kg, *(b.mass_kg * b.com_m)] for b in arm.chain.bodies if b])
     middle = np.full(6, np.mean(levels_of(cell.condition).efficiency))

@@ -16,7 +16,7 @@ def test_what_rest_poses_cannot_show(seed, lossless):
     found = confusable_pairs(seed, 60)
     # a vertical axis carries no gravity; a mass on a link is a heavier link; a turned flange is a turned load
     assert set(found.unseen) == VERTICAL | LUMPED
-    # a cable wound up from an unknown angle holds a constant; a gear that loses by direction tells the two apart
+    # a cable wound up from an unknown angle holds a constant; losses of a gear by direction distinguish the two
     constant = {(("cable_torque", (joint,)), ("torque_offset", (joint,))) for joint in (4, 5, 6)}
     assert set(found.same) == (constant if lossless else set())
     # the two zeros differ by the weight of the upper arm alone

@@ -20,7 +20,7 @@ from tests.support.pair.clock import CELL, GAP_CELL, PERIOD_S, Cycles, at_period
 
 @pytest.fixture(params=["stays", "fades"])
 def friction(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of joints that stand: as it was when they stopped, or let go of by their drives."""
+    """Of joints at rest: as it was when they stopped, or released by their drives."""
     if request.param == "stays":
         return
     report = LightWorld._report
@@ -35,7 +35,7 @@ def friction(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.slow
 @pytest.mark.usefixtures("friction")
 def test_friction_of_arms_that_stand_is_no_force_in_the_part() -> None:
-    """Arms without errors, ways forward and back: the guard of the way to the start stops none of them."""
+    """Arms without errors, paths forward and back: the guard of the transfer to the start stops none of them."""
     with stepped(None, PERIOD_S) as bench:
         run = bench.begin("C1i", None)
         most = [bench.cycle(run) for _ in range(2)]

@@ -1,4 +1,4 @@
-"""A path that a seed has drawn begins where the arms stand, and asks no jump of them."""
+"""A path that a seed has drawn begins where the arms are, without a step."""
 
 from __future__ import annotations
 

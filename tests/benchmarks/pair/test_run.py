@@ -1,4 +1,4 @@
-"""The pair over two buses: short ways, faults of one arm, the force limit, teaching that is resumed."""
+"""The pair over two buses: short paths, faults of one arm, the force limit, teaching that is resumed."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ def test_one_arm_fails_and_both_stop(arm: int, harm: Callable[[FakeDrive], None]
             next(time_s for time_s, *left, _ in seen if left[index] < 6 and time_s > began_s + 1.3) for index in (0, 1)
         ]
         period = rig.cell.sync_period_s
-        # a fault is answered at once; silence counts after five SYNCs, and the drive itself keeps its last target
+        # a fault is answered at once; missing answers count after five SYNCs; the drive keeps its last target
         latest_s = ends[arm] + 3 * period if harm is has_a_fault else began_s + 1.3 + 9 * period
         assert ends[1 - arm] < latest_s
         assert max(force for *_, force in seen) < 1500.0

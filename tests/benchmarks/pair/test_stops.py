@@ -327,7 +327,7 @@ class Interrupted:
     """What became of a command that was interrupted.
 
     `powered`: a drive was left under power; `quick`: a quick stop was seen; `simulator_s`: by how much the simulated
-    drives were late at most [s].
+    drives were delayed at most [s].
     """
 
     code: int

@@ -1,4 +1,4 @@
-"""What the benchmark of arms that are not alike says of its runs."""
+"""Report of the benchmark of different arms on its runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Drafts of profiles: what the sheet says is in them, what nobody said keeps the drive from being moved."""
+"""Drafts of profiles: they hold what the sheet says; unstated values keep the drive from being moved."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ def pendulum() -> SimChain:
 
 
 def swing(time_s: np.ndarray) -> tuple[np.ndarray, ...]:
-    """From rest to rest: half a cosine's way there and back."""
+    """From rest to rest: half a cosine there and back."""
     rate = 2.0 * np.pi / PERIOD_S
     angle = rate * np.asarray(time_s)[:, None]
     return (

@@ -122,7 +122,7 @@ def test_a_step_of_speed_takes_as_much_torque_however_short_the_stretch_it_is_se
 
 
 def test_dry_friction_stays_where_a_joint_has_come_to_stand(world_of: Worlds) -> None:
-    """Two standstills in one place, come to from either side: the torques are twice the friction apart."""
+    """Two standstills in one place, approached from either side: the torques are twice the friction apart."""
     world = world_of()
     power(world)
     world.open_grippers()

@@ -1,4 +1,4 @@
-"""Rows of an arm from its robot file: they stand where the file's joints stand, and weigh what its links weigh."""
+"""Rows of an arm from its robot file: they are where the file's joints are, with the masses of its links."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_fingertips_stand_where_the_robot_files_put_them(file: str) -> None:
 
 
 def drawn_arm(rng: np.random.Generator, like: ArmSpec, axes: int) -> ArmSpec:
-    """An arm of the same drives whose joints stand anywhere and turn about any axis, two parallel, two on one line."""
+    """An arm of the same drives whose joints are anywhere and turn about any axis, two parallel, two on one line."""
     placement = np.array(
         [pose(Rotation.random(random_state=rng).as_matrix(), rng.uniform(-0.4, 0.4, 3)) for _ in range(axes)]
     )

@@ -94,7 +94,7 @@ def _lockstep(port: int, cycles: int, goal_hz: float) -> dict[str, dict[str, Any
 
 
 def _cpu_on_the_bus(port: int, other_port: int, cycles: int = 3000) -> dict[str, dict[str, Any]]:
-    """CPU of this process per cycle, all its threads; the two ways take turns."""
+    """CPU of this process per cycle, all its threads; both measurements take turns."""
     ours, theirs = [], []
     for _ in range(ROUNDS):
         with _bus(port) as bus, _group(bus, "lockstep", 0.004) as group:

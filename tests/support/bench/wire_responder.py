@@ -57,7 +57,7 @@ class Responder:
             TPDO.pack_into(message.data, 0, self.state[node] | 0x0200, self.positions[node], self.syncs % 1000)
 
     def run(self) -> None:
-        """Serve until the master says so, or nobody has spoken for a minute."""
+        """Serve until the master ends it, or no frame has come for a minute."""
         send, tpdos = self.bus.send, self.tpdos
         while (frame := self.bus.recv(60.0)) is not None:
             can_id = frame.arbitration_id
@@ -102,7 +102,7 @@ class Responder:
 
 
 def free_port() -> int:
-    """A UDP port that nobody uses."""
+    """Return a free UDP port."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("", 0))
         return probe.getsockname()[1]

@@ -1,7 +1,7 @@
 """What every mechanism of nature may rightly be called, fixed before anything was ever asked of a cell of nature.
 
-The joints are those that the mechanism was drawn with. Two names stand where rest poses cannot show, even in
-principle, which of the two it is: a constant in the half-sums is the zero of a sensor as well as friction that differs
+The joints are those that the mechanism was drawn with. Two names are allowed where rest poses cannot distinguish
+them even in principle: a constant in the half-sums is the zero of a sensor as well as friction that differs
 by direction.
 A mechanism without a name is one that no name of the library fits.
 """

@@ -43,7 +43,7 @@ class Intervals:
 class Score:
     """What is kept of one cell.
 
-    `truth` is mechanism, joints, strength; `beside` the strengths beyond what other effects could take over; `gross`
+    `truth` is mechanism, joints, strength; `beside` the strengths beyond what other effects could take over; `outliers`
     is pose, load, joint, bands.
     """
 

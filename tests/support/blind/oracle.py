@@ -1,8 +1,8 @@
 """How well a load can be determined at all: the Bayesian linear model that is given everything but the numbers.
 
 Half-sums are linear in the links, the load, the errors of the torque constants, the bias by direction, what efficiency
-leaves, the cogging, and in an amplitude of each true effect's torque curve as drawn. All of these have the priors that
-the cell was drawn with, the load and the amplitudes none; the noise of every row is known, outlier visits are known and
+leaves, and the cogging. They are also linear in an amplitude of each true effect's torque curve. All of these have the
+priors of the cell, the load and the amplitudes none. The noise of every row is known, outlier visits are known and
 left out. The model is evaluated at the truth; what is returned is the standard deviation of mass and centre.
 """
 

@@ -16,7 +16,7 @@ def said(cell: Cell) -> Said:
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Strict scores of cells, of which `truth` tells what is there."""
+    """Strict scores of cells, of which `truth` lists the effects present."""
 
     truth: Callable[[Cell], tuple[There, ...]]
 

@@ -15,7 +15,7 @@ from tests.support.chaos.rig import with_real_pacing
 from tests.support.chaos.stalling import PATIENCE_S, RPDO1, SLOW_RAD_S, Recorder, short_visits, stops
 from tests.support.chaos.witness import Track
 
-#: Ways in which a drive does not confirm that it stops: commands or answers no longer arrive, it has gone, it is deaf.
+#: Cases in which a drive does not confirm that it stops: commands or answers no longer arrive, it has gone, it is deaf.
 KINDS = ("rpdo_gone", "tpdo_gone", "node_killed", "nmt_stopped")
 #: After this no heartbeat may go out [s].
 DELAYED_AFTER_S = 0.2
@@ -29,7 +29,7 @@ class Heartbeats:
     Attributes
     ----------
     stops : how many were commanded
-    late : of them, with a heartbeat later than `SILENT_AFTER_S` and a period after the stop word
+    delayed : of them, with a heartbeat later than `SILENT_AFTER_S` and a period after the stop word
     last_s : time from the stop word to the last heartbeat, of each
     """
 

@@ -71,9 +71,9 @@ class Interruptions:
     runs, powered : how many; of them, with axes under power at that instant
     early, disturbed : ended by themselves before it happened, or because this computer was busy, and were run again
     commands : runs by command
-    late, dropped, unsafe, lost, codes : runs that were not at rest, disabled and in their brakes in time; in which an
-        axis was disabled before it stood; that did not end there at all; that lost something finished; with another
-        exit code than is documented
+    delayed, dropped, unsafe, lost, codes : runs that were not at rest, disabled and in their brakes in time. Runs in
+        which an axis was disabled in motion; that did not end there at all; that lost finished work; with an
+        undocumented exit code
     longest_s : until the brakes were closed
     """
 

@@ -107,7 +107,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
     store, desk, planned = MemoryStore(), StopDesk(), 0
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        if kind == "frozen terminal":  # nobody reads its other end before the run is over
+        if kind == "frozen terminal":  # its other end is not read before the run is over
             master, slave = os.openpty()
             stack.callback(os.close, master)
             stderr, sys.stderr = sys.stderr, stack.enter_context(os.fdopen(slave, "w"))
@@ -149,7 +149,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
         dropped = 0
         if kind == "frozen terminal":
             dropped = outlet._dropped_lines
-            outlet._failure = OSError()  # nobody reads what waits
+            outlet._failure = OSError()  # the queue is not read
             with suppress(OSError):
                 detached.__exit__(None, None, None)
     until_s = time.monotonic() + NO_PROGRESS_S[pacing]  # drives without a master stop by themselves

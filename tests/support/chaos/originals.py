@@ -2,7 +2,7 @@
 
 Most are played in this process: an operation of the file system or of the bus, drawn at random, is the last one. A kill
 leaves the files as they are at that instant. A power cut takes what was not forced to the disk (fsync of the file, and
-of the folder after a rename), and in half of the cases the drives lose what they hold in memory too.
+of the folder after a rename). In half of the cases the drives lose what they hold in memory too.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Two arms are stopped with one part between them: the largest true force inside the part, over PyBullet in lockstep.
 
-Row B (one relation, hands that yield) at speed 1.5, stopped at three instants of its way: by a person, by a quick stop
+Row B (one relation, hands that yield) at speed 1.5, stopped at three instants of its path: by a person, by a quick stop
 of healthy drives, by a drive that faults and by one that stops responding.
 """
 
@@ -26,7 +26,7 @@ from tests.support.figure import figure
 from tests.support.pair.bus_rig import NO_LIMIT_N, PairRig, inline_rig
 
 ROW, SPEED, SEEDS, JOBS = "B", 1.5, 10, 2
-#: Instants of the way [s]: getting faster, in the middle, and where the force of the row is largest.
+#: Instants of the path [s]: getting faster, in the middle, and where the force of the row is largest.
 INSTANTS_S: Final = (0.9, 1.5, 2.1)
 BEFORE_S = 0.2
 #: Axis that fails, counted over both arms.
@@ -128,7 +128,7 @@ def _run_until_stopped(rig: PairRig, run: PairRun) -> None:
 def bound_n(rig: PairRig, drives: list[FakeDrive], delay_s: float) -> float:
     """Force that a stop adds at most: each axis ends anywhere between here and its ramp's end, lag and delay included.
 
-    The ways of all joints are added as if each of them moved the hands the same way, times the stiffness of the chain
+    The distances of all joints are added as if each moved the hands in one direction, times the stiffness of the chain
     of gears and part.
     """
     world = rig.world

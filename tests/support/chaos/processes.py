@@ -44,7 +44,7 @@ from tests.support.chaos.witness import Witness
 PAIR_EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 FORK = multiprocessing.get_context("fork")
 POSES = 6
-#: Below the motion loop's, so that whoever shares a core with it does not hold it up.
+#: Below the motion loop's, so that a process on the same core does not delay it.
 DRIVES_PRIORITY = 30
 ENABLED = PdsState.OPERATION_ENABLED
 
@@ -307,7 +307,7 @@ class _Blocked:
         self._notify = notify
 
     def send(self, frame: can.Message, timeout: float | None = None) -> None:
-        """Send, as long as there is room."""
+        """Send, as long as the queue is not full."""
         self._left -= 1
         if self._left == 0:
             self._notify()

@@ -53,7 +53,7 @@ PERIOD = re.compile(r"period \d+/\d+: '([^']+)' number (\d+)")
 
 
 class Program:
-    """A command that runs; what it says is read all the time, until nobody wants to hear it any more.
+    """A command that runs; its output is read all the time, until the reader is closed.
 
     Parameters
     ----------

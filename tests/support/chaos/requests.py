@@ -34,7 +34,7 @@ from tests.support.rigs.wired_arm import FREE_RAD, Joint, last_set_point, ramp_s
 EXAMPLE: Final = Path(__file__).resolve().parents[3] / "examples" / "small" / "cell.toml"
 PERIOD_S: Final = 0.01
 
-#: What is stopped, each with bring-up and way down.
+#: What is stopped, each with enabling and disabling.
 ACTS: Final[dict[str, Callable[[OpenArm, MoveOptions], object]]] = {
     "stop proof": prove_stop,
     "brake test": try_brakes,
@@ -65,7 +65,7 @@ class Answers:
     Attributes
     ----------
     syncs : SYNCs from each request to the last setpoint, over what the ramp takes
-    late : what was not answered within one SYNC and the ramp, in words
+    delayed : what was not answered within one SYNC and the ramp, in words
     """
 
     syncs: list[int] = field(default_factory=list)

@@ -76,7 +76,7 @@ class Watched:
     ----------
     seen : Seen
     states : of each drive, now
-    silent : whether each is without power
+    unresponsive : whether each is without power
     touched : frames that faults have touched, by kind
     tpdo3_on : drives that send their third TPDO
     torque_limits : 0x6072 of each drive, now

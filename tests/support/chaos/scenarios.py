@@ -85,7 +85,7 @@ DETAILS: dict[str, dict[str, Any]] = {
 }
 #: Whom a fault may concern; only an axis that carries weight sinks.
 NODES, CARRYING = (1, 2, 3, 4, 5, 6), (3, 5)
-#: Faults that show late, or only while the axis moves, begin in the first motion.
+#: Faults that show after a delay, or only while the axis moves, begin in the first motion.
 IN_MOTION = frozenset(
     {"rpdo_gone", "brake_engaged", "heartbeat_lost", "heartbeat_back", "nmt_preoperational", "not_following"}
 )
@@ -282,7 +282,7 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
 
 
 def _say(rig: Drives, kind: str, event: Event) -> None:
-    """A drive whose emergencies come from another id says that all is well: that has to be heard."""
+    """A drive whose emergencies come from another id says that all is well: that has to be detected."""
     if kind == "foreign_emcy_id" and isinstance(event, Started):
         rig.all_well()
 

@@ -50,7 +50,7 @@ class SlowDisk:
 
     Attributes
     ----------
-    taken, announced, lost : visits that were finished, told to be on disk, and of those not there in the end
+    taken, announced, lost : visits that were finished, reported to be on disk, and of those missing at the end
     went_on : most visits that were waiting for the disk
     said : why it ended
     full : the arm was stopped because the disk is too slow

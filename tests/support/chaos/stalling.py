@@ -63,7 +63,7 @@ class Stalls:
     ----------
     stalls : how many
     moving : of them, with setpoints being sent and an overrun that has to be a stop
-    late : of those, without a stop word for every axis within two periods of waking
+    delayed : of those, without a stop word for every axis within two periods of waking
     share : largest true speed afterwards, as a share of its axis's limit
     fast : stalls after which a joint went beyond its speed limit
     visits, rows, foreign : finished visits, rows in them, values in them that are no answer to their SYNC
@@ -251,7 +251,7 @@ def _one(recorder: Recorder, served: Drives, rng: random.Random, period_s: float
 
 
 def heartbeat_time_s(served: Drives) -> float:
-    """After which the drives of a rig give a silent master up."""
+    """Return the time after which the drives of a rig stop for a missing master."""
     text = (served.loaded.folder / "drive.toml").read_text()
     found = re.search(r"consumer_ms = (\d+)", text)
     if found is None:

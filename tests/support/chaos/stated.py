@@ -29,7 +29,7 @@ from drives.errors import (
 )
 from gateway.errors import FindingFailed, LimitExceeded, PoseNeverSettles
 
-#: Whom a message has to name: the node (or its joint), by number and in words; nobody, where the whole bus is meant.
+#: Whom a message has to name: the node (or its joint), by number and in words; none, where the whole bus is meant.
 Named = Literal["node", "joint", "id", "nobody"]
 #: Number of CAN ids of SDO requests before the one of node 0.
 SDO_REQUEST = 0x600
@@ -61,7 +61,7 @@ class Stated:
     ----------
     error : class of the error, exactly; None = nothing is raised
     says : regular expression that its words match
-    rule : of `gateway.motion.reactions.REACTIONS` whose advice it ends with; "" = none
+    rule : of `gateway.motion.reactions.REACTIONS` whose remedy it ends with; "" = none
     named : whom it names
     counts : counters where nothing is raised
     real : counters in real time, where they differ
@@ -79,7 +79,7 @@ class Stated:
         return self.real if pacing == "real" and self.real is not None else self.counts
 
 
-#: In lockstep, where everybody is waited for, nothing else than what is stated may be incomplete.
+#: In lockstep, where every drive is waited for, nothing else than what is stated may be incomplete.
 _COMPLETE = Count("incomplete", most=0)
 _GAPS = Count("incomplete", least=1)
 _UNANSWERED = "left 5 SYNCs in a row unanswered"
@@ -95,7 +95,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "tpdo_duplicated": Stated(
             counts=(Count("duplicate", share=0.95), _COMPLETE), real=(Count("duplicate", share=0.9),)
         ),
-        # late but in time is no irregularity: nothing may be counted
+        # delayed but in time is regular: nothing may be counted
         "tpdo_delayed": Stated(counts=(_COMPLETE, Count("late", most=0)), real=()),
         "tpdo_reordered": Stated(counts=(_COMPLETE, Count("late", most=0), Count("ambiguous", most=0)), real=()),
         "tpdo_late": Stated(
@@ -111,7 +111,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "burst": Stated(
             counts=(_GAPS, Count("late or twice", least=1)), real=(_GAPS, Count("late or unsure", least=1))
         ),
-        # nobody hears that a drive has heard nothing; what counts is that no sample is touched
+        # a command that a drive does not receive is not reported; what counts is that no sample is touched
         "rpdo_lost": Stated(counts=(_COMPLETE,), real=()),
         "rpdo_gone": Stated(LimitExceeded, _BEHIND, "stays_behind", "joint"),
         "sync_lost": Stated(counts=(Count("incomplete", least=1, most=1),), real=(_GAPS,)),

@@ -94,6 +94,6 @@ def _run(command: Command, stage: Stage, out: Path, fastest: Fastest) -> None:
         fastest.disturbed += 1
         if not stage.pair:
             stage.served.ask("renew")
-    # a commissioning waits for a load that nobody hangs, a part that was run for a while is interrupted
+    # a commissioning waits for a load that is not mounted, a part that was run for a while is interrupted
     if code not in (0, 130):
         fastest.complaints.append(f"{command.name}: exit code {code}: ...{said[-300:]}")

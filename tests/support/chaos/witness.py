@@ -1,4 +1,4 @@
-"""What the drives of a simulation went through, written down beside them: true speeds, states, brakes, frames heard."""
+"""Record of the drives of a simulation: true speeds, states, brakes, frames received."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from sim.states import PdsState
 
 #: Between two lines of the log at least [s].
 STEP_S = 0.0008
-#: A joint that turns slower than this stands [rad/s]; one that is disabled faster coasts until its brake has closed.
+#: A joint slower than this is at rest [rad/s]; one that is disabled faster coasts until its brake has closed.
 REST_RAD_S = 0.02
-#: A frame heard: monotonic time, identifier, length, data.
+#: A frame received: monotonic time, identifier, length, data.
 FRAME = struct.Struct("<dIB8s")
 #: States in which the drive gives torque.
 ENERGISED = (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE, PdsState.FAULT_REACTION_ACTIVE)
@@ -36,8 +36,8 @@ class Track:
     fastest_rad_s : largest true speed of each rotor since the line before, shape (n, axes)
     speed_rad_s : true speed at that time, shape (n, axes)
     energised, free : the drive gives torque, the brake is open; shape (n, axes)
-    frames : (monotonic time of arrival, identifier, data) of everything heard
-    sync : SYNCs heard since power-up
+    frames : (monotonic time of arrival, identifier, data) of everything received
+    sync : SYNCs received since power-up
     """
 
     limits_rad_s: np.ndarray
@@ -82,8 +82,8 @@ class Ending:
 
     Attributes
     ----------
-    rest_s, disabled_s, locked_s : until the last one stood, gave no torque, was in its brake
-    dropped_moving : axes that coasted: they were disabled before they stood
+    rest_s, disabled_s, locked_s : until the last one was at rest, gave no torque, was in its brake
+    dropped_moving : axes that coasted: they were disabled before they were at rest
     over : all of that has happened
     """
 

@@ -1,7 +1,7 @@
-"""What can be told at all: the same weighing of drift against none, by one who knows how nature draws the wanders.
+"""Earliest possible detection: drift is tested against none with the true law of the random walks.
 
-The earliest day knows the wander of every robot. Who has only the checks knows at best how wanders are drawn: their
-correlation, and how their sizes are spread over the robots; which one it is he has to read from the robot itself.
+The earliest day uses the random walk of every robot. From the checks alone at best the law of the walks is known: their
+correlation, and the spread of their sizes over the robots. The size itself has to be estimated from the robot.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from gateway.fleet.drift_detection import needed_sigmas, sigmas
 from tests.support.fleet.bound import LOOKS_DAY
 from tests.support.fleet.plant import LIKE, WEAR, Robot, likeness
 
-#: Sizes of the wander that stand for all.
+#: Sizes of the random walk that represent all.
 SIZES = 12
 
 

@@ -1,4 +1,4 @@
-"""The earliest day on which a drift can be told: Cramer-Rao from the truth, and the least threshold for the alarms."""
+"""Earliest day on which a drift can be detected: Cramer-Rao bound, and the least threshold for the alarms."""
 
 from __future__ import annotations
 

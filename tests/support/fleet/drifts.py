@@ -26,7 +26,7 @@ from tests.support.fleet.plant import DAYS, FIRST, Robot, draw, write
 #: Every other robot wears.
 ONE_WORN_IN = 2
 PER_FILE = 50
-#: Robots of which it is asked what could be told at all.
+#: Robots for which the earliest possible detection is computed.
 BEST_OF = 100
 NOW = FIRST.replace(tzinfo=UTC) + timedelta(days=DAYS)
 QUESTIONS = {
@@ -42,7 +42,7 @@ QUESTIONS = {
 
 @dataclass(frozen=True, slots=True)
 class Plant:
-    """How many robots, drawn from which seed, and how unlike they wander."""
+    """Number of robots, their seed, and the spread of their random walks."""
 
     seed: int
     robots: int

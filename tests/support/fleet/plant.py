@@ -1,7 +1,7 @@
 """Robots of a plant over a year, as nature would have them: products of what changes, waves of many lengths.
 
 Shares no formula with the analysis: a gain is a product (constant, magnet, load, wear), friction falls with warmth as
-oil does, and the slow wander is a sum of waves whose lengths and phases are drawn.
+oil does. The random walk is a sum of waves whose lengths and phases are drawn.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FIRST = datetime(2025, 1, 1, 5, 30)
 WEAR = 0.02
 PROGRAMS = ("pick", "place", "weld")
 WAVES = 40
-#: Size of the slow wander over the noise of a check, of a usual robot.
+#: Size of the random walk over the noise of a check, of a usual robot.
 LIKE = 0.4
 #: Lengths of the waves over 2 pi [d].
 LENGTH_DAY = (1.2, 60.0)
@@ -37,7 +37,7 @@ class Robot:
     name : str
     worn : axis whose gain drifts, -1 = none
     noise : of the gain of every axis, from check to check (6,)
-    wander : standard deviation of the slow wander of every gain (6,)
+    random_walk : standard deviation of the random walk of every gain (6,)
     day : (n,) of every check
     temperature_c : (n, 6)
     load_kg : (n,)
@@ -62,7 +62,7 @@ def draw(seed: int, number: int, worn_axes: int, lag_differences: float) -> Robo
     worn_axes : int
         1: the gain of one axis drifts; 0: none does.
     lag_differences : float
-        Standard deviation of the logarithm of wander over noise: 0 = robots of one kind.
+        Standard deviation of the logarithm of random walk over noise: 0 = homogeneous fleet.
     """
     rng = np.random.default_rng([seed, number])
     day = np.flatnonzero(rng.random(DAYS) > 0.03) + rng.uniform(-0.1, 0.1)
@@ -111,14 +111,14 @@ def _waves(rng: np.random.Generator, day: np.ndarray, size: np.ndarray) -> np.nd
 
 @cache
 def _likeness() -> tuple[np.ndarray, np.ndarray]:
-    """Distances [d] and the correlation of the wander there, whatever its waves are: a mean over all that are drawn."""
+    """Distances [d] and the correlation of the random walk there, as the mean over all drawn waves."""
     away = np.arange(0.0, DAYS + 1.0, 0.1)
     length = np.linspace(*LENGTH_DAY, 4000)
     return away, np.array([np.cos(each / length).mean() for each in away])
 
 
 def likeness(day: np.ndarray) -> np.ndarray:
-    """Correlation (n, n) of the wander on these days."""
+    """Correlation (n, n) of the random walk on these days."""
     return np.interp(np.abs(day[:, None] - day), *_likeness())
 
 

@@ -1,7 +1,7 @@
 """A simulated cell, identified and followed through the gateway's own commands; the simulator keeps its truth.
 
 The model of the gateway differs from that of the simulator: links drawn with build errors, datasheet rotor inertia
-rounded, friction only as the rest poses show it, the load as it was identified.
+rounded. Friction is only as the rest poses show it, the load as it was identified.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Place:
         return self.folder / "result.json"
 
     def changed_cell(self, name: str, pattern: str, new: str) -> Path:
-        """A cell file that tells the gateway something else than the simulator obeys."""
+        """Write a cell file that differs from the simulated arm."""
         text, count = re.subn(pattern, new, self.cell.read_text())
         assert count, pattern
         (self.folder / f"{name}.toml").write_text(text)
@@ -73,7 +73,7 @@ class Place:
 
 
 def nothing_typed(place: Place, handle: RunningSimulation, seed: int) -> tuple[Path, Path]:
-    """The cell without rotors and friction, and the result of its moving runs, bare and loaded; the load hangs.
+    """The cell without rotors and friction, and the result of its moving runs, bare and loaded; the load stays mounted.
 
     One series of all joints, for the load, friction and rotors: three periods of 10 s under each load.
     """

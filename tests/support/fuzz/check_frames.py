@@ -74,7 +74,7 @@ def heartbeats() -> st.SearchStrategy[list[bytes]]:
 
 
 def check_heartbeat(frames: list[bytes]) -> None:
-    """The state is that of the last one-byte frame, a boot-up is remembered, a strange byte is no state."""
+    """The state is that of the last one-byte frame, a boot-up is remembered, an unknown byte gives no state."""
     wire, bus = open_wire()
     watch = HeartbeatWatch(bus, [NODE], [0.1])
     for data in frames:
@@ -183,7 +183,7 @@ class Device:
     def __init__(self, conversation: Conversation) -> None:
         self.value = conversation.value
         self.written: bytes | None = None
-        #: Whether a frame went out that no client can tell from a right answer.
+        #: Whether a frame went out that no client can distinguish from a right answer.
         self.deceived = False
         self._fates = deque(conversation.fates)
         self._rest = b""

@@ -24,7 +24,7 @@ class Unfinished(BaseException):
 
 @contextmanager
 def cpu_limit(limit_s: float = TIME_LIMIT_S) -> Iterator[None]:
-    """Raise `Hang` when the block takes more processor time than this; only in the main thread."""
+    """Raise `Unfinished` when the block takes more processor time than this; only in the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

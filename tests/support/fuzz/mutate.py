@@ -81,7 +81,7 @@ def apply_edits(seed: bytes, edits: Sequence[Edit]) -> bytes:
     return data
 
 
-#: Values that are well formed and that no reader expects where they stand.
+#: Values that are well formed and that no reader expects at that place.
 VALUES: tuple[bytes, ...] = (
     b"0",
     b"-1",

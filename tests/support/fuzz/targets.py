@@ -1,7 +1,7 @@
 """Every decoder and reader that takes bytes from strangers, with what it must do for any of them.
 
-A target is a strategy of inputs and a check that raises when the promise is broken: a typed error or a correct result,
-never another exception, never a hang, no memory beyond ten times the input.
+A target is a strategy of inputs and a check of the result: a typed error or a correct value, never another exception.
+The reader must end in time and use no memory beyond ten times the input.
 """
 
 from __future__ import annotations

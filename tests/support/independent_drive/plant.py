@@ -119,7 +119,7 @@ class Axis:
 class Arm:
     """Six axes whose weights depend on each other, in real time.
 
-    Their clock follows the SYNC, as that of a drive does: a frame that comes a few milliseconds early or late moves no
+    Their clock follows the SYNC, as that of a drive does: a frame that comes a few milliseconds off moves no
     reference. Without SYNC it runs with the computer's.
 
     Parameters

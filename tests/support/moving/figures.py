@@ -19,7 +19,7 @@ Cell = Mapping[str, Any]
 HALF_WIDTH = 1.96
 #: Intervals that hold the truth.
 HOLDS = "0.93 .. 0.97"
-#: An inertia is excited where the oracle tells each of its six numbers to this share of the largest principal one.
+#: An inertia is excited where the oracle has each of its six numbers to this share of the largest principal one.
 EXCITED = 0.1
 #: Goals of the friction curve: share of the true value.
 CURVE = {"coulomb_nm": 0.03, "viscous_nm_s_rad": 0.05}
@@ -91,7 +91,7 @@ def width_figures(cells: Sequence[Cell]) -> Figures:
 
 
 def axis_figures(cells: Sequence[Cell]) -> Figures:
-    """Errors of what motion tells of the axes, and what the intervals hold."""
+    """Errors of the axis parameters from motion, and the coverage of their intervals."""
     out: Figures = {}
     for name in AXIS_NAMES:
         value, std, truth, oracle = (_axes(cells, name, key) for key in ("value", "std", "truth", "oracle"))
@@ -109,7 +109,7 @@ def axis_figures(cells: Sequence[Cell]) -> Figures:
 
 
 def excited(cell: Cell) -> bool:
-    """Whether the runs tell the inertia of the load, as far as anyone could; with no oracle, as the result says."""
+    """Return whether the runs excite the inertia of the load, by the oracle; without oracle, by the result."""
     load = cell["load"]
     std = load["oracle"] if np.isfinite(load["oracle"][4:]).all() else load["std"]
     return bool(max(std[4:]) <= EXCITED * cell["largest_kg_m2"])

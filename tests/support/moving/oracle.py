@@ -1,7 +1,7 @@
 """Best possible estimate of a load from a moving run: the Bayesian linear model, given all but the numbers.
 
-Links, load, torque constants, friction, rotors, delays, cogging and the scatter of every stroke are columns, with the
-priors that the arm was drawn with; load, friction, rotors and delays have none. The noise is weighed by its spectrum.
+Links, load, torque constants, friction, rotors, delays, cogging and the scatter of every stroke are columns with the
+priors of the arm. Load, friction, rotors and delays have none. The noise is weighed by its spectrum.
 The model is evaluated at the truth, on the mean over the periods; regressors are pinocchio's.
 """
 
@@ -230,7 +230,7 @@ def _axis_columns(arm: MovingArm, runs: list[_Run], axis: int, motion: PeriodicM
 
 
 def _stroke_columns(arm: MovingArm, run: _Run, axis: int, periods: int) -> Floats:
-    """What every stroke's friction lies off, on the mean over the periods."""
+    """Friction error of every stroke, as the mean over the periods."""
     sign = np.sign(run.qd[:, axis])
     number = np.cumsum(np.diff(sign > 0, prepend=sign[:1] > 0) != 0)
     size = arm.friction.tail_share[axis] * arm.friction.coulomb_nm[axis] / np.sqrt(periods)

@@ -24,7 +24,7 @@ _SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What hangs there, and what motion ought to tell of every axis (N,) by quantity, NaN where there is no such truth.
+    """True load, and true parameters of every axis (N,) by quantity, NaN where there is no such truth.
 
     `oracle` has the standard deviations of the oracle: `load`, and every quantity of `axes`.
     """
@@ -48,7 +48,7 @@ def drawn_truth(
     """
     friction = arm.friction
     cold = friction.cold(np.array(list(start_s.values()))).mean(axis=0)
-    # what nobody declared of a gear is lost in proportion to the torque as well: half of what differs by direction
+    # undeclared losses of a gear are in proportion to the torque as well: half of what differs by direction
     undeclared = (1.0 / friction.driving - friction.driven) / 2.0
     share = np.mean([np.abs(rigid_nm(arm, motion, label)).mean(axis=0) for label in start_s], axis=0) / arm.rated_nm
     # a gear that transmits nothing is driven by its motor, whichever direction it turns
@@ -72,7 +72,7 @@ def tensor(six: Any) -> Floats:
 
 
 def possible(load: LoadResult) -> bool:
-    """Whether a rigid body can have the inertia that was reported; a load without one is no claim."""
+    """Whether a rigid body can have the inertia that was reported; a load without one counts as right."""
     if load.inertia_kg_m2 is None or not np.isfinite(load.inertia_kg_m2).all():
         return True
     moments = np.linalg.eigvalsh(tensor(load.inertia_kg_m2))

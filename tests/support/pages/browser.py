@@ -34,7 +34,7 @@ ARGUMENTS = (
     "--disable-sync",
     "--hide-scrollbars",
 )
-#: A page is static and small; a browser that takes longer hangs.
+#: A page is static and small; a browser that takes longer has stalled.
 PATIENCE_S = 60.0
 _READY = re.compile(r"started successfully on port (\d+)")
 

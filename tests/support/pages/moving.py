@@ -48,7 +48,7 @@ def _run(name: str, load: str, speeds: np.ndarray, random: np.random.Generator) 
 
 
 def moving_result() -> Result:
-    """The result; axis 4 tells a Stribeck curve, axis 6 no rotor."""
+    """The result; axis 4 has a Stribeck curve, axis 6 no rotor."""
     random = np.random.default_rng(7)
     alone = np.where(SIX == 1, 0.3, 0.0)
     runs = (

@@ -1,4 +1,4 @@
-"""What a pair meets on another day than that on which it learned: limits in force, the true force until it stands."""
+"""A pair under conditions that changed since it learned: limits in force, the true force until it is at rest."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SPEED = 1.5
 CYCLES = 3
 #: How far the part slips or is gripped beside where it was taught [m], and in what time it slips [s].
 BESIDE_M, SLIP_S = 2e-3, 0.02
-#: Where on the way the part slips, share of its time, and how long the arms take to begin it [s].
+#: Where on the path the part slips, share of its time, and how long the arms take to begin it [s].
 SLIP_AT, BEGINS_S = 0.4, 1.6
 
 
@@ -57,7 +57,7 @@ def _soften(rig: PairRig) -> None:
 
 
 def _slips(rig: PairRig, run: PairRun) -> PairRun:
-    """The part slips in the grip of arm 2, along itself, in the middle of the next way."""
+    """The part slips in the grip of arm 2, along itself, in the middle of the next path."""
     part = rig.world.part
     begin_s = rig.world.time_s + BEGINS_S + SLIP_AT * len(run.path) * run.path.dt_s
     before = part.grasp.copy()

@@ -37,7 +37,7 @@ def drawn_cell(folder: Path, seed: int, refused: int = 0) -> Path:
 def bent(rows: Array, rng: np.random.Generator) -> Array:
     """Rows (M, 7) of a path [s, m, rad], bent at random; begun where it began, and at rest where it was at rest.
 
-    By the share of the way that is done, so that it stays smooth in time: half a wave, a whole wave, and another end.
+    By the share of the path that is done, so that it stays smooth in time: half a wave, a whole wave, and another end.
     """
     step = np.linalg.norm(np.diff(rows[:, 1:4], axis=0), axis=1)
     done = np.concatenate([[0.0], np.cumsum(step)])[:, None] / step.sum()

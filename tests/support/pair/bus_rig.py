@@ -223,7 +223,7 @@ def measured_figures(run: PairRun, done: PairCycle, record: Array) -> dict[str, 
 
 
 def deviation_m(record: Array, alone: Array) -> float:
-    """How far the part is moved off the way that the master takes alone, at its fingertip, (n, 3) [m]."""
+    """Deviation of the part from the path that the master takes alone, at its fingertip, (n, 3) [m]."""
     return float(cKDTree(alone).query(record[:, 10:13])[0].max())
 
 

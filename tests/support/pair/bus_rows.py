@@ -60,7 +60,7 @@ class Bench:
     rows: list[Row] = field(default_factory=list)
     curves: list[Row] = field(default_factory=list)
     functions: dict[str, TransformFunction] = field(default_factory=dict)
-    #: Way of the master alone, by `_way_of`.
+    #: Path of the master alone, by `_path_name`.
     alone: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -128,7 +128,7 @@ class Bench:
 
 
 def _path_name(row: Embodiment, speed: float) -> str:
-    """Name of the way that the master takes alone: joints that are sent ahead as they follow take another one."""
+    """Name of the path that the master takes alone: joints that are sent ahead as they follow take another one."""
     return f"{speed:g}" if row.first == "fixed" else f"{speed:g} fed"
 
 
@@ -425,7 +425,7 @@ def _untouched(seed: int) -> dict[str, Any]:
 
 
 def _taught(seed: int) -> dict[str, Any]:
-    """What is known of a seed once it is taught: its function, and the ways of the master alone."""
+    """What is known of a seed once it is taught: its function, and the paths of the master alone."""
     seen: dict[str, Any] = {"statistics": {"cycles": 0, "incomplete": 0}}
     with inline_rig(seed) as rig:
         nine, taught_path = rig.teach(9)
@@ -443,7 +443,7 @@ def _taught(seed: int) -> dict[str, Any]:
 
 
 def _alone(seed: int, taught: Taught, name: str, speed: float) -> Any:
-    """Way (n, 3) of the master's fingertip under a row when nothing is held between the arms [m]."""
+    """Path (n, 3) of the master's fingertip under a row when nothing is held between the arms [m]."""
     with inline_rig(seed) as rig:
         rig.world.part.let_go()
         bench = Bench(rig, taught, 0)

@@ -2,10 +2,10 @@
 
 python -m benchmarks.pair.clock [--seeds 3,4,5,6] [--cycles 25] [--parts run,gap] [--period-ms 4] [--out out/pair-clock]
 
-Twelve drives in a process of their own, over the plant that keeps up with the clock, at a 4 ms SYNC, or at a longer one
-where this computer is too slow for that. The true force inside the part and the true gaps are noted beside the drives.
-A cycle that a stall of the machine has stopped, or the guard of the force after a SYNC that the machine had sent too
-late for the drives, is counted and repeated from the start; any other stop fails.
+Twelve drives in a process of their own, over the plant that keeps up with the clock, at a 4 ms SYNC. The period is
+longer where this computer is too slow for that. The true force inside the part and the true gaps are noted beside the drives.
+A cycle that a stall of the machine has stopped is counted and repeated from the start. So is a stop by the force limit
+after a delayed SYNC; any other stop fails.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ class Bench:
     delayed: float = 0.0
 
     def teach(self, path_taught: TaughtPath) -> TransformFunction:
-        """First function, by the points that the lesson has and those that it lacks."""
+        """First function, by the taught points and those still missing."""
         options = PairMotionOptions()
         stream = Stream(self.link.station(self.cell, options.moves))
         teacher = Teacher(PairMotion(self.cell, stream, options), cell_gains(self.cell))
@@ -150,7 +150,7 @@ class Bench:
         return run
 
     def cycle(self, run: PairRun) -> float:
-        """One way forward and back; the largest true force [N] or gap error [m] on the way forward."""
+        """One path forward and back; the largest true force [N] or gap error [m] during the path forward."""
         motion, plain, see, at = run.motion, run.motion.run, run.motion.see, list[float]()
         sent = list[tuple[int, float]]()
 
@@ -234,11 +234,11 @@ class Cycles:
     seed : of the arms
     period_s : of the SYNC
     most : largest true force [N] or gap error [m] of every cycle
-    sync_late : by how much a SYNC of every cycle was delayed, share of the period
+    sync_delay : by how much a SYNC of every cycle was delayed, share of the period
     function : what was learned last, None = nothing
-    laws_s : how each joint follows, as teaching has told it; None = it has not
+    laws_s : time constants of the joints, from teaching; None = not identified
     stalled : why cycles were broken off by the machine, one sentence each
-    late : by the guard of the force after a SYNC that the machine had sent late
+    delayed : by the guard of the force after a delayed SYNC of the machine
     stopped : by anything else
     """
 

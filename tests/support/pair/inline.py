@@ -1,4 +1,4 @@
-"""Simulated drives without a thread of their own: whoever waits for their frames lets them work meanwhile.
+"""Simulated drives without a thread of their own: they run while a caller waits for their frames.
 
 The frames are the same as on `virtual`; what falls away is the handing over from thread to thread, which on a busy
 machine takes longer than everything else.
@@ -73,7 +73,7 @@ class InlineBus(can.BusABC):
 
 @contextmanager
 def inline(servers: Sequence[BusServer], channels: Sequence[str]) -> Iterator[None]:
-    """Serve buses from whoever opens the other ends of their channels meanwhile, and receives there."""
+    """Serve buses from the thread that opens the other ends of their channels and receives there."""
     plain, BACKENDS[INTERFACE] = BACKENDS[INTERFACE], (__name__, InlineBus.__name__)
     _served.update(zip(channels, servers, strict=True))
     try:

@@ -38,7 +38,7 @@ class Joint(Slave):
     ----------
     falls_rad_s2 : acceleration of the joint while its drive does not hold it; 0 = the brake holds
     creeps_rad_s : speed at which the joint sinks in its brake
-    told : controlword and target position at every SYNC
+    commands : controlword and target position at every SYNC
     states, last_beats : state after every SYNC, and the SYNC of the master's last heartbeat by then
     farthest_rad : largest angle of the joint from where it was last held
     """
