@@ -3,7 +3,7 @@
 python -m benchmarks.mutants [--count 200] [--seed 1] [--jobs 2] [--packages drives,gateway/motion] [--out out/mutants]
 
 Mutants are drawn at random over all places of the packages, each is tried in a copy of the project. The mirrored tests
-run once as they are, and have to pass; the tests that came to the changed lines there are asked first, then all the others.
+run once as they are, and have to pass; tests that cover the changed lines run first, then the others.
 What no test notices is listed with its place.
 """
 
