@@ -257,18 +257,18 @@ def _steps(legs: Sequence[Leg], settings: VisitSettings, missing: Mapping[int, t
 
 
 def travel_limits(workspace: Workspace) -> MotionLimits:
-    """Return the limits of moves between poses."""
+    """Return the speed, acceleration and jerk limits of moves between poses."""
     return MotionLimits(TRAVEL_SPEED * workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
 def approach_limits(workspace: Workspace, speed_rad_s: float | np.ndarray) -> MotionLimits:
-    """Return the limits of the slow last motion to a pose."""
+    """Return the speed, acceleration and jerk limits of the slow last motion to a pose."""
     speed = np.minimum(speed_rad_s, TRAVEL_SPEED * workspace.speed_rad_s)
     return MotionLimits(speed, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
 def inward_limits(workspace: Workspace) -> MotionLimits:
-    """Return the limits of the motion back into the joint range."""
+    """Return the speed, acceleration and jerk limits of the motion back into the joint range."""
     return approach_limits(workspace, workspace.inward_speed_rad_s())
 
 

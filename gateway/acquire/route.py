@@ -44,8 +44,8 @@ def find_route(
 ) -> Route:
     """Order the poses for short travel over checked paths.
 
-    A path leads from the end of a visit (the pose itself) to the start of the next approach (the next pose plus the
-    approach offset on every joint), straight in joint space or over via points.
+    A path leads from the end of a visit, which is the pose itself, to the start of the next approach. That start is the
+    next pose plus the approach offset on every joint. The path is straight in joint space or over via points.
 
     Parameters
     ----------

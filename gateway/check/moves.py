@@ -270,7 +270,8 @@ def _seen(joint: int, node_ids: Sequence[int], view: WiringView) -> Finding:
         parts = [f"friction of {view.band_nm:.2g} Nm is too small to determine the sign of the torque"]
     missing = []
     if view.ratio_seen:
-        parts.append(f"gear ratio {with_interval(view.ratio, view.ratio_std)} ({SAID}) of the cell's")
+        ratio = with_interval(view.ratio, view.ratio_std)
+        parts.append(f"the gear ratio of the cell file is {ratio} ({SAID}) times the estimated one")
     else:
         missing.append("gear ratio")
     if not view.sign_seen:

@@ -91,7 +91,7 @@ class Reading:
         return cls(np.arange(count), axes, np.ones(count), np.ones(count))
 
     def with_wiring(self, wiring: Wiring) -> Reading:
-        """Return the interpretation with one more difference."""
+        """Return the interpretation of the motor values with one additional wiring difference."""
         at = [joint - 1 for joint in wiring.joints]
         if wiring.name == "swapped":
             order = self.order.copy()

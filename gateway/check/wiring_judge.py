@@ -1,7 +1,7 @@
 """Compare the wiring of the arm with the cell file, from small moves of each axis and the gravity torque of the model.
 
 An encoder follows its own motor whatever the cell file states. A sign, a gear ratio or the order of the axes is visible
-only in the torque: it changes with the posture as the model predicts, or as another wiring predicts. Each wiring is a
+only in the torque. The torque changes with the posture as predicted by the model or by another wiring. Each wiring is a
 hypothesis with a Gaussian evidence. Links have the prior of the cell file; the load is unknown. Small errors of encoder
 zeros, gear losses and torque constants are allowed. Friction needs no model: it opposes the motion, so the
 half-difference of the two approaches is positive if torque and position have the same sign.

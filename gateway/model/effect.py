@@ -82,7 +82,7 @@ class Effect:
     by_residual : candidates in motion are derived from the residual, again at each step
     drawn : wrong link parameters of the robot model can imitate it
     friction : it is friction, which has many forms in a gear
-    mistake : error and advice, for a commissioning mistake
+    mistake : error and corrective action, for a commissioning mistake
     parameter_texts : descriptions of parameters whose key is not self-explanatory
     """
 

@@ -15,7 +15,7 @@ _ROUNDED: Final = 1e-6
 
 
 def placeholders(robot: Robot) -> Iterator[str]:
-    """Return one sentence with an advice for each kind of placeholder in a robot model."""
+    """Return one sentence with a corrective action for each kind of placeholder in a robot model."""
     for why, advice in (
         (effort_placeholder(robot), "take torque limits from the data sheet of the gears"),
         (mass_placeholder(robot), "correct the masses, or give --inertials ignore"),

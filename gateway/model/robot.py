@@ -254,7 +254,7 @@ def _refuse_units(robot: Robot, where: str) -> None:
 
 
 def or_another_tip(robot: Robot, axes: int) -> str:
-    """Return the advice to name another last link, if a URDF has more axes than the arm; else an empty text."""
+    """Return the hint to name another last link, if a URDF has more axes than the arm; else an empty text."""
     if axes >= robot.axes or not robot.source:
         return ""
     more = ", ".join(robot.joint_names[axes:])

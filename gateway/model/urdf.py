@@ -134,7 +134,7 @@ def read_chain(text: str, where: str, tip: str | None = None) -> Chain:
 
 
 def name_the_tip(link: str) -> str:
-    """Return the advice how to name the last link of the arm."""
+    """Return the instruction how to name the last link of the arm."""
     return f'name the last link of the arm: --tip {link}, in a cell file tip = "{link}"'
 
 

@@ -86,8 +86,8 @@ def parse_urdf(text: str, where: str) -> ET.Element:
     Raises
     ------
     ConfigError
-        Not XML, document type or entities, nested too deep, or another format; the message names the file and an
-        advice.
+        Not XML, document type or entities, nested too deep, or another format; the message names the file and a
+        corrective action.
     """
     if len(text) > MOST_BYTES:
         raise ConfigError(

@@ -4,8 +4,8 @@ One thread serves all buses. In lockstep it does so in turn, and a run is the sa
 are sent on all buses, then all SYNCs at the instant of one clock, then answers are collected; the time between the
 SYNCs is measured. Each arm is enabled and stopped in a thread of its own.
 
-When a drive of one arm leaves OPERATION ENABLED or stops responding, or its bus fails, all arms stop in the same cycle
-by the quick stop ramps of their drives.
+All arms stop in the same cycle with the quick stop ramps of their drives if a drive leaves OPERATION ENABLED or stops
+responding, or if a bus fails.
 """
 
 from __future__ import annotations

@@ -127,9 +127,9 @@ def body_of_parts(parts: Sequence[Part]) -> Body:
 def moving_parts(arm: ArmConfig, robot: Robot) -> list[Part]:
     """Return the links and the load of a configured arm.
 
-    A link has the collision geometry of the URDF; where that is missing or cannot be read, a capsule from the link's
-    joint to the next one with the radius of `arm.link_radius_m`, else with an assumed one. The capsule of link 2 begins
-    one radius from its joint, because the shoulder itself belongs to link 1.
+    A link has the collision geometry of the URDF. If that is missing or unreadable, it is a capsule from the link's
+    joint to the next one. Its radius is `arm.link_radius_m`, else an assumed one. The capsule of link 2 begins one
+    radius from its joint, because the shoulder itself belongs to link 1.
     """
     return [*(_link(arm, robot, link) for link in range(robot.axes)), _load(arm, robot)]
 

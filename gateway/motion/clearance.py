@@ -273,7 +273,7 @@ class Space:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Items:
-    """Pairs of one kind at postures; all arrays have shape (m,)."""
+    """Pairs with the same kind of second object at postures; all arrays have shape (m,)."""
 
     posture: Rows
     first: Rows

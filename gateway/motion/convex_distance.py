@@ -14,7 +14,8 @@ from gateway.motion.body import Body
 
 Floats = NDArray[np.float64]
 
-#: Boxes are shrunk by this on every side [m], so that touching from outside is no contact; also the smallest body size.
+#: Boxes are shrunk by this on every side [m], so that touching from outside does not count as contact; also the
+#: smallest body size.
 TOLERANCE_M = 1e-6
 
 

@@ -2,8 +2,8 @@
 
 A terminal sends a held key again and again. A hold begins with the first repeat of a key that was pressed after the
 prompt: earlier input is dropped, and a short press does not count. No repeat for `RELEASED_S` is a release, which stops
-the arms along their path. This is no enabling device in the sense of a standard (IEC 60204-1, ISO 10218-1): it is read
-by software, and a blocked terminal or a stuck key cannot be distinguished from a held key.
+the arms along their path. This is not an enabling device as defined by IEC 60204-1 or ISO 10218-1. It is read by
+software, and a blocked terminal or a stuck key cannot be distinguished from a held key.
 """
 
 from __future__ import annotations

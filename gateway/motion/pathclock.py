@@ -2,8 +2,8 @@
 
 Setpoints of a trajectory are rows, one SYNC apart at full rate. The position advances by the rate at every SYNC: 1 = as
 planned, 0.1 = a speed override of 10 %, decreasing to 0 = a stop along the path. With the position s and its rate r, a
-joint has the speed q' r and the acceleration q'' r^2 + q' r', so the rate falls as fast as every joint's acceleration
-limit allows, and its fall begins and ends as softly as the jerk limits allow (path-velocity decomposition: Kant and
+joint has the speed q' r and the acceleration q'' r^2 + q' r', so the rate decreases as fast as the acceleration limits
+of all joints allow. The jerk limits bound the start and the end of the decrease (path-velocity decomposition: Kant and
 Zucker 1986).
 """
 

@@ -150,7 +150,7 @@ def stated_findings(axes: Sequence[AxisCalibration]) -> Iterator[Finding]:
         if axis.is_known and abs(axis.deviation) > CONFLICT:
             value = axis.constant_nm_per_a
             measured, stated = (
-                (f"true over reported torque is {axis.scale:.4f}", "by the drive it is 1")
+                (f"the ratio of true to reported torque is {axis.scale:.4f}", "the drive assumes 1")
                 if value is None
                 else (
                     f"the torque constant is {value:.4g} Nm/A",

@@ -189,7 +189,7 @@ def _provenance(about: AnalysisInputs) -> dict[str, Any]:
         find = profile_of([each for each, _ in recorded], about.loaded)
         profiles = [find(axis.profile) for axis in about.arm.axis]
     except ProfileError:
-        # a table needs no drive profile; its torque was worked out elsewhere
+        # a table needs no drive profile; its torque was computed before
         return {}
     found = dict(provenance(about.arm, profiles, constants))
     measured = {} if about.calibrated is None else about.calibrated.provenance

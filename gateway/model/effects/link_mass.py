@@ -107,7 +107,7 @@ def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:
 EFFECT: Final = Effect(
     name="link_mass",
     words="extra mass on a link",
-    meaning="a welder or hose on the forearm",
+    meaning="a welding unit or hose on the forearm",
     parameters=(
         "mass_kg",
         "first_moment_kg_m",
