@@ -33,7 +33,7 @@ Address = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class AccessRules:
-    """Objects that the profile of this name allows to write, and the SDO timeouts of the node."""
+    """Objects that the profile `name` allows the master to write, and the SDO timeouts of the node."""
 
     name: str
     allow: Collection[int]
@@ -68,7 +68,7 @@ class NodeAccess:
 
     @property
     def serial_number(self) -> int | None:
-        """Of the device."""
+        """Return the serial number of the device."""
         return self.device.serial_number
 
     def read(self, entry: Entry, options: Transfer = NORMAL) -> int:
@@ -76,7 +76,7 @@ class NodeAccess:
         return self.sdo.read(entry.index, entry.subindex, entry.type, options)
 
     def read_optional(self, entry: Entry) -> int | None:
-        """Read an object that the drive may lack; None = it lacks it."""
+        """Read an object; return None if the drive does not have it."""
         try:
             return self.read(entry)
         except SdoAbort as abort:
@@ -105,7 +105,7 @@ class NodeAccess:
         self._read_back(step, options)
 
     def note_steps(self, steps: Sequence[Step], writer: Writer = "run") -> dict[Address, tuple[str, int]]:
-        """Enter writes in the ledger, all of them before the first one is sent.
+        """Record writes in the ledger, all of them before the first one is sent.
 
         Returns
         -------
@@ -118,7 +118,7 @@ class NodeAccess:
         return held
 
     def write_step(self, step: Step) -> None:
-        """Write a parameter that is entered in the ledger, whatever the profile allows, and read it back.
+        """Write a parameter that is recorded in the ledger, even without permission of the profile; read it back.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class NodeAccess:
         self._ledger.confirm(self.device, {(step.index, step.subindex): back})
         if back != step.value:
             raise ConfigurationRefused(
-                f"{step.value:#x} was written, {back:#x} reads back",
+                f"{step.value:#x} was written, but {back:#x} is read back",
                 node=self.node_id,
                 index=step.index,
                 subindex=step.subindex,
@@ -144,7 +144,7 @@ class NodeAccess:
         self._configured[step.index, step.subindex] = (step.data_type, back)
 
     def changed(self, without: Collection[Address] = ()) -> Iterator[tuple[Address, int, int]]:
-        """Read every configured object again.
+        """Read every configured object again and yield those that have changed.
 
         Parameters
         ----------
@@ -162,7 +162,7 @@ class NodeAccess:
 
     @property
     def noted(self) -> tuple[LedgerEntry, ...]:
-        """Ledger entries of this device."""
+        """Return the ledger entries of this device."""
         return self._ledger.of(self.device)
 
     def undo(self, old: dict[Address, tuple[str, int]], noted: tuple[LedgerEntry, ...]) -> list[str]:
@@ -191,7 +191,7 @@ class NodeAccess:
         return [f"node {self.node_id}:{object_name(*address)}" for address in sorted(left)]
 
     def _held(self, objects: dict[Address, tuple[str, int]], address: Address) -> int | None:
-        """What an object holds now; None = it cannot be read."""
+        """Return the present value of an object; None = it cannot be read."""
         try:
             return self._before(Step(*address, objects[address][0], 0, ""))
         except SdoError:
@@ -220,7 +220,7 @@ class NodeAccess:
         return refused
 
     def may_write(self, index: int) -> bool:
-        """Whether the profile allows writing this object."""
+        """Return whether the profile allows writing this object."""
         return index in self.rules.allow
 
     def original(self, entry: Entry, held: int) -> int:
@@ -235,7 +235,7 @@ class NodeAccess:
         return held
 
     def write_if_taken(self, entry: Entry, value: int, reason: str) -> bool:
-        """As `write`, where the drive may refuse it for good; whether it took the value."""
+        """Write an object as `write` does; return False if the drive refuses the value."""
         try:
             self.write(entry, value, reason)
         except SdoAbort:
@@ -243,7 +243,7 @@ class NodeAccess:
         return True
 
     def is_in_ledger(self, *indices: int) -> bool:
-        """Whether the ledger holds a write to one of these objects of this device that was not put back."""
+        """Return whether the ledger has an unrestored write to one of these objects of this device."""
         return any(entry.index in indices for entry in self.noted)
 
     def refuse_unfinished(self) -> None:
@@ -257,11 +257,11 @@ class NodeAccess:
         if unfinished:
             first = unfinished[0]
             raise ConfigurationRefused(
-                f"`config apply` was cut off after it began to write here ({len(unfinished)} objects)",
+                f"`config apply` was interrupted while it wrote to this device ({len(unfinished)} objects)",
                 node=self.node_id,
                 index=first.index,
                 subindex=first.subindex,
-                advice="put the drive back with `servo-gateway restore CELL`, or finish `config apply`",
+                advice="restore the drive with `servo-gateway restore CELL`, or run `config apply` again",
             )
 
     def adopt_applied(self) -> None:
@@ -269,7 +269,7 @@ class NodeAccess:
         self._ledger.forget(*(entry for entry in self.noted if entry.writer == "applied"))
 
     def finish_applying(self, devices: Sequence[KnownDevice]) -> None:
-        """What `config apply` wrote to these devices is complete."""
+        """Mark the configuration that `config apply` wrote to these devices as complete."""
 
         def applied(entry: LedgerEntry) -> LedgerEntry:
             done = entry.writer == "applying" and any(entry.is_of(device) for device in devices)
@@ -278,7 +278,7 @@ class NodeAccess:
         self._ledger.settle(applied)
 
     def _send(self, step: Step, options: Transfer = NORMAL) -> None:
-        """Write a parameter; where the answer stays away it is read back, and written once more if it is not there."""
+        """Write a parameter; if no response arrives, read it back and write it once more if the value differs."""
         self.bus.check_free()
         words = (step.index, step.subindex, step.data_type, step.value)
         try:
@@ -320,7 +320,7 @@ class NodeAccess:
         raise ConfigurationRefused(what, node=self.node_id, index=entry.index, subindex=entry.subindex, advice=advice)
 
     def map_pdo(self, plan: PdoPlan) -> None:
-        """Write a PDO and read it back; one that is right already is left alone.
+        """Write a PDO configuration and read it back; nothing is written if it is already correct.
 
         Its inhibit time is never written: it has no meaning for a synchronous PDO (CiA 301, 7.5.2.37), and many drives
         refuse to change it while the PDO exists.
@@ -349,7 +349,7 @@ class NodeAccess:
                 raise ConfigurationRefused(what, node=self.node_id, index=plan.mapping, advice=advice)
 
     def _before(self, step: Step) -> int:
-        """What an object holds before it is written; a mapping entry beyond the mapped ones may not exist yet."""
+        """Return an object's value before a write; None for a mapping entry beyond the mapped ones."""
         try:
             return self.sdo.read(step.index, step.subindex, step.data_type)
         except SdoAbort as abort:
@@ -399,20 +399,20 @@ class NodeAccess:
         ]
 
     def _of_predecessors(self) -> list[DriveError]:
-        """The failure that entries of another device at this node are."""
+        """Return the error for ledger entries that belong to another device with this node id."""
         others = self._ledger.of_predecessors(self.device)
         if not others:
             return []
         serials = sorted({"none" if each.serial_number is None else str(each.serial_number) for each in others})
         what = (
-            f"{len(others)} objects in the write ledger are of another device"
+            f"{len(others)} objects in the write ledger belong to another device"
             f" (serial number {', '.join(serials)}, here is {self.device.serial_number or 'none'})"
         )
-        advice = "connect that device to restore it, or strike it off with `restore CELL --forget`"
+        advice = "connect that device to restore it, or delete its entries with `restore CELL --forget`"
         return [IdentityMismatch(what, node=self.node_id, index=0x1018, subindex=4, advice=advice)]
 
     def _read_entries(self, entries: Sequence[LedgerEntry], unread: dict[Address, DriveError]) -> dict[Address, int]:
-        """What the objects of entries hold; those that cannot be read are added to `unread`.
+        """Return the present values of the entries' objects; those that cannot be read are added to `unread`.
 
         Raises
         ------
@@ -454,7 +454,7 @@ class NodeAccess:
 
     def _not_taken(self, entry: LedgerEntry, back: int) -> ConfigurationRefused:
         return ConfigurationRefused(
-            f"{entry.old:#x} was to be put back, {back:#x} reads back",
+            f"{entry.old:#x} was restored, but {back:#x} is read back",
             node=self.node_id,
             index=entry.index,
             subindex=entry.subindex,
@@ -462,12 +462,12 @@ class NodeAccess:
         )
 
     def _busy(self) -> bool:
-        """Whether nothing may be put back now."""
+        """Return whether a restore is not allowed now."""
         return False
 
 
 def _is_pdo(index: int) -> bool:
-    """Whether an object belongs to the record of a PDO."""
+    """Return whether an object belongs to a PDO's communication or mapping record."""
     return 0x1400 <= index < 0x1C00
 
 
@@ -476,21 +476,21 @@ def _is_mapping(index: int) -> bool:
 
 
 def _record(index: int) -> int:
-    """What is put back together: the records of a PDO, else the object alone."""
+    """Return the key of objects that are restored together: the records of one PDO, else the single object."""
     return index & ~0x0200 if _is_pdo(index) else index
 
 
 def _names_node(index: int) -> bool:
-    """Whether an object holds identifiers that go with the node id."""
+    """Return whether an object holds CAN identifiers that depend on the node id."""
     return _is_pdo(index) or index == OBJECTS["emcy_cob_id"].index
 
 
 def _of_another_node(moved: Sequence[LedgerEntry], node_id: int) -> list[DriveError]:
-    """The failure that identifiers of a drive with another node id are."""
+    """Return the error for identifiers that were written while the drive had another node id."""
     if not moved:
         return []
     what = f"{len(moved)} identifiers and PDO mappings were written while this drive was node {moved[0].node_id}"
-    advice = "give it that node id to restore them, or strike them off with `restore CELL --forget`"
+    advice = "give it that node id to restore them, or delete the entries with `restore CELL --forget`"
     return [ConfigurationRefused(what, node=node_id, index=moved[0].index, subindex=moved[0].subindex, advice=advice)]
 
 

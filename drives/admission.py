@@ -20,7 +20,7 @@ from drives.instrument import Instrument
 
 @dataclass(frozen=True, slots=True)
 class Admission:
-    """Which nodes may be driven over a bus.
+    """Rules for which nodes may be operated over a bus.
 
     Attributes
     ----------
@@ -46,15 +46,15 @@ class Admission:
         if not (lockstep or network) or is_simulator(node.access.sdo):
             return
         if lockstep:
-            what = "is not a simulator (object 0x5FFE): in lockstep it would get SYNC as fast as it answers"
+            what = "is not a simulator (object 0x5FFE): in lockstep it would receive SYNC as fast as it responds"
             raise ConfigurationRefused(what, node=node.node_id, advice='write pacing = "real" for this bus in the cell')
         what = f"is not a simulator (object 0x5FFE), and any computer on {self.spec} can write frames to it"
-        advice = "connect it by an adapter of its own; allow_real_drive = true for this bus takes the risk"
+        advice = "connect it through its own CAN adapter, or accept the risk with allow_real_drive = true for this bus"
         raise ConfigurationRefused(what, node=node.node_id, advice=advice)
 
 
 class EmergencyListener:
-    """Listens to emergency messages at the identifiers that the drives state; they are known by node id all the same.
+    """Receiver of EMCY messages on the identifiers that the drives state in 0x1014; stores them by node id.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class EmergencyListener:
         can_id = emergency_id(access) or own_id
         if can_id in taken or can_id in self._listeners:
             raise ConfigurationRefused(
-                f"emergency messages come with identifier {can_id:03X}, which another message has too",
+                f"EMCY messages use the identifier {can_id:03X}, which another message also uses",
                 node=access.node_id,
                 index=0x1014,
                 advice=f"set 0x1014 to {own_id:#x} in the drive",
@@ -98,7 +98,7 @@ class EmergencyListener:
         self._listeners[can_id] = on_frame
 
     def close(self) -> None:
-        """Listen no more."""
+        """Stop receiving."""
         for can_id, listener in self._listeners.items():
             self._bus.unsubscribe(can_id, listener)
         self._listeners.clear()

@@ -1,6 +1,6 @@
 """In real time: assign a TPDO to its SYNC when an earlier TPDO of the same node is missing.
 
-TPDOs carry no number, but each node answers in order. A missing TPDO may still be in transit, and would then be taken
+TPDOs carry no SYNC number, but each node responds in order. A missing TPDO may still be in transit, and would be taken
 for the answer to the next SYNC. Its frames are not assigned until as many have come as SYNCs were sent, or until three
 SYNCs in a row have brought exactly one frame each, as soon as usual: then the missing one is lost.
 """
@@ -22,7 +22,7 @@ _NEW: Final = 0.1
 
 @dataclass(slots=True)
 class _Unassigned:
-    """One TPDO whose answers cannot be assigned.
+    """State of one TPDO whose frames cannot be assigned to a SYNC at present.
 
     Attributes
     ----------
@@ -43,7 +43,7 @@ class _Unassigned:
 
 
 class Alignment:
-    """Keeps for each TPDO whether its next frame answers the last SYNC."""
+    """Tracks for each TPDO whether its next frame responds to the last SYNC."""
 
     def __init__(self) -> None:
         #: By slot, those of which it is not known.
@@ -52,26 +52,26 @@ class Alignment:
         self._open = False
 
     def forget(self) -> None:
-        """Begin a new run: no TPDO is in transit."""
+        """Reset the state for a new run, in which no TPDO is in transit."""
         self.astray.clear()
         self._open = False
 
     def begin(self) -> None:
-        """A SYNC was sent."""
+        """Record that a SYNC was sent."""
         self._open = True
 
     def learn(self, row_s: float) -> None:
-        """A row was whole so many seconds after its SYNC."""
+        """Record the time from a SYNC until all its TPDOs were received [s]."""
         self._usual_s = row_s if self._usual_s is None else self._usual_s + _NEW * (row_s - self._usual_s)
 
     def came(self, slot: int, after_s: float) -> None:
-        """A frame of a TPDO that is astray came so long after the last SYNC; negative = it was sent before that."""
+        """Record a frame of an unassigned TPDO and its time after the last SYNC [s] (negative = before it)."""
         astray = self.astray[slot]
         astray.came += 1
         astray.usual &= 0.0 <= after_s <= _SLOW * (self._usual_s or 0.0) + _SLACK_S
 
     def end(self, frames: Sequence[object | None]) -> None:
-        """Before the next SYNC: evaluate the answers to the last one, delayed ones included."""
+        """Evaluate the responses to the last SYNC, delayed ones included, before the next SYNC is sent."""
         if not self._open:
             return
         self._open = False

@@ -60,7 +60,7 @@ def is_simulator(sdo: SdoClient) -> bool:
     Raises
     ------
     SdoTimeout, SdoProtocolError
-        It does not answer.
+        The node does not respond.
     """
     entry = OBJECTS["simulator_name"]
     try:
@@ -82,25 +82,25 @@ def emergency_id(access: NodeAccess) -> int | None:
     if cob_id is None:
         return None
     if cob_id & _EMCY_OFF:
-        what = f"emergency messages are switched off (0x1014 = {cob_id:#010x}): a fault would not be explained"
+        what = f"EMCY messages are switched off (0x1014 = {cob_id:#010x}): a fault would not be explained"
         access.refuse(entry, what, f"set 0x1014 to {0x80 + access.node_id:#x} in the drive")
     if cob_id & _LONG_ID or not 0x080 < cob_id & 0x7FF < 0x780:
-        what = f"emergency messages come with identifier {cob_id:#010x}, which is not listened to"
+        what = f"EMCY messages use the identifier {cob_id:#010x}, which this master does not receive"
         access.refuse(entry, what, f"set 0x1014 to {0x80 + access.node_id:#x} in the drive")
     return cob_id & 0x7FF
 
 
 def check_identity(identity: Identity, profile: DriveProfile) -> None:
-    """Compare a device with the profile it shall be driven by.
+    """Compare the identity of a device with its profile.
 
     Raises
     ------
     IdentityMismatch
-        Vendor, product, firmware or device type do not fit; all of it at once.
+        Vendor, product, firmware or device type differ; one error lists all differences.
     """
     problems = identity.mismatches(profile)
     if identity.device_type is not None and not identity.is_drive:
-        problems.append(f"device type {identity.device_type:#010x} is no CiA 402 drive")
+        problems.append(f"device type {identity.device_type:#010x} is not a CiA 402 drive")
     if problems:
         raise IdentityMismatch(
             f"{'; '.join(problems)} (profile {profile.name})",
@@ -122,24 +122,24 @@ def check_at_rest(access: ObjectAccess) -> None:
     status = access.read(OBJECTS["statusword"])
     if decode_state(status) not in AT_REST:
         raise DriveFault(
-            f"is in {describe(status)} before anybody enabled it",
+            f"is in {describe(status)} before this master enabled it",
             node=access.node_id,
             index=0x6041,
             code=status,
-            advice="another master holds it, or a run was cut off: disable it first",
+            advice="another master controls it, or a run was interrupted: disable it first",
         )
 
 
 class Readable(Protocol):
-    """Source of constants: a drive, or its recorded SDO answers."""
+    """Source of a drive's constants: the drive itself, or its recorded SDO responses."""
 
     @property
     def profile(self) -> DriveProfile:
-        """Of the drive."""
+        """Return the drive's profile."""
         ...
 
     def read(self, entry: Entry, /) -> int:
-        """Value of an object."""
+        """Return the value of an object."""
         ...
 
     def refuse(self, entry: Entry, what: str, advice: str, /) -> NoReturn:
@@ -148,7 +148,7 @@ class Readable(Protocol):
 
 
 def read_constants(access: Readable) -> Constants:
-    """Read what the profile leaves to the drive: rated values and encoder resolution.
+    """Read the constants that the profile takes from the drive: rated values and encoder resolution.
 
     Raises
     ------
@@ -179,12 +179,12 @@ def _rated(access: Readable, rated: Rated | None) -> float | None:
         return None if rated is None else rated.value
     raw = access.read(rated.object)
     if raw <= 0:
-        access.refuse(rated.object, f"rated value is {raw}", "set it in the drive, or give it in the profile")
+        access.refuse(rated.object, f"the rated value is {raw}", "set it in the drive, or give it in the profile")
     return raw * rated.unit
 
 
 def check_sync(access: NodeAccess) -> None:
-    """SYNC must come from us, with the standard id and without a counter.
+    """Check that the drive consumes SYNC with the standard identifier and without a counter.
 
     Raises
     ------
@@ -193,15 +193,19 @@ def check_sync(access: NodeAccess) -> None:
     """
     cob_id = access.read_optional(OBJECTS["sync_cob_id"])
     if cob_id is not None and (cob_id & 0x7FF != 0x080 or cob_id & _SYNC_PRODUCER):
-        what = f"SYNC COB-ID is {cob_id:#010x}: another id than 0x80, or the drive sends SYNC itself"
+        what = f"SYNC COB-ID is {cob_id:#010x}: it must be 0x80, and the drive must not produce SYNC"
         access.refuse(OBJECTS["sync_cob_id"], what, "set 0x1005 to 0x80")
     overflow = access.read_optional(OBJECTS["sync_counter_overflow"])
     if overflow:
-        access.refuse(OBJECTS["sync_counter_overflow"], f"expects a SYNC counter up to {overflow}", "set 0x1019 to 0")
+        access.refuse(
+            OBJECTS["sync_counter_overflow"],
+            f"expects SYNC frames with a counter (0x1019 = {overflow})",
+            "set 0x1019 to 0",
+        )
 
 
 def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
-    """See that a node does not wait for SYNCs of another period (0x1006) than ours.
+    """Make sure that a node does not supervise a SYNC period (0x1006) that differs from the master's.
 
     SYNC pauses while nothing moves; a node that supervises the period would raise a communication error then. The
     object is set to 0 (no supervision), or to our period where the node does not take 0.
@@ -231,14 +235,14 @@ def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
 
 
 def set_mode(access: ObjectAccess, mode: Mode) -> None:
-    """Set the mode of operation, and wait until 0x6061 shows it where the drive shows it before it is enabled."""
+    """Set the mode of operation; wait for it in 0x6061 if the drive displays it before it is enabled."""
     access.write(OBJECTS["mode"], mode.value, f"mode {mode.name.lower().replace('_', ' ')}")
     if access.profile.state_machine.mode_before_enable:
         check_mode(access, mode)
 
 
 def check_mode(access: ObjectAccess, mode: Mode) -> None:
-    """Wait until 0x6061 shows a mode.
+    """Wait until 0x6061 (modes of operation display) shows a mode.
 
     Raises
     ------
@@ -281,7 +285,7 @@ def set_interpolation_period(access: ObjectAccess, sync_period_s: float) -> None
 
 
 def decimal_period(seconds: float) -> tuple[int, int]:
-    """Period as value and decimal exponent of 0x60C2, e.g. 0.004 -> (4, -3).
+    """Return a period as value and decimal exponent of 0x60C2, e.g. 0.004 -> (4, -3).
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""CAN bus: configuration to an open adapter, and the one receive path of the master.
+"""Opening of a CAN adapter from its configuration, and the only receive path of the master.
 
 Besides `frame_log` the only file that imports python-can. The thread that waits for an answer receives, and every frame
 goes through one table of handlers, so that no frame waits in a cache. Frames of this master that the adapter echoes
@@ -82,7 +82,7 @@ Tap = Callable[["Frame", bool], None]
 
 
 class Frame(Protocol):
-    """What is used of a received or prepared CAN frame."""
+    """Fields of a received or prepared CAN frame that the master uses."""
 
     arbitration_id: int
     data: bytearray
@@ -90,7 +90,7 @@ class Frame(Protocol):
 
 
 class _Network(canopen.Network):
-    """canopen's network without its notifier: it sends through the bus and is fed by it."""
+    """canopen network without a notifier thread; it sends through `Bus`, which passes received frames to it."""
 
     def __init__(self, owner: Bus) -> None:
         super().__init__(bus=None)
@@ -152,7 +152,7 @@ class Bus:
     # -- receiving ---------------------------------------------------------------------------------------------------
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """One data frame with an 11 bit id, or None when none came in time; everything else is counted.
+        """Return the next data frame with an 11 bit id, or None after the time-out; other frames are only counted.
 
         The time is a deadline: neither odd frames nor failures of the adapter extend it.
 
@@ -192,7 +192,7 @@ class Bus:
         self.counts["malformed"] += 1
         self._failures += 1
         if self._failures > _RECEIVE_FAILURES:
-            advice = "check the adapter and the cable; the drives stop by themselves when the heartbeat is missing"
+            advice = "check the adapter and the cable; the drives stop by themselves when the master's heartbeat stops"
             what = f"{self.spec}: receiving failed {self._failures} times: {str(error) or type(error).__name__}"
             raise BusError(what, advice=advice) from error
 
@@ -223,12 +223,12 @@ class Bus:
         if self.free_count is not None and self.foreign_count != self.free_count:
             number, ids = self.foreign_count - self.free_count, ", ".join(f"{can_id:03X}" for can_id in self.foreign)
             raise ForeignMaster(
-                f"another master began to send on {self.spec}: {number} frames, ids {ids}; nothing more was written",
+                f"another master started to send on {self.spec}: {number} frames, ids {ids}; no further writes sent",
                 advice="end the other master, then start again",
             )
 
     def dispatch(self, frame: Frame) -> None:
-        """Hand a frame to its handlers."""
+        """Pass a frame to the handlers of its identifier."""
         can_id = frame.arbitration_id
         handlers = self._handlers.get(can_id)
         if handlers is None:
@@ -247,11 +247,11 @@ class Bus:
 
     @property
     def in_handler(self) -> bool:
-        """Whether the calling thread is inside a handler, where waiting for a frame would wait for ever."""
+        """Return whether the calling thread runs a frame handler, in which waiting for a frame would block for ever."""
         return self._dispatching == threading.get_ident()
 
     def drain(self) -> int:
-        """Dispatch what has already arrived; number of frames."""
+        """Dispatch the frames that have already arrived and return their number."""
         number = 0
         until_s = time.monotonic() + _DRAIN_S
         with self.receive_lock:
@@ -285,7 +285,7 @@ class Bus:
         return True
 
     def listen(self, duration_s: float) -> None:
-        """Receive and dispatch for a time."""
+        """Receive and dispatch frames for a given time."""
         self.wait(threading.Event(), time.monotonic() + duration_s)
 
     # -- handlers ----------------------------------------------------------------------------------------------------
@@ -295,7 +295,7 @@ class Bus:
         self._handlers[can_id] = (*self._handlers.get(can_id, ()), handler)
 
     def unsubscribe(self, can_id: int, handler: Handler) -> None:
-        """Undo `subscribe`; a handler that is not there is no error."""
+        """Undo `subscribe`; an unknown handler is ignored."""
         left = tuple(other for other in self._handlers.get(can_id, ()) if other != handler)
         if left:
             self._handlers[can_id] = left
@@ -320,7 +320,7 @@ class Bus:
             self._chores.remove(chore)
 
     def watch_master_id(self, can_id: int) -> None:
-        """Treat frames with this id as a master's: those that are not our own echo are counted in `foreign`."""
+        """Treat frames with this id as frames of a master; all but the echo of own frames are counted in `foreign`."""
         if can_id not in self._sent:
             self._sent[can_id] = 0
             self.subscribe(can_id, self._on_master_frame)
@@ -335,11 +335,11 @@ class Bus:
     # -- sending -----------------------------------------------------------------------------------------------------
 
     def prepare(self, can_id: int, size: int) -> Frame:
-        """A frame to be filled (`data`, a bytearray) and sent again and again."""
+        """Return a reusable frame whose `data` (a bytearray) is filled before each transmission."""
         return can.Message(arbitration_id=can_id, data=bytearray(size), is_extended_id=False)
 
     def send_frame(self, frame: Frame) -> float:
-        """Send a prepared frame; a full transmit queue is waited for, shortly.
+        """Send a prepared frame; while the transmit queue is full, retry for a short time.
 
         Returns
         -------
@@ -393,7 +393,7 @@ class Bus:
 
     @property
     def network(self) -> canopen.Network:
-        """canopen's view of this bus (SDO, NMT, EMCY objects); PDOs of a drive group do not reach it."""
+        """Return the canopen network on this bus (SDO, NMT, EMCY); it does not receive the PDOs of a drive group."""
         if self._network is None:
             self._network = _Network(self)
         return self._network
@@ -433,14 +433,14 @@ class _Closed:
         raise BusError("the bus is closed", advice="open it again")
 
     def shutdown(self) -> None:
-        """Nothing is open."""
+        """Do nothing: the adapter is already closed."""
 
 
 _CLOSED: Final = _Closed()
 
 
 def _as_sent(frame: Frame) -> can.Message:
-    """A copy for the log: prepared frames are filled again."""
+    """Return a copy for the log, because a prepared frame is reused."""
     return can.Message(
         timestamp=time.time(),
         arbitration_id=frame.arbitration_id,
@@ -451,7 +451,7 @@ def _as_sent(frame: Frame) -> can.Message:
 
 
 def _no_kernel_can(error: BaseException | None) -> bool:
-    """Whether an error says that the kernel has no CAN sockets (errno 97), at its root."""
+    """Return whether the root cause of an error is a kernel without CAN sockets (errno 97)."""
     while error is not None:
         if isinstance(error, OSError) and error.errno in (errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT):
             return True

@@ -1,4 +1,4 @@
-"""Which bus: python-can interface, channel, bit rate, options."""
+"""Address of a CAN bus: python-can interface, channel, bit rate and options."""
 
 from __future__ import annotations
 
@@ -47,12 +47,14 @@ class BusSpec:
         channel, *pairs = rest.split(",")
         if not (colon and interface.strip() and channel.strip()):
             advice = "write INTERFACE:CHANNEL[,key=value], e.g. udp_multicast:239.74.163.2,port=43113 or socketcan:can0"
-            raise BusError(f"bus '{text}' is not understood", advice=advice)
+            raise BusError(f"bus '{text}' does not have the form INTERFACE:CHANNEL[,key=value]", advice=advice)
         options: dict[str, Any] = {}
         for pair in pairs:
             key, equals, value = pair.partition("=")
             if not (equals and key.strip() and value.strip()):
-                raise BusError(f"bus '{text}': option '{pair}' is not understood", advice="write key=value")
+                raise BusError(
+                    f"bus '{text}': option '{pair}' does not have the form key=value", advice="write key=value"
+                )
             options[key.strip()] = _typed(value.strip())
         bitrate = options.pop("bitrate", 1_000_000)
         if not isinstance(bitrate, int) or isinstance(bitrate, bool) or bitrate <= 0:

@@ -1,4 +1,4 @@
-"""Load of a classic CAN bus with 11 bit identifiers, from frame lengths (ISO 11898-1, interframe space included)."""
+"""Bus load of classic CAN with 11 bit identifiers from frame lengths (ISO 11898-1, with interframe space)."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ from collections.abc import Iterable
 
 
 def frame_bits(size_bytes: int) -> int:
-    """Bits of a data frame without stuff bits: 47 + 8 n."""
+    """Return the bits of a data frame of n bytes without stuff bits: 47 + 8 n."""
     return 47 + 8 * size_bytes
 
 
 def frame_bits_worst(size_bytes: int) -> int:
-    """Bits of a data frame with the most stuff bits possible: one after every four of the 34 + 8 n bits stuffed."""
+    """Return the bits of a data frame with the most stuff bits: one per four of 34 + 8 n bits."""
     return frame_bits(size_bytes) + (34 + 8 * size_bytes - 1) // 4
 
 
 def cycle_bits_worst(sizes_bytes: Iterable[int]) -> int:
-    """Worst-case bits of one SYNC cycle.
+    """Return the worst-case bits of one SYNC cycle.
 
     Parameters
     ----------
@@ -27,10 +27,10 @@ def cycle_bits_worst(sizes_bytes: Iterable[int]) -> int:
 
 
 def load_percent(bits: float, duration_s: float, bitrate_bit_s: float) -> float:
-    """Share of the wire that `bits` take in `duration_s`, in per cent."""
+    """Return the bus load of `bits` sent in `duration_s` [%]."""
     return 100.0 * bits / (duration_s * bitrate_bit_s)
 
 
 def largest_rate_hz(bits: int, bitrate_bit_s: float, limit_percent: float = 100.0) -> float:
-    """Cycles per second that fit under a limit."""
+    """Return the largest cycle rate whose bus load is within a limit [Hz]."""
     return bitrate_bit_s * limit_percent / 100.0 / bits

@@ -1,7 +1,7 @@
 """CiA 402 state machine: pure tables and functions (CiA 402-2, clause 8: finite state automaton and statusword).
 
-No route passes through OPERATION ENABLED unless that is the target, transition 16 (quick stop active back to operation
-enabled) is never used, and no controlword of this module has the fault reset bit: only a person resets a fault.
+No route passes through OPERATION ENABLED unless that is the target. Transition 16 (QUICK STOP ACTIVE to OPERATION
+ENABLED) is never used. No controlword of this module has the fault reset bit: only a person resets a fault.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Final
 
 
 class State(Enum):
-    """States of the power drive system."""
+    """States of the power drive system (PDS) of CiA 402."""
 
     NOT_READY = "not ready to switch on"
     SWITCH_ON_DISABLED = "switch on disabled"
@@ -130,7 +130,7 @@ FAULTED: Final = frozenset({State.FAULT, State.FAULT_REACTION_ACTIVE, State.UNDE
 
 
 class NoRoute(ValueError):  # noqa: N818 - reads as what happened
-    """The target cannot be reached from the present state without an act of a person."""
+    """No permitted transitions lead from the present state to the target; a person has to act."""
 
 
 def decode_state(statusword: int) -> State:
@@ -144,7 +144,7 @@ def next_controlword(state: State, target: State) -> int:
     Parameters
     ----------
     state : State
-        What the drive's statusword shows now.
+        Present state from the drive's statusword.
     target : State
         SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, SWITCHED_ON, OPERATION_ENABLED or QUICK_STOP_ACTIVE.
 
@@ -166,12 +166,12 @@ def next_controlword(state: State, target: State) -> int:
 
 
 def stopping_controlword(state: State) -> int:
-    """Controlword that stops the axis soonest and never energises: quick stop, or disable voltage if not enabled."""
+    """Return the controlword that stops an axis: quick stop if it is enabled, else disable voltage."""
     return QUICK_STOP if state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE) else DISABLE_VOLTAGE
 
 
 def mode_supported(supported_modes: int, mode: Mode) -> bool:
-    """Whether 0x6502 lists the mode (bit number = mode - 1)."""
+    """Return whether 0x6502 (supported drive modes) includes the mode (bit number = mode - 1)."""
     return bool(supported_modes >> (mode.value - 1) & 1)
 
 

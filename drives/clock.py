@@ -20,7 +20,7 @@ _SPIN_S: Final = 0.00012
 
 
 def spare_collections() -> None:
-    """Take what lives long out of the garbage collector's sight, until `gc.unfreeze`.
+    """Exclude the objects that exist now from garbage collection until `gc.unfreeze`.
 
     A full garbage collection of a loaded gateway takes 20 to 40 ms, longer than a SYNC period.
     """
@@ -49,25 +49,25 @@ class SyncClock:
 
     @property
     def paused_s(self) -> float:
-        """By how much the time since the last SYNC exceeds a period, s; 0 before the first one."""
+        """Return by how much the time since the last SYNC exceeds one period [s]; 0 before the first SYNC."""
         return 0.0 if self._last_s is None else max(0.0, time.monotonic() - self._last_s - self._period_s)
 
     def sent(self, due_s: float, late_s: float = 0.0) -> None:
-        """Record a SYNC that was due at a monotonic time [s] and was sent `delay_s` later because the bus was full."""
+        """Record a SYNC that was due at a monotonic time [s] and was sent later because the transmit queue was full."""
         self._last_s = due_s + late_s
         if late_s and self.lateness_s:
             self.lateness_s[-1] += late_s
 
     def follow(self, now_s: float) -> None:
-        """Take the time [s] of this SYNC from another clock; the next one is due by this clock again."""
+        """Adopt the SYNC time [s] of another clock; the following SYNC is scheduled by this clock again."""
         self._due_s = now_s + self._period_s
 
     def restart(self, at_s: float | None = None) -> None:
-        """Forget the rhythm: the next SYNC is due at once, or at a monotonic time [s] that several clocks share."""
+        """Restart the schedule: the next SYNC is due now, or at a monotonic time [s] that several clocks share."""
         self._due_s, self._last_s = at_s, None
 
     def wait(self) -> float:
-        """Wait until the next SYNC is due; returns the monotonic time, s.
+        """Wait until the next SYNC is due and return the monotonic time [s].
 
         A deadline that passed more than a period ago, before or while it was waited for, is skipped and counted, not
         made up for.
@@ -91,7 +91,7 @@ class SyncClock:
         return now
 
     def _skipped(self, due_s: float, now_s: float) -> float:
-        """The last deadline that has passed, where more than one has."""
+        """Return the latest deadline that has passed."""
         missed = int((now_s - due_s) / self._period_s) if now_s > due_s + self._period_s else 0
         self.overruns += missed
         return due_s + missed * self._period_s

@@ -1,4 +1,4 @@
-"""Decode the frames of one SYNC into readings; all factors are precomputed."""
+"""Decoders that convert the TPDO frames of one SYNC to drive readings in SI, with precomputed scale factors."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Unpack = Callable[[Any], tuple[int, ...]]
 
 
 class Fields(NamedTuple):
-    """What TPDO2 holds besides the torque."""
+    """Objects that TPDO2 carries besides the torque."""
 
     velocity: bool
     current: bool
 
 
 def single_decoder(node_id: int, slot: int, unpack: Unpack, scale: MotorScale) -> Decoder:
-    """Decoder of a drive with one TPDO: statusword, position, torque.
+    """Return the decoder of a drive with one TPDO: statusword, position, torque.
 
     Parameters
     ----------

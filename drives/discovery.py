@@ -19,7 +19,7 @@ LISTEN_S: Final = 1.2
 
 
 def count_answers(bus: Bus, node_ids: Iterable[int], timeout_s: float) -> dict[int, int]:
-    """Count the devices that answer at each node id within a time [s], longer for repeated requests.
+    """Count the devices that respond at each node id within a time [s]; repeated requests wait longer.
 
     A node that does not answer may be in NMT state STOPPED: it gets the command to leave it and a second request. Two
     answers are requested again too, because a frame may have been duplicated on the bus.
@@ -34,7 +34,7 @@ def count_answers(bus: Bus, node_ids: Iterable[int], timeout_s: float) -> dict[i
 
 
 def nmt_states(bus: Bus, node_ids: Iterable[int], listen_s: float = LISTEN_S) -> dict[int, NmtState | None]:
-    """NMT state of nodes by their heartbeats; None = no heartbeat received. Nothing is sent.
+    """Return the NMT state of nodes from their heartbeats; None = no heartbeat received. Nothing is sent.
 
     Parameters
     ----------
@@ -58,11 +58,13 @@ def missing(node_id: int, state: NmtState | None) -> NodeMissing:
     if state is None:
         return NodeMissing("no device answers", node=node_id, advice="check power, node id, bit rate and cabling")
     if state is NmtState.STOPPED:
-        what = "is in NMT state STOPPED, in which it answers no SDO"
-        advice = f"wake it: NMT command 0x80 (frame 000, data 80 {node_id:02X}), or switch it off and on"
+        what = "is in NMT state STOPPED, in which SDO is not available"
+        advice = (
+            f"send the NMT command PRE-OPERATIONAL (CAN id 000, data 80 {node_id:02X}), or switch the drive off and on"
+        )
         return NodeMissing(what, node=node_id, advice=advice)
-    what = f"does not answer SDO, although its heartbeat says {str(state).upper()}"
-    return NodeMissing(what, node=node_id, advice="another tool may hold its SDO channel; else switch it off and on")
+    what = f"does not respond to SDO requests, although its heartbeat reports {str(state).upper()}"
+    return NodeMissing(what, node=node_id, advice="another tool may use its SDO channel; if not, power-cycle it")
 
 
 def require_one(node_id: int, answers: int, state: NmtState | None = None) -> None:

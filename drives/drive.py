@@ -1,4 +1,4 @@
-"""A CiA 402 drive on CANopen, as used by the drive group."""
+"""One CiA 402 drive on CANopen: identification, configuration, and the PDO frames of its setpoints and readings."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ POSITION_TOLERANCE_REVOLUTIONS: Final = 1e-3
 
 
 class Cia402Drive:
-    """A CiA 402 drive on CANopen.
+    """Master's representation of one CiA 402 drive on CANopen.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class Cia402Drive:
 
     @property
     def scale(self) -> MotorScale:
-        """Factors between raw words and SI.
+        """Return the factors between raw object values and SI units.
 
         Raises
         ------
@@ -83,17 +83,17 @@ class Cia402Drive:
 
     @property
     def plans(self) -> tuple[PdoPlan, ...]:
-        """Every PDO of the exchange, RPDO1 first."""
+        """Return the PDO configurations of the cyclic exchange, RPDO1 first."""
         return (*self.commands, *self._tpdos)
 
     @property
     def commands(self) -> tuple[PdoPlan, ...]:
-        """The RPDOs of the exchange, RPDO1 first."""
+        """Return the RPDO configurations of the cyclic exchange, RPDO1 first."""
         return (self._rpdo,) if self._offset_plan is None else (self._rpdo, self._offset_plan)
 
     @property
     def answers(self) -> tuple[tuple[int, int], ...]:
-        """CAN id and length of every frame that answers a SYNC."""
+        """Return CAN id and length of each TPDO that follows a SYNC."""
         return tuple((plan.cob_id, plan.size_bytes) for plan in self._tpdos)
 
     # -- bringing up -------------------------------------------------------------------------------------------------
@@ -104,7 +104,7 @@ class Cia402Drive:
         Raises
         ------
         IdentityMismatch
-            It is not what the profile is for.
+            The device does not match the profile.
         """
         self.identity = bringup.read_identity(self.access.sdo)
         self.access.device = KnownDevice.of(self.identity, self._bus.spec.name)
@@ -112,14 +112,14 @@ class Cia402Drive:
         return self.identity
 
     def survey(self) -> tuple[OtherPdo, ...]:
-        """Read which PDOs are switched on that the exchange does not use; nothing is written."""
+        """Read which PDOs are valid but not used by the exchange; nothing is written."""
         planned = {plan.communication for plan in self.plans}
         self.other_pdos = other_pdos.other_pdos(self.access, planned)
         self.left_pdos = tuple(pdo for pdo in self.other_pdos if not pdo.may_be_switched_off)
         return self.other_pdos
 
     def configure(self, sync_period_s: float) -> None:
-        """Scaling read, PDOs mapped, limits, mode and reaction to a lost master set; everything read back.
+        """Read the scaling; map the PDOs; set limits, mode and reaction to a lost master; read all of it back.
 
         The PDOs that `survey` found are switched off.
 
@@ -143,7 +143,7 @@ class Cia402Drive:
         bringup.check_sync(access)
         send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         if self._offset_plan is not None or access.is_in_ledger(VELOCITY_OFFSET.index, self._rpdo.mapping + 1):
-            access.write(VELOCITY_OFFSET, 0, "no velocity offset is left of an earlier run")
+            access.write(VELOCITY_OFFSET, 0, "clear the velocity offset of an earlier run")
         bringup.settle_sync_period(access, sync_period_s)
         self.left_pdos = tuple(pdo for pdo in self.other_pdos if not other_pdos.switch_off(access, pdo))
         for plan in self.plans:
@@ -152,7 +152,7 @@ class Cia402Drive:
         bringup.set_mode(access, Mode.CYCLIC_SYNC_POSITION)
         bringup.set_interpolation_period(access, sync_period_s)
         if heartbeat.producer_ms is not None:
-            access.write(OBJECTS["producer_heartbeat"], heartbeat.producer_ms, "sign of life of the drive")
+            access.write(OBJECTS["producer_heartbeat"], heartbeat.producer_ms, "heartbeat of the drive")
         reason = "reaction of the drive when the master's heartbeat stops"
         access.write(OBJECTS["abort_connection_option"], heartbeat.abort_connection, reason)
         self._sync_period_s = sync_period_s
@@ -160,7 +160,7 @@ class Cia402Drive:
         self._scale = scale
 
     def _set_limits(self, constants: Constants, scale: MotorScale) -> None:
-        """Position and torque limits of the cell, kept here and, where it is allowed, by the drive itself."""
+        """Apply the cell's position and torque limits in the master and, if allowed, in the drive."""
         setup = self.setup
         limit = drive_limits.limits_in_counts(setup.position_limit_rad, scale.count_rad)
         self._lowest, self._highest = limit
@@ -208,24 +208,24 @@ class Cia402Drive:
         return faults
 
     def arm(self, master_node_id: int) -> None:
-        """Let the drive watch the master's heartbeat, from its first one on."""
+        """Make the drive monitor the master's heartbeat (0x1016), from the first heartbeat on."""
         value = master_node_id << 16 | self.setup.profile.heartbeat.consumer_ms
         self.access.write(OBJECTS["consumer_heartbeat"], value, "the drive stops when the master's heartbeat stops")
 
     def disarm(self) -> None:
-        """Let the drive stop watching."""
-        self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer watches the master")
+        """End the drive's monitoring of the master's heartbeat."""
+        self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer monitors the master's heartbeat")
 
     def note_rest(self) -> None:
-        """Remember where the axis is now that its brake is closed."""
+        """Store the position of the axis at rest with its brake closed."""
         self.rest_count = self.access.read(self.setup.profile.position.object)
 
     def statusword(self) -> int:
-        """Statusword, read now by SDO."""
+        """Read the statusword by SDO."""
         return self.access.read(OBJECTS["statusword"])
 
     def fault_text(self) -> str:
-        """Return the text of error code 0x603F, as far as the drive answers."""
+        """Return error code 0x603F with its meaning, or that it cannot be read."""
         try:
             code = self.access.read(OBJECTS["error_code"], ONCE)
         except DriveError:
@@ -237,7 +237,7 @@ class Cia402Drive:
     # -- cyclic ------------------------------------------------------------------------------------------------------
 
     def stage(self, command: DriveCommand) -> None:
-        """Check a target and keep it for the next frame; nothing is sent.
+        """Check a target and store it for the next RPDO; nothing is sent.
 
         Raises
         ------
@@ -266,25 +266,27 @@ class Cia402Drive:
 
     @property
     def _tolerance_count(self) -> float:
-        """By how much the position that is read may differ from the one that is held, in counts."""
+        """Return the allowed difference between the read and the commanded position [counts]."""
         return abs((self._scale or self.scale).revolutions(POSITION_TOLERANCE_REVOLUTIONS))
 
     def _no_further_out(self, count: int) -> int:
-        """A target, or where the axis is held, if it is held outside its limits and the target leads further out."""
+        """Return the target, or the present setpoint if that is outside the limits and the target further out."""
         held = self.target_count
         if held > self._highest:
             return min(count, held)
         return max(count, held) if held < self._lowest else count
 
     def _inward(self, count: int) -> bool:
-        """Whether a target outside the limits does not lead further out than the present one."""
+        """Return whether a target outside the limits is not further out than the present setpoint."""
         return self._highest < count <= self.target_count or self.target_count <= count < self._lowest
 
     def _velocity(self, velocity_rad_s: float) -> int:
         unit = self.scale.velocity_rad_s
         if self._offset_frame is None or unit is None:
             advice = "set the drive up with feedforward"
-            raise CommandRefused("takes no velocity offset", node=self.node_id, index=0x60B1, advice=advice)
+            raise CommandRefused(
+                "is not configured for a velocity offset", node=self.node_id, index=0x60B1, advice=advice
+            )
         if abs(velocity_rad_s) > self.setup.max_motor_speed_rad_s:
             what = f"velocity offset of {velocity_rad_s:.1f} rad/s"
             advice = f"the limit is {self.setup.max_motor_speed_rad_s:.1f} rad/s at the motor"
@@ -303,12 +305,12 @@ class Cia402Drive:
         return offset
 
     def hold(self, position_count: int) -> None:
-        """Keep a position, without offsets, for the next frame."""
+        """Store a position without offsets for the next RPDO."""
         self._held_count = position_count
         self._staged = (position_count, 0, 0)
 
     def frame(self, controlword: int) -> Frame:
-        """The frame of the staged target; from now on it counts as commanded.
+        """Return the RPDO data of the stored target, which counts as commanded from now on.
 
         Offsets are sent only beside the controlword that keeps OPERATION ENABLED.
         """
@@ -320,13 +322,13 @@ class Cia402Drive:
         return self._frame
 
     def offset_frame(self) -> Frame | None:
-        """The frame of the staged velocity offset, after `frame`; None where the drive takes none."""
+        """Return the RPDO data of the stored velocity offset, after `frame`; None if the drive has no such RPDO."""
         if self._offset_frame is not None:
             OFFSET.pack_into(self._offset_frame.data, 0, self._staged[2])
         return self._offset_frame
 
     def decoder(self, first_slot: int) -> Decoder:
-        """Function that turns the frames of one SYNC into this drive's reading.
+        """Return a function that decodes the TPDO frames of one SYNC into this drive's reading.
 
         Parameters
         ----------

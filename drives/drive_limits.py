@@ -23,7 +23,7 @@ Counts = tuple[int, int]
 
 
 def limits_in_counts(limit_rad: tuple[float, float] | None, count_rad: float) -> Counts:
-    """Lowest and highest position count inside a range of motor angles [rad]; None = all there are."""
+    """Return the lowest and highest position count inside a range of motor angles [rad]; None = no limit."""
     if limit_rad is None:
         return -_I32_MAX - 1, _I32_MAX
     low, high = math.ceil(limit_rad[0] / count_rad), math.floor(limit_rad[1] / count_rad)
@@ -128,5 +128,5 @@ def rated_torque_nm(access: ObjectAccess, constants: Constants) -> float | None:
 
 
 def permille_of(torque_nm: float, rated_nm: float) -> int:
-    """Smallest number of per mille that allows a torque."""
+    """Return the smallest torque limit in per mille that permits a torque."""
     return math.ceil(1000.0 * torque_nm / rated_nm - 1e-9)

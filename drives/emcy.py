@@ -61,12 +61,12 @@ class Emergency:
 
     @property
     def is_reset(self) -> bool:
-        """Return whether it reports that an error was cleared."""
+        """Return whether the message reports an error reset."""
         return self.code is not None and self.code & 0xFF00 == 0
 
     @property
     def what(self) -> str:
-        """Code and its meaning."""
+        """Return the error code and its meaning."""
         code = "short frame" if self.code is None else f"0x{self.code:04X}"
         return f"{code}, {self.text}"
 
@@ -107,7 +107,7 @@ def code_class(code: int) -> str:
 
 
 class EmcyLog:
-    """Emergency messages of several nodes, newest last, bounded."""
+    """Bounded log of the EMCY messages of several nodes, newest last."""
 
     def __init__(self, profiles: Mapping[int, DriveProfile]) -> None:
         self.count = 0
@@ -117,15 +117,15 @@ class EmcyLog:
 
     @property
     def messages(self) -> tuple[Emergency, ...]:
-        """The last `KEPT` messages."""
+        """Return the last `KEPT` messages."""
         return tuple(self._kept)
 
     def on_frame(self, can_id: int, data: bytes | bytearray, time_s: float) -> None:
-        """Frame handler."""
+        """Store the EMCY message of a received frame."""
         node_id = can_id & 0x7F
         self.count += 1
         self._kept.append(parse_emergency(node_id, bytes(data), self.sync_index, self._profiles.get(node_id)))
 
     def last(self, node_id: int) -> Emergency | None:
-        """Newest message of a node that is not a reset."""
+        """Return the newest message of a node that is not an error reset."""
         return next((each for each in reversed(self._kept) if each.node_id == node_id and not each.is_reset), None)

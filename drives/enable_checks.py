@@ -62,14 +62,14 @@ def refuse_fault(drive: Cia402Drive, guard: Guard) -> None:
 
 
 def reset_fault(drive: Cia402Drive) -> None:
-    """Reset a fault by SDO; only ever called because a person asked for it.
+    """Reset a fault by SDO at the request of a person.
 
     The drive has the transition time of its profile to leave FAULT.
 
     Raises
     ------
     DriveFault
-        The fault is still there.
+        The drive is still in FAULT.
     """
     control = OBJECTS["controlword"]
     if decode_state(drive.statusword()) is State.FAULT:
@@ -80,7 +80,9 @@ def reset_fault(drive: Cia402Drive) -> None:
         drive.access.bus.listen(POLL_S)
     if decode_state(status) in FAULTED:
         what = f"is still in {describe(status)}: {drive.fault_text()}"
-        raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice="its cause is still there")
+        raise DriveFault(
+            what, node=drive.node_id, index=0x6041, code=status, advice="the cause of the fault is still present"
+        )
 
 
 def refuse_unsafe(drive: Cia402Drive) -> None:
@@ -98,7 +100,7 @@ def refuse_unsafe(drive: Cia402Drive) -> None:
 
 
 def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda epoch: False) -> Epoch:
-    """SYNC alone, until every drive answers: no command is sent before the position is known.
+    """Send SYNC without commands until every drive responds, so that no command is sent before its position is known.
 
     Parameters
     ----------
@@ -122,7 +124,7 @@ def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda 
     if epoch.complete:
         return epoch
     advice = "check that its TPDOs are synchronous and that it is in NMT state OPERATIONAL"
-    what = f"does not answer SYNC ({_FIRST_TRIES} sent)"
+    what = f"does not respond to SYNC ({_FIRST_TRIES} sent)"
     raise_failures(
         [IncompleteEpochs(what, node=exchange.drives[axis].node_id, advice=advice) for axis in epoch.missing]
     )
@@ -182,8 +184,8 @@ def compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:
     same_state = decode_state(status) is decode_state(reading.statusword)
     if abs(position - reading.position_count) > allowed or not same_state:
         raise ConfigurationRefused(
-            f"TPDO1 says {describe(reading.statusword)} at {reading.position_count} counts, "
-            f"SDO says {describe(status)} at {position} counts",
+            f"TPDO1 reports {describe(reading.statusword)} at {reading.position_count} counts, "
+            f"SDO reports {describe(status)} at {position} counts",
             node=drive.node_id,
             index=drive.plans[1].mapping,
             advice="the PDO mapping is shifted, or the axis moves although it is not enabled",

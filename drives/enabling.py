@@ -61,7 +61,7 @@ class EnableSequence:
             raise StopRequested("stopped while the drives were being enabled", advice="all axes have been disabled")
 
     def walk(self, start: Epoch) -> Epoch:
-        """Run the transitions to OPERATION ENABLED.
+        """Command the transitions to OPERATION ENABLED, and return the first epoch with every axis enabled.
 
         Parameters
         ----------
@@ -92,17 +92,17 @@ class EnableSequence:
             epoch = exchange.cycle(words)
             self._guard.check_bus()
             self._guard.check_operational()
-            self._guard.check_silence()
+            self._guard.check_unanswered()
             self._refuse_backward(before)
             self.check(epoch)
             if epoch.complete and all(state is State.OPERATION_ENABLED for state in states):
                 return epoch
             for axis, state in enumerate(states):
-                stands = state is before[axis] and state is not State.OPERATION_ENABLED
-                waited[axis] = waited[axis] + 1 if stands else 0
+                unchanged = state is before[axis] and state is not State.OPERATION_ENABLED
+                waited[axis] = waited[axis] + 1 if unchanged else 0
 
     def check(self, epoch: Epoch) -> None:
-        """Check one SYNC until the brakes are open.
+        """Check the epoch of one SYNC while the brakes open.
 
         Raises
         ------
@@ -119,7 +119,7 @@ class EnableSequence:
             raise_failures(self._late(epoch))
 
     def _now_s(self) -> float:
-        """The time that counts: in lockstep that of the SYNCs."""
+        """Return the time for the limits [s]: SYNC time in lockstep, else the monotonic clock."""
         exchange = self._exchange
         return exchange.sync_time_s if exchange.timing.pacing == "lockstep" else time.monotonic()
 
@@ -146,7 +146,7 @@ class EnableSequence:
 
     def _late(self, epoch: Epoch) -> list[TransitionTimeout]:
         advice = "check power stage, STO and enable input, and the drive's display"
-        what = f"after {self._limit_s:.1f} s not all axes are enabled and answer"
+        what = f"after {self._limit_s:.1f} s not all axes are enabled and responding"
         slow = [
             TransitionTimeout(f"{what}: it is in {state}", node=drive.node_id, index=0x6041, advice=advice)
             for drive, state, reading in zip(self._exchange.drives, self._exchange.states, epoch.readings, strict=True)

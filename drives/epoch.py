@@ -1,4 +1,4 @@
-"""SYNC epochs: the TPDOs of one SYNC in one row, complete or marked incomplete, never filled from a cache."""
+"""SYNC epochs: the TPDOs that respond to one SYNC, complete or marked incomplete, never filled with older values."""
 
 from __future__ import annotations
 
@@ -30,20 +30,20 @@ _OTHERS: Final = 0.4
 
 
 class Inquiry(Protocol):
-    """Query of drives that have not answered."""
+    """Interface of an SDO query to drives whose TPDO is missing."""
 
     def ask(self, slots: Sequence[int]) -> None:
-        """Query the drives of these slots."""
+        """Send the query to the drives of these slots."""
         ...
 
     def answered(self, slot: int) -> bool:
-        """Whether the drive of a slot has answered the question."""
+        """Return whether the drive of a slot has responded to the query."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Epoch:
-    """One row.
+    """Readings of all axes at one SYNC.
 
     Attributes
     ----------
@@ -64,18 +64,18 @@ class Epoch:
 
     @property
     def complete(self) -> bool:
-        """Whether every axis answered this SYNC."""
+        """Return whether every axis responded to this SYNC."""
         return all(reading is not None for reading in self.readings)
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """Axes (from 0) without a reading."""
+        """Return the axes (from 0) without a reading."""
         return tuple(axis for axis, reading in enumerate(self.readings) if reading is None)
 
 
 @dataclass(slots=True)
 class EpochCounts:
-    """What was not as it should be, in frames."""
+    """Numbers of irregular TPDO frames."""
 
     late: int = 0
     duplicate: int = 0
@@ -85,7 +85,7 @@ class EpochCounts:
 
 
 class EpochCollector:
-    """Gathers the TPDOs that answer one SYNC.
+    """Collects the TPDOs that respond to one SYNC.
 
     TPDOs carry no number, so what arrives outside `collect` belongs to an earlier SYNC: it is counted and dropped.
 
@@ -211,7 +211,7 @@ class EpochCollector:
         return self.frames
 
     def _gather(self, left: int, deadline_s: float, gap_s: float | None) -> int:
-        """Fill slots until none is left or the deadline, which moves on with each answer if a gap is allowed."""
+        """Fill the slots until all are filled or the deadline passes; `gap` extends the deadline with each answer."""
         slot_of, sizes, receive, clock = self._slot_of.get, self._sizes, self._bus.receive, time.monotonic
         frames, astray, sent_wall_s = self.frames, self.alignment.astray, self._sent_wall_s
         timeout_s = max(deadline_s - clock(), 0.0)  # the process may have slept past it
@@ -229,7 +229,7 @@ class EpochCollector:
                     frames[slot] = frame.data
                     left -= 1
                     if astray:
-                        self._unsure(slot, frame.timestamp)
+                        self._hold_unassigned(slot, frame.timestamp)
                     if gap_s is not None:
                         deadline_s = clock() + gap_s
                         timeout_s = gap_s
@@ -237,14 +237,14 @@ class EpochCollector:
                 elif slot not in astray:
                     self._again(slot, frame.data)
                 else:
-                    self._unsure(slot, frame.timestamp)
+                    self._hold_unassigned(slot, frame.timestamp)
             timeout_s = deadline_s - clock()
             if timeout_s <= 0:
                 break
         return left
 
     def _is_older(self, slot: int, stamp_s: float) -> bool:
-        """Whether a frame that is stamped before the SYNC answers an earlier one, and no clock was set meanwhile."""
+        """Return whether a frame with a time stamp before the SYNC responds to an earlier one (no clock was set)."""
         if stamp_s < self._sent_wall_s - _CLOCK_SET_S:
             return False
         if slot in self.alignment.astray:
@@ -255,8 +255,8 @@ class EpochCollector:
         self.counts.late += 1
         self.late_count_by_slot[slot] += 1
 
-    def _unsure(self, slot: int, stamp_s: float) -> None:
-        """A frame that may answer an earlier SYNC, if its slot is astray."""
+    def _hold_unassigned(self, slot: int, stamp_s: float) -> None:
+        """Store a frame that may respond to an earlier SYNC if its slot is unassigned."""
         if slot in self.alignment.astray:
             self.counts.unsure += 1
             self.late_count_by_slot[slot] += 1
@@ -299,7 +299,7 @@ class EpochCollector:
         return False
 
     def _listen_for_strays(self, deadline_s: float) -> None:
-        """An answer to an earlier SYNC may be in this row: does a second one come?"""
+        """Watch for a second frame, because this epoch may contain a response to an earlier SYNC."""
         now = time.monotonic()
         self._astray = {slot: until_s for slot, until_s in self._astray.items() if until_s > now}
         while self._astray and (left_s := deadline_s - time.monotonic()) > 0:
@@ -308,14 +308,14 @@ class EpochCollector:
                 self._take(frame)
 
     def _again(self, slot: int, data: bytes | bytearray) -> None:
-        """A second frame of one TPDO within one SYNC."""
+        """Handle a second frame of one TPDO within one SYNC."""
         self.counts.duplicate += 1
         if self.frames[slot] != data:
             self.counts.ambiguous += 1
             self._contradicted.add(slot)
 
     def _on_stray(self, can_id: int, data: bytes | bytearray, time_s: float) -> None:
-        """A TPDO that arrives while no SYNC is being answered."""
+        """Count a TPDO that arrives outside the response window of a SYNC."""
         slot = self._slot_of[can_id]
         if len(data) != self._sizes[slot]:
             self.counts.wrong_length += 1

@@ -1,4 +1,4 @@
-"""Typed errors of the motor side; each carries the exit code of the command line.
+"""Typed errors of bus and drives; each carries the exit code of the command line.
 
 DriveError (4)
 +-- BusError                adapter, wire, or a frame that could not be sent
@@ -73,7 +73,7 @@ class DriveError(Exception):
 
     @property
     def where(self) -> str:
-        """`node 3:6077:00 (torque)`, as far as it is known."""
+        """Return node and object as text, e.g. `node 3:6077:00 (torque)`, as far as they are known."""
         parts = [] if self.node is None else [f"node {self.node}"]
         if self.index is not None:
             parts.append(object_name(self.index, self.subindex or 0))
@@ -101,7 +101,7 @@ class ForeignMaster(BusError):  # noqa: N818 - reads as what happened
 
 
 class SdoError(DriveError):
-    """An SDO transfer that failed."""
+    """An SDO transfer failed."""
 
 
 class SdoAbort(SdoError):  # noqa: N818 - reads as what happened
@@ -109,11 +109,11 @@ class SdoAbort(SdoError):  # noqa: N818 - reads as what happened
 
 
 class SdoTimeout(SdoError, TimeoutError):  # noqa: N818 - reads as what happened
-    """No answer in time."""
+    """No SDO response arrived within the time-out."""
 
 
 class SdoProtocolError(SdoError):
-    """An answer that breaks the protocol."""
+    """An SDO response violates the protocol."""
 
 
 class NodeMissing(DriveError):  # noqa: N818 - reads as what happened
@@ -125,15 +125,15 @@ class DuplicateNode(DriveError):  # noqa: N818 - reads as what happened
 
 
 class IdentityMismatch(DriveError):  # noqa: N818 - reads as what happened
-    """Vendor, product or firmware is not what the profile is for."""
+    """Vendor, product or firmware does not match the profile."""
 
 
 class ConfigurationRefused(DriveError):  # noqa: N818 - reads as what happened
-    """A value that does not read back as written, or that must not be written."""
+    """A value is not read back as written, or must not be written."""
 
 
 class CommandRefused(DriveError, ValueError):  # noqa: N818 - reads as what happened
-    """A target outside the limits; nothing was sent."""
+    """A target is outside the limits; nothing was sent."""
 
 
 class DriveFault(DriveError):  # noqa: N818 - reads as what happened
@@ -187,7 +187,7 @@ class ProfileError(DriveError, ValueError):
 
 
 class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened
-    """Every drive's failure at once.
+    """Failures of several drives in one error.
 
     Attributes
     ----------
@@ -210,7 +210,7 @@ class SeveralFailures(DriveError):  # noqa: N818 - reads as what happened
 
 
 def raise_failures(failures: Sequence[DriveError]) -> None:
-    """Raise `SeveralFailures`, or the failure itself where there is one; return where there is none."""
+    """Raise `SeveralFailures`, or a single failure itself; return if there is none."""
     if len(failures) == 1:
         raise failures[0]
     if failures:
@@ -245,14 +245,14 @@ def while_stopping(error: Exception, node: int | None = None) -> DriveError:
 
 
 def _flat(errors: Sequence[DriveError]) -> list[DriveError]:
-    """Single failures, in order."""
+    """Return the single failures in order, those inside `SeveralFailures` included."""
     return [
         each for error in errors for each in (_flat(error.failures) if isinstance(error, SeveralFailures) else [error])
     ]
 
 
 def _same(error: DriveError) -> tuple[object, ...]:
-    """What failures that differ by node alone have in common."""
+    """Return the key that is equal for failures that differ only by their node."""
     return (error.what, error.index, error.subindex, error.advice)
 
 
@@ -267,7 +267,7 @@ def _nodes(numbers: Sequence[int]) -> str:
 
 
 def _listed(errors: Sequence[DriveError]) -> list[str]:
-    """One text per different failure, in order of appearance, with all nodes that it is about; advice once."""
+    """Return one text per different failure with all its nodes, in order of appearance; each remedy appears once."""
     groups: dict[tuple[object, ...], list[DriveError]] = {}
     for error in _flat(errors):
         groups.setdefault(_same(error), []).append(error)
@@ -290,7 +290,7 @@ def _listed(errors: Sequence[DriveError]) -> list[str]:
 
 
 def _short(listed: list[str]) -> list[str]:
-    """The first few of a list, and how many more there are."""
+    """Return the first entries of a list and the number of the others."""
     if len(listed) <= _MAX_LISTED:
         return listed
     return [*listed[: _MAX_LISTED - 1], f"and {len(listed) - _MAX_LISTED + 1} more"]

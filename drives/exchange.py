@@ -1,4 +1,4 @@
-"""The SYNC exchange: commands out, SYNC, one row of answers in."""
+"""Cyclic SYNC exchange: send the RPDOs, send SYNC, and collect the TPDOs of all drives as one epoch."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _HURRY_S: Final = 0.1
 _STILL_REVOLUTIONS: Final = 0.001
 _STILL_SYNCS: Final = 3
 #: SYNCs in a row with unassigned answers until the axis counts as not responding.
-_UNSURE_ROWS: Final = 10
+_MAX_UNASSIGNABLE: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """When SYNCs are sent and answers count.
+    """Period, pacing and time-outs of the SYNC exchange.
 
     Attributes
     ----------
@@ -66,17 +66,17 @@ class _Inquiry:
         self._sdo = tuple(sdo_of_slot)
 
     def ask(self, slots: Sequence[int]) -> None:
-        """Query the nodes of these slots, each once."""
+        """Send the query to the nodes of these slots, once per node."""
         for sdo in {id(self._sdo[slot]): self._sdo[slot] for slot in slots}.values():
             sdo.ask()
 
     def answered(self, slot: int) -> bool:
-        """Whether the node of a slot has answered the question."""
+        """Return whether the node of a slot has responded to the query."""
         return not self._sdo[slot].asked
 
 
 class SyncExchange:
-    """One SYNC after the other.
+    """Sender of SYNC cycles, and state of the drives as last reported.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ class SyncExchange:
         #: State of each axis by its last answer; None before the first.
         self.states: list[State | None] = [None] * len(self.drives)
         #: SYNCs in a row that each axis left unanswered.
-        self.silent = [0] * len(self.drives)
+        self.unanswered = [0] * len(self.drives)
         #: Statusword of each axis whose last answer came, but cannot be assigned to its SYNC; else None.
         self.unassigned: list[int | None] = [None] * len(self.drives)
         #: Readings in a row in which each axis was at rest.
@@ -145,9 +145,9 @@ class SyncExchange:
         self._feeding = tuple(drive for drive in self.drives if drive.setup.feedforward)
         self._decoders: tuple[Decoder, ...] = ()
         self._allowed_count = [0.0] * len(self.drives)
-        self._unsure = [0] * len(self.drives)
+        self._unassignable = [0] * len(self.drives)
         #: Delayed answers of each axis when it began to leave SYNCs unanswered.
-        self._late_before = [0] * len(self.drives)
+        self._delayed_before = [0] * len(self.drives)
         #: Whether the SYNC before has moved an axis; of the cycle that was begun, whether this one will, or both.
         self._moved = self._moves = self._moving = False
         #: In real time, of the cycle that was begun: by which thread, whether its answers are assigned, when its SYNC
@@ -170,37 +170,37 @@ class SyncExchange:
 
     @property
     def sync_time_s(self) -> float:
-        """Simulated time of the SYNCs so far."""
+        """Return the number of SYNCs times the period [s]."""
         return self.sync_index * self.timing.period_s
 
     def restart(self) -> None:
-        """Begin a new run with configured drives: phase and counters are reset."""
+        """Reset phase and counters for a new run with configured drives."""
         self._decoders = tuple(drive.decoder(slot) for drive, slot in zip(self.drives, self._first_slots, strict=True))
         self.clock.restart()
         self.collector.alignment.forget()
         axes = len(self.drives)
-        self.silent, self.still, self._unsure, self._moved = [0] * axes, [0] * axes, [0] * axes, False
+        self.unanswered, self.still, self._unassignable, self._moved = [0] * axes, [0] * axes, [0] * axes, False
         self.position_count = [None] * axes
         self._allowed_count = [max(1.0, drive.scale.revolutions(_STILL_REVOLUTIONS)) for drive in self.drives]
         self._answer_timeout_s = self.timing.answer_timeout_s
         if self.timing.pacing == "real":
             spare_collections()
 
-    def late_answers(self, axis: int) -> int:
+    def delayed_answers(self, axis: int) -> int:
         """Return the number of delayed answers of an axis (from 0) since it began to leave SYNCs unanswered."""
-        return self._late(axis) - self._late_before[axis]
+        return self._delayed(axis) - self._delayed_before[axis]
 
-    def _late(self, axis: int) -> int:
+    def _delayed(self, axis: int) -> int:
         first = self._first_slots[axis]
         return sum(self.collector.late_count_by_slot[first : first + len(self.drives[axis].answers)])
 
-    def stands(self, axis: int) -> bool:
+    def is_at_rest(self, axis: int) -> bool:
         """Return whether an axis (from 0) was at rest at the last SYNCs."""
         return self.still[axis] >= _STILL_SYNCS
 
     @property
     def heartbeat(self) -> bool:
-        """Whether the master's heartbeat is being sent."""
+        """Return whether the master's heartbeat is being sent."""
         return self._producer.running
 
     def end_heartbeat(self) -> None:
@@ -208,11 +208,11 @@ class SyncExchange:
         self._producer.stop()
 
     def hurry(self) -> None:
-        """From now on wait less for a drive that may only be slow: something has to be stopped."""
+        """Shorten the time-outs for missing responses from now on, because the axes have to be stopped."""
         self._answer_timeout_s = min(_HURRY_S, self.timing.answer_timeout_s)
 
     def cycle(self, words: Sequence[int] | None) -> Epoch:
-        """One SYNC with these controlwords and what each drive has staged; None = the SYNC alone.
+        """Run one SYNC cycle with these controlwords and the staged setpoints; None = SYNC without RPDOs.
 
         Raises
         ------
@@ -249,25 +249,25 @@ class SyncExchange:
         self._producer.tick(self.sync_time_s)
         frames, self._moves = self._pack(words)
         self._moving = words is not None and ENABLE_OPERATION in words and (self._moves or self._moved)
-        self._refuse_late(self._moving)
+        self._refuse_overdue(self._moving)
         self._send(frames)
 
     def prepare(self, now_s: float) -> None:
         """Second part, once the SYNC is due [monotonic s]: read delayed answers; raises `MasterStalled`."""
         self.collector.sweep()
-        self._refuse_late(self._moving)
+        self._refuse_overdue(self._moving)
         self._sure = self.clock.paused_s <= self.timing.period_s
         self._due_s = now_s
 
     def sync(self) -> None:
-        """Third part: the SYNC; raises `BusError`."""
+        """Third part: send the SYNC; raises `BusError`."""
         self._wall_s = time.time()
         self._began_s, late_s = self._send_sync(self._due_s)
         self._wall_s += late_s
         self._moved = self._moves
 
     def gather(self) -> Epoch:
-        """Fourth part: what was answered; raises `BusError` if the adapter fails."""
+        """Fourth part: collect the responses as an epoch; raises `BusError` if the adapter fails."""
         timing = self.timing
         answers: Frames = self.collector.collect_within(timing.window * timing.period_s, self.sent_s, self._wall_s)
         if not self._sure:
@@ -300,7 +300,7 @@ class SyncExchange:
         answers = collector.collect(self._answer_timeout_s, timing.gap_timeout_s)
         return self._epoch(now_s, self.sync_time_s, answers)
 
-    def _refuse_late(self, moving: bool) -> None:
+    def _refuse_overdue(self, moving: bool) -> None:
         """Refuse an overdue setpoint while axes move, because it would be a jump; at rest it is accepted."""
         rule, paused_s = DRIVE_RULES["stalled"], self.clock.paused_s
         if moving and paused_s > rule.limit * self.timing.period_s:
@@ -326,7 +326,7 @@ class SyncExchange:
             self._bus.send_frame(frame)
 
     def _send_sync(self, due_s: float) -> tuple[float, float]:
-        """Monotonic time at which the bus took it, and by how much a full transmit queue had delayed that."""
+        """Send SYNC; return the monotonic time of its transmission and its delay by a full transmit queue [s]."""
         self.sync_index += 1
         began_s = time.monotonic()
         late_s = self._bus.send_frame(self._sync_frame)
@@ -346,7 +346,7 @@ class SyncExchange:
         return tuple(instrument.decode(index, frames, slot) for instrument, slot in self._instruments)
 
     def _row(self, frames: Frames) -> tuple[DriveReading | None, ...]:
-        index, states, silent, still = self.sync_index, self.states, self.silent, self.still
+        index, states, unanswered, still = self.sync_index, self.states, self.unanswered, self.still
         row: list[DriveReading | None] = []
         missing = False
         for axis, decode in enumerate(self._decoders):
@@ -356,28 +356,28 @@ class SyncExchange:
                 missing = True
                 self._without(axis, decode)
                 continue
-            silent[axis] = self._unsure[axis] = 0
+            unanswered[axis] = self._unassignable[axis] = 0
             self.unassigned[axis] = None
             states[axis] = decode_state(reading.statusword)
             if reading.statusword & WARNING:
                 self.warnings += 1
             count, before = reading.position_count, self.position_count[axis]
-            stands = before is not None and abs(count - before) <= self._allowed_count[axis]
-            still[axis] = still[axis] + 1 if stands else 0
+            at_rest = before is not None and abs(count - before) <= self._allowed_count[axis]
+            still[axis] = still[axis] + 1 if at_rest else 0
             self.position_count[axis] = count
         self.incomplete += missing
         return tuple(row)
 
     def _without(self, axis: int, decode: Decoder) -> None:
         """Count a SYNC without an assigned answer: as missing, or as received but not assignable."""
-        if not self.silent[axis]:
-            self._late_before[axis] = self._late(axis)
+        if not self.unanswered[axis]:
+            self._delayed_before[axis] = self._delayed(axis)
         came = None if self.timing.pacing == "lockstep" else decode(self.sync_index, self.collector.frames)
         if came is None:
             self.unassigned[axis] = None
-            self.silent[axis] += 1
+            self.unanswered[axis] += 1
             return
         self.unassigned[axis] = came.statusword
         self.states[axis] = decode_state(came.statusword)
-        self._unsure[axis] += 1
-        self.silent[axis] = self.silent[axis] + 1 if self._unsure[axis] > _UNSURE_ROWS else 0
+        self._unassignable[axis] += 1
+        self.unanswered[axis] = self.unanswered[axis] + 1 if self._unassignable[axis] > _MAX_UNASSIGNABLE else 0

@@ -6,7 +6,7 @@ import errno
 
 
 def lock_file(descriptor: int, *, wait: bool = False) -> None:
-    """Hold a file for this process alone, until its descriptor is closed.
+    """Lock a file for this process until its descriptor is closed.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ _MASTER_ONLY: Final = ((SYNC_ID, "SYNC"), (NMT_ID, "NMT commands"))
 
 
 def refuse_foreign(bus: Bus, listen_s: float = FREE_S, master_node_id: int = MASTER_NODE_ID) -> None:
-    """Refuse a bus on which another master is active; nothing is sent. From now on `Bus.check_free` checks it.
+    """Refuse a bus on which another master is active; nothing is sent. Afterwards `Bus.check_free` monitors the bus.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Logs of frames as python-can writes them: written while frames pass (`FrameLog`), read again, written as BLF."""
+"""CAN frame logs in the formats of python-can: log during operation (`FrameLog`), read a log, write a BLF file."""
 
 from __future__ import annotations
 

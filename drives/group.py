@@ -1,4 +1,4 @@
-"""The drives of one arm under one SYNC: found, configured, enabled, moved, stopped, put back.
+"""Group of the drives of one arm that share one SYNC: enable, move, stop, test and disable them.
 
 Nothing is automatic: faults are reset and axes enabled only on request. When an axis leaves OPERATION ENABLED without a
 command, boots, or stops responding, every axis is stopped before the error is raised.
@@ -36,10 +36,10 @@ __all__ = ["DriveGroup", "GroupOptions"]
 
 
 class DriveGroup(DriveSetup):
-    """Drives that follow one SYNC; parameters as `DriveSetup`.
+    """Drives of one arm that share one SYNC; parameters as `DriveSetup`.
 
-    An error that `exchange`, `hold` or a proof raises has stopped all axes by their quick stop ramps, as far as that
-    was possible; they are under power as the drives decide, and `disable` or `close` is still to be called. Where a
+    Before `exchange`, `hold` or a stop test raises an error, all axes are stopped by their quick stop ramps as far as
+    possible. The drives decide whether power stays on; call `disable` or `close` afterwards. Where a
     stop is not confirmed, the master's heartbeat has ended, and the drives have to be found and configured again before
     they can be enabled.
     """
@@ -81,52 +81,52 @@ class DriveGroup(DriveSetup):
         except Exception:
             self._configured = False
             raise
-        way = EnableSequence(exchange, guard, stop_requested)
-        way.check_stop()
+        sequence = EnableSequence(exchange, guard, stop_requested)
+        sequence.check_stop()
         try:
-            return self._enable(exchange, guard, way)
+            return self._enable(exchange, guard, sequence)
         except BaseException as error:
             self._after(error, stopping.disable)
             raise
 
-    def _enable(self, exchange: SyncExchange, guard: Guard, way: EnableSequence) -> Epoch:
+    def _enable(self, exchange: SyncExchange, guard: Guard, sequence: EnableSequence) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
         guard.forgive()
         self._bus.free_count = None  # from now on the guard watches for other masters
         exchange.restart()
         self._producer.start(exchange.sync_time_s)
         self._running = True
-        epoch = self._start_nodes(exchange, guard, way)
+        epoch = self._start_nodes(exchange, guard, sequence)
         guard.forgive_cleared()  # a node may report why it refuses START, and that the cause was cleared
         readings = {reading.node_id: reading for reading in epoch.readings if reading is not None}
         self._for_each(lambda drive: enable_checks.compare_with_sdo(drive, readings[drive.node_id]))
         exchange.clock.restart()
-        epoch = way.walk(enable_checks.first_epoch(exchange))
+        epoch = sequence.walk(enable_checks.first_epoch(exchange))
         for drive in self.drives:
             if not drive.setup.profile.state_machine.mode_before_enable:
                 bringup.check_mode(drive.access, Mode.CYCLIC_SYNC_POSITION)
         self.enabled = True
-        for _ in range(math.ceil(way.brake_s / self.timing.period_s)):
+        for _ in range(math.ceil(sequence.brake_s / self.timing.period_s)):
             epoch = self.hold()
-            way.check(epoch)
+            sequence.check(epoch)
         while not epoch.complete:
             epoch = self.hold()
-            way.check(epoch)
+            sequence.check(epoch)
         return epoch
 
-    def _start_nodes(self, exchange: SyncExchange, guard: Guard, way: EnableSequence) -> Epoch:
-        """NMT START, confirmed by every drive; the first row in which all of them answer."""
+    def _start_nodes(self, exchange: SyncExchange, guard: Guard, sequence: EnableSequence) -> Epoch:
+        """Send NMT START until every drive is OPERATIONAL; return the first complete epoch."""
         watch = self._watch
         if watch is None:
             raise ConfigurationRefused("the drives are not configured", advice="connect() and configure() first")
         start = operational.NmtStart(self._bus, self.drives, self.instruments, watch, guard)
         start.begin()
-        start.confirm(way.check_stop)
+        start.confirm(sequence.check_stop)
         exchange.clock.restart()
-        return enable_checks.first_epoch(exchange, lambda epoch: way.check_stop() or start.again(epoch))
+        return enable_checks.first_epoch(exchange, lambda epoch: sequence.check_stop() or start.again(epoch))
 
     def exchange(self, commands: Sequence[DriveCommand]) -> Epoch:
-        """One SYNC: send a target to every axis, gather what every axis measured at this SYNC.
+        """Run one SYNC cycle: send a target to every axis and collect the readings of every axis.
 
         Parameters
         ----------
@@ -152,7 +152,7 @@ class DriveGroup(DriveSetup):
         return self._cycle()
 
     def hold(self) -> Epoch:
-        """One SYNC with the last commanded positions and no torque offset; raises as `exchange`."""
+        """Run one SYNC cycle with the last commanded positions and no torque offset; raises as `exchange`."""
         self._stage(None)
         return self._cycle()
 
@@ -225,12 +225,12 @@ class DriveGroup(DriveSetup):
             self._parts()[0].sync()
 
     def gather(self) -> Epoch:
-        """Fourth part: what was answered, not looked at yet; raises `BusError`, and all axes have been stopped."""
+        """Fourth part: collect the responses unchecked; raises `BusError` after all axes have been stopped."""
         with self._stopping():
             return self._parts()[0].gather()
 
     def check(self, epoch: Epoch) -> None:
-        """Fifth part: see that all is well; raises as `exchange`."""
+        """Fifth part: check the epoch; raises as `exchange`."""
         with self._stopping():
             self._looked_at(epoch)
 
@@ -281,19 +281,19 @@ class DriveGroup(DriveSetup):
             The axes are not enabled, or not at rest; nothing has changed.
         """
         self._require(self.enabled and 0 <= axis < len(self.drives), "enable() first, and name an axis that there is")
-        self._require(self.stands, "bring the axes to rest first")
+        self._require(self.is_at_rest, "bring the axes to rest first")
         test = BrakeTest(self._parts()[0], axis, limit_rad, disables_voltage)
         self._test = test
         return test
 
     @property
-    def stands(self) -> bool:
+    def is_at_rest(self) -> bool:
         """Return whether every axis was at rest at the last SYNCs."""
         exchange, _ = self._parts()
-        return all(exchange.stands(axis) for axis in range(len(self.drives)))
+        return all(exchange.is_at_rest(axis) for axis in range(len(self.drives)))
 
     def _last_beat(self) -> None:
-        """One more heartbeat, from which the drives count, and no other."""
+        """Send the last heartbeat, from which the drives measure their consumer time, and stop the producer."""
         self._producer.start(self.sync_index * self.timing.period_s)
         self._producer.stop()
 
@@ -316,7 +316,7 @@ class DriveGroup(DriveSetup):
 
     @contextmanager
     def _stopping(self) -> Generator[None]:
-        """What fails stops all axes before it is raised."""
+        """Context in which any error stops all axes before it is raised."""
         exchange, guard = self._parts()
         try:
             yield
@@ -392,12 +392,12 @@ class DriveGroup(DriveSetup):
             raise_failures(failures)
 
     def _stand_down(self, unreached: list[DriveError]) -> list[DriveError]:
-        """Disarm the heartbeat consumers of the drives that answer, then stop the heartbeat."""
-        silent = {error.node for error in unreached if isinstance(error, SdoTimeout)}
+        """Disarm the heartbeat consumers of the drives that respond, then stop the heartbeat."""
+        not_responding = {error.node for error in unreached if isinstance(error, SdoTimeout)}
         failures: list[DriveError] = []
         for drive in self.drives:
             try:
-                if drive.node_id not in silent:
+                if drive.node_id not in not_responding:
                     drive.disarm()
                     drive.note_rest()
             except Exception as error:
@@ -434,7 +434,7 @@ class DriveGroup(DriveSetup):
 
 
 def _add(error: BaseException, failure: DriveError) -> None:
-    """What went wrong while stopping because of an error becomes part of it."""
+    """Append the failures of a stop to the error that caused the stop."""
     if isinstance(error, DriveError):
         error.while_stopping += (failure,)
     else:

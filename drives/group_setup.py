@@ -72,7 +72,7 @@ class GroupOptions:
 
 
 class DriveSetup:
-    """Drives of one SYNC, found and configured; what moves them is `drives.group.DriveGroup`.
+    """Discovery, configuration and restore of the drives that share one SYNC; `drives.group.DriveGroup` moves them.
 
     Parameters
     ----------
@@ -166,17 +166,17 @@ class DriveSetup:
         return identities
 
     def connect_for_restore(self) -> list[DriveError]:
-        """As `connect`, but those that do not answer, or are others than expected, are left out.
+        """Connect as `connect` does, but skip drives that do not respond or have another identity than expected.
 
         Returns
         -------
         list of DriveError
-            Why some are left out.
+            Reason of each skipped drive.
 
         Raises
         ------
         ForeignMaster
-            Somebody else leads the bus; nothing was sent.
+            Another master is active on the bus; nothing was sent.
         """
         _, failures = self._find()
         absent = {failure.node for failure in failures}
@@ -196,9 +196,9 @@ class DriveSetup:
         self.drives = tuple(Cia402Drive(self._bus, setup, self.ledger) for setup in self.setups)
         self.instruments = tuple(Instrument(self._bus, setup, self.ledger) for setup in self.options.instruments)
         identities: list[Identity] = []
-        silent = [node_id for node_id, number in answers.items() if number == 0]
+        not_responding = [node_id for node_id, number in answers.items() if number == 0]
         try:
-            states = discovery.nmt_states(self._bus, silent)
+            states = discovery.nmt_states(self._bus, not_responding)
 
             def identify(drive: Cia402Drive) -> None:
                 identities.append(discovery.identify(drive, answers[drive.node_id], states.get(drive.node_id)))
@@ -245,13 +245,15 @@ class DriveSetup:
         node_ids = [drive.node_id for drive in self.drives]
         watch = HeartbeatWatch(self._bus, node_ids, limits, lambda: exchange.sync_time_s)
         self._exchange, self._watch = exchange, watch
-        silent = self.options.unanswered_syncs or DRIVE_RULES["silent"].syncs(self.timing.period_s, self.timing.pacing)
-        guard_limits = Limits(silent, self.options.foreign_frames)
+        unanswered = self.options.unanswered_syncs or DRIVE_RULES["silent"].syncs(
+            self.timing.period_s, self.timing.pacing
+        )
+        guard_limits = Limits(unanswered, self.options.foreign_frames)
         self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)
         self._configured = True
 
     def _check_load(self, exchange: SyncExchange, planned_bits: int) -> None:
-        """Worst-case load of the exchange and of the PDOs that cannot be switched off, which are named."""
+        """Refuse a worst-case bus load above the limit, including PDOs that cannot be switched off."""
         left = [pdo for node in (*self.drives, *self.instruments) for pdo in node.left_pdos]
         self.left_pdos = tuple(str(pdo) for pdo in left)
         sizes = [size for pdo in left if (size := pdo.cyclic_bytes) is not None]
@@ -267,13 +269,13 @@ class DriveSetup:
     def _for_each(
         self, action: Callable[[Cia402Drive], object], beside: Callable[[Instrument], object] = lambda _: None
     ) -> None:
-        """Do something with every drive, then with every instrument, then raise what failed of all of them."""
+        """Call a function for every drive, then for every instrument; raise all failures together."""
         raise_failures(self._failures(action, beside))
 
     def _failures(
         self, action: Callable[[Cia402Drive], object], beside: Callable[[Instrument], object] = lambda _: None
     ) -> list[DriveError]:
-        """Do something with every drive, then with every instrument; what failed of all of them.
+        """Call a function for every drive, then for every instrument; return all failures.
 
         Raises
         ------
@@ -317,7 +319,7 @@ class DriveSetup:
         enable_checks.reset_fault(drive)
 
     def restore(self) -> None:
-        """Put back every object that the ledger holds of the connected drives.
+        """Restore every object of the connected drives that is in the ledger.
 
         Raises
         ------
@@ -337,7 +339,7 @@ class DriveSetup:
 
     @property
     def noted(self) -> tuple[LedgerEntry, ...]:
-        """What the ledger holds of the nodes of this group, of those that were exchanged and of absent ones too."""
+        """Return the ledger entries of this group's nodes, replaced and absent devices included."""
         present = {node.node_id: node.access.device for node in (*self.drives, *self.instruments)}
         ids = [setup.node_id for setup in (*self.setups, *self.options.instruments)]
         here = [present.get(node_id, KnownDevice(node_id, self._bus.spec.name)) for node_id in ids]
@@ -367,22 +369,22 @@ class DriveSetup:
 
     @property
     def bus(self) -> Bus:
-        """The bus that the drives are on."""
+        """Return the bus of the drives."""
         return self._bus
 
     @property
     def access(self) -> tuple[ObjectAccess, ...]:
-        """SDO access to each drive, in the order of the axes."""
+        """Return the SDO access to each drive, in the order of the axes."""
         return tuple(drive.access for drive in self.drives)
 
     @property
     def sync_index(self) -> int:
-        """Number of the last SYNC."""
+        """Return the number of the last SYNC."""
         return 0 if self._exchange is None else self._exchange.sync_index
 
     @property
     def sync_sent_s(self) -> float:
-        """Monotonic time of the last SYNC."""
+        """Return the monotonic time of the last SYNC [s]."""
         return 0.0 if self._exchange is None else self._exchange.sent_s
 
     def align(self, at_s: float) -> None:
@@ -392,11 +394,11 @@ class DriveSetup:
 
     @property
     def statistics(self) -> GroupStatistics:
-        """Counters and latencies so far."""
+        """Return the counters and latencies so far."""
         return group_statistics(self._bus, self.drives, self._exchange, self._emcy)
 
 
 def _silence_s(setup: AxisSetup) -> float | None:
-    """Longest gap in a drive's heartbeat: three times its period."""
+    """Return the allowed gap in a drive's heartbeat: three times its period [s]; None = no heartbeat."""
     producer_ms = setup.profile.heartbeat.producer_ms
     return None if producer_ms is None else max(_SHORTEST_SILENCE_S, 3.0 * producer_ms / 1000.0)

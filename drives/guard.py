@@ -27,7 +27,7 @@ _SECOND: Final = frozenset({SYNC_ID, NMT_ID})
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """When a disturbance becomes a reason to stop.
+    """Limits above which a disturbance stops all axes.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class Limits:
 
 
 class Guard:
-    """Checks after each SYNC.
+    """Monitoring of drives and bus after each SYNC.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Guard:
         self.forgive()
 
     def forgive(self) -> None:
-        """Begin a new run: boot-ups, heartbeat timers and other masters so far are forgotten."""
+        """Reset the monitoring for a new run: boot-ups, heartbeat timers and frames of other masters are cleared."""
         self._watch.forgive()
         self._symptoms.forgive()
         self.excused = frozenset()
@@ -85,7 +85,7 @@ class Guard:
         self.excused = axes
 
     def check(self, epoch: Epoch) -> None:
-        """All checks of an exchange in which every axis shall be enabled.
+        """Run all checks of a SYNC in which every axis must be enabled.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class Guard:
             epoch = replace(epoch, readings=tuple(kept))
         for axis, reading in enumerate(epoch.readings):
             if reading is None:
-                self.check_silence()
+                self.check_unanswered()
                 self._check_unassigned(axis)
             elif reading.statusword & STATE_MASK != ENABLED_PATTERN:
                 raise_failures(self._not_enabled(epoch))
@@ -110,7 +110,7 @@ class Guard:
             self.check_bus()
 
     def _check_unassigned(self, axis: int) -> None:
-        """The state of an axis whose answer came, but cannot be assigned to its SYNC, is news all the same."""
+        """Check the CiA 402 state in responses that cannot be assigned to their SYNC."""
         statusword = self._exchange.unassigned[axis]
         if statusword is not None and axis not in self.excused and statusword & STATE_MASK != ENABLED_PATTERN:
             raise _left_enabled(self._exchange.drives[axis].node_id, statusword)
@@ -123,7 +123,7 @@ class Guard:
         ]
 
     def last_emergency(self, node_id: int) -> str:
-        """Last emergency message of a node, as the end of a sentence."""
+        """Return the last EMCY message of a node as a clause that ends an error message."""
         last = self._emcy.last(node_id)
         return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"
 
@@ -134,7 +134,7 @@ class Guard:
                 failure.what += self.last_emergency(failure.node)
 
     def check_operational(self) -> None:
-        """Nodes that left the NMT state OPERATIONAL."""
+        """Raise an error for nodes that left the NMT state OPERATIONAL."""
         states, rule = self._watch.states, DRIVE_RULES["left_operational"]
         raise_failures(
             [
@@ -143,29 +143,29 @@ class Guard:
             ]
         )
 
-    def check_silence(self) -> None:
-        """Axes that leave too many SYNCs unanswered."""
-        if max(self._exchange.silent) < self.limits.unanswered_syncs:
+    def check_unanswered(self) -> None:
+        """Raise an error for axes that left too many SYNCs unanswered."""
+        if max(self._exchange.unanswered) < self.limits.unanswered_syncs:
             return
         raise_failures(
             [
-                self._silent(axis, silent)
-                for axis, silent in enumerate(self._exchange.silent)
-                if silent >= self.limits.unanswered_syncs
+                self._unanswered_error(axis, count)
+                for axis, count in enumerate(self._exchange.unanswered)
+                if count >= self.limits.unanswered_syncs
             ]
         )
 
-    def _silent(self, axis: int, silent: int) -> DriveError:
-        """The error about an axis without answers, or whose answers came when their SYNC was closed."""
-        node, late = self._exchange.drives[axis].node_id, self._exchange.late_answers(axis)
+    def _unanswered_error(self, axis: int, count: int) -> DriveError:
+        """Return the error for an axis whose responses are missing or arrived after the response window."""
+        node, delayed = self._exchange.drives[axis].node_id, self._exchange.delayed_answers(axis)
         rule = DRIVE_RULES["silent"]
-        if not late:
-            return rule.raised(f"left {silent} SYNCs in a row unanswered", node=node)
-        what = f"left {silent} SYNCs in a row unanswered in time: {late} answers were delayed"
+        if not delayed:
+            return rule.raised(f"left {count} SYNCs in a row unanswered", node=node)
+        what = f"left {count} SYNCs in a row unanswered in time: {delayed} answers were delayed"
         return replace(rule, advice=_BUSY).raised(what, node=node)
 
     def check_bus(self) -> None:
-        """Bus-off, boot-ups, lost heartbeats, another master."""
+        """Raise an error for bus-off, boot-ups, stopped heartbeats and frames of another master."""
         self._bus.check()
         booted, lost = DRIVE_RULES["booted"], DRIVE_RULES["heartbeat_lost"]
         raise_failures([booted.raised("booted during the run", node=node) for node in sorted(self._watch.booted)])

@@ -1,4 +1,4 @@
-"""NMT and heartbeat (CiA 301, 7.2.8): the master's own, and the watch over the drives'.
+"""NMT commands and heartbeat (CiA 301, 7.2.8): producer of the master's heartbeat, monitor of the drives' heartbeats.
 
 A drive is monitored from its first heartbeat on.
 """
@@ -27,7 +27,7 @@ class NmtCommand(IntEnum):
 
 
 class NmtState(IntEnum):
-    """NMT states in the heartbeat."""
+    """NMT states as coded in the heartbeat."""
 
     BOOT_UP = 0x00
     STOPPED = 0x04
@@ -56,7 +56,7 @@ class HeartbeatProducer:
     master_node_id : int
         Node id of the master.
     consumer_s : float
-        After how long the most impatient drive gives the master up; four heartbeats are sent in that time.
+        Shortest heartbeat consumer time of the drives [s]; four heartbeats are sent in that time.
     """
 
     def __init__(self, bus: Bus, master_node_id: int, consumer_s: float) -> None:
@@ -69,12 +69,12 @@ class HeartbeatProducer:
         self._sync_time_due_s = 0.0
 
     def start(self, sync_time_s: float) -> None:
-        """Send the first heartbeat; from now on the drives watch."""
+        """Send the first heartbeat, from which on the drives monitor it."""
         self.running = True
         self._beat(time.monotonic(), sync_time_s)
 
     def stop(self) -> None:
-        """Send no more."""
+        """Stop the heartbeat."""
         self.running = False
 
     def tick(self, sync_time_s: float) -> None:
@@ -144,7 +144,7 @@ class HeartbeatWatch:
             self._last_s[node_id] = (time.monotonic(), self._sync_time_s())
 
     def forgive(self) -> None:
-        """Forget boot-ups and changes of state, and start every timer afresh at the next heartbeat."""
+        """Clear boot-ups and state changes; every timer restarts at the next heartbeat."""
         self.booted.clear()
         self.left.clear()
         self._last_s.clear()

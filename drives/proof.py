@@ -254,7 +254,7 @@ class StopTest:
             return
         self._begin_s = epoch.time_s if self._begin_s is None else self._begin_s
         passed_s = epoch.time_s - self._begin_s
-        for axis, reading, silent in zip(self._axes, epoch.readings, self._exchange.silent, strict=True):
+        for axis, reading, silent in zip(self._axes, epoch.readings, self._exchange.unanswered, strict=True):
             if reading is not None:
                 axis.see(passed_s, decode_state(reading.statusword), reading.position_count)
             elif silent >= _SILENT:
@@ -329,7 +329,7 @@ class QuickStopTest(StopTest):
 
     def _over(self, passed_s: float) -> bool:
         unmoved = passed_s >= PATIENCE_S and any(axis.left_s is None for axis in self._axes)
-        if unmoved or max(self._exchange.silent) > _SILENT:
+        if unmoved or max(self._exchange.unanswered) > _SILENT:
             self._exchange.end_heartbeat()
             return True
         return passed_s >= _RAMP_S + PATIENCE_S
@@ -454,7 +454,7 @@ class BrakeTest:
             self.released_syncs += 1
             self._target = reading.position_count
         elif enabled:
-            self.held = self._exchange.stands(self._axis)
+            self.held = self._exchange.is_at_rest(self._axis)
             self._wait("does not come to rest after its brake was tried")
         else:
             if not 0 < self._enable_syncs <= _ENABLE_SYNCS:

@@ -180,7 +180,7 @@ class StatusMonitor:
             return
         raise DRIVE_RULES["stale"].raised(
             f"repeats position {reading.position_count}, torque {reading.torque_word} since {self._same[axis]} SYNCs; "
-            f"SDO says position {position}, torque {torque}",
+            f"SDO reports position {position}, torque {torque}",
             node=drive.node_id,
             index=drive.plans[1].mapping,
             code=reading.statusword,

@@ -154,7 +154,7 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
     """
 
     def done(axis: int) -> bool:
-        return exchange.states[axis] in _STOPPED and exchange.stands(axis)
+        return exchange.states[axis] in _STOPPED and exchange.is_at_rest(axis)
 
     def word(_axis: int, state: State) -> int:
         # a brake that is closing is given its time by `disable`
@@ -176,17 +176,17 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
         master's heartbeat has ended.
     """
     failures = quick_stop(exchange) if _moves(exchange) else []
-    sag, way = _BrakeDrop(exchange), _DisableSequence(exchange)
+    brake_drop, sequence = _BrakeDrop(exchange), _DisableSequence(exchange)
     leave_s = _PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
-    limit_s = leave_s + way.closing_s
-    step = _Step(way.word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
-    later = _run(exchange, step, sag.note)
-    told = {(type(error), error.node) for error in failures}
-    failures += [error for error in later if (type(error), error.node) not in told]
+    limit_s = leave_s + sequence.closing_s
+    step = _Step(sequence.word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
+    later = _run(exchange, step, brake_drop.note)
+    reported = {(type(error), error.node) for error in failures}
+    failures += [error for error in later if (type(error), error.node) not in reported]
     if exchange.powered:
         exchange.powered = False
-        failures += _watch(exchange, sag)
-        exchange.brake_drop_rad = sag.rad()
+        failures += _watch(exchange, brake_drop)
+        exchange.brake_drop_rad = brake_drop.rad()
     return failures
 
 
@@ -194,18 +194,18 @@ def _moves(exchange: SyncExchange) -> bool:
     """Return whether a responding axis is held by its drive and not at rest; a ramp is waited for only once."""
     held = _HELD if exchange.heartbeat else {State.OPERATION_ENABLED}
     return any(
-        state in held and not exchange.stands(axis) and exchange.silent[axis] < _SILENT
+        state in held and not exchange.is_at_rest(axis) and exchange.unanswered[axis] < _SILENT
         for axis, state in enumerate(exchange.states)
     )
 
 
-def _watch(exchange: SyncExchange, sag: _BrakeDrop) -> list[DriveError]:
+def _watch(exchange: SyncExchange, brake_drop: _BrakeDrop) -> list[DriveError]:
     """Positions after the brakes have closed."""
     until_s = time.monotonic() + _DROP_WATCH_MAX_S
     try:
         for _ in range(math.ceil(_DROP_WATCH_S / exchange.timing.period_s)):
-            sag.note(_cycle(exchange, lambda _axis, state: disabling_controlword(state)))
-            if min(exchange.silent) >= _SILENT or time.monotonic() > until_s:
+            brake_drop.note(_cycle(exchange, lambda _axis, state: disabling_controlword(state)))
+            if min(exchange.unanswered) >= _SILENT or time.monotonic() > until_s:
                 break
     except Exception as error:
         exchange.end_heartbeat()
@@ -231,15 +231,15 @@ def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> 
     try:
         for number in range(1, math.ceil(step.limit_s / period_s) + 2):
             note(_cycle(exchange, step.word))
-            gone = [exchange.silent[axis] >= _SILENT for axis in axes]
+            gone = [exchange.unanswered[axis] >= _SILENT for axis in axes]
             late = number * period_s > step.leave_s and State.OPERATION_ENABLED in exchange.states
             if late or any(gone):
                 exchange.end_heartbeat()
-            if all(gone[axis] or (step.done(axis) and not exchange.silent[axis]) for axis in axes):
+            if all(gone[axis] or (step.done(axis) and not exchange.unanswered[axis]) for axis in axes):
                 break
     except Exception as error:
         failures.append(while_stopping(error))
-    rest = [axis for axis in axes if exchange.silent[axis] or not step.done(axis) or failures]
+    rest = [axis for axis in axes if exchange.unanswered[axis] or not step.done(axis) or failures]
     if rest:
         exchange.end_heartbeat()
     for axis in rest:
@@ -282,7 +282,7 @@ def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
     """Return whether a stopped axis is at rest, by its answers to SYNC or, without any, by SDO."""
     if step.disables or step.done(axis):
         return True
-    if not exchange.silent[axis]:
+    if not exchange.unanswered[axis]:
         return exchange.states[axis] not in step.reached
     return _wait_for_rest(exchange.drives[axis])
 

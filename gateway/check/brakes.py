@@ -197,7 +197,7 @@ def _released(trial: _Trial, seconds: float, disables_voltage: bool) -> tuple[Br
     """
     stream, group, period_s = trial.stream, trial.opened.group, trial.stream.station.period_s
     for _ in range(math.ceil(REST_S / period_s)):
-        if group.stands:
+        if group.is_at_rest:
             break
         stream.hold("come to rest", 0, 1)
     stream.excuse(0, trial.turns > 0.0)

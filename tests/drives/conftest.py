@@ -502,7 +502,7 @@ def release(
 ) -> BrakeTest:
     """One axis is held by its brake for a time, or until it has moved too far; then all are disabled."""
     for _ in range(math.ceil(1.0 / group.timing.period_s)):
-        if group.stands:
+        if group.is_at_rest:
             break
         group.hold()
     test = group.release(axis, limit_rad, disables_voltage)

@@ -147,7 +147,7 @@ def test_rows_that_never_become_complete_end_the_enabling(group, slaves, wire):
         with pytest.raises(IncompleteEpochs, match="SYNCs in a row unanswered"):
             group.enable()
     else:
-        with pytest.raises(TransitionTimeout, match=r"after 3\.\d s not all axes are enabled and answer"):
+        with pytest.raises(TransitionTimeout, match=r"after 3\.\d s not all axes are enabled and responding"):
             group.enable()
         assert 2.9 < slaves[0].controlwords.count(0x0F) * PERIOD_S < 3.2
     assert {slave.state for slave in slaves} == {OFF}
@@ -208,7 +208,7 @@ def test_an_axis_that_moves_while_its_brake_opens_stops_the_enabling(group, slav
 
 def test_a_drive_that_is_operational_and_does_not_answer_sync_is_named(group, slaves):
     slaves[1].tpdo_cut = 0
-    with pytest.raises(IncompleteEpochs, match=r"node 2.*does not answer SYNC \(\d+ sent\).*synchronous"):
+    with pytest.raises(IncompleteEpochs, match=r"node 2.*does not respond to SYNC \(\d+ sent\).*synchronous"):
         group.enable()
     assert enabling_words(slaves) == set()
 

@@ -461,7 +461,7 @@ def test_a_mapping_that_is_shifted_is_found_before_anything_moves(group, slaves,
     wire.emit = lambda can_id, data, *rest, **flags: real(
         can_id, data[:2] + data[4:] + data[2:4] if can_id == 0x185 else data, *rest, **flags
     )
-    with pytest.raises(ConfigurationRefused, match="node 5.*TPDO1 says"):
+    with pytest.raises(ConfigurationRefused, match="node 5.*TPDO1 reports"):
         group.enable()
     assert {word & 0x0F for slave in slaves for word in slave.controlwords} <= {0x00}
 

@@ -138,7 +138,7 @@ def test_an_axis_at_rest_is_read_by_sdo_and_accepted(rig: Rig) -> None:
 
 def test_an_answer_that_stays_while_the_axis_moves_stops(rig: Rig) -> None:
     rig.truth[1] = (2400, 20)
-    with pytest.raises(DriveFault, match=r"node 2.*repeats position 2000.*SDO says position 2400"):
+    with pytest.raises(DriveFault, match=r"node 2.*repeats position 2000.*SDO reports position 2400"):
         rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(SAME_IN_A_ROW + 1)))
 
 
@@ -180,7 +180,7 @@ def test_in_real_time_an_axis_at_rest_is_read_by_sdo_and_accepted() -> None:
 def test_by_the_clock_an_answer_that_stays_while_the_axis_moves_stops() -> None:
     rig = Rig("real")
     rig.truth[1] = (2400, 20)
-    with pytest.raises(DriveFault, match=r"node 2.*repeats position 2000.*SDO says position 2400"):
+    with pytest.raises(DriveFault, match=r"node 2.*repeats position 2000.*SDO reports position 2400"):
         rig.checks(*(((ENABLED, number, 0), (ENABLED, 2000, 20)) for number in range(LATEST)))
 
 

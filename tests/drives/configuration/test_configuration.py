@@ -300,7 +300,7 @@ def test_a_drive_that_takes_another_value_than_it_is_given_ends_it(access, slave
         slave.values[0x6065, 0] = min(slave.values[0x6065, 0], 80) if slave.values[0x6065, 0] != 100 else 100
 
     slave._sdo_download = clipping
-    with pytest.raises(ConfigurationRefused, match="0x5a was written, 0x50 reads back"):
+    with pytest.raises(ConfigurationRefused, match="0x5a was written, but 0x50 is read back"):
         write_all([work])
     assert slave.values[0x6065, 0] == 100
     assert ledger.entries == ()

@@ -105,7 +105,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "tpdo_empty": Stated(counts=(_GAPS, Count("wrong_length", share=1.0))),
         "tpdo_torn": Stated(counts=(_GAPS, Count("ambiguous", share=1.0))),
         "tpdo_stuck": Stated(
-            DriveFault, r"repeats position -?\d+, torque -?\d+ since \d+ SYNCs; SDO says position", "stale"
+            DriveFault, r"repeats position -?\d+, torque -?\d+ since \d+ SYNCs; SDO reports position", "stale"
         ),
         "tpdo_random_loss": Stated(counts=(_GAPS,)),
         "burst": Stated(
@@ -119,11 +119,11 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "sdo_late": Stated(counts=(Count("sdo longest ms", least=95), Count("sdo timeouts", most=0))),
         "sdo_too_late": Stated(counts=(Count("sdo timeouts", least=1), Count("sdo late", least=1))),
         "sdo_lost": Stated(counts=(Count("sdo timeouts", least=1),)),
-        "sdo_silent": Stated(NodeMissing, "does not answer SDO, although its heartbeat says PREOPERATIONAL"),
+        "sdo_silent": Stated(NodeMissing, "does not respond to SDO requests.*reports PREOPERATIONAL"),
         "sdo_aborted": Stated(SdoAbort, r"6060:00.*0x08000022"),
         "sdo_other_object": Stated(SdoProtocolError, r"6076:00.*none of them to this request"),
         "sdo_wrong_toggle": Stated(SdoProtocolError, "wrong toggle bit in a segment"),
-        "sdo_short": Stated(NodeMissing, "does not answer SDO, although its heartbeat says PREOPERATIONAL"),
+        "sdo_short": Stated(NodeMissing, "does not respond to SDO requests.*reports PREOPERATIONAL"),
         # life signs
         "heartbeat_lost": Stated(HeartbeatLost, "its heartbeat stopped", "heartbeat_lost"),
         "heartbeat_back": Stated(HeartbeatLost, "its heartbeat stopped", "heartbeat_lost"),
@@ -159,7 +159,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "unsigned_torque": Stated(None, r"never changes its sign, while the demand 6074:00"),
         "heartbeat_ignored": Stated(None, r"continued to move without the master's heartbeat"),
         "wrong_rated": Stated(FindingFailed, r"6072:00.*rated torque in another unit"),
-        "write_ignored": Stated(ConfigurationRefused, r"6007:00.*was written, .* reads back"),
+        "write_ignored": Stated(ConfigurationRefused, r"6007:00.*was written, but .* is read back"),
         "drive_exchanged": Stated(
             counts=(Count("torque limits raised", most=0), _COMPLETE), real=(Count("torque limits raised", most=0),)
         ),
@@ -188,7 +188,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "start_never": Stated(
             NotOperational, "does not go to OPERATIONAL.*PREOPERATIONAL.*communication error may stand"
         ),
-        "emcy_disabled": Stated(ConfigurationRefused, r"1014:00.*emergency messages are switched off"),
+        "emcy_disabled": Stated(ConfigurationRefused, r"1014:00.*EMCY messages are switched off"),
         "estop_pressed": Stated(DriveFault, r"must not move: emergency stop: 60FD:00"),
         "unreferenced": Stated(DriveFault, r"must not move: the encoder is not referenced: 60FD:00"),
         "coasting_stop": Stated(FindingFailed, r"605A:00.*a quick stop cuts the power"),
