@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import deque
 
 import pytest
 
@@ -63,6 +64,48 @@ def test_a_drive_that_answers_an_unknown_object_is_found_and_the_others_are_test
     assert results(reports["J3"])["sdo_abort_unknown_object"] == "fail"
     assert [name for name, report in reports.items() if report["findings"]] == ["J3"]
     assert "J3 node 3" in done.stderr
+
+
+def silent_about_faults(drive, _arm):
+    drive.node.emergency = lambda *_, **__: None
+
+
+def flat_ramp(drive, _arm):
+    steep = drive.joint_ramp
+    drive.joint_ramp = lambda word: steep(word) / 60.0
+
+
+def torque_of_the_sync_before_last(drive, arm):
+    kept, measure = deque(maxlen=3), arm._measure
+
+    def delayed():
+        measure()
+        kept.append(drive.reading_nm)
+        drive.reading_nm = kept[0]
+
+    arm._measure = delayed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("defect", "name", "low", "high", "text"),
+    [
+        (silent_about_faults, "quick_stop_time_s", 0.0, 0.1, "0x8130 is required"),
+        (flat_ramp, "quick_stop_time_s", 0.2, 0.5, "its ramp 0x6085 states"),
+        (torque_of_the_sync_before_last, "torque_age_s", 0.015, 0.027, "age of the torque word"),
+    ],
+)
+def test_a_defect_of_one_drive_is_found_there_alone(tested, defect, name, low, high, text):
+    def prepare(drives):
+        arm = drives.handle.simulation.arms[0]
+        defect(arm.drives[1], arm)
+
+    _, reports, _, drives = tested(code=7, prepare=prepare)
+    assert [axis for axis, report in reports.items() if report["findings"]] == ["J2"]
+    assert any(text in each for each in reports["J2"]["findings"])
+    (figure,) = [each for each in reports["J2"]["figures"] if each["name"] == name]
+    assert low <= figure["value"] <= high
+    assert drives.stand_still()
 
 
 @pytest.mark.parametrize(
