@@ -1,4 +1,4 @@
-"""Diagnosis: from the residual to the effect that the model lacks, and what to measure where that is open."""
+"""Diagnosis: find the physical effect that explains the residual of the model, or recommend further measurements."""
 
 from gateway.diagnose.entry import diagnose
 from gateway.diagnose.loop import close_loop, next_poses

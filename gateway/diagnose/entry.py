@@ -1,4 +1,4 @@
-"""Entry point of the diagnosis: visits at rest by one strategy, moving runs by the other, one result for both."""
+"""Entry point of the diagnosis: rest visits and moving runs have methods of their own and one result type."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from gateway.result.result import Finding, Result
 
 
 def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None) -> Result:
-    """Find what the model lacks.
+    """Find the physical effects that the model lacks.
 
     Parameters
     ----------
     table : Table
-        Rest visits, or a moving run; where both are present effects are looked for in the rest visits, and where none
-        is named the loads are those of both.
+        Rest visits, or a moving run; where both are present, effects are searched in the rest visits. If none is found,
+        the loads are estimated from both.
     robot : Robot
     options : DiagnoseOptions, optional
 
@@ -34,8 +34,9 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
 
     Raises
     ------
-    DataUnusable : no torque measured, no rest visit and no motion, or a hold-out of the other kind than what is fitted
-    InputError : a known load that is not in the data, or a hold-out of another number of axes
+    DataUnusable : no torque measured, no rest visit and no motion, or hold-out rows at rest for fitted rows in motion
+        or the reverse
+    InputError : a known load that is not in the data, or hold-out rows with another number of axes
     ConfigError : `inertials` is not understood
     """
     options = options or DiagnoseOptions()
@@ -60,7 +61,7 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
 
 
 def _of_both(result: Result, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
-    """The result with the loads that `estimate` gives of rest and moving rows together."""
+    """Return the result with the loads that `estimate` gives from rest and moving rows together."""
     found = ESTIMATORS["joint"](table, robot, options.as_estimate(robot))
     loads = tuple(load_result(load, robot) for load in found.loads)
     nuisance = {**result.nuisance, **found.nuisance}
@@ -68,7 +69,7 @@ def _of_both(result: Result, table: Table, robot: Robot, options: DiagnoseOption
 
 
 def _held_alike(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Table | None, tuple[Finding, ...]]:
-    """Rows of a hold-out that are of the kind that is fitted, and what is said of the others."""
+    """Return the hold-out rows of the fitted kind (at rest or moving), and findings on the other rows."""
     if holdout is None:
         return None, ()
     if holdout.axes != robot.axes:
@@ -80,16 +81,16 @@ def _held_alike(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Ta
     if not alike.any():
         kinds = ("move", "are at rest") if moves else ("are at rest", "move")
         raise DataUnusable(
-            f"--holdout: the rows that are fitted {kinds[0]}, those held out {kinds[1]}, and one says nothing of the"
-            " other; hold out rows of the same kind"
+            f"--holdout: the fitted rows {kinds[0]}, the held-out rows {kinds[1]}, so they cannot be"
+            " compared; hold out rows of the same kind"
         )
     kinds = ("rest", "moving") if moves else ("moving", "rest")
     return holdout.take(alike), _beside(int((~alike).sum()), f"{kinds[0]} rows of the hold-out", kinds[1])
 
 
 def _beside(count: int, kind: str, other: str) -> tuple[Finding, ...]:
-    """That so many rows of one kind were left out beside those of the other."""
+    """Report the number of rows of one kind that are not used because rows of the other kind are."""
     if not count:
         return ()
     name = kind if "rows" in kind else f"{kind} rows"
-    return (Finding("info", "data", f"{count} {name} were left out beside the {other} rows"),)
+    return (Finding("info", "data", f"{count} {name} were not used, because {other} rows were fitted"),)

@@ -1,4 +1,4 @@
-"""What a model leaves of rows that no fit has seen: the evidence of both strategies."""
+"""Residuals of a model on rows that were not used in its fit: the evidence of both diagnosis methods."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Held:
-    """Residual of one model on unseen rows.
+    """Residuals of one model on held-out rows.
 
     Attributes
     ----------
     residual_nm : array of shape (rows, N)
-        0 where it does not count.
+        0 where not counted.
     counted : bool array of shape (rows, N)
-        Whether the row is unseen, and measured on that axis.
+        True if the row was held out and the axis was measured.
     """
 
     residual_nm: Floats
@@ -29,7 +29,7 @@ class Held:
 
     @classmethod
     def of_rows(cls, residual_nm: Floats, axis: NDArray[np.int_], axes: int) -> Self:
-        """Rows (k,) that belong to one `axis` (k,) each, of an arm of so many."""
+        """Build from rows (k,) that belong to one `axis` (k,) each, for an arm with this number of axes."""
         counted = axis[:, None] == np.arange(axes)
         return cls(residual_nm[:, None] * counted, counted)
 
@@ -40,14 +40,14 @@ class Held:
 
     @property
     def rms_nm(self) -> Floats:
-        """RMS (N,) [Nm], NaN for an axis that was not judged."""
+        """RMS (N,) [Nm]; NaN for an axis without held-out rows."""
         count = self.counted.sum(axis=0)
         return np.sqrt(np.where(count > 0, self.square, np.nan) / np.maximum(count, 1))
 
     def over(self, before: Held, axes: Iterable[int], std_nm: Floats) -> float:
-        """RMS over that of another model on the same rows, pooled over axes in units of their noise (N,) or (rows, N).
+        """Ratio of this model's RMS to another model's on the same rows, over axes in units of their noise.
 
-        1 where the other leaves nothing.
+        The noise is (N,) or (rows, N). The ratio is 1 if the other model has no residual.
         """
         own = list(axes)
         new, old = (((held.residual_nm / std_nm)[:, own] ** 2).sum() for held in (self, before))
@@ -55,5 +55,5 @@ class Held:
 
 
 def listed(values: Floats) -> tuple[float, ...]:
-    """One number an axis, as a tuple."""
+    """Convert an array with one number per axis into a tuple."""
     return tuple(float(value) for value in values)

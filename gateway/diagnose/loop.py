@@ -1,4 +1,4 @@
-"""Diagnose, go back to the robot where the answer is open, and prove it on fresh poses."""
+"""Diagnosis with the robot at hand: diagnose, measure the requested poses, repeat, then validate on further poses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ROUNDS = 3
 def close_loop(
     table: Table, robot: Robot, options: DiagnoseOptions, measure: Measure, validation_rad: Floats
 ) -> tuple[Result, Table]:
-    """Diagnosis with the robot at hand.
+    """Diagnose, and let the robot measure the requested poses until the result is final.
 
     Parameters
     ----------
@@ -32,9 +32,9 @@ def close_loop(
     robot : Robot
     options : DiagnoseOptions
     measure : poses (k, N) [rad] -> Table
-        Drives there under the present load and measures; pose numbers must be new ones.
+        Moves to the poses with the present load and measures; must assign new pose numbers.
     validation_rad : array of shape (k, N)
-        Fresh poses on which the answer is proven; may be empty.
+        Poses on which the result is validated; may be empty.
 
     Returns
     -------
@@ -63,7 +63,7 @@ def close_loop(
 
 
 def next_poses(result: Result) -> Floats:
-    """Poses (k, N) [rad] that a result asks for; empty where it asks for none."""
+    """Poses (k, N) [rad] that a result recommends to measure; empty if it recommends none."""
     for entry in result.next:
         if entry.poses_rad:
             return np.array(entry.poses_rad, dtype=float)

@@ -1,4 +1,4 @@
-"""What the caller of a diagnosis knows and wants."""
+"""Options and prior knowledge of a diagnosis."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ class DiagnoseOptions:
 
     Attributes
     ----------
-    inertials : "exact", "prior:S", "ignore"; None = at rest prior:0.05 where the robot has inertials, in moving runs
-        the trust that the data themselves support
+    inertials : "exact", "prior:S", "ignore"; None = prior:0.05 at rest if the robot model has inertials; in moving runs
+        the value with the highest evidence
     known : label -> (mass [kg], x, y, z [m] in link 6) of loads that were weighed
-    masses : label -> mass [kg] of loads that were weighed and whose centre is to be estimated, from rows at rest
+    masses : label -> mass [kg] of weighed loads whose centre is to be estimated from rows at rest
     bare : stored bare identification
-    holdout : rows that no fit may see
+    holdout : rows to keep out of every fit
     holdout_kind : "given" (by the user) or "fresh" (measured afterwards)
-    only, without : names of effects that alone are tried, that are not tried
+    only, without : names of the only effects to try; of effects not to try
     gravity_m_s2 : gravity in the frame of the base
     gain_std : (N,) relative standard deviation of the torque constants; None = as of a table that states none
     measured_gain : axes (N,) whose torque was calibrated on this arm; empty = none
     change : factor on the usual change of the torque readings between runs and while the arm warms up
-    efficiency : (N,) gear efficiencies that the table's torque still has to go through; None = lossless
+    efficiency : (N,) gear efficiencies not yet applied to the table's torque; None = lossless
     coupling : (N, N) how gear outputs act on the joints, as of `Gears`; None = one to one
     gear_ratio : (N,), NaN where unknown; None = all unknown
-    pose_choice : (k, N) poses that may be asked for, or a function that returns them, called where poses are asked for;
+    pose_choice : (k, N) poses that may be recommended, or a function that returns them on demand;
         None = between the joint angles that were visited
     """
 
@@ -61,7 +61,7 @@ class DiagnoseOptions:
     pose_choice: Floats | Callable[[], Floats | None] | None = None
 
     def as_estimate(self, robot: Robot) -> EstimateOptions:
-        """What an estimate of the same rows is told."""
+        """Return the options of an estimate of the same rows."""
         efficiency = np.ones(1) if self.efficiency is None else np.asarray(self.efficiency, dtype=float)
         return EstimateOptions(
             inertials=default_inertials(robot) if self.inertials is None else self.inertials,
@@ -82,5 +82,5 @@ class DiagnoseOptions:
         return (self.only or frozenset(LIBRARY)) - self.without
 
     def gear_ratios(self, axes: int) -> tuple[float, ...]:
-        """Gear ratios, one an axis; NaN where unknown."""
+        """Gear ratio of each axis; NaN where unknown."""
         return (np.nan,) * axes if self.gear_ratio is None else tuple(float(ratio) for ratio in self.gear_ratio)

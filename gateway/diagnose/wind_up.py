@@ -1,4 +1,4 @@
-"""Joint elasticity by a secondary encoder: the link stands behind the motor in proportion to the torque."""
+"""Joint elasticity from a secondary encoder: link and motor angle differ in proportion to the torque (wind-up)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FEWEST_ROWS = 3.0
 
 @dataclass(frozen=True, slots=True)
 class WindUp:
-    """Compliance [rad/Nm] of one joint with its standard deviation and the probability of it by chance."""
+    """Compliance [rad/Nm] of one joint, its standard deviation, and the p-value of its significance."""
 
     compliance_rad_nm: float
     std_rad_nm: float
@@ -29,12 +29,15 @@ class WindUp:
 
 
 def design_of(torque_nm: Floats) -> Floats:
-    """Columns (n, 2) of the wind-up: the torque that winds, and a constant for the zeros of the two encoders."""
+    """Columns (n, 2) of the wind-up regression: torque, and a constant for the zeros of the two encoders."""
     return np.stack([-torque_nm, np.ones(len(torque_nm))], axis=1)
 
 
 def wind_up(torque_nm: Floats, bend_rad: Floats, share: Callable[[Floats], float], axes: int) -> WindUp:
-    """Compliance from torque (n,) and wind-up (n,); `share` of a residual (n,) is independent, p is over all axes."""
+    """Estimate the compliance from torque (n,) and wind-up (n,).
+
+    `share` is the share of independent values in a residual (n,). The p-value is corrected for the number of axes.
+    """
     found = solve(design_of(torque_nm), bend_rad, np.ones(len(bend_rad)))
     value, left = float(found.value[0]), found.residual
     rows = max(share(left) * len(left), FEWEST_ROWS)

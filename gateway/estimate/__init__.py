@@ -1,6 +1,7 @@
-"""Estimators: measured rows and a robot in, mass and centre of gravity with honest uncertainty out.
+"""Estimators of the mass and centre of gravity of a load, with uncertainty, from measured rows and a robot model.
 
-To add one: a function `(table, robot, options) -> Estimate` in a file of its own, and a line in `ESTIMATORS`.
+To add a method: write a function `(table, robot, options) -> Estimate` in a file of its own and list it in
+`ESTIMATORS`.
 """
 
 from __future__ import annotations
@@ -57,12 +58,12 @@ def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -
 def _visits(table: Table, options: EstimateOptions) -> Visits:
     visits = pair_visits(table, options.efficiency, options.coupling)
     if not len(visits):
-        raise DataUnusable("the data hold no rest rows; this method needs poses at rest (column 'pose')")
+        raise DataUnusable("the data contain no rows at rest; this method needs poses at rest (column 'pose')")
     return visits
 
 
 def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
-    """Rest rows where there are any; a run that only moves is fitted as one."""
+    """Estimate with the joint method from the rest rows, or from the moving rows if there are no rest rows."""
     if table.moving.any():
         refuse_in_motion(options.masses)
     if table.moving.all():
@@ -89,7 +90,7 @@ def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
 
 
 def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
-    """Rest and moving rows in one solution; a load that contradicts itself at rest is in neither."""
+    """Fit rest and moving rows in one solution, without the loads whose rest rows contradict each other."""
     sound, aside = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
     rest = fitted_rest(sound, robot, options)
     at_rest = options.of_loads(sound.load)
@@ -137,7 +138,7 @@ def estimate(table: Table, robot: Robot | None, options: EstimateOptions, method
     ConfigError
         Unknown method, or no robot model for a method that needs one.
     InputError, DataUnusable
-        As the method says.
+        As documented at the method.
     """
     if method not in ESTIMATORS:
         raise ConfigError(f"--method {method}: choose one of {', '.join(ESTIMATORS)}")
@@ -159,5 +160,5 @@ def run(
     method: str = "joint",
     provenance: Mapping[str, Any] | None = None,
 ) -> Result:
-    """Estimate and hand over as a result file; same arguments and errors as `estimate`."""
+    """Estimate the loads and build the result file; arguments and errors as of `estimate`."""
     return to_result(estimate(table, robot, options, method), robot, options, provenance)

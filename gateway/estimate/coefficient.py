@@ -44,7 +44,7 @@ class _Pose:
 
 @dataclass(frozen=True, slots=True)
 class _Case:
-    """A load to judge: its label, the mass of the reference, and its own mass where that is stated."""
+    """Load to estimate or to check: its label, the mass of the reference load, and its own mass if stated."""
 
     label: str
     reference_kg: float
@@ -100,7 +100,7 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
     findings.append(
         Finding(
             "info", f"J{how.joint}",
-            f"the mass is as right as the lever column {how.lever}: an error of the lever is not in the uncertainty",
+            f"the uncertainty of the mass does not include errors of the lever in column {how.lever}",
         )
     )  # fmt: skip
     unknown = np.full(table.axes, np.nan)
@@ -108,7 +108,7 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
 
 
 def _poses(rest: Table, how: Coefficient, label: str) -> list[_Pose]:
-    """Every pose of one load, both sides of a visit averaged behind the gear."""
+    """Return every pose of one load; both approach directions of a visit are averaged at the gear output."""
     axis = how.joint - 1
     here = rest.take(np.asarray(rest.load) == label)
     motor = here.motor_torque_nm[:, axis]
@@ -148,7 +148,7 @@ def _one(
 
 
 def _load(label: str, mass: Floats, per_pose: dict[str, float]) -> LoadEstimate:
-    """Mean over the poses, as the paper takes it; its standard deviation from their scatter (Student's t)."""
+    """Return the mean mass over the poses, as in the paper; standard deviation from the scatter (Student's t)."""
     n, wide = len(mass), np.nan
     if n > 1:
         wide = float(mass.std(ddof=1) / np.sqrt(n) * stdtrit(n - 1, 0.975)) / _NORMAL
@@ -161,7 +161,7 @@ def _load(label: str, mass: Floats, per_pose: dict[str, float]) -> LoadEstimate:
 
 
 def _with_gain(load: LoadEstimate, case: _Case, gain_std: float) -> LoadEstimate:
-    """The load with what the torque constant of the one axis leaves open, and the shares of both in its variance."""
+    """Return the load with the uncertainty of the axis's torque constant, and the shares of the variance."""
     if load.refused is not None or not np.isfinite(load.mass_std_kg):
         return load
     constants = (gain_std * (load.mass_kg - case.reference_kg)) ** 2
@@ -184,7 +184,7 @@ def _doubts(common: list[_Pose], how: Coefficient) -> list[str]:
 
 
 def _disagreements(usable: list[_Pose], mass: Floats, case: _Case) -> list[str]:
-    """Signs and masses that do not belong to one body."""
+    """Return contradictions: torque signs against the lever, and masses that disagree between the poses."""
     out = []
     negative = [item.pose for item, value in zip(usable, mass, strict=True) if value < case.reference_kg]
     positive = [item.pose for item in usable if item.pose not in negative]
@@ -203,7 +203,7 @@ def _disagreements(usable: list[_Pose], mass: Floats, case: _Case) -> list[str]:
 
 
 def _largest_agreement(mass: Floats) -> int:
-    """How many poses agree within 10 % of some mass."""
+    """Return the largest number of poses whose masses agree within 10 %."""
     return max(int((np.abs(mass - value) <= 0.1 * abs(value)).sum()) for value in mass)
 
 

@@ -1,4 +1,4 @@
-"""Whether an estimate can be a body at all: agreement of the poses, centre of mass within reach."""
+"""Plausibility of an estimated load: agreement between the poses, and centre of mass within reach of the flange."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _HULL_SHARE = 0.4
 
 
 def disagree(masses_kg: Sequence[float]) -> bool:
-    """Whether a fifth of the poses (two at least) give a mass that is half the median or more away from it."""
+    """Return True if a fifth of the poses (at least two) give masses off the median by half of it or more."""
     values = np.asarray(masses_kg, dtype=float)
     if len(values) < 3:
         return False
@@ -29,7 +29,7 @@ def disagree(masses_kg: Sequence[float]) -> bool:
 
 
 def describe_masses(masses_kg: Mapping[str, float]) -> str:
-    """Range of the masses that single poses give, in words."""
+    """Return the text for the range of the masses that single poses give."""
     values = np.array(list(masses_kg.values()))
     return f"{values.min():.3g} to {values.max():.3g} kg (median {np.median(values):.3g})"
 
@@ -40,12 +40,13 @@ def hull_radius_m(robot: Robot, given_m: float | None) -> float:
 
 
 def physical_findings(load: LoadEstimate, frame: str, radius_m: float) -> list[Finding]:
-    """What is physically doubtful about a load given in the frame of that name; nothing is clamped."""
+    """Report implausible values of a load whose centre is given in the named frame; no value is changed."""
     where, out = f"load {load.label}", []
     if load.inertia is not None and not load.inertia.free:
         out.append(
             Finding("info", where,
-                    "the free fit gives an inertia that no body has; given is the nearest body within the uncertainty",
+                    "the unconstrained fit gives an inertia that no rigid body has; the nearest "
+                    "physical inertia within the uncertainty is reported",
                     "turn the wrist faster, about more than one axis, where the inertia matters")
         )  # fmt: skip
     if holds_zero(load.mass_kg, load.mass_std_kg):

@@ -1,4 +1,4 @@
-"""A fit of rest visits in words of the arm: parameters, loads, torque by axis, base parameters of the bare arm."""
+"""Convert a fit of rest visits into an estimate: named parameters, loads, torque by axis, unloaded-arm parameters."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _NUISANCES = {"gain": ("gain", "1"), "bias": ("offset", "Nm"), "load_friction": 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkColumns:
-    """The 4 N link parameters [m, hx, hy, hz]: columns with a prior, columns that are open, their base combinations."""
+    """The 4 N link parameters [m, hx, hy, hz]: those with a prior, free ones, and base combinations of free ones."""
 
     held: Ints
     open: Ints
@@ -37,7 +37,7 @@ class LinkColumns:
 
     @staticmethod
     def of(robot: Robot, options: EstimateOptions) -> LinkColumns:
-        """By what the options say of the robot model's inertials."""
+        """Group the link parameters by the trust in the robot model's inertials that the options state."""
         _, std = link_prior(robot, options.trust, PER_LINK_AT_REST)
         open_ = np.flatnonzero(np.isinf(std))
         return LinkColumns(
@@ -52,7 +52,7 @@ def describe(
     options: EstimateOptions,
     by_statement: Mapping[str, Floats] | None = None,
 ) -> Estimate:
-    """The estimate that a fit of rest visits stands for; `by_statement` as `load_estimates` has it."""
+    """Return the estimate for a fit of rest visits; `by_statement` as in `load_estimates`."""
     names, units, rows = zip(*_named(problem, LinkColumns.of(robot, options), len(fit.scale)), strict=True)
     directions = np.array(rows)
     found = sure(problem, fit, directions)
@@ -80,9 +80,10 @@ def describe(
 
 
 def _named(problem: RestProblem, links: LinkColumns, count: int) -> Iterator[tuple[str, str, Floats]]:
-    """Name, unit and linear function (count,) of each parameter that is reported.
+    """Return name, unit and linear function (count,) of each reported parameter.
 
-    Links with a prior one by one, open ones as base parameters, loads, friction bands and nuisances.
+    Links with a prior are reported one by one, free links as base parameters; then loads, friction bands and nuisance
+    parameters.
     """
     everything = np.eye(count)
     for column in links.held:
@@ -133,7 +134,7 @@ def axis_sigma(problem: RestProblem, fit: Fit) -> Floats:
 
 
 def bare_of(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> Bare | None:
-    """Base gravity parameters of the bare arm, if rows and priors determine all of them."""
+    """Return the base gravity parameters of the unloaded arm, if rows and priors determine all of them."""
     base = rest_base(robot, options.gravity_m_s2)
     rank, axes = base.rank, robot.axes
     # columns of effects come behind those that every hypothesis has

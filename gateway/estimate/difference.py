@@ -63,7 +63,7 @@ def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) 
     known = [BARE_LABEL, *options.known]
     if not np.isin(visits.load, known).any():
         raise DataUnusable(
-            "the difference method needs a load that is known: record the bare arm (load 'none') at the same poses, or"
+            "the difference method needs a known load: record the unloaded arm (load 'none') at the same poses, or"
             " give the first load with --known LABEL=MASS,X,Y,Z"
         )
     if not labels:
@@ -87,7 +87,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
     differences, fixed = _differences(own, reference, options, label)
     _require_postures(differences, robot, options, label)
     if not np.isfinite(differences.sum_nm).any():
-        raise DataUnusable(f"load '{label}': no axis was measured both under it and under the known load")
+        raise DataUnusable(f"load '{label}': no axis was measured with both this load and the known load")
     lost = losses(visits.difference_nm, visits.sum_nm)
     problem = _problem(differences, fixed, robot, options)
     nuisance = (
@@ -114,7 +114,7 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
 
 
 def _problem(differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
-    """Differences as visits of an arm whose links weigh nothing, with what is known to hang on it (n, 4)."""
+    """Build the problem of the differences: visits of an arm with massless links and known loads (n, 4)."""
     own = replace(options.of_loads(differences.load), bare=None, known={})
     problem = build_problem(robot, differences, own, GainChanges.none(gain_stds(options.gain_std, robot.axes)))
     none = np.zeros_like(problem.links)
@@ -122,13 +122,13 @@ def _problem(differences: Visits, fixed: Floats, robot: Robot, options: Estimate
 
 
 def _groups(visits: Visits, problem: RestProblem) -> NDArray[np.int_]:
-    """Noise groups (rows,) of the differences: half-sums on axes of which the visits have both sides."""
+    """Noise groups (rows,) of the differences: half-sums on axes whose visits have both approach directions."""
     seen = np.asarray(np.isfinite(visits.difference_nm).any(axis=0))[problem.axis]
     return np.where(seen, problem.axis, problem.group)
 
 
 def _noise(problem: RestProblem, visits: Visits) -> Noise:
-    """Noise of the differences: that of two visits, as the half-differences of the visits show it."""
+    """Noise of the differences: twice the variance of a visit, as estimated from the half-differences."""
     first = first_noise(problem)
     seen = _OF_TWO * np.sqrt(half_difference_scatter(visits.difference_nm, visits.sum_nm)[0])
     start = first.start.copy()
@@ -139,7 +139,7 @@ def _noise(problem: RestProblem, visits: Visits) -> Noise:
 
 
 def _differences(own: Visits, reference: Visits, options: EstimateOptions, label: str) -> tuple[Visits, Floats]:
-    """Mean torque of each pose under the load less that under known loads, and those loads with their sign turned."""
+    """Mean torque of each pose under the load minus that under known loads, and the negated known loads."""
     ours, theirs, fixed = [], [], []
     torque = np.array([load_vector(options.known.get(name, (0.0,) * 4)) for name in reference.load.tolist()])
     for pose in np.unique(own.pose):
@@ -173,7 +173,7 @@ def _differences(own: Visits, reference: Visits, options: EstimateOptions, label
 
 
 def _mean_visit(visits: Visits, rows: NDArray[np.int_]) -> Visits:
-    """One visit with the mean torque of some; NaN for an axis that none of them measured."""
+    """Average several visits into one; NaN for an axis that none of them measured."""
     part = visits.take(rows)
     count = np.isfinite(part.sum_nm).sum(axis=0)
     mean = np.where(count > 0, np.nansum(part.sum_nm, axis=0) / np.maximum(count, 1), np.nan)
@@ -186,7 +186,7 @@ def _mean_visit(visits: Visits, rows: NDArray[np.int_]) -> Visits:
 
 
 def _require_postures(differences: Visits, robot: Robot, options: EstimateOptions, label: str) -> None:
-    """Refuse poses that give rank 3."""
+    """Refuse poses whose gravity directions give rank 3."""
     if len(differences) < 2:
         raise DataUnusable(
             f"load '{label}': one posture gives rank 3, never four unknowns: the part of the centre of mass along"
@@ -203,7 +203,7 @@ def _require_postures(differences: Visits, robot: Robot, options: EstimateOption
 
 
 def _contradiction(visits: Visits, problem: RestProblem, fitted: Fit, masses: Mapping[str, float]) -> str | None:
-    """Why the differences cannot belong to one rigid body, judged by the scatter of the half differences."""
+    """Return why the differences do not fit one rigid body, judged by the half-differences' scatter; else None."""
     if not disagree(list(masses.values())):
         return None
     square, freedom = half_difference_scatter(visits.difference_nm, visits.sum_nm)

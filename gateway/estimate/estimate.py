@@ -1,4 +1,4 @@
-"""What every estimator returns: parameters with covariance, loads, and what each row says of the model."""
+"""Result type of every estimator: parameters with covariance, loads, and measured against modelled torque."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ Floats = NDArray[np.float64]
 class FittedRows:
     """Measured and modelled torque, n visits or instants by N axes [Nm]; NaN = not measured or not used.
 
-    `std_nm` is the standard deviation the fit gave each torque, `leverage` the share of its noise the fit took up.
+    `std_nm` is the standard deviation of each torque in the fit. `leverage` is the share of the row's own noise that
+    the fit absorbs, 0 to 1.
     """
 
     run: NDArray[np.str_]
@@ -36,7 +37,7 @@ class FittedRows:
 
     @property
     def residual_nm(self) -> Floats:
-        """Measured less modelled torque (n, N)."""
+        """Measured minus modelled torque (n, N)."""
         return self.tau_nm - self.model_nm
 
     @property
@@ -69,16 +70,16 @@ class Estimate:
     condition : float
         Of the scaled, weighted columns.
     lumped : tuple of str
-        Parameters the data cannot tell apart.
+        Parameter combinations that the data cannot separate.
     bare : Bare or None
     findings : tuple of Finding
     next : tuple of NextMeasurement
     nuisance : mapping
-        What every arm has, by its name in the result.
+        Nuisance parameters, by their names in the result.
     set_aside : tuple of SetAside
-        Gross torques that are in no fit.
+        Outliers that were rejected from the fit.
     motion : tuple of AxisMotion
-        What motion tells of the axes that moved.
+        Friction, rotor inertia and delay of the axes that moved.
     quality : mapping
         Further figures for the report.
     """

@@ -1,8 +1,8 @@
-"""What is known of a load so far, and what one more rest pose would add to it: the arithmetic of what to measure next.
+"""Expected covariance of a load after further rest poses, to choose what to measure next.
 
-All that a fit holds takes part: links with their priors or bare rows, gains of the torque constants, torque offsets of
-the friction bands, the load. A pose from both sides adds a row per axis; the covariance after it follows by Woodbury's
-identity, `C - C D' (S + D C D')^-1 D C`, for hundreds of postures at once.
+All unknowns of the fit are included: links with their priors or unloaded rows, gains of the torque constants, torque
+offsets of the friction bands, the load. A pose approached from both sides adds a row per axis. The covariance follows
+from Woodbury's identity, `C - C D' (S + D C D')^-1 D C`, for hundreds of postures at once.
 """
 
 from __future__ import annotations
@@ -40,27 +40,27 @@ _OPEN: Final = 1e3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseNoise:
-    """Noise of an axis's half-sum at a pose to come.
+    """Noise of an axis's half-sum at a future pose.
 
     Attributes
     ----------
     friction_nm2 : array of shape (N,)
-        Variance of what friction leaves after both approaches [Nm2]; NaN = the axis is not measured.
+        Variance that friction leaves in the half-sum of both approaches [Nm2]; NaN = the axis is not measured.
     sample_nm2 : array of shape (N,)
-        Variance of one sample of one side [Nm2].
+        Variance of one sample of one approach [Nm2].
     """
 
     friction_nm2: Floats
     sample_nm2: Floats
 
     def variance(self, samples: int) -> Floats:
-        """Variance (N,) [Nm2] of the half-sum of so many samples a side."""
+        """Variance (N,) [Nm2] of the half-sum with this number of samples per approach."""
         return self.friction_nm2 + self.sample_nm2 / (2.0 * samples)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outlook:
-    """Covariance of what a fit of rest rows has as unknowns, and how a row of a further pose stands to it.
+    """Covariance of the unknowns of a rest fit, with their positions, to predict the effect of further poses.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class Outlook:
         return self._std(self.covariance[self._own, self._own])
 
     def std_given(self, known: Ints) -> Floats:
-        """The same (4,), were these unknowns known."""
+        """Standard deviation (4,) of mass and centre of gravity if these unknowns were known exactly."""
         shared = self.covariance[self._own, known]
         gained = np.linalg.lstsq(self.covariance[np.ix_(known, known)], shared.T, rcond=None)[0]
         return self._std(self.covariance[self._own, self._own] - shared @ gained)
@@ -109,7 +109,7 @@ class Outlook:
         return np.sqrt(np.maximum(np.einsum("ki,ij,kj->k", turn, own, turn), 0.0))
 
     def rows(self, regressor: Floats) -> Floats:
-        """Rows (n, a, p) of further poses, of their gravity regressors (n, N, 4 N)."""
+        """Rows (n, a, p) of further poses from their gravity regressors (n, N, 4 N)."""
         here = regressor[:, self.axis]
         scale = (1.0 + self.gain_value)[None, :, None]
         out = np.zeros((*here.shape[:2], len(self.covariance)))
@@ -121,14 +121,14 @@ class Outlook:
         return out
 
     def std_after(self, regressor: Floats, samples: int) -> Floats:
-        """Standard deviations (n, 4) of mass and centre of gravity, each pose measured besides what was.
+        """Standard deviations (n, 4) of mass and centre of gravity after measuring one of n further poses.
 
         Parameters
         ----------
         regressor : array of shape (n, N, 4 N)
             Gravity regressors of the poses.
         samples : int
-            A side.
+            Per approach direction.
         """
         rows = self.rows(regressor)
         reach = rows @ self.covariance
@@ -139,7 +139,7 @@ class Outlook:
         return np.sqrt(np.maximum(self.std**2 - gained, 0.0))
 
     def with_poses(self, regressor: Floats, samples: int, count: int) -> Outlook:
-        """What will be known after `count` poses as that of this regressor (N, 4 N), the load as it is taken now."""
+        """Return the expected information after `count` poses with this regressor (N, 4 N)."""
         rows = self.rows(regressor[None])[0]
         reach = rows @ self.covariance
         spread = reach @ rows.T + np.diag(self.noise.variance(samples)[self.axis]) / count
@@ -149,13 +149,13 @@ class Outlook:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sought:
-    """A load that is to be known.
+    """Load to be estimated, with the values assumed before it is measured.
 
     Attributes
     ----------
     label : str
     guess : array of shape (4,)
-        [m, hx, hy, hz] as long as nothing was measured.
+        [m, hx, hy, hz] assumed before anything is measured.
     sample_std_nm : array of shape (N,)
         Standard deviation of one sample [Nm]; NaN = not known.
     """
@@ -167,7 +167,7 @@ class Sought:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stock:
-    """What is known of a load: as estimated (None before its first pose), why it is refused if it is, the outlook."""
+    """Present knowledge of a load: estimate (None before its first pose), reason of a refusal, expected information."""
 
     load: LoadEstimate | None
     refused: str | None
@@ -175,12 +175,12 @@ class Stock:
 
 
 def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: Sought) -> Stock:
-    """What these visits tell of a load, and what is still open.
+    """Estimate a load from these visits, with the covariance for predicting further poses.
 
     Parameters
     ----------
     visits : Visits
-        Gross torques set aside.
+        Visits without outliers.
     robot : Robot
     options : EstimateOptions
     sought : Sought
@@ -188,7 +188,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     Raises
     ------
     InputError, DataUnusable
-        As the joint estimator; one posture of the load is no error here.
+        As of the joint estimator, except that a single posture of the load is accepted.
     """
     problem = build_problem(robot, visits, options)
     fit = fit_without_effects(problem)
@@ -228,7 +228,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
 
 
 def _last(visits: Visits) -> int:
-    """The latest visit, whose gains are those of the next one."""
+    """Return the latest visit; the gains of the next visit are assumed equal to its gains."""
     return int(np.argmax(visits.time_s)) if np.isfinite(visits.time_s).all() else len(visits) - 1
 
 
@@ -268,7 +268,7 @@ def outlook_of_priors(
 
 
 def _with_unknown_load(covariance: Floats, guess: Floats, robot: Robot) -> tuple[Floats, int]:
-    """The covariance with four more unknowns, and the first of them."""
+    """Return the covariance with four unknowns of a load appended, and the index of the first of them."""
     first = len(covariance)
     mass_kg = _WIDE * float(guess[0])
     out = np.zeros((first + 4, first + 4))
@@ -278,6 +278,6 @@ def _with_unknown_load(covariance: Floats, guess: Floats, robot: Robot) -> tuple
 
 
 def _friction(problem: RestProblem, fit: Fit) -> Floats:
-    """Variance (N,) that friction leaves in the half-sum of both sides, as the fit found it; NaN: not measured."""
+    """Variance (N,) that friction leaves in the half-sum of both approaches, from the fit; NaN = not measured."""
     sampled = np.nan_to_num(np.nanmedian(np.where(problem.use_sum, problem.rows.sample_std_nm, np.nan), axis=0))
     return np.where(problem.use_sum.any(axis=0), np.maximum(axis_sigma(problem, fit) ** 2 - sampled**2, 0.0), np.nan)

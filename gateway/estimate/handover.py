@@ -1,4 +1,4 @@
-"""From an estimate to the result file, with what the reader has to know beside the numbers."""
+"""Convert an estimate into a result file: values, uncertainty, findings and recommendations."""
 
 from __future__ import annotations
 
@@ -38,13 +38,13 @@ _TORQUE_RESOLUTION = 2e-4
 def to_result(
     estimate: Estimate, robot: Robot | None, options: EstimateOptions, provenance: Mapping[str, Any] | None = None
 ) -> Result:
-    """The result file of an estimate.
+    """Build the result file of an estimate.
 
     Parameters
     ----------
     estimate : Estimate
     robot : Robot or None
-        Gives the flange, the name and the hull a centre of mass is expected in.
+        Source of the flange pose, the name, and the region in which the centre of mass is expected.
     options : EstimateOptions
     provenance : mapping, optional
         Where data and constants come from.
@@ -117,7 +117,7 @@ def noise_floor_nm(estimate: Estimate) -> Floats:
 
 
 def _misfit(estimate: Estimate) -> list[Finding]:
-    """Report axes whose residual exceeds the noise floor by more than chance and more than rounding of the friction."""
+    """Report axes whose residual exceeds the noise floor by more than chance and friction rounding explain."""
     rows = estimate.rows
     if rows is None or estimate.motion or estimate.method == "difference":
         return []
@@ -144,7 +144,7 @@ def _misfit(estimate: Estimate) -> list[Finding]:
 
 
 def reversed_signs(half_nm: Floats) -> list[Finding]:
-    """Report axes of which the half-differences (n, N) are negative: torque sign or direction column is reversed."""
+    """Report axes with negative half-differences (n, N): the torque sign or the approach direction is reversed."""
     seen = int(np.isfinite(half_nm).any(axis=0).sum())
     negative = np.flatnonzero(negative_bands(half_nm))
     if seen < 2:
@@ -163,7 +163,7 @@ def reversed_signs(half_nm: Floats) -> list[Finding]:
 
 
 def _gear_losses(estimate: Estimate) -> list[Finding]:
-    """Axes whose friction grows with the torque more than any ordinary gear's: an efficiency that nobody stated."""
+    """Report axes whose friction grows with the torque more than usual: the gear efficiency is not stated."""
     loss = estimate.nuisance.get("load_friction")
     if loss is None:
         return []
@@ -185,17 +185,20 @@ def _why_open(estimate: Estimate, load: LoadEstimate) -> str:
     open_, axes = ", ".join(load.unidentifiable), len(estimate.sigma_nm)
     bare = (estimate.rows is not None and (estimate.rows.load == "none").any()) or estimate.bare is not None
     if "mass_kg" in load.unidentifiable and not bare:
-        return f"{open_} cannot be told: the load lumps with link {axes}, because nothing is known of the bare arm"
+        return (
+            f"{open_} cannot be determined: the load cannot be separated from link {axes}, because "
+            "nothing is known of the bare arm"
+        )
     if "mass_kg" in load.unidentifiable:
-        return f"{open_} cannot be told from the axes and poses measured"
-    return f"{open_} cannot be told: in all poses gravity comes from the same side of the flange"
+        return f"{open_} cannot be determined from the measured axes and poses"
+    return f"{open_} cannot be determined: in all poses gravity comes from the same side of the flange"
 
 
 def _what_to_do(estimate: Estimate, robot: Robot | None) -> str:
     if estimate.next:
         return "measure the pose that is named under `next`"
     turn = "" if robot is None else f", and turn {wrist_in_words(robot)} between the poses"
-    return f"measure the bare arm too, give --bare or trusted --inertials{turn}"
+    return f"measure the unloaded arm too, give --bare or trusted --inertials{turn}"
 
 
 def _missing_axes(rows: FittedRows, robot: Robot | None, sigma: Floats, options: EstimateOptions) -> list[Finding]:

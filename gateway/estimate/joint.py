@@ -1,4 +1,4 @@
-"""Joint solution: all rest rows of all loads at once, the model at rest without effects."""
+"""Joint estimate: one least-squares fit to the rest rows of all loads, with the rest model without effects."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LEAST_ROWS = 30
 def estimate_joint(
     visits: Visits, robot: Robot, options: EstimateOptions, settled: SettledKnowledge | None = None
 ) -> Estimate:
-    """Estimate all unknown loads together.
+    """Estimate all unknown loads in one fit.
 
     A load whose data contradict each other is refused; the others are then estimated without its rows.
 
@@ -43,14 +43,14 @@ def estimate_joint(
     robot : Robot
     options : EstimateOptions
     settled : SettledKnowledge, optional
-        Of these visits and options, where it is known.
+        Tested knowledge for these visits and options, if already computed.
 
     Raises
     ------
     InputError
         A known load that is not in the data.
     DataUnusable
-        Nothing measured, a load in one posture only (rank 3), or a mass that changes on the arm without a load.
+        Nothing measured, a load in one posture only (rank 3), or a mass that changes on the unloaded arm.
     """
     for label in unknown_labels(visits.load, options.known):
         require_postures(visits.q_rad[visits.load == label], label)
@@ -99,7 +99,7 @@ def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: Estimat
 
 
 def _contradiction(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions, label: str) -> str | None:
-    """Why the rows of a load cannot belong to one rigid body, judged by the noise that the other rows show."""
+    """Return why the rows of a load do not fit one rigid body, judged by the noise of the other rows; else None."""
     masses = per_pose_mass(problem, fit, problem.labels.index(label))
     if not disagree(list(masses.values())):
         return None

@@ -1,5 +1,6 @@
-"""Estimate of moving runs: what the one fit of moving rows says, as an estimate. What the model lacks is not in it:
-with no repeated motion the noise floor of a moving run is unknown.
+"""Estimate of loads, friction and rotor inertia from moving runs.
+
+Effects that the model lacks are not included. Without repeated motion the noise floor of a moving run is unknown.
 """
 
 from __future__ import annotations
@@ -119,8 +120,8 @@ def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
     return [
         Finding(
             "warn", f"J{one.joint}",
-            f"its drive reports the torque {1000 * one.delay_s:.0f} ms late; the fit allows for it",
-            "see the torque filter of the drive and the order of its PDOs, since a watch on contact is as late",
+            f"its drive reports the torque {1000 * one.delay_s:.0f} ms after the position; the fit models the delay",
+            "check the torque filter of the drive and the order of its PDOs: contact detection has the same delay",
         )
         for one in motions
         if one.delay_s > _LATE_S
@@ -130,6 +131,6 @@ def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
 def _limits() -> Finding:
     return Finding(
         "info", "moving run",
-        "the standard deviations hold for noise, torque constants and losses, not for effects the model lacks",
-        "diagnose judges the model on parts of the run that no fit has seen",
+        "the standard deviations include noise, torque constants and losses, not effects that the model lacks",
+        "`servo-gateway diagnose` tests the model on parts of the run that were not used in the fit",
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What an estimation is told beside the data."""
+"""Inputs of an estimate besides the measured data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gateway.identify.rest.problem import Knowledge
 
 @dataclass(frozen=True, slots=True)
 class Coefficient:
-    """One axis and a known lever: joint (from 1), column of the lever [m], gear, rated motor torque [Nm]."""
+    """Inputs of the coefficient method: joint (from 1), lever column [m], gear, rated motor torque [Nm]."""
 
     joint: int
     lever: str
@@ -30,13 +30,13 @@ class EstimateOptions(Knowledge):
     ----------
     inertials, gravity_m_s2, known, masses, bare, gain_std, measured_gain, change : as of `Knowledge`
     efficiency : gear efficiency of every axis, or one for all
-        1 where the torque already stands behind the gear.
+        1 if the torque is already that at the gear output.
     coupling : (N, N) how gear outputs act on the joints, as of `Gears`; None = one to one
     coefficient : Coefficient or None
         Needed by that method alone.
     hull_radius_m : float or None
         A centre of mass further from the last link is reported; 0.4 of the arm's length if not given.
-    pose_choice : (k, N) poses that may be asked for; None = any within the robot's joint limits
+    pose_choice : (k, N) poses that may be recommended; None = any within the robot's joint limits
     """
 
     inertials: str = "ignore"
@@ -48,5 +48,5 @@ class EstimateOptions(Knowledge):
 
     @property
     def trust(self) -> float:
-        """Relative standard deviation of the inertials: 0 exact, infinite ignored."""
+        """Relative standard deviation of the link inertials: 0 = exact, infinite = ignored."""
         return parse_inertials(self.inertials)

@@ -1,9 +1,9 @@
 """Posture variation: one load throughout, many postures (JP3698770B2, second embodiment, eq. (5) and (6)).
 
-First the base gravity parameters (the A_ij, B_ij) and the friction offsets of the loaded arm, then the load as what
-changed against the bare arm: `beta_loaded - beta_bare = E phi`. From loaded rows alone the load cannot be told: its
-columns lie in the span of the last link's. What makes it work is a stored bare identification, bare rows in the data
-(their postures need not be the same), or trusted inertials.
+First the base gravity parameters (the A_ij, B_ij) and the friction offsets of the loaded arm are estimated. The load is
+their difference from those of the unloaded arm: `beta_loaded - beta_bare = E phi`. Loaded rows alone cannot determine
+the load, because its columns are in the span of the last link's. The method therefore needs a stored identification of
+the unloaded arm, rows of the unloaded arm (their postures need not be the same), or trusted inertials.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ _BLURRED = 1e-6
 
 
 def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
-    """Estimate each load from its own postures against the bare arm.
+    """Estimate each load from its own postures and the parameters of the unloaded arm.
 
     Parameters
     ----------
     visits : Visits
     robot : Robot
     options : EstimateOptions
-        `bare`, or trusted inertials, unless the data hold bare rows.
+        `bare`, or trusted inertials, unless the data contain rows of the unloaded arm.
 
     Raises
     ------
     InputError
         A bare identification of another arm or mounting.
     DataUnusable
-        Nothing is known of the bare arm, no load in the data, or one posture only.
+        The parameters of the unloaded arm are unknown, no load in the data, or one posture only.
     """
     labels = unknown_labels(visits.load, options.known)
     if not labels:
@@ -80,13 +80,13 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
 
 
 def _described(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
-    """The joint solution of these visits."""
+    """Return the joint estimate of these visits."""
     problem = build_problem(robot, visits, options)
     return describe(problem, fit_without_effects(problem), robot, options)
 
 
 def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet, labels: tuple[str, ...]) -> Bare:
-    """What is known of the bare arm: stored, from bare rows of the data, or from trusted inertials."""
+    """Return the parameters of the unloaded arm: stored, from its rows in the data, or from trusted inertials."""
     if options.bare is not None:
         refuse_other_bare(options.bare, robot, options.gravity_m_s2)
         return options.bare
@@ -96,16 +96,18 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
         if found is not None:
             return found
         raise DataUnusable(
-            "the bare rows do not determine all base parameters of the arm; measure more bare postures that move axes 2"
-            f" to {robot.axes}, or use --method joint, which takes what they give"
+            "the rows of the unloaded arm do not determine all of its base parameters; measure "
+            "more postures without load that move axes 2"
+            f" to {robot.axes}, or use --method joint, which needs no complete set"
         )
     mean, std = link_prior(robot, options.trust, PER_LINK_AT_REST)
     if np.isinf(std).any():
         lumped = [name for name in base.names if f"_{robot.axes}" in name]
         raise DataUnusable(
-            f"loads {', '.join(labels)} were on throughout and nothing is known of the bare arm: only link"
-            f" {robot.axes} and load together can be seen, in the combinations {'; '.join(lumped)}; give a stored bare"
-            " identification (--bare RESULT.json), record the bare arm too, or say how far the URDF's inertials are"
+            f"loads {', '.join(labels)} were mounted throughout and the unloaded arm is unknown: only link"
+            f" {robot.axes} and load together can be identified, in the combinations "
+            f"{'; '.join(lumped)}; give a stored bare"
+            " identification (--bare RESULT.json), record the unloaded arm too, or state how far the URDF's inertials are"
             " trusted (--inertials)"
         )
     std = np.maximum(std, _BLURRED)
@@ -126,7 +128,7 @@ def _bare_from(robot: Robot, options: EstimateOptions, base: BaseSet, value: Flo
 
 
 def refuse_other_bare(bare: Bare, robot: Robot, gravity_m_s2: Sequence[float]) -> None:
-    """Refuse a stored bare identification of an arm of other kinematics or another gravity.
+    """Refuse a stored identification of an unloaded arm with other kinematics or another gravity.
 
     Raises
     ------
@@ -143,12 +145,12 @@ def refuse_other_bare(bare: Bare, robot: Robot, gravity_m_s2: Sequence[float]) -
         raise InputError(
             f"--bare: it identified robot '{bare.robot}' with gravity {list(bare.gravity_m_s2)}, and its base"
             f" parameters are not those of '{robot.name}' with {list(gravity_m_s2)}; use the bare run of the"
-            " same arm as it stands"
+            " same arm in the same mounting"
         )
 
 
 def _same_span(first: Floats, second: Floats) -> bool:
-    """Whether two sets of base parameters (r, 4 N) determine the same, whichever columns either of them keeps."""
+    """Return True if two sets of base parameters (r, 4 N) span the same space, for any choice of columns."""
     if first.shape != second.shape:
         return False
     rows = second / np.linalg.norm(second, axis=1, keepdims=True)
@@ -157,7 +159,7 @@ def _same_span(first: Floats, second: Floats) -> bool:
 
 
 def _check(own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, label: str) -> tuple[Finding, ...]:
-    """Whether what changed against the bare arm is a body on the flange and nothing else."""
+    """Report a difference from the unloaded arm that is not a rigid body on the flange."""
     loaded = build_problem(robot, replace(own, load=np.full(len(own), BARE_LABEL)), replace(alone, known={}, masses={}))
     fit = fit_without_effects(loaded)
     combination = np.asarray(bare.combination)
@@ -180,7 +182,7 @@ def _check(own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, label:
         Finding(
             "warn", f"load {label}",
             f"more than a load has changed since the bare identification, most of all in {worst}",
-            "a dress pack, a cable or another tool on the arm? Record the bare arm again on the same day",
+            "was a dress pack, cable or tool added? Record the unloaded arm again on the same day",
         ),
     )  # fmt: skip
 
@@ -189,7 +191,7 @@ def _limits(base: BaseSet, last: int) -> Finding:
     lumped = "; ".join(name for name in base.names if f"_{last}" in name)
     return Finding(
         "info", "posture variation",
-        f"link {last} and load are seen only together ({lumped}); the load is what changed against the bare arm, so any"
-        " error of the bare identification is an error of the load",
-        "the difference method at the same poses does not need the bare parameters",
+        f"link {last} and load can only be identified together ({lumped}); the load is the "
+        "difference from the unloaded arm, so it includes any error of that identification",
+        "the difference method at the same poses does not need the parameters of the unloaded arm",
     )  # fmt: skip

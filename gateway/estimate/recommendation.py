@@ -1,4 +1,4 @@
-"""Which pose to measure next, and what unmeasured axes cost."""
+"""Recommendations after an estimate: the pose to measure next, and the accuracy gained by measuring further axes."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ _UNKNOWN_KG = 1e3
 
 
 def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: EstimateOptions) -> NextMeasurement | None:
-    """The rest pose that shrinks the uncertainty of a load most, bare and loaded (D-optimal over random postures).
+    """Return the rest pose that reduces a load's uncertainty most if measured with and without it.
 
-    What the torque constants and their drift leave open is the same at every pose: that share of the variance stays.
+    The pose is D-optimal among random postures. The uncertainty from the torque constants and their drift is equal at
+    every pose; that share of the variance stays.
 
     Parameters
     ----------
     load : LoadEstimate
     robot : Robot
-        Its joint limits bound the postures where the options give none to choose from.
+        Its joint limits bound the random postures; used if the options list no postures.
     sigma_nm : array of shape (N,)
         Noise floor per axis, NaN = not measured.
     options : EstimateOptions
@@ -36,7 +37,7 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
     Returns
     -------
     NextMeasurement or None
-        None where nothing is known about the load, no axis tells anything, or there is no pose to choose.
+        None where the load is undetermined, no axis gives information, or there is no pose to choose.
     """
     stays = load.budget.get(CONSTANTS, 0.0) + load.budget.get(DRIFT, 0.0)
     now = _with_unknown(load, 1.0 - stays)
@@ -61,10 +62,10 @@ _WORTH_SAYING = 0.3
 
 
 def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
-    """What would shrink the mass's uncertainty most, by where it comes from; None where no source stands out.
+    """Return the action against the largest source of a mass's variance; None if no source dominates.
 
-    `reduction` is what is left of the standard deviation without that source, and for another block of visits with half
-    its variance.
+    `reduction` is the expected standard deviation over the present one. Friction and noise are assumed to drop to half
+    their variance, other sources to zero.
     """
     if not load.budget or load.refused is not None:
         return None
@@ -74,19 +75,27 @@ def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
         return None
     percent = f"{100 * share:.0f} % of the variance of {load.label}'s mass comes from"
     if source == CONSTANTS:
-        what = f"mount a load of known mass and give it as --known: {percent} the torque constants"
+        what = f"mount a load of known mass and give it as --known: {percent} errors of the torque constants"
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == LINKS:
-        what = f"mount a load of known mass, or weigh the links: {percent} what is not known of the links"
+        what = f"mount a load of known mass, or weigh the links: {percent} the uncertainty of the link parameters"
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == DRIFT:
-        what = f"warm the arm up, then measure {load.label}, bare, bare, {load.label}: {percent} readings that drift"
+        what = (
+            f"warm the arm up, then measure {load.label}, bare, bare, {load.label}: {percent} the "
+            "drift of the torque readings"
+        )
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == ZEROS:
-        what = f"calibrate the joint zeros, or choose poses that turn the wrist: {percent} zero errors of the joints"
+        what = (
+            f"calibrate the joint zeros, or choose poses that turn the wrist: {percent} the zero errors of the joints"
+        )
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == CABLE:
-        what = f"take hoses and cables off, or measure bare with them: {percent} what comes with the load"
+        what = (
+            f"take hoses and cables off, or measure bare with them: {percent} forces of hoses and "
+            "cables that come with the load"
+        )
         return NextMeasurement(what=what, reduction=float(np.sqrt(max(1.0 - share, 0.0))))
     if source == FRICTION:
         what = f"approach every pose from both sides, bare, {load.label}, {load.label}, bare: {percent} friction"
@@ -96,14 +105,17 @@ def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
 
 
 def candidates(robot: Robot) -> Floats:
-    """Postures (n, N) within the joint limits, the same every time; a joint without limits turns once."""
+    """Return random postures (n, N) within the joint limits, with a fixed seed.
+
+    A joint without limits covers one turn.
+    """
     low = np.where(np.isfinite(robot.lower_rad), robot.lower_rad, -np.pi)
     high = np.where(np.isfinite(robot.upper_rad), robot.upper_rad, np.pi)
     return np.random.default_rng(_SEED).uniform(low, high, size=(_CANDIDATES, robot.axes))
 
 
 def _with_unknown(load: LoadEstimate, share: float) -> Floats | None:
-    """This share of the covariance (4, 4) of [m, h], with a wide prior on what the data left open."""
+    """Return this share of the covariance (4, 4) of [m, h], with a wide variance in undetermined directions."""
     if load.refused is not None or not np.isfinite(load.covariance).all():
         return None
     wide = np.diag([_UNKNOWN_KG, *[0.3 * _UNKNOWN_KG] * 3]) ** 2
@@ -112,15 +124,15 @@ def _with_unknown(load: LoadEstimate, share: float) -> Floats | None:
 
 
 def wrist_in_words(robot: Robot) -> str:
-    """The axes that turn the flange about the end of the arm, the last three where there are more."""
+    """Name the axes that rotate the flange about the wrist: the last three of an arm with more than three axes."""
     first = max(2, robot.axes - 2)
     return f"axis {first}" if first == robot.axes else f"axes {first} to {robot.axes}"
 
 
 def cost_of_missing_axes(robot: Robot, q_rad: Floats, sigma_nm: Floats, options: EstimateOptions) -> float:
-    """Standard deviation of the mass over what all axes would give; infinite where it is open now.
+    """Return the present standard deviation of the mass over that with all axes measured.
 
-    Axes that were not measured are taken to be as noisy as the median of the others.
+    Infinite if the mass is undetermined now. Unmeasured axes are assumed to have the median noise of the others.
     """
     full = np.where(np.isfinite(sigma_nm), sigma_nm, np.nanmedian(sigma_nm))
     now, then = (

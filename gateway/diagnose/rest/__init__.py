@@ -1,1 +1,1 @@
-"""Evidence at rest: visits, each hypothesis fitted in full and weighed by its marginal likelihood."""
+"""Diagnosis at rest: each hypothesis is fitted in full to the rest visits and weighted by its marginal likelihood."""

@@ -1,4 +1,4 @@
-"""Static friction by direction: proven where one-sided visits came from both sides and differ."""
+"""Direction-dependent static friction, detected from one-sided visits with both approach directions."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from gateway.result.result import EffectResult, Evidence
 
 
 def friction_by_direction(problem: RestProblem, after: Fit) -> list[EffectResult]:
-    """Axes whose mean friction against the approach shows in one-sided visits.
+    """Report axes whose mean friction against the approach is significant in one-sided visits.
 
-    In a two-sided visit the same friction is the band, which every model has; a one-sided visit alone cannot
-    tell it from torque, but visits from both sides together can.
+    In a two-sided visit this friction is the friction band, which every model has. A single one-sided visit cannot
+    separate it from torque, but visits with both approach directions together can.
     """
     rows, certain = problem.rows, certain_bands(problem, after)
     at, axes = problem.band_part.start, problem.axes

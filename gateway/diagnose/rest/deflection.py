@@ -1,4 +1,4 @@
-"""Joint elasticity seen by a secondary encoder: the link stands behind the motor in proportion to the torque."""
+"""Joint elasticity at rest from a secondary encoder: the wind-up is proportional to the torque."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from gateway.result.result import EffectResult, Evidence
 
 
 def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
-    """Elastic joints among those with a secondary encoder.
+    """Report elastic joints among those with a secondary encoder.
 
-    Wind-up is regressed on the modelled torque, with a constant for the zeros of the two encoders; a joint counts where
-    the slope is certain and neglecting it would show in the torque.
+    The wind-up is regressed on the modelled torque, with a constant for the zeros of the two encoders. A joint is
+    reported if the slope is significant and its neglect would be visible in the torque.
     """
     rows = problem.rows
     prediction = problem.model.predict(
@@ -37,7 +37,7 @@ def elastic_joints(problem: RestProblem, after: Fit) -> list[EffectResult]:
 
 
 def _strength(problem: RestProblem, after: Fit, axis: int, compliance: float) -> float:
-    """What the torque would miss without the secondary encoder, over the noise, on the axis where that is largest."""
+    """Torque error without the secondary encoder, over the noise, on the axis where it is largest."""
     soft = after.setting.compliance_rad_nm.copy()
     soft[axis] -= compliance
     stiff = modelled(problem, after.setting, after.links, after.loads, after.band)

@@ -1,4 +1,4 @@
-"""Diagnosis of rest visits: the search, and the report with or without rows that no fit has seen."""
+"""Diagnosis of rest visits: search for missing effects, and report with or without held-out rows."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ LESS: Final[Mapping[Verdict, Verdict]] = {
 
 @dataclass(frozen=True, slots=True)
 class ReadVisits:
-    """Visits of a table without the gross torques that were set aside, and the fit without effects."""
+    """Visits of a table without rejected outliers, and the fit without effects."""
 
     table: Table
     aside: RejectedTorques
@@ -100,9 +100,9 @@ class ReadVisits:
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """A search that has run on the visits as they were `read`, and are `now`: the mistakes in them undone.
+    """Finished search: the visits as `read`, and `now` with the commissioning mistakes corrected.
 
-    `settled` are the statements as tested against these visits, where they were.
+    `settled` is the knowledge as tested against these visits, if it was tested.
     """
 
     read: ReadVisits
@@ -115,7 +115,7 @@ class Found:
 
     @property
     def score(self) -> float:
-        """Score of the best hypothesis on the data as they were read."""
+        """Score of the best hypothesis on the uncorrected data."""
         scale = 0.0
         for mistake in self.mistakes:
             axes = self.search.problem.axis + 1
@@ -126,14 +126,14 @@ class Found:
 
     @property
     def taken_back(self) -> bool:
-        """Whether a scale of the same axis takes a factor back that was undone as a mistake."""
+        """Return True if a scale effect of the same axis cancels a corrected factor."""
         factors = {joint for mistake in self.mistakes if mistake.factor != 1.0 for joint in mistake.joints}
         scaled = {j for term in self.chosen.terms if term.scales_reading for j in term.joints}
         return bool(factors & scaled)
 
 
 class RestDiagnosis:
-    """Diagnosis of rest visits in two steps: the search, and the report with or without unseen rows."""
+    """Diagnosis of rest visits in two steps: search, then report with or without held-out rows."""
 
     def __init__(self, robot: Robot, options: DiagnoseOptions) -> None:
         self.robot, self.options, self.as_estimate = robot, options, options.as_estimate(robot)
@@ -148,7 +148,7 @@ class RestDiagnosis:
         return rejected_torques(rows, self.robot, self.knowledge.gravity_m_s2)
 
     def read(self, table: Table) -> ReadVisits:
-        """Read the visits of a table, set gross torques aside, and fit what is left without effects."""
+        """Read the visits of a table, reject outliers, and fit the rest without effects."""
         rows = self._rows(table)
         return self._fitted(table, rows, self.aside(rows))
 
@@ -157,11 +157,11 @@ class RestDiagnosis:
         return ReadVisits(table, aside, problem, fit_without_effects(problem))
 
     def problem(self, table: Table, aside: RejectedTorques) -> RestProblem:
-        """Rows of a table as a problem, without what was set aside."""
+        """Build the problem from the rows of a table, without rejected outliers."""
         return build_problem(self.robot, self._rows(table).unmeasured(aside.mask), self.knowledge)
 
     def search(self, read: ReadVisits) -> Found:
-        """Fit the hypotheses, with commissioning mistakes undone where that is what the data ask for."""
+        """Fit the hypotheses, with commissioning mistakes corrected if the data require it."""
         build, problem = partial(self.problem, aside=read.aside), read.problem
         for label in problem.labels:
             require_postures(problem.rows.q_rad[problem.rows.load == label], label)
@@ -186,16 +186,16 @@ class RestDiagnosis:
         return self._with_statements_tested(found)
 
     def _undone(self, read: ReadVisits, mistakes: tuple[Mistake, ...]) -> ReadVisits:
-        """The visits without mistakes."""
+        """Return the visits with the mistakes corrected."""
         table = _undone(read.table, mistakes)
         return self._fitted(table, self._rows(table), read.aside)
 
     def _with_statements_tested(self, found: Found) -> Found:
-        """The search with the statements widened that the rows contradict, where those are the likelier cause.
+        """Repeat the search with wider priors for contradicted statements, if these are the more likely cause.
 
-        A robot model whose masses are wrong looks like wrong constants and links on most axes: one or two of them are
-        effects, more of them are the statement. A known load that is not needed is one where fewer effects explain the
-        rows without it. Where no effect was found, the answer is that of `estimate`.
+        Wrong masses of the robot model look like wrong constants and links on most axes. One or two of them count as
+        effects, more of them as a wrong statement. A known load is dropped if fewer effects explain the rows without
+        it. If no effect was found, the result is that of `estimate`.
         """
         effects = found.chosen.terms
         alike = sum(term.scales_reading or term.name == "link_mass" for term in effects)
@@ -214,13 +214,13 @@ class RestDiagnosis:
         return replace(other, settled=settled)
 
     def _knowing(self, knowledge: Knowledge) -> RestDiagnosis:
-        """The same diagnosis with other knowledge."""
+        """Return a copy with other prior knowledge."""
         other = copy(self)
         other.knowledge = knowledge
         return other
 
     def searched(self, read: ReadVisits, now: ReadVisits, mistakes: tuple[Mistake, ...], gained: float) -> Found:
-        """Fit the hypotheses to the visits as they are `now`, without the mistakes in what was `read`."""
+        """Fit the hypotheses to the visits `now`, which are those `read` with the mistakes corrected."""
         problem, plain = now.problem, now.plain
         noise = settled_noise(problem, plain)
         bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
@@ -243,7 +243,7 @@ class RestDiagnosis:
         unseen = self._rows(holdout)
         unseen = unseen.take(np.isin(unseen.load, [*seen.load, BARE_LABEL]))
         if not len(unseen):
-            raise DataUnusable("the hold-out carries no load that is in the data: nothing to judge on")
+            raise DataUnusable("the hold-out rows carry no load that is in the data: nothing to validate on")
         rows = joined([seen, unseen])
         aside = self.aside(rows)
         changes = found.search.problem.nuisance.changes
@@ -251,7 +251,7 @@ class RestDiagnosis:
         return Unseen(both, both.visit >= len(seen), aside.among(len(seen)))
 
     def _upheld(self, found: Found, holdout: Table | None) -> Found:
-        """The same, without mistakes that leave rows that no fit has seen worse than they were read."""
+        """Return the search without mistakes whose correction worsens the fit to held-out rows."""
         if not found.mistakes or holdout is None or holdout.moving.all():
             return found
         read = self.searched(found.read, found.read, (), 0.0)
@@ -262,7 +262,7 @@ class RestDiagnosis:
         return found if ratio < 1.0 else read
 
     def _before(self, decision: Decision, judge: Judge, found: Found, sided: bool) -> FitSummary:
-        """What the model without effects says of the data as they were read."""
+        """Residuals and loads of the model without effects on the uncorrected data."""
         second = np.isfinite(found.search.problem.rows.wind_up_rad).any()
         if not (found.mistakes or second or sided):
             return summary(judge.problem, decision.before, judge, self.robot)
@@ -274,14 +274,14 @@ class RestDiagnosis:
         return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
-        """Return what `estimate` gives: one answer and one refusal where no effect is named."""
+        """Return the result of `estimate`, for the case that no effect is named."""
         found = estimate_joint(visits, self.robot, self.as_estimate, settled)
         return to_result(found, self.robot, self.as_estimate)
 
     def refusal(self, read: ReadVisits) -> Result | None:
-        """Return what `estimate` gives where the mass under a label changes, or gravity is reversed; None otherwise.
+        """Return the result of `estimate` if the mass under a label changes or gravity is reversed; else None.
 
-        No effect is searched then: each that moves the load or the arm would take up a part of it.
+        No effect is searched then: an effect that changes the load or the arm would absorb part of that error.
         """
         rows, changed = read.problem.rows, mass_changes(read.problem, read.plain)
         if (
@@ -295,7 +295,7 @@ class RestDiagnosis:
         return replace(result, verdict="unexplained", findings=(*read.aside.findings, *result.findings))
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
-        """Verdict and figures of a search; `holdout` are rows that no fit has seen, `kind` where they come from."""
+        """Build the result of a search; `holdout` are held-out rows, `kind` is their origin."""
         settled = found.settled
         if settled is not None and settled.knowledge is not self.knowledge:
             return self._knowing(settled.knowledge).report(found, holdout, kind)
@@ -381,7 +381,7 @@ class RestDiagnosis:
     def _confirmed(
         self, decision: Decision, held: Unseen | None, problem: RestProblem
     ) -> tuple[Decision, list[Finding]]:
-        """The decision in the light of rows that no fit has seen."""
+        """Revise the decision by the held-out rows."""
         if held is None:
             return decision, []
         group = held.problem.group[held.mask]
@@ -394,8 +394,8 @@ class RestDiagnosis:
         finding = Finding(
             "warn",
             "hold-out",
-            f"poses that no fit has seen are not met within the noise (probability {chance:.1g})",
-            "measure them into the data and diagnose again",
+            f"poses that were not used in the fit deviate by more than the noise (p-value {chance:.1g})",
+            "add their measurements to the data and diagnose again",
         )
         return replace(decision, verdict=verdict), [finding]
 

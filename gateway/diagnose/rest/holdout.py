@@ -1,4 +1,4 @@
-"""Residuals on poses that a fit has not seen: left out pose by pose, or measured afterwards."""
+"""Residuals on poses that are not in the fit: left out pose by pose, or measured afterwards."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ _SOUND: Final = 1e-3
 
 
 def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
-    """Pose number (rows,) of every row: the same pose under all loads is held out together."""
+    """Pose number (rows,) of every row; visits of one pose under all loads are held out together."""
     return problem.rows.pose[problem.visit]
 
 
 def left_out(problem: RestProblem, fit: Fit) -> Floats:
-    """Residual (rows,) [Nm] of each row when its pose, under all loads, is not in the fit (linearised)."""
+    """Residual (rows,) [Nm] of each row with its pose, under all loads, left out of the fit (linearised)."""
     return foretold_poses(problem, fit)[0]
 
 
 def gained_by_pose(problem: RestProblem, after: Fit, before: Fit) -> Floats:
-    """Squares (poses,) of unseen rows that `after` leaves less than `before`, over the noise of `after`."""
+    """Reduction (poses,) of the squared left-out residuals from `before` to `after`, over the noise of `after`."""
     std = after.noise.std[problem.group]
     less = (left_out(problem, before) / std) ** 2 - (left_out(problem, after) / std) ** 2
     _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
@@ -39,10 +39,10 @@ def gained_by_pose(problem: RestProblem, after: Fit, before: Fit) -> Floats:
 
 
 def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
-    """Residual (rows,) [Nm] of every row when its pose is not in the fit, and log density (poses,) of each pose then.
+    """Left-out residual (rows,) [Nm] of every row, and log density (poses,) of each left-out pose.
 
-    What a fit of all poses scores, less the density of one, is what the fit of the others scores: so the others choose,
-    and the one that is left out judges, at no cost (linearised).
+    The score of a fit of all poses minus the log density of one pose is the score of the fit of the others. Hypotheses
+    can thus be chosen by the other poses and tested on the left-out one without further fits (linearised).
     """
     std = fit.noise.std[problem.group]
     without = WithoutPose.of(problem, fit)
@@ -53,13 +53,13 @@ def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
 
 
 def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[float]) -> Floats:
-    """Residual (rows,) [Nm] of every row by the one of these fits that the other poses choose, fitted to them.
+    """Left-out residual (rows,) [Nm] of every row under the fit that the other poses choose.
 
     Parameters
     ----------
     problem : RestProblem
     fits : hypotheses to choose from
-    score : their log odds on all poses
+    score : log odds of each fit on all poses
     """
     residual, density = zip(*(foretold_poses(problem, fit) for fit in fits), strict=True)
     choice = np.argmax(np.array(score)[:, None] - np.array(density), axis=0)
@@ -70,7 +70,7 @@ def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[
 def left_out_with(
     problem: RestProblem, fit: Fit, view: Screen, index: int, without: WithoutPose | None = None
 ) -> Floats:
-    """The same for the fit with one screened candidate added (linearised); `without` of the fit, where it is known."""
+    """Left-out residuals with one screened candidate added (linearised); `without` of the fit, if known."""
     std = fit.noise.std[problem.group]
     without = WithoutPose.of(problem, fit) if without is None else without
     columns, gram, score = view.projected(index)
@@ -82,13 +82,14 @@ def left_out_with(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithoutPose:
-    """What takes the rows of a pose out of a fit: for each pose the inverse of `1 - B B'`, of its rows B of the basis.
+    """Downdate that removes the rows of a pose from a fit.
 
-    Directions that the fit takes up altogether have no inverse and are left out.
+    For the rows B of the orthonormal basis of each pose it holds the inverse of `1 - B B'`. Directions that the pose
+    alone determines have no inverse and are left out.
 
     Attributes
     ----------
-    pose : (rows,) place of each row's pose
+    pose : (rows,) index of each row's pose
     log_free : (poses,) log determinant of `1 - B B'`
     alike : rows (poses, m) and inverses (poses, m, m) of poses with m rows each, m no larger than the basis
     large : rows (m,), factor (m, p) and size (p,) of poses with more rows: the inverse is `1 + U size U'`
@@ -101,7 +102,7 @@ class WithoutPose:
 
     @classmethod
     def of(cls, problem: RestProblem, fit: Fit) -> WithoutPose:
-        """Of a fit, with the rows of each pose under all loads."""
+        """Build the downdate of a fit, with the rows of each pose under all loads."""
         basis = fit.basis.dense
         numbers, pose = np.unique(pose_of_rows(problem), return_inverse=True)
         order, count = np.argsort(pose, kind="stable"), np.bincount(pose)
@@ -122,11 +123,11 @@ class WithoutPose:
         return cls(pose, log_free, tuple(alike), tuple(large))
 
     def by_pose(self, values: Floats) -> Floats:
-        """Sum (poses,) of values (rows,)."""
+        """Sum (poses,) of values (rows,) over each pose."""
         return np.asarray(np.bincount(self.pose, weights=values, minlength=len(self.log_free)), dtype=float)
 
     def apply(self, columns: Floats) -> Floats:
-        """Inverse times columns (rows, k)."""
+        """Multiply columns (rows, k) by the inverse."""
         out = np.empty_like(columns)
         for rows, inverse in self.alike:
             out[rows] = inverse @ columns[rows]
@@ -135,7 +136,7 @@ class WithoutPose:
         return out
 
     def apply_with(self, added: Floats, right: Floats) -> Floats:
-        """Inverse times a column (rows,), once columns (rows, k) have been added to the basis (Woodbury)."""
+        """Multiply a column (rows,) by the inverse, with columns (rows, k) added to the basis (Woodbury)."""
         turned = self.apply(np.column_stack([added, right]))
         own, right = turned[:, :-1], turned[:, -1]
         width = added.shape[1]
@@ -168,7 +169,7 @@ def _inverses(basis: Floats) -> tuple[Floats, Floats]:
 
 
 def without_rows(basis: Floats) -> tuple[Floats, Floats, float]:
-    """The same of one basis (m, p) by its columns: U and size of `1 + U size U'`, and the log determinant."""
+    """Factor U, size and log determinant of the inverse `1 + U size U'` for one basis (m, p)."""
     taken, turned = np.linalg.eigh(basis.T @ basis)
     seen = taken > LEAST_FREE
     taken, factor = taken[seen], basis @ turned[:, seen]
@@ -179,14 +180,14 @@ def without_rows(basis: Floats) -> tuple[Floats, Floats, float]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Unseen:
-    """Rows that no fit has seen, with the visits of the fit before them (so that times and first visits agree).
+    """Held-out rows, placed after the fitted visits so that times and first visits agree.
 
     Attributes
     ----------
     problem : RestProblem
         Fitted visits and held-out visits together.
     mask : (rows,) the held-out ones
-    aside : gross torques among the held-out visits, which judge nothing
+    aside : outliers among the held-out visits, which are not used
     """
 
     problem: RestProblem
@@ -195,14 +196,14 @@ class Unseen:
 
 
 def predicted(held: Unseen, fit: Fit) -> Floats:
-    """Residual (held-out rows,) [Nm] of a fit on rows it has not seen."""
+    """Residual (held-out rows,) [Nm] of a fit on held-out rows."""
     return _at(held.problem, fit)[held.mask]
 
 
 def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
-    """Covariance (held-out rows, held-out rows) [Nm2] of the residuals of a fit on rows it has not seen.
+    """Covariance (held-out rows, held-out rows) [Nm2] of the residuals of a fit on held-out rows.
 
-    The noise of the rows, and what the covariance of the fit's parameters leaves open about them.
+    Noise of the rows plus the uncertainty of the fitted parameters.
     """
     problem = held.problem
     design = design_at(problem, fit, fit.noise).dense[held.mask]

@@ -1,4 +1,4 @@
-"""Where to go next: the rest poses at which rival hypotheses disagree most, in units of what a visit can tell."""
+"""Recommended rest poses: those at which rival hypotheses differ most in their predictions, over the noise."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ STEP_S = 30.0
 def questions(
     problem: RestProblem, decision: Decision, robot: Robot, options: DiagnoseOptions, knowledge: Knowledge
 ) -> tuple[NextMeasurement, ...]:
-    """What to measure next; empty where nothing is in doubt.
+    """Recommend what to measure next; empty if no hypothesis rivals the answer.
 
-    The expected logarithm of the odds between two hypotheses after new visits is half the squared difference of their
-    predictions over the noise (Box and Hill 1967).
+    The expected log odds between two hypotheses after new visits is half the squared difference of their predictions
+    over the noise (Box and Hill 1967).
     """
     fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
     few = len(np.unique(problem.rows.pose)) < REST.least_poses
@@ -53,7 +53,7 @@ def questions(
         what = (
             "weigh the links"
             if knowledge.known or knowledge.masses
-            else "hang a load of known mass and measure it, or add a bare run"
+            else "mount a load of known mass and measure it, or add an unloaded run"
         )
         return (NextMeasurement(what=what, tells_apart=names),)
     return (_measure(choice, poses, names),)
@@ -65,7 +65,7 @@ def _measure(choice: Floats, index: NDArray[np.int_], names: tuple[str, ...]) ->
 
 
 def _far_apart(rows: Visits, choice: Floats) -> NDArray[np.int_]:
-    """Poses far from those visited and from each other."""
+    """Select poses that are far from visited poses and from each other."""
     span = np.maximum(np.ptp(choice, axis=0), 1e-6)
     near = np.min([np.linalg.norm((choice - q) / span, axis=1) for q in rows.q_rad], axis=0)
     chosen: list[int] = []
@@ -86,7 +86,7 @@ def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
 
 
 def pose_choice(rows: Visits, options: DiagnoseOptions) -> Floats:
-    """Poses (k, N) that may be asked for: given ones, or between the joint angles that were visited."""
+    """Poses (k, N) that may be recommended: those of the options, or random ones in the visited joint ranges."""
     given = options.pose_choice() if callable(options.pose_choice) else options.pose_choice
     if given is not None:
         return np.asarray(given, dtype=float)
@@ -95,7 +95,7 @@ def pose_choice(rows: Visits, options: DiagnoseOptions) -> Floats:
 
 
 def imagined(rows: Visits, poses_rad: Floats) -> Visits:
-    """Visits of new poses under the last load, one after the other, with nothing measured."""
+    """Build visits of new poses under the last load, in sequence, without measured torque."""
     n = len(poses_rad)
     loaded = [label for label in rows.load.tolist() if label != BARE_LABEL]
     label = loaded[-1] if loaded else BARE_LABEL
@@ -112,7 +112,7 @@ def imagined(rows: Visits, poses_rad: Floats) -> Visits:
 def _disagreement(
     problem: RestProblem, robot: Robot, knowledge: Knowledge, fits: Sequence[Fit], choice: Floats
 ) -> Floats:
-    """Squared difference over noise (k,) between the best hypothesis and the rival that it is hardest to tell from."""
+    """Squared difference over noise (k,) between the best hypothesis and its least separable rival."""
     both = build_problem(
         robot, joined([problem.rows, imagined(problem.rows, choice)]), knowledge, problem.nuisance.changes
     )
@@ -131,7 +131,7 @@ def _disagreement(
 
 
 def _spread_out(choice: Floats, told: Floats) -> NDArray[np.int_]:
-    """The most telling poses that are not next to each other."""
+    """Select the most informative poses with a minimum distance from each other."""
     chosen: list[int] = []
     for k in np.argsort(-told):
         if all(np.abs(choice[k] - choice[other]).max() > REST.apart_rad for other in chosen):

@@ -1,10 +1,9 @@
-"""Is what a hypothesis leaves over noise? Tests that need no idea of what else there might be.
+"""Tests for structure in the residual of a hypothesis, without assuming its cause.
 
-Noise differs from visit to visit; what depends on the pose comes back when the pose does. So residuals of one pose
-under several loads must not resemble each other, and half sums must not scatter more than half differences do. Each is
-asked of the axis where it shows most and of all axes
-together: what is as small as the noise on every axis is seen on none alone. A test that says nothing has a power, the
-size that it would have seen, which belongs beside its answer.
+Noise differs from visit to visit; a pose-dependent error repeats with the pose. So residuals of one pose under several
+loads must be uncorrelated, and half-sums must not scatter more than half-differences. Each test is made on the worst
+axis and pooled over all axes, because an error of the size of the noise is not significant on a single axis. The power
+of a test is the size of a structure that it would have detected.
 """
 
 from __future__ import annotations
@@ -36,12 +35,12 @@ _SCORES = np.linspace(-6.0, 30.0, 361)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Moments:
-    """Sums over rows of products of two residuals (rows, d): all that the tests use.
+    """Sums over rows of products of two residuals (rows, d), which are all that the tests need.
 
     Attributes
     ----------
     squares : (3 N, d) over each noise group
-    by_pose : (N, 2, 2, d) over the poses, of the sums of half sums of one axis and pose: two-sided and one-sided ones
+    by_pose : (N, 2, 2, d) over the poses, of summed half-sums of one axis and pose: two-sided and one-sided visits
     """
 
     squares: Floats
@@ -50,11 +49,11 @@ class Moments:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Alike:
-    """Pairs of half sums of one axis and pose in different visits: their products, under noise alone.
+    """Pairs of half-sums of one axis and pose in different visits: statistics of their products under noise alone.
 
     Attributes
     ----------
-    count : pairs
+    count : number of pairs
     mean, std : of the sum of the products of standardised residuals
     """
 
@@ -63,19 +62,19 @@ class _Alike:
     std: float
 
     def chance(self, products: Floats) -> Floats:
-        """Probability (d,) that noise alone is as alike as residuals with these sums of products (d,)."""
+        """P-value (d,) of sums of products (d,): probability of an equal or larger correlation under noise alone."""
         return _product_tail((products - self.mean) / self.std, self.count)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scatter:
-    """Half sums and half differences of one axis: degrees of freedom, and the least variance of either."""
+    """Half-sums and half-differences of one axis: degrees of freedom, and smallest variance of either."""
 
     freedom: tuple[float, float]
     least: float
 
     def chance(self, sums: Floats, differences: Floats) -> Floats:
-        """Probability (d,) that half sums scatter that much more than half differences, of sums of squares (d,)."""
+        """P-value (d,) of the excess scatter of half-sums over half-differences, from sums of squares (d,)."""
         above, below = (
             np.maximum(squares / count, self.least)
             for squares, count in zip((sums, differences), self.freedom, strict=True)
@@ -87,13 +86,13 @@ class _Scatter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StructureTest:
-    """What noise alone can leave of one problem and fit, for residuals of any number of draws.
+    """Distribution of the residuals of one problem and fit under noise alone, for any number of draws.
 
     Attributes
     ----------
     group, axis, pose : (rows,)
     axes : number of axes N
-    basis : what the fit takes up
+    basis : orthonormal basis of the fit's columns
     freedom : (3 N,) degrees of freedom of each noise group
     alike : by axis
     scatter : by axis
@@ -110,7 +109,7 @@ class StructureTest:
 
     @classmethod
     def of(cls, problem: RestProblem, fit: Fit) -> StructureTest:
-        """The tests that the visits of a problem allow."""
+        """Build the tests that the visits of a problem allow."""
         basis, axes = fit.basis, problem.axes
         group, axis = problem.group, np.asarray(problem.axis)
         _, pose = np.unique(problem.rows.pose[problem.visit], return_inverse=True)
@@ -129,7 +128,7 @@ class StructureTest:
         return cls(group, axis, pose, axes, basis, freedom, alike, scatter)
 
     def moments(self, first: Floats, second: Floats) -> Moments:
-        """Sums of products of two residuals (rows, d), each in units that an axis's half sums and differences share."""
+        """Sums of products of two residuals (rows, d), in a unit common to an axis's half-sums and half-differences."""
         width = first.shape[1]
         squares, by_pose = np.zeros((3 * self.axes, width)), np.zeros((self.axes, 2, 2, width))
         sums = np.zeros((2, 2, int(self.pose.max(initial=0)) + 1, width))
@@ -148,14 +147,14 @@ class StructureTest:
         return Moments(squares, by_pose)
 
     def chance(self, residual: Floats) -> Floats:
-        """Probability (d,) that noise alone leaves residuals (rows, d) as structured as these, over all tests.
+        """P-value (d,) of residuals (rows, d) under noise alone, over all tests.
 
-        Residuals in units of any standard deviation that an axis's half sums and half differences share.
+        Residuals may be in any unit that half-sums and half-differences of an axis share.
         """
         return self.chance_of(self.moments(residual, residual))
 
     def chance_of(self, moments: Moments) -> Floats:
-        """The same of residuals with these moments."""
+        """P-value (d,) of residuals with these moments under noise alone."""
         squares = moments.squares
         # standard deviation of each noise group, by what the fit has left of it
         rms = np.sqrt(np.maximum(squares, 0.0) / np.maximum(self.freedom, 1.0)[:, None])
@@ -176,7 +175,7 @@ class StructureTest:
 
 
 class Power:
-    """Which structure a test sees, by draws: noise, and torques of unit RMS pose by pose, the same under all loads."""
+    """Power of a structure test, by draws of noise and of pose-dependent torque of unit RMS, equal under all loads."""
 
     def __init__(self, test: StructureTest) -> None:
         self.test = test
@@ -190,9 +189,9 @@ class Power:
         self.drawn = drawn / np.sqrt(np.mean(drawn**2, axis=1, keepdims=True))
 
     def size_seen(self, axes: Iterable[int]) -> float:
-        """RMS of a structure, in floors, on all of these axes that is seen with a probability of `power`.
+        """RMS, in noise floors on all these axes, of a structure that is detected with probability `power`.
 
-        Inf where no test can be made.
+        Infinite if no test is possible.
         """
         test = self.test
         own = [axis for axis in axes if axis in test.alike or axis in test.scatter]
@@ -231,15 +230,15 @@ class Power:
 
 
 def _chunks() -> list[slice]:
-    """Draws one part after the other: of all at once there are several arrays of all rows."""
+    """Iterate over the draws in chunks, to limit memory."""
     return [slice(first, first + _AT_ONCE) for first in range(0, REST.power_draws, _AT_ONCE)]
 
 
 def misfit(problem: RestProblem, fit: Fit) -> float:
-    """Probability that noise alone leaves residuals as structured as these; small = structure remains.
+    """P-value of the residuals under noise alone; small = structure remains.
 
-    Likeness of residuals of one pose under different loads, and half sums against half differences: both together, on
-    the axis where they show most, and pooled over all axes. 1 where the visits allow neither.
+    Correlation of residuals of one pose under different loads, and half-sums against half-differences; on the worst
+    axis, and pooled over all axes. 1 if the visits allow neither test.
     """
     test = StructureTest.of(problem, fit)
     floor = fit.noise.std[: problem.axes][test.axis]
@@ -247,9 +246,10 @@ def misfit(problem: RestProblem, fit: Fit) -> float:
 
 
 def structure_seen_nm(problem: RestProblem, fit: Fit, floor_nm: Floats) -> dict[str, list[float | None]]:
-    """RMS (N,) [Nm] of a structure that would have been seen with a probability of `power`; None where none would.
+    """RMS (N,) [Nm] of a structure that is detected with probability `power`; None if none is.
 
-    `structure_seen_nm` on that axis alone; `structure_seen_on_all_nm` as many floors on every axis at once.
+    `structure_seen_nm` for a structure on that axis alone, `structure_seen_on_all_nm` for one of equally many noise
+    floors on every axis.
     """
     power = Power(StructureTest.of(problem, fit))
     alone = [power.size_seen([axis]) for axis in range(problem.axes)]
@@ -261,21 +261,21 @@ def structure_seen_nm(problem: RestProblem, fit: Fit, floor_nm: Floats) -> dict[
 
 
 def told(sizes_nm: Floats) -> list[float | None]:
-    """Sizes as a result holds them: None where none would have been seen."""
+    """Convert sizes to the form of the result file: None where no structure would have been detected."""
     return [float(size) if np.isfinite(size) else None for size in sizes_nm]
 
 
 def pooled(chances: Iterable[Floats], weight: Floats | None = None) -> Floats:
-    """One probability (d,) from several independent ones (k, d) by their normal scores (Stouffer)."""
+    """Combine independent p-values (k, d) into one (d,) by their normal scores (Stouffer)."""
     scores = -ndtri(np.clip(np.array(list(chances), dtype=float), _LEAST_P, 1.0 - _LEAST_P))
     shares = np.ones(len(scores)) if weight is None else np.asarray(weight, dtype=float)
     return np.asarray(ndtr(-(shares @ scores) / np.sqrt(np.sum(shares**2))), dtype=float)
 
 
 def _alike(basis: Floats, pose: Ints, count: int) -> _Alike:
-    """Moments of the sum of the products of `left = (1 - B B') noise`: a quadratic form `noise' P A P noise`.
+    """Moments of the sum of pair products of `(1 - B B') noise`, a quadratic form `noise' P A P noise`.
 
-    A has 1/2 for every pair of rows of one pose, so `A B` of a row is half the sum of the others of its pose.
+    A has 1/2 for every pair of rows of one pose, so a row of `A B` is half the sum of the others of its pose.
     """
     image = 0.5 * (_sums(basis, pose, int(pose.max()) + 1)[pose] - basis)
     inner = basis.T @ image
@@ -284,7 +284,7 @@ def _alike(basis: Floats, pose: Ints, count: int) -> _Alike:
 
 
 def _sums(rows: Floats, place: Ints, count: int) -> Floats:
-    """Sums (count, k) of rows (n, k) by their place (n,)."""
+    """Sums (count, k) of rows (n, k) by their group index (n,)."""
     order = np.argsort(place, kind="stable")
     here, first = np.unique(place[order], return_index=True)
     out = np.zeros((count, rows.shape[1]))

@@ -1,4 +1,4 @@
-"""Remarks that stand beside the verdict: loads refused, links corrected, what the visits cannot show."""
+"""Findings besides the verdict: corrected links, limits of what the visits can show, implausible parameters."""
 
 from __future__ import annotations
 
@@ -12,38 +12,47 @@ from gateway.result.result import Finding
 
 
 def corrected_links(decision: Decision) -> list[Finding]:
-    """Corrections of the CAD's links that the fit needs, too weak in the torque to be named as effects."""
+    """Report corrections of the CAD's links that the fit needs, but that are too small to be named as effects."""
     weak = [term for term in decision.after.terms if term not in decision.proven]
-    text = "the CAD's inertials are off by more than they are trusted to be; the fit corrects them"
-    return [Finding("info", "links", text, "give the CAD less trust, or weigh the links")] if weak else []
+    text = "the CAD's inertials deviate by more than their stated uncertainty; the fit corrects them"
+    return (
+        [Finding("info", "links", text, "state a larger uncertainty (--inertials prior:S), or weigh the links")]
+        if weak
+        else []
+    )
 
 
 def limits(problem: RestProblem) -> list[Finding]:
-    """What these visits cannot show, whatever the search says."""
+    """Report what these visits cannot show for any result of the search."""
     out = []
     rows = problem.rows
     if len(np.unique(rows.pose)) < 4:
-        text = f"{len(np.unique(rows.pose))} poses leave none to hold out: no effect is named"
+        text = f"{len(np.unique(rows.pose))} poses are too few to hold one out: no effect is reported"
         out.append(Finding("warn", "data", text, "measure at least four poses under each load"))
     if not (rows.load == BARE_LABEL).any() and not len(problem.prior_target):
         out.append(
-            Finding("warn", "data", "no bare run: load and link 6 are told apart by the CAD alone", "record one")
+            Finding(
+                "warn",
+                "data",
+                "no run of the unloaded arm: only the CAD values separate the load from the last link",
+                "record one",
+            )
         )
     if not rows.two_sided.any():
-        text = "every pose was approached from one side only: friction is noise here"
+        text = "every pose was approached from one side only: friction counts as noise"
         out.append(Finding("info", "data", text, "approach each pose from both sides"))
     return out
 
 
 def at_the_edge(decision: Decision, problem: RestProblem) -> list[Finding]:
-    """Effects with a parameter that no arm of their kind has."""
+    """Report effects with a parameter that is implausible for their mechanism."""
     fit = decision.after
     return [
         Finding(
             "warn",
             " ".join(f"J{joint}" for joint in term.joints) or "arm",
-            f"{LIBRARY[term.name].words} is fitted with a parameter at the edge of what its mechanism can do",
-            "its value says where the data push, not what the part is: look at the part, or measure more poses",
+            f"{LIBRARY[term.name].words} has a fitted parameter at the limit of what its mechanism can have",
+            "its value is not reliable: inspect the part, or measure more poses",
         )
         for term, theta in zip(fit.terms, fit.theta, strict=True)
         if term in decision.proven and not term.plausible(theta, problem.rows)

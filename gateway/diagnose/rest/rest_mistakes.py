@@ -1,9 +1,9 @@
-"""Commissioning mistakes: signs, two drives in each other's place, coupled angles, an rms value taken for a peak value.
+"""Commissioning mistakes at rest: wrong torque signs, swapped drives, coupled angles, rms value taken as peak value.
 
-They wreck every other conclusion and are therefore looked for first: each is undone in the data, and the model without
-effects is asked whether it likes the data better, and whether it then foretells poses that it has not seen better.
-Friction always opposes the approach, so a band below zero alone proves a reversed sign, of an axis whose visits were
-approached from both sides: elsewhere the sign of a band is that of whatever else the model lacks.
+A mistake invalidates every other conclusion, so mistakes are searched first. Each is corrected in the data, and the
+model without effects is fitted: its evidence and its prediction of left-out poses must improve. Friction opposes the
+approach, so a negative friction band proves a reversed sign on an axis that was approached from both sides. On other
+axes the sign of the band depends on what else the model lacks.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ MOST_FACTOR = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Mistake:
-    """One mistake.
+    """One commissioning mistake.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Mistake:
     with_positions : whether the positions of swapped axes are swapped too
     sign : of the first joint's angle in the second one's column (angles_coupled)
     offset_rad : angle of the robot model less the reported one (zero_convention)
-    ratio : RMS on left-out poses with it undone over that of the data as they were read; NaN = not judged
+    ratio : RMS on left-out poses with it corrected over that of the uncorrected data; NaN = not tested
     """
 
     name: str
@@ -57,11 +57,11 @@ class Mistake:
 
     @property
     def handicap(self) -> float:
-        """Log odds against the mistake beforehand: heavier links look like a factor on all axes at once."""
+        """Prior log odds against the mistake: heavier links look like one factor on all axes."""
         return REST.common_mistake if len(self.joints) > 2 else 0.0
 
     def undo(self, table: Table) -> Table:
-        """The table as it would read without the mistake."""
+        """Return the table with the mistake corrected."""
         axes = [joint - 1 for joint in self.joints]
         if self.name == "axes_swapped":
             return _swapped(table, axes, self.with_positions)
@@ -94,7 +94,7 @@ def _swapped(table: Table, axes: list[int], with_positions: bool) -> Table:
 
 
 def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
-    """Every single mistake on the measured axes."""
+    """Return every single mistake on the measured axes."""
     axes = [int(axis) + 1 for axis in np.flatnonzero(measured)]
     for joint in axes:
         yield Mistake("sign_reversed", (joint,))
@@ -116,18 +116,18 @@ def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
 
 
 def plain_score(problem: RestProblem, rows_scale: float) -> tuple[float, Fit]:
-    """Evidence of the model without effects, less what a friction band below zero costs."""
+    """Log evidence of the model without effects, reduced for negative friction bands."""
     result = fit(problem, (), first_noise(problem), steps=3)
     return result.evidence + band_signs(problem, result) + rows_scale, result
 
 
 def band_signs(problem: RestProblem, result: Fit) -> float:
-    """Log probability that every friction band of a fit that the visits determine is positive."""
+    """Log probability that all friction bands that the visits determine are positive."""
     return float(np.sum(log_ndtr(_bands(problem, result)[determined_bands(problem)])))
 
 
 def determined_bands(problem: RestProblem) -> NDArray[np.bool_]:
-    """Axes (N,) whose friction band the visits determine: half differences, or single visits from each side."""
+    """Mask (N,) of axes whose friction band is determined: half-differences, or one-sided visits from both sides."""
     side = np.where(problem.use_sum & ~problem.use_difference, problem.rows.side, 0.0)
     fewer = np.minimum((side > 0).sum(axis=0), (side < 0).sum(axis=0))
     enough = fewer >= REST.each_side
@@ -135,21 +135,21 @@ def determined_bands(problem: RestProblem) -> NDArray[np.bool_]:
 
 
 def informative_axes(problem: RestProblem) -> NDArray[np.bool_]:
-    """Axes (N,) that were measured and that moved."""
+    """Mask (N,) of axes that were measured and moved."""
     return np.asarray(problem.use_sum.any(axis=0) & (np.ptp(problem.rows.q_rad, axis=0) > REST.moved_rad))
 
 
 def _bands(problem: RestProblem, result: Fit) -> Floats:
-    """Friction band (N,) of each axis in its own standard deviations; 0 where the visits do not determine it."""
+    """Friction band (N,) of each axis over its standard deviation; 0 where the visits do not determine it."""
     return np.where(determined_bands(problem), certain_bands(problem, result), 0.0)
 
 
 def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit) -> tuple[float, float]:
-    """RMS on left-out poses with a mistake undone over that as the data were read, and its upper 95 % limit.
+    """Ratio of the RMS on left-out poses with a mistake corrected to that without, and its upper 95 % limit.
 
-    Pooled over all axes, each reading in units of its noise floor. A friction band below zero
-    foretells nothing, since friction cannot be: its rows are judged without it. The limit is one-sided, by poses drawn
-    with replacement: of a few poses one often holds most of the squares, which says nothing of the others.
+    Pooled over all axes, each reading in units of its noise floor. A friction band is never negative, so a negative one
+    predicts nothing and its rows are tested without it. The limit is one-sided, by a bootstrap over poses, because one
+    pose often has most of the squared residuals.
     """
     poses = np.unique(problem.rows.pose)
     squares = [
@@ -167,16 +167,16 @@ def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit
 
 
 def _as_read(now: Fit, undone: Fit) -> Floats:
-    """Noise floor (groups,) of the data as they were read: their own, as far as a factor between drives can explain it.
+    """Noise floor (groups,) of the uncorrected data, limited to what a factor between drives can explain.
 
-    Sides that are read with the wrong sign, and through a gear's efficiency the wrong way, scatter as no friction does:
-    in units of that scatter nothing would look wrong.
+    With a wrong sign or an inverted gear efficiency the scatter is larger than friction can cause. In units of that
+    scatter no error would be visible.
     """
     return np.clip(now.noise.start, undone.noise.start / MOST_FACTOR, undone.noise.start * MOST_FACTOR)
 
 
 def _squares_by_pose(problem: RestProblem, result: Fit, poses: NDArray[np.int_], floor: Floats) -> Floats:
-    """Sum of squares (poses,) of the left-out residuals over a floor (groups,)."""
+    """Sum of squares (poses,) of the left-out residuals over a noise floor (groups,)."""
     impossible = np.zeros(len(result.scale))
     impossible[problem.band_part] = np.where(determined_bands(problem), np.minimum(result.band, 0.0), 0.0)
     residual = left_out(problem, result) + result.columns.times(impossible)
@@ -186,23 +186,23 @@ def _squares_by_pose(problem: RestProblem, result: Fit, poses: NDArray[np.int_],
 
 
 def _over_floor(problem: RestProblem, result: Fit) -> float:
-    """What a fit leaves of the half sums over what their sides leave, on the axis where that is most."""
+    """Residual of the half-sums over the scatter of the approach directions, on the worst axis."""
     sums = np.unique(problem.group[problem.group < problem.axes])
     return float((result.noise.std[sums] / result.noise.start[sums]).max(initial=0.0))
 
 
 def links_far_from_cad(problem: RestProblem, fitted: Fit) -> bool:
-    """Whether a fit asks for links that are far from what the CAD says."""
+    """Return True if the fitted links deviate too far from the CAD values."""
     return float(np.sum(((fitted.links - problem.links) / problem.link_std) ** 2)) > REST.far_from_cad
 
 
 def beyond_any_effect(problem: RestProblem, plain: Fit) -> bool:
-    """Whether the model without effects fails so badly that a mistake is the first thing to look for."""
+    """Return True if the residual without effects is so large that mistakes are searched first."""
     return _over_floor(problem, plain) > REST.beyond_any_effect or band_signs(problem, plain) < -REST.beyond_any_effect
 
 
 def suspicious(problem: RestProblem, plain: Fit) -> bool:
-    """Whether the best hypothesis is so odd, or leaves so much, that a mistake is worth looking for."""
+    """Return True if the best hypothesis is implausible, or has so large a residual, that mistakes are searched."""
     backward = bool((_bands(problem, plain) < REST.negative_band).any())
     one_sided = not problem.rows.two_sided.all()
     gains = [abs(float(v[0])) for t, v in zip(plain.terms, plain.theta, strict=True) if t.scales_reading]
@@ -214,20 +214,20 @@ def suspicious(problem: RestProblem, plain: Fit) -> bool:
 def find_mistakes(
     table: Table, build: Callable[[Table], RestProblem], allowed: frozenset[str]
 ) -> tuple[tuple[Mistake, ...], float]:
-    """Mistakes whose undoing the model without effects likes better by `mistake` or more, most likely first.
+    """Find mistakes whose correction raises the log evidence by `mistake` or more, most likely first.
 
-    None where fewer than two axes were measured and moved, and none that leaves unseen poses worse: what a single
-    axis shows, any spring, offset or wrong link shows too.
+    No mistake is reported if fewer than two axes were measured and moved, or if unseen poses fit worse. What a single
+    axis shows can also be a spring, an offset or a wrong link.
 
     Parameters
     ----------
     table : Table
     build : table -> RestProblem
-    allowed : names that may be given
+    allowed : names of mistakes that may be reported
 
     Returns
     -------
-    mistakes, and by how much the logarithm of the evidence rose
+    mistakes, and the increase of the log evidence
     """
     found: list[Mistake] = []
     gained = 0.0
@@ -253,7 +253,7 @@ def find_mistakes(
 
 
 def unseen_ratio(read: Unseen, plain: Fit, undone: Unseen, fitted: Fit) -> float:
-    """RMS on given rows with mistakes undone over that as they were read, each in units of its noise floor."""
+    """RMS ratio on held-out rows with mistakes corrected to that without, in units of the noise floors."""
     floors = fitted.noise.start, _as_read(plain, fitted)
     squares = [
         float(np.sum((predicted(held, each) / floor[held.problem.group[held.mask]]) ** 2))
@@ -264,7 +264,7 @@ def unseen_ratio(read: Unseen, plain: Fit, undone: Unseen, fitted: Fit) -> float
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Trial:
-    """A mistake undone: the evidence of the model without effects, its rows and its fit."""
+    """Data with one mistake corrected: evidence, rows and fit of the model without effects."""
 
     score: float
     mistake: Mistake
@@ -279,7 +279,7 @@ def _tried(mistake: Mistake, changed: RestProblem) -> _Trial:
 
 
 def _most_likely(problem: RestProblem, plain: Fit, least: float, tried: list[_Trial]) -> _Trial | None:
-    """The trial of the highest score, `least` or more, that foretells left-out poses better than the data as read."""
+    """Return the trial with the highest score of at least `least` that also improves left-out poses."""
     for trial in sorted(tried, key=lambda each: -each.score):
         if trial.score < least:
             return None

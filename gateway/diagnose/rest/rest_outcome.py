@@ -1,4 +1,4 @@
-"""A decision as the result file: effects with their evidence, before and after, every candidate with its figure."""
+"""Convert a verdict into the result file: effects with their evidence, residuals, and all rejected candidates."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ LARGEST_ODDS = 1e12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judge:
-    """Residuals on unseen rows for any fit: of given rows where there are any, else pose by pose.
+    """Held-out residuals of any fit: on rows given by the user, else by leaving out one pose at a time.
 
     Attributes
     ----------
     problem : RestProblem
     held : Unseen or None
     answer : Fit or None
-        The one that was chosen from several: without rows that are given, the poses that it is judged on had a say.
+        The chosen fit. Without user-given rows, the poses that test it also took part in choosing it.
     by_others : (rows,)
-        What the hypotheses leave that the other poses choose, in the place of the answer.
-    axis : axis of every unseen row
-    group : noise group of every unseen row
+        Residual under the hypothesis that the other poses choose; replaces that of the answer.
+    axis : axis of every held-out row
+    group : noise group of every held-out row
     """
 
     problem: RestProblem
@@ -52,39 +52,39 @@ class Judge:
 
     @classmethod
     def of(cls, search: Search, decision: Decision, held: Unseen | None) -> Self:
-        """Judge of the answer of a search."""
+        """Build from the answer of a search."""
         if held is not None or decision.after is decision.before:
             return cls(search.problem, held)
         return cls(search.problem, None, decision.after, unseen_by_choice(search))
 
     @property
     def group(self) -> NDArray[np.int_]:
-        """Noise group of every unseen row."""
+        """Noise group of every held-out row."""
         return self.problem.group if self.held is None else self.held.problem.group[self.held.mask]
 
     @property
     def axis(self) -> NDArray[np.int_]:
-        """Axis of every unseen row, from 0."""
+        """Axis of every held-out row, from 0."""
         return self.group % self.problem.axes
 
     def residual(self, fit: Fit) -> Floats:
-        """Residual of a fit on the unseen rows [Nm]."""
+        """Residual [Nm] of a fit on the held-out rows."""
         if self.held is not None:
             return predicted(self.held, fit)
         return self.by_others if fit is self.answer else left_out(self.problem, fit)
 
     def leaves(self, fit: Fit) -> Held:
-        """What a fit leaves of the unseen rows."""
+        """Held-out residuals of a fit."""
         return Held.of_rows(self.residual(fit), self.axis, self.problem.axes)
 
     def ratio(self, after: Fit, before: Fit, joints: tuple[int, ...]) -> float:
-        """RMS after over before on the unseen rows, pooled over axes in units of their noise."""
+        """RMS ratio of two fits on the held-out rows, pooled over axes in units of their noise."""
         axes = [joint - 1 for joint in joints] or range(self.problem.axes)
         return self.leaves(after).over(self.leaves(before), axes, after.noise.std[self.group][:, None])
 
 
 def summary(problem: RestProblem, fit: Fit, judge: Judge, robot: Robot, by_shape: Floats | None = None) -> FitSummary:
-    """Residuals and loads of one fit; `by_shape` as `loads_of` has it."""
+    """Residuals and loads of one fit; `by_shape` as in `loads_of`."""
     return FitSummary(
         rms_nm=listed(Held.of_rows(fit.residual, problem.axis, problem.axes).rms_nm),
         holdout_rms_nm=listed(judge.leaves(fit).rms_nm),
@@ -93,7 +93,7 @@ def summary(problem: RestProblem, fit: Fit, judge: Judge, robot: Robot, by_shape
 
 
 def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:
-    """The effects of the decision with parameters and evidence."""
+    """Return the effects of the decision with parameters and evidence."""
     after = decision.after
     out = []
     for position, term in enumerate(after.terms):
@@ -111,14 +111,14 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
 
 
 def contradicted(decision: Decision, effects: Sequence[EffectResult]) -> bool:
-    """Whether structure is left, and unseen rows are met no better with any of its effects than without it."""
+    """Return True if structure remains and no effect improves the fit to held-out rows."""
     if decision.verdict != "improved" or not effects:
         return False
     return all(effect.evidence.holdout_rms_ratio >= 1.0 for effect in effects)
 
 
 def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResult:
-    """The effect, its standard deviations with what the choice of its shape leaves open."""
+    """Widen the standard deviations of an effect by the uncertainty of its shape."""
     variance = {key: std**2 for key, std in effect.std.items()}
     for weight, other in search.alike(after):
         for term, theta in zip(other.terms, other.theta, strict=True):
@@ -131,9 +131,9 @@ def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResu
 
 
 def _as_every_arm(problem: RestProblem, without: Fit, term: Term) -> Fit:
-    """The hypothesis without an effect, with what it is too much of held where every arm has it.
+    """Return the hypothesis without an effect, with the nuisance parameter it replaced held at its prior.
 
-    Left open, that would stretch to the size of the effect and leave nothing to compare with.
+    A free parameter would take the size of the effect, and the comparison would be void.
     """
     place = problem.taken_over([term]) - problem.nuisance_part.start
     if not len(place):
@@ -145,7 +145,7 @@ def _as_every_arm(problem: RestProblem, without: Fit, term: Term) -> Fit:
 
 
 def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectResult]:
-    """The effects of the rivals that the decision does not hold, with their odds."""
+    """Return the effects of rival hypotheses that the decision does not contain, with their odds."""
     known = {term.label for term in decision.proven}
     out: list[EffectResult] = []
     for rival in decision.rivals:
@@ -160,7 +160,7 @@ def possible(search: Search, decision: Decision, judge: Judge) -> list[EffectRes
 
 
 def _p_value(after: Fit, without: Fit, term: Term, candidates: int) -> float:
-    """Likelihood ratio with as many degrees of freedom as the effect has parameters, times the number tried."""
+    """P-value by the likelihood ratio, with the effect's parameters as degrees of freedom, times the number tried."""
     gain = 2.0 * max(after.mode - without.mode, 0.0)
     return float(min(1.0, max(chdtrc(len(term.linear), gain) * candidates, 1e-300)))
 
@@ -174,7 +174,7 @@ def _effect(problem: RestProblem, fit: Fit, position: int, evidence: Evidence) -
 
 
 def mistake_effect(mistake: Mistake, gained: float) -> list[EffectResult]:
-    """A commissioning mistake as effects: one per axis, or one per pair of axes."""
+    """Represent a commissioning mistake as effects: one per axis, or one per pair of axes."""
     pair = mistake.name in ("axes_swapped", "angles_coupled")
     places = [mistake.joints] if pair else [(joint,) for joint in mistake.joints]
     factor, sign = {"factor": mistake.factor}, {"sign": mistake.sign}
@@ -190,7 +190,7 @@ def mistake_effect(mistake: Mistake, gained: float) -> list[EffectResult]:
 
 
 def mistake_findings(mistakes: Sequence[Mistake]) -> list[Finding]:
-    """A failing finding for each commissioning mistake."""
+    """Report each commissioning mistake as a failing finding."""
     out = []
     for mistake in mistakes:
         what, advice = MISTAKES[mistake.name]
@@ -200,7 +200,7 @@ def mistake_findings(mistakes: Sequence[Mistake]) -> list[Finding]:
 
 
 def rejected(search: Search, decision: Decision) -> list[Rejected]:
-    """Every candidate that is not in the answer: held-out error with it over that without it, pose by pose."""
+    """Return every candidate that is not in the answer, with its ratio of held-out errors."""
     problem, after = search.problem, decision.after
     taken = {term.label for term in decision.proven}
     fitted = {term.label for term in after.terms}
@@ -221,6 +221,6 @@ def rejected(search: Search, decision: Decision) -> list[Rejected]:
 
 
 def floor_and_band(problem: RestProblem, decision: Decision) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Noise floor and friction band (one of each an axis), NaN where an axis was not measured."""
+    """Noise floor and friction band of each axis; NaN where the axis was not measured."""
     measured = problem.use_difference.any(axis=0)
     return listed(noise_floor(problem, decision)), listed(np.where(measured, decision.after.band, np.nan))

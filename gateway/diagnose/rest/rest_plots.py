@@ -1,9 +1,9 @@
-"""What the report draws of a diagnosis of rest poses: every visit before and after, and each effect as a curve.
+"""Plot data of a diagnosis of rest visits: residual of every visit, and each effect as a curve.
 
-An effect as a curve is the modelled reading with it less the modelled reading without it, links, loads, bands and the
-other effects as fitted; its band follows from the covariance of its parameters. The points are measured readings less
-the modelled ones without the effect. An effect that no single quantity describes is drawn over itself: its points then
-lie along the diagonal.
+The curve of an effect is the modelled reading with it minus the modelled reading without it; links, loads, bands and
+other effects are as fitted. Its confidence band follows from the covariance of its parameters. The points are measured
+minus modelled readings without the effect. An effect that depends on several quantities is drawn over its own modelled
+value, so that its points are along the diagonal.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ SEEN: Final = frozenset({Over.ANGLE, Over.TORQUE, Over.TORQUE_BY_DIRECTION, Over
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnVisits:
-    """Visits that are drawn, the ones no fit has seen included.
+    """Visits to draw, including held-out ones.
 
     Attributes
     ----------
     problem : RestProblem
-    fresh : (n,) which no fit has seen
-    kind : word for those
+    fresh : (n,) True for held-out visits
+    kind : label of the held-out visits
     """
 
     problem: RestProblem
@@ -57,14 +57,14 @@ class DrawnVisits:
 
     @classmethod
     def of(cls, problem: RestProblem, held: Unseen | None, kind: str) -> DrawnVisits:
-        """Fitted visits, and held-out ones after them."""
+        """Join fitted visits and held-out ones, in this order."""
         if held is None:
             return cls(problem, np.zeros(len(problem.rows), dtype=bool), kind)
         return cls(held.problem, np.arange(len(held.problem.rows)) >= len(problem.rows), kind)
 
 
 def pictures(visits: DrawnVisits, decision: Decision) -> tuple[Rows, Drawn]:
-    """Rows of the result and what the report draws of them: role, curves, models before and after.
+    """Build the result rows and plot data: role, curves, models before and after.
 
     Parameters
     ----------
@@ -109,14 +109,14 @@ def _known_band(values: Floats, problem: RestProblem) -> Matrix:
 
 
 def _predict(problem: RestProblem, fit: Fit, terms: Sequence[Term]) -> Prediction:
-    """Reading of the fitted arm with these of its effects."""
+    """Reading of the fitted arm with the selected effects."""
     theta = [fit.theta[fit.terms.index(term)] for term in terms]
     setting = with_terms(problem, terms, theta, fit.nuisance)
     return problem.model.predict(setting, fit.links, visit_loads(problem, fit.loads), fit.band)
 
 
 def _curve(problem: RestProblem, fit: Fit, position: int) -> Curve:
-    """One effect over what it depends on, on the axis and in the reading where it is largest."""
+    """Curve of one effect over its independent variable, on the axis and reading where it is largest."""
     term = fit.terms[position]
     others = [other for place, other in enumerate(fit.terms) if place != position]
     whole, without = _predict(problem, fit, fit.terms), _predict(problem, fit, others)
@@ -156,7 +156,7 @@ def _curve(problem: RestProblem, fit: Fit, position: int) -> Curve:
 
 
 def _largest(effects: dict[str, tuple[Floats, Floats]], term: Term) -> tuple[str, int]:
-    """Reading and axis in which an effect is largest; its own axis where it has one."""
+    """Reading and axis in which an effect is largest; its own axis if it has one."""
     size = {
         name: np.sqrt(np.mean(np.where(np.isfinite(left), effect, 0.0) ** 2, axis=0))
         for name, (effect, left) in effects.items()
@@ -177,7 +177,7 @@ def _abscissa(term: Term, axis: int, rows: Visits, torque_nm: Floats) -> tuple[F
 
 
 def _over_angle(problem: RestProblem, fit: Fit, position: int, axis: int) -> tuple[Floats, Floats, Floats]:
-    """Angle, effect and standard deviation over the range of a joint, the other joints as in the first visit."""
+    """Angle, effect and standard deviation over a joint's range; other joints as in the first visit."""
     q = problem.rows.q_rad[:, axis]
     margin = GRID_MARGIN * (np.ptp(q) or 1.0)
     grid = np.linspace(q.min() - margin, q.max() + margin, GRID)
@@ -197,7 +197,7 @@ def _over_angle(problem: RestProblem, fit: Fit, position: int, axis: int) -> tup
 
 
 def _spread(problem: RestProblem, fit: Fit, position: int) -> dict[str, Floats]:
-    """Standard deviation (n, N) of the reading by the covariance of one effect's parameters."""
+    """Standard deviation (n, N) of the reading due to one effect's parameters."""
     term, theta = fit.terms[position], fit.theta[position]
     start = problem.n_common + sum(len(other) for other in fit.theta[:position])
     covariance = fit.covariance[start : start + len(theta), start : start + len(theta)]

@@ -1,8 +1,8 @@
-"""Order analysis at rest: swings of motor or gear where nobody says what the gear ratio is.
+"""Torque ripple at rest of axes with unknown gear ratio, by order analysis (order: cycles per joint turn).
 
-A dozen angles are met by one of thousands of orders nearly whatever the torque is, so an order is believed only where
-it meets what is left better than it would meet torque that has no order at all: as strong, the same whenever the pose
-comes back, and independent from one angle to the next. What was looked through is paid for in the odds besides.
+Some order out of thousands fits a dozen angles for nearly any residual. An order is accepted only if it fits better
+than it would fit torque without an order: equally strong, equal at repeated poses, and independent between angles. The
+number of orders tried is included in the odds.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ _ADVICE = "give the gear ratio in the cell file, or measure that joint alone at 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swing:
-    """The best order of one axis.
+    """Best order of one axis.
 
     Attributes
     ----------
     term : TorqueRipple
-    chance : probability that torque without an order is met as well, over all orders of this axis
-    share : of what is left on the axis, 0 to 1
-    aliases : further orders [swings per turn] that meet it so well that the odds are below `sure_odds`
-    angles : how many angles tell it
+    chance : p-value: probability that some order fits torque without an order equally well
+    share : share of the axis's residual that it explains, 0 to 1
+    aliases : further orders [swings per turn] with odds below `sure_odds` against the best one
+    angles : number of different angles
     """
 
     term: TorqueRipple
@@ -53,7 +53,7 @@ class Swing:
 
 
 def order_analysis(problem: RestProblem, fit: Fit, axis: int) -> Swing | None:
-    """The order that what a fit leaves of one axis follows best; None where that is little, or the angles are few."""
+    """Find the order that fits the residual of one axis best; None if residual or angles are too few."""
     rows = np.flatnonzero((problem.axis == axis) & (problem.group // problem.axes != 1))
     q = problem.rows.q_rad[problem.visit[rows], axis]
     _, place = np.unique(problem.rows.pose[problem.visit[rows]], return_inverse=True)
@@ -89,13 +89,13 @@ def order_analysis(problem: RestProblem, fit: Fit, axis: int) -> Swing | None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Waves:
-    """Sine and cosine of orders (k,) at the angles (m,) of rows of which a fit takes up `basis` (m, p).
+    """Sine and cosine of orders (k,) at the row angles (m,), with the fit's basis (m, p) projected out.
 
     Attributes
     ----------
     q_rad, orders, basis
     factor, size : the inverse of `1 - B B'` is `1 + factor size factor'`
-    inverse : (k, 2, 2) of the products of sine and cosine, as the fit leaves them
+    inverse : (k, 2, 2) of the products of sine and cosine after projection
     """
 
     q_rad: Floats
@@ -113,31 +113,31 @@ class _Waves:
         return _Waves(q_rad, orders, basis, factor, size, np.asarray(np.linalg.inv(gram), dtype=float))
 
     def squares(self, residual: Floats) -> Floats:
-        """Squares (d,) of residuals (m, d) over their covariance, which is what the fit leaves of unit noise."""
+        """Squares (d,) of residuals (m, d) weighted by the inverse of their covariance for unit noise."""
         return (residual**2).sum(axis=0) + self.size @ (self.factor.T @ residual) ** 2
 
     def shares(self, residual: Floats) -> Floats:
-        """Share (k, d) of residuals (m, d) that each order explains."""
+        """Share (k, d) of the squares of residuals (m, d) that each order explains."""
         scores = np.concatenate([np.tensordot(part, residual, (0, 0)) for part in _parts(self.q_rad, self.orders)])
         explained = np.einsum("okd,okd->od", scores, np.matmul(self.inverse, scores))
         return explained / np.maximum(self.squares(residual), np.finfo(float).tiny)
 
 
 def _parts(q_rad: Floats, orders: Floats) -> Iterator[Floats]:
-    """Sine and cosine (m, k, 2) of some orders after the other: of all at once they would fill the memory."""
+    """Iterate over sine and cosine (m, k, 2) of a few orders at a time, to limit memory."""
     for part in np.array_split(orders, 1 + len(orders) * len(q_rad) // _ENTRIES):
         angle = np.outer(q_rad, part)
         yield np.stack([np.sin(angle), np.cos(angle)], axis=2)
 
 
 def _products(waves: Floats, basis: Floats) -> Floats:
-    """Products (k, 2, 2) of waves (m, k, 2), less what the basis (m, p) takes up."""
+    """Products (k, 2, 2) of waves (m, k, 2) after projecting out the basis (m, p)."""
     taken = np.tensordot(basis, waves, (0, 0))
     return np.einsum("rok,rol->okl", waves, waves) - np.einsum("rok,rol->okl", taken, taken)
 
 
 def _aliases(orders: Floats, log_odds: Floats, best: int) -> tuple[float, ...]:
-    """Orders, best first, that are neither next to the best one nor to each other and nearly as likely."""
+    """Orders, best first, that are nearly as likely as the best one and not adjacent to each other."""
     taken = [best]
     apart = 4.0 * float(orders[1] - orders[0]) if len(orders) > 1 else 0.0
     for index in np.argsort(log_odds):
@@ -149,7 +149,7 @@ def _aliases(orders: Floats, log_odds: Floats, best: int) -> tuple[float, ...]:
 
 
 def with_ripple(search: Search, chosen: Fit, gear_ratio: Sequence[float]) -> Fit:
-    """The best hypothesis, with the ripple of axes of unknown ratio where what it leaves follows one order."""
+    """Extend the best hypothesis by ripple on axes of unknown ratio whose residual follows one order."""
     for _ in range(REST.ripples):
         named = [term for term in chosen.terms if term.name != UNNAMED]
         base = search.fitted(named, chosen)
@@ -168,7 +168,7 @@ def with_ripple(search: Search, chosen: Fit, gear_ratio: Sequence[float]) -> Fit
 
 
 def _asked(problem: RestProblem, base: Fit, gear_ratio: Sequence[float]) -> list[Swing]:
-    """The best order of each axis of unknown ratio that has none yet, where anything is left at all."""
+    """Best order of each axis of unknown ratio without a ripple term and with a remaining residual."""
     taken = {joint - 1 for term in base.terms if term.name == EFFECT.name for joint in term.joints}
     unknown = [axis for axis in np.flatnonzero(~np.isfinite(gear_ratio)).tolist() if axis not in taken]
     if not unknown or misfit(problem, base) >= REST.structure_p:
@@ -178,7 +178,7 @@ def _asked(problem: RestProblem, base: Fit, gear_ratio: Sequence[float]) -> list
 
 
 def ripple_remarks(search: Search, after: Fit, gear_ratio: Sequence[float]) -> list[Finding]:
-    """What order analysis says of the orders it named, and of axes where it can say nothing."""
+    """Report the named orders, and axes on which order analysis is not possible."""
     problem = search.problem
     out = [
         _named_by_order(search, after, term)
@@ -189,8 +189,8 @@ def ripple_remarks(search: Search, after: Fit, gear_ratio: Sequence[float]) -> l
     blind = [axis + 1 for axis, ratio in enumerate(gear_ratio) if not np.isfinite(ratio) and axis + 1 not in named]
     if blind and misfit(problem, after) < REST.structure_p:
         text = (
-            "what is left may be ripple of motor or gear: any of thousands of orders meets "
-            f"{len(np.unique(problem.rows.pose))} poses, the gear ratio would decide"
+            "the residual may be ripple of motor or gear: thousands of orders fit "
+            f"{len(np.unique(problem.rows.pose))} poses equally well; the gear ratio would decide"
         )
         out.append(Finding("info", ", ".join(f"J{joint}" for joint in blind), text, _ADVICE))
     return out
@@ -199,7 +199,7 @@ def ripple_remarks(search: Search, after: Fit, gear_ratio: Sequence[float]) -> l
 def _named_by_order(search: Search, after: Fit, term: TorqueRipple) -> Finding:
     others = [other for other in after.terms if other is not term]
     swing = order_analysis(search.problem, search.fitted(others, after), term.axis)
-    text = f"{term.per_revolution:.1f} swings per turn are the best of {term.tries} orders that were tried"
+    text = f"{term.per_revolution:.1f} cycles per turn is the best of {term.tries} orders"
     if swing is not None and swing.aliases:
         text += f"; {', '.join(f'{order:.1f}' for order in swing.aliases)} are nearly as good"
     return Finding("info", f"J{term.axis + 1}", text, _ADVICE)

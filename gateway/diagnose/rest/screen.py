@@ -1,9 +1,9 @@
-"""Every candidate at once: linearised about a fit, with what its parameters take up projected out.
+"""Screening of all candidates, linearised about a fit, with the fitted parameters projected out.
 
-A candidate is weighed by the small Gram matrix of its projected columns, so no array of rows by candidates is made.
-Change points (`Term.switched`) share the columns of one term that has always been there: those of a change at a time
-are zero before it and the same after it, so the Gram matrices of all times are sums over the visits, from the last one
-back.
+A candidate is weighed by the small Gram matrix of its projected columns, so no array of rows by candidates is needed.
+Change points (`Term.switched`) share the columns of one permanent term: the columns of a change are zero before its
+time and equal to the permanent ones after it. The Gram matrices of all times are therefore cumulative sums over the
+visits, from the last one backwards.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ class CandidateColumns:
 
     Attributes
     ----------
-    rows : (m,) rows that it changes
+    rows : (m,) rows that the candidate changes
     values : (m, k)
     squares : (3 N, k) sum of squares by noise group
-    changed : noise groups that it changes: candidates with the same ones have the same rows
+    changed : noise groups that the candidate changes; candidates with equal groups have equal rows
     """
 
     rows: Ints
@@ -47,7 +47,7 @@ class CandidateColumns:
 
     @staticmethod
     def of(problem: RestProblem, dense: Floats) -> CandidateColumns:
-        """From all rows (rows, k); whole noise groups that are zero are left out."""
+        """Build from all rows (rows, k); noise groups that are zero are left out."""
         squares = np.stack([problem.by_group(column) for column in dense.T**2], axis=1)
         changed = (squares != 0.0).any(axis=1)
         rows = np.flatnonzero(changed[problem.group])
@@ -60,7 +60,7 @@ class CandidateColumns:
 
 @dataclass(slots=True, eq=False)
 class Derivatives:
-    """Derivatives of the candidates of one search about one fit, each computed once.
+    """Cache of the derivatives of one search's candidates about one fit.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class Screen:
 
     Attributes
     ----------
-    terms : candidates that do anything at all to the rows
+    terms : candidates with an effect on the rows
     log_bayes : (candidates,) log Bayes factor of adding the candidate alone
     weighted : weighted columns (rows, k) of a candidate, in units of the prior spread
     basis : orthonormal basis of the fit that they are projected from
@@ -168,7 +168,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
 
 
 def switch_s(term: Term) -> float:
-    """Time [s] from which a change point acts."""
+    """Time [s] at which a change point takes effect."""
     switched = term.switched()
     return -np.inf if switched is None else switched[1]
 
@@ -184,19 +184,19 @@ def _spread(
 
 @dataclass(slots=True, eq=False)
 class Weighed:
-    """Gram matrices and scores of projected candidates, by their place."""
+    """Gram matrices and scores of projected candidates, by candidate index."""
 
     place: dict[int, list[int]] = field(default_factory=dict)
     gram: dict[int, list[Floats]] = field(default_factory=dict)
     score: dict[int, list[Floats]] = field(default_factory=dict)
 
     def add(self, place: int, gram: Floats, score: Floats) -> None:
-        """Add one candidate with columns in units of their prior."""
+        """Add one candidate with columns in units of their prior standard deviation."""
         for values, value in ((self.place, place), (self.gram, gram), (self.score, score)):
             values.setdefault(len(gram), []).append(value)  # type: ignore[arg-type]
 
     def result(self) -> tuple[Ints, Floats]:
-        """Places (candidates,) in their order, and log Bayes factor (candidates,) of each."""
+        """Indices (candidates,) in ascending order, and log Bayes factor (candidates,) of each."""
         place = np.array([value for places in self.place.values() for value in places], dtype=int)
         each = [log_bayes_factor(np.array(self.gram[k]), np.array(self.score[k])) for k in self.place]
         order = np.argsort(place)
@@ -206,13 +206,13 @@ class Weighed:
 def _changes(
     problem: RestProblem, times_s: Floats, scaled: Floats, rows: Ints, basis: Basis, residual: Floats
 ) -> Iterator[tuple[int, Floats, Floats]]:
-    """Place, Gram matrix and score of columns that act from a time on; those that do nothing are left out.
+    """Index, Gram matrix and score of the columns of each change point; those without an effect are left out.
 
     Parameters
     ----------
     problem : RestProblem
     times_s : (changes,)
-    scaled : (m, k) weighted columns of these `rows` in units of their prior spread, as if they had acted always
+    scaled : (m, k) weighted columns of these `rows`, in prior standard deviations, for a permanent term
     basis, residual : of the projection
     """
     when = problem.rows.time_s
@@ -234,14 +234,14 @@ def _changes(
 
 
 def columns_of(problem: RestProblem, fit: Fit, term: Term) -> Floats:
-    """Derivative (rows, k) by the parameters of an effect that is not in the fit, where they begin."""
+    """Derivative (rows, k) by the parameters of an effect that is not in the fit, at their start values."""
     return term_columns(problem, fit, fit.noise, term, np.array(term.start, dtype=float))
 
 
 def projection(fit: Fit, columns: ByGroup, prior_std: Floats, weight: Floats) -> tuple[Basis, Floats]:
     """Orthonormal basis of the weighted columns of a fit, all or the first ones, with their prior rows.
 
-    Beside it the weighted residual (rows,) that a further step of the fit would leave.
+    Also returns the weighted residual (rows,) after one further step of the fit.
     """
     problem = fit.problem
     held = np.flatnonzero(np.isfinite(prior_std))

@@ -1,9 +1,9 @@
-"""Which effects, if any: singles, all pairs and further ones by evidence, then back again one by one.
+"""Search for missing effects: singles, pairs and further effects by evidence, then removal of unnecessary ones.
 
-Candidates are ranked linearised (all singles, all pairs of places), the best are fitted in full, and hypotheses are
-compared by evidence plus the logarithm of their prior probability: every place of every effect is equally likely
-beforehand, its shapes share that probability; what goes beyond an ordinary parameter of an axis is held down by that
-parameter's prior already. Shapes without a name compete on the same terms.
+Candidates are ranked linearised (all singles, all pairs of places) and the best are fitted in full. A place is an
+effect on a specific axis or link. Hypotheses are compared by evidence plus log prior probability: every place of every
+effect is equally likely a priori, and its shapes share that probability. An effect that replaces a nuisance parameter
+is already penalised by that parameter's prior. Unnamed torque curves compete by the same rules.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ IMPOSSIBLE: Final = 1e9
 
 
 def term_shapes(terms: Sequence[Term]) -> list[int]:
-    """Number of shapes of each effect at its place; those that differ by what is fitted anyway count once."""
+    """Number of shapes of each effect at its place; shapes that differ only by fitted parameters count once."""
     count = Counter(term.label for term in terms)
     kinds = Counter(label for label, _ in {(term.label, type(term)) for term in terms})
     return [count[term.label] if all(term.linear) else kinds[term.label] for term in terms]
@@ -69,7 +69,8 @@ class Search:
     def score(self, hypothesis: Fit) -> float:
         """Evidence plus log prior of a hypothesis.
 
-        An effect that its mechanism cannot do costs `implausible` more; one that is no real part is never chosen.
+        An effect with a value that its mechanism cannot have costs `implausible` more; one with an unphysical value is
+        never chosen.
         """
         rows = self.problem.rows
         if not all(term.exists(values, std) for term, values, std in self._sized(hypothesis)):
@@ -84,7 +85,7 @@ class Search:
         return zip(hypothesis.terms, hypothesis.theta, np.split(std, ends), strict=False)
 
     def fitted(self, terms: Iterable[Term], start: Fit | None = None) -> Fit:
-        """The fit of a set of effects, computed once."""
+        """Return the fit of a set of effects, computed once."""
         ordered = tuple(terms)
         key = frozenset(ordered)
         if key not in self.pool:
@@ -92,13 +93,13 @@ class Search:
         return self.pool[key]
 
     def view(self, about: Fit, terms: Sequence[Term], std: Floats) -> Screen:
-        """Candidates screened about a fit; their derivatives are those about the model without effects."""
+        """Screen the candidates about a fit; their derivatives are those about the model without effects."""
         if self.derivatives is None:
             self.derivatives = Derivatives(self.problem, self.fitted(()))
         return screen(self.problem, about, terms, std, self.derivatives)
 
     def alike(self, hypothesis: Fit) -> list[tuple[float, Fit]]:
-        """Other shapes of the same effects, each with its probability among all of these shapes."""
+        """Other shapes of the same effects, each with its probability among these shapes."""
         own = sorted(term.label for term in hypothesis.terms)
         fits = [fit for fit in self.pool.values() if sorted(term.label for term in fit.terms) == own]
         score = np.array([self.score(fit) for fit in fits])
@@ -111,11 +112,11 @@ class Search:
 
 
 def run(search: Search) -> Fit:
-    """Fill the pool and return the best hypothesis; its effects are all needed.
+    """Fit hypotheses and return the best one, in which every effect is needed.
 
     Returns
     -------
-    the fit whose score is highest, after effects whose removal costs less than `needed` were taken out again
+    the fit with the highest score, after removal of effects that gain less than `needed`
     """
     nothing = search.fitted(())
     views = [search.view(nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
@@ -149,7 +150,7 @@ def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
 
 
 def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
-    """Pairs of places with the highest joint log Bayes factor; of each place its best shape."""
+    """Pairs of places with the highest joint log Bayes factor, each place in its best shape."""
     best: dict[Label, int] = {}
     for index in np.argsort(-view.log_bayes):
         best.setdefault(view.terms[index].label, int(index))
@@ -163,7 +164,7 @@ def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
 
 
 def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int) -> None:
-    """Fit the hypotheses that add one of the most promising candidates to a leader."""
+    """Fit the hypotheses that add one of the most promising candidates to a leading hypothesis."""
     if len(leader.terms) >= REST.most_effects or any(term not in search.named for term in leader.terms):
         return
     taken = {term.label for term in leader.terms}
@@ -184,7 +185,7 @@ def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int)
 
 
 def _rivals(search: Search) -> None:
-    """Shapes without a name beside the leaders, and in the place of each effect of the leader."""
+    """Fit unnamed torque curves in addition to the leaders, and in place of each effect of the best one."""
     best = search.best()
     sets = [best.terms] + [tuple(t for t in best.terms if t is not term) for term in best.terms]
     for terms in sets:
@@ -192,7 +193,7 @@ def _rivals(search: Search) -> None:
 
 
 def pruned(search: Search, chosen: Fit) -> Fit:
-    """The hypothesis without the effects that it does not need."""
+    """Return the hypothesis without unnecessary effects."""
     while chosen.terms:
         smaller = [search.fitted([t for t in chosen.terms if t is not term], chosen) for term in chosen.terms]
         best = max(smaller, key=search.score)

@@ -1,4 +1,4 @@
-"""Are poses that were measured afterwards met as well as the fit says, and how large a miss would have shown?"""
+"""Test whether later measured poses agree with the fit, and which deviation the test would have detected."""
 
 from __future__ import annotations
 
@@ -19,25 +19,26 @@ _TESTS = 4
 
 
 def spare_rows(problem: RestProblem, fit: Fit) -> Floats:
-    """Rows (N,) of each axis beyond what the fit has taken up: how well its noise is known."""
+    """Degrees of freedom (N,) of each axis's noise estimate: rows minus parameters absorbed by the fit."""
     return np.sum((problem.by_group() - fit.taken).reshape(3, -1), axis=0)
 
 
 def fresh_misfit(residual: Floats, covariance: Floats, group: Ints, axes: int, spare: Floats | None = None) -> float:
-    """Probability of residuals this large on fresh rows, over all tests.
+    """P-value of the residuals of fresh rows, corrected for the number of tests.
 
-    Half sums (or single sides) and half differences, either on the axis where they are largest and over all axes.
+    Half-sums (or single approaches) and half-differences are tested on the axis where they are largest, and over all
+    axes.
 
     Parameters
     ----------
     residual : array of shape (k,)
     covariance : array of shape (k, k)
-        Of the residuals: their own noise, and what the fit does not know of the rows it foretells.
+        Of the residuals: noise of the rows, and uncertainty of the prediction.
     group : array of shape (k,)
         Noise group: axis + `axes` * (0 half sum, 1 half difference, 2 one-sided).
     axes : number of axes N
     spare : array of shape (N,), optional
-        How many rows the noise of each axis was estimated from: few rows know their own noise badly. None = known.
+        Degrees of freedom of the noise estimate of each axis; None = the noise is known.
     """
     tests = []
     for kind in (group // axes != 1, group // axes == 1):
@@ -62,7 +63,7 @@ def _fresh_axis(residual: Floats, covariance: Floats, spare: Floats | None, axis
 
 
 def fresh_seen_nm(problem: RestProblem, held: Unseen | None, fit: Fit) -> dict[str, list[float | None]]:
-    """RMS (N,) [Nm] of a structure on one axis that fresh half sums would have shown; nothing without such rows."""
+    """RMS (N,) [Nm] of the smallest structure on one axis that fresh half-sums can detect; empty without such rows."""
     if held is None:
         return {}
     group = held.problem.group[held.mask]
@@ -72,9 +73,9 @@ def fresh_seen_nm(problem: RestProblem, held: Unseen | None, fit: Fit) -> dict[s
 
 
 def fresh_seen(rows: Ints, spare: Floats | None = None) -> Floats:
-    """RMS (N,) of a structure, in floors, that fresh half sums (N,) of one axis alone show with probability `power`.
+    """RMS (N,), in noise floors, of a structure that fresh half-sums (N,) of one axis detect with probability `power`.
 
-    By the test of the worst axis alone, of noise that is foretold exactly; inf on an axis without rows.
+    For the test of the worst axis, with exactly known noise; inf on an axis without rows.
     """
     measured = np.flatnonzero(rows)
     out = np.full(len(rows), np.inf)

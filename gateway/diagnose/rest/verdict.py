@@ -1,4 +1,4 @@
-"""From fitted hypotheses to a verdict: what is proven, what rivals it, and whether structure is left."""
+"""Verdict from fitted hypotheses: proven effects, rival effects, and structure that remains in the residual."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 class Key(NamedTuple):
-    """Names of the strong effects of a hypothesis, and whether it holds a shape without a name."""
+    """Names of the strong effects of a hypothesis, and whether it includes an unnamed torque curve."""
 
     names: frozenset[Label]
     unnamed: bool
@@ -34,10 +34,10 @@ class Key(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rival:
-    """A set of effects that explains the data about as well as the chosen one.
+    """Set of effects that explains the data about as well as the chosen one.
 
-    `key` is the set; `odds` of the chosen one against it; `fit` its best member; `holds` whether it holds the chosen
-    set and more.
+    `key` is the set, `odds` those of the chosen set against it, `fit` its best fit. `holds` is true if it contains the
+    chosen set and more.
     """
 
     key: Key
@@ -48,19 +48,19 @@ class Rival:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decision:
-    """What the visits say.
+    """Verdict on the visits, with the fits that it is based on.
 
     Attributes
     ----------
     verdict : as in the result file
-    before, after : fits without effects and with the proven ones
-    whole : fit with the shapes without a name that are needed besides
-    proven : effects of `after` that the data show; the others only correct the CAD's links and are not named
-    rivals : other sets within `sure_odds`, best first
-    near : other sets within `ask_odds`, worth more measurements
-    structure_p : probability that noise leaves what is left
+    before, after : fits without effects and with the proven effects
+    whole : fit that also has the required unnamed torque curves
+    proven : effects of `after` that the data prove; the others correct the CAD's links and are not named
+    rivals : other sets of effects within `sure_odds`, best first
+    near : other sets within `ask_odds`; further measurements are recommended
+    structure_p : p-value of the remaining residual under noise alone
     odds : per effect, against the best hypothesis without it
-    runner_up : per effect, name of what that hypothesis has instead
+    runner_up : per effect, name of the effect that this hypothesis has instead
     """
 
     verdict: Verdict
@@ -76,13 +76,13 @@ class Decision:
 
 
 def decide(search: Search, chosen: Fit) -> Decision:
-    """Verdict on the visits of a search that has run.
+    """Derive the verdict from the hypotheses of a finished search.
 
     Parameters
     ----------
     search : Search
     chosen : Fit
-        Its best hypothesis, pruned.
+        Its best hypothesis without unnecessary effects.
     """
     problem = search.problem
     before = search.fitted(())
@@ -125,9 +125,9 @@ def _verdict(
 
 
 def strength(search: Search, whole: Fit, term: Term) -> float:
-    """Projected strength of one effect of a fit, in units of the noise.
+    """Strength of one effect of a fit, after projecting out links, loads and bands, in units of the noise.
 
-    What links, loads and bands leave of it, RMS over the visits on the axis where that is largest.
+    RMS over the visits, on the axis where it is largest.
     """
     problem = search.problem
     place = whole.terms.index(term)
@@ -142,9 +142,9 @@ def strength(search: Search, whole: Fit, term: Term) -> float:
 
 
 def _without_weak(search: Search, chosen: Fit) -> Fit:
-    """A hypothesis as good as the chosen one whose effects are all strong, where there is one.
+    """Return an equally good hypothesis with strong effects only, if there is one; else the chosen one.
 
-    What a correction of the CAD's links explains as well, another effect has to show as clearly as a link would.
+    An effect that a correction of the CAD's links explains equally well must be as strong as a link error must be.
     """
     weak = [term for term in chosen.terms if not strong(search, chosen, term)]
     if not weak:
@@ -161,9 +161,9 @@ def _without_weak(search: Search, chosen: Fit) -> Fit:
 
 
 def unseen_by_choice(search: Search) -> Floats:
-    """Residual (rows,) [Nm] of every row by the hypothesis that the other poses choose, fitted to them.
+    """Residual (rows,) [Nm] of each row under the hypothesis chosen and fitted without the row's pose.
 
-    Any hypothesis of named effects that go beyond what every arm has may be chosen; each effect has to gain `needed`.
+    Candidates are all hypotheses of named effects that exceed the nuisance priors. Each effect must gain `needed`.
     """
     level = search.score(search.best()) - REST.out_of_reach
     fits = [
@@ -179,13 +179,13 @@ def unseen_by_choice(search: Search) -> Floats:
 
 
 def _without_ordinary(search: Search, chosen: Fit) -> Fit:
-    """The hypothesis without effects that every arm has in that size."""
+    """Return the hypothesis without effects whose size is within the nuisance priors."""
     kept = [term for term in chosen.terms if beyond_ordinary(search.problem, chosen, term)]
     return chosen if len(kept) == len(chosen.terms) else _without_ordinary(search, search.fitted(kept, chosen))
 
 
 def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
-    """Whether the interval of what an effect takes over lies outside its prior."""
+    """Return True if the interval of an effect is outside the prior of the nuisance parameter it replaces."""
     position = hypothesis.terms.index(term)
     at = problem.n_common + sum(len(theta) for theta in hypothesis.theta[:position])
     if term.takes_over == "cogging":
@@ -201,9 +201,9 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
 
 
 def _ordinary_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:
-    """Places among the common parameters of what every arm has and an effect is too much of.
+    """Indices of the common parameters that an effect replaces.
 
-    A torque constant is off by its own error and by that of all axes.
+    A torque constant has its own error and the error common to all axes.
     """
     places = problem.taken_over([term])
     if term.takes_over == "gain":
@@ -213,9 +213,9 @@ def _ordinary_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:
 
 
 def _seen_to_help(search: Search, chosen: Fit) -> Fit:
-    """The hypothesis without effects that poses left out do not confirm, the one that helps least first.
+    """Drop effects that left-out poses do not confirm, the least confirmed first.
 
-    What takes over something that every arm has competes with that: only it must not be met clearly worse.
+    An effect that replaces a nuisance parameter competes with that parameter; it only must not be clearly worse.
     """
     while True:
         terms = [term for term in chosen.terms if term.name != UNNAMED]
@@ -230,7 +230,7 @@ def _seen_to_help(search: Search, chosen: Fit) -> Fit:
 
 
 def helped(search: Search, hypothesis: Fit, term: Term) -> float:
-    """By how many standard deviations over poses unseen rows are met better with an effect than without it."""
+    """Improvement of the fit to left-out poses by an effect, in standard deviations over the poses."""
     without = search.fitted([other for other in hypothesis.terms if other is not term], hypothesis)
     gained = gained_by_pose(search.problem, hypothesis, without)
     if len(gained) < 2:
@@ -239,7 +239,7 @@ def helped(search: Search, hypothesis: Fit, term: Term) -> float:
 
 
 def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
-    """Whether the data, and not the prior on the links alone, show an effect that goes beyond what every arm has."""
+    """Return True if the data, not only the prior of the links, prove an effect that exceeds the nuisance priors."""
     if term.name == UNNAMED:
         return True
     if len(_ordinary_places(search.problem, term)):
@@ -257,7 +257,7 @@ def _key(search: Search, hypothesis: Fit) -> Key:
 
 
 def _instead(search: Search, whole: Fit, rival: Fit) -> bool:
-    """Whether two hypotheses explain the same thing: both together say no more than the better one."""
+    """Return True if two hypotheses explain the same: their union has no more evidence than the better one."""
     own = {term.label for term in whole.terms}
     more = [term for term in rival.terms if term.label not in own]
     if not whole.terms or not more or any(term.name == UNNAMED for term in (*whole.terms, *more)):
@@ -267,12 +267,12 @@ def _instead(search: Search, whole: Fit, rival: Fit) -> bool:
 
 
 def _holds_less(key: Key, own: Key) -> bool:
-    """Whether a set names some of the effects of another, and nothing else."""
+    """Return True if a set names a proper subset of the effects of another."""
     return key.names < own.names and key.unnamed <= own.unnamed
 
 
 def _rivals(search: Search, whole: Fit, own: Key) -> tuple[Rival, ...]:
-    """Sets of names by the sum of the evidence of their shapes; larger ones only where they gain something."""
+    """Rank sets of effects by the summed evidence of their shapes; larger sets only if they gain evidence."""
     level = search.score(whole) - math.log(REST.ask_odds) - REST.needed
     groups: dict[Key, list[Fit]] = {}
     for hypothesis in search.pool.values():
@@ -310,7 +310,7 @@ def _odds(search: Search, after: Fit, whole: Fit) -> tuple[dict[Label, float], d
 
 
 def noise_floor(problem: RestProblem, decision: Decision) -> Floats:
-    """Noise floor (N,) per axis: of the fit where nothing but noise is left, of the sides of the visits otherwise."""
+    """Noise floor (N,): of the fit if only noise remains, else from the approach directions of the visits."""
     clean = decision.verdict in ("none_needed", "explained", "undecided")
     std = decision.whole.noise.std if clean else decision.whole.noise.start
     count = problem.by_group().reshape(3, problem.axes)

@@ -231,7 +231,7 @@ def test_a_drive_with_a_delay_is_named(clean, robot):
     tau = {label: torque(time, label == "tool", delay) for label in ("none", "tool")}
     result = run(table_of_periods(tau, 0.1), robot, EXACT)
     assert numbers(result, "delay_s")[2] == pytest.approx(0.04, abs=0.003)
-    (said,) = [finding for finding in result.findings if "late" in finding.what]
+    (said,) = [finding for finding in result.findings if "after the position" in finding.what]
     assert said.where == "J3"
 
 

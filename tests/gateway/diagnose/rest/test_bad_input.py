@@ -127,7 +127,7 @@ def test_held_out_rows_of_another_arm_are_not_met(healthy):
     assert result.verdict not in ("explained", "none_needed")
     words = [each.what for each in result.findings if each.where == "hold-out"]
     assert len(words) == 1
-    assert "poses that no fit has seen are not met within the noise" in words[0]
+    assert "poses that were not used in the fit deviate by more than the noise" in words[0]
     # and it has not been taken for a word on the load
     assert mass_of(result) == pytest.approx(mass_of(diagnose(table, bench.robot, bench.options)))
 
@@ -144,7 +144,7 @@ def test_held_out_rows_with_another_load_alone_are_refused(healthy):
     bench, table, _ = healthy
     held = bench.table(bench.poses[:4] + 0.1, "tool", 50)
     held = replace(held, load=np.full(len(held.load), "gripper"))
-    with pytest.raises(DataUnusable, match="carries no load that is in the data"):
+    with pytest.raises(DataUnusable, match="carry no load that is in the data"):
         diagnose(table, bench.robot, replace(bench.options, holdout=held))
 
 

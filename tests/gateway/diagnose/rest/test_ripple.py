@@ -44,7 +44,7 @@ def test_ripple_is_named_with_its_order_where_the_angles_determine_it(seed, axis
     size = 5.0 * np.sqrt(2.0) * half_floor(bench.plant, bench.arm.protocol)[axis]
     assert named_ripple.parameters["amplitude_nm"] == pytest.approx(size, abs=4.0 * named_ripple.std["amplitude_nm"])
     assert result.verdict == "explained"
-    words = [finding for finding in result.findings if "orders that were tried" in finding.what]
+    words = [finding for finding in result.findings if "is the best of" in finding.what]
     assert [finding.where for finding in words] == [f"J{axis + 1}"]
     assert "gear ratio" in words[0].advice
 
