@@ -107,7 +107,8 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
             f"loads {', '.join(labels)} were mounted throughout and the unloaded arm is unknown: only link"
             f" {robot.axes} and load together can be identified, in the combinations "
             f"{'; '.join(lumped)}; give a stored bare"
-            " identification (--bare RESULT.json), record the unloaded arm too, or state how far the URDF's inertials are"
+            " identification (--bare RESULT.json), record the unloaded arm too, or state how far "
+            "the URDF's inertials are"
             " trusted (--inertials)"
         )
     std = np.maximum(std, _BLURRED)

@@ -1,1 +1,1 @@
-"""Evidence in motion: effects are added while rows that no fit has seen get better."""
+"""Diagnosis in motion: effects are added while the prediction of held-out rows improves."""

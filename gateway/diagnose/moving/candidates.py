@@ -1,4 +1,4 @@
-"""Which effects are tried on a moving run, and what makes one of them physically possible."""
+"""Candidate effects of a moving run, and limits of their physically possible parameters."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ Floats = NDArray[np.float64]
 
 
 def candidates(problem: MovingProblem, full: MovingFit, allowed: frozenset[str]) -> list[Term]:
-    """Every effect that these rows could show, of the names in `allowed`."""
+    """Return every effect among `allowed` that these rows could show."""
     return terms_in_motion(problem.motion, _setup(problem, full), allowed)
 
 
 def suggested(problem: MovingProblem, full: MovingFit, allowed: frozenset[str]) -> list[Term]:
-    """Effects whose shape the residual of a fit suggests."""
+    """Return effects whose shape the residual of a fit suggests."""
     return terms_by_residual(problem.motion, _setup(problem, full), allowed)
 
 
@@ -28,7 +28,7 @@ def _setup(problem: MovingProblem, full: MovingFit) -> MotionSetup:
 
 
 def possible(problem: MovingProblem, full: MovingFit, term: Term, value: Floats, covariance: Floats) -> bool:
-    """Whether coefficients (k,) mean something physical: the right sign and a size an arm can have."""
+    """Return True if coefficients (k,) are physically possible: sign and size."""
     null, motion = problem.null, problem.motion
 
     def friction_nm(axis: int, columns: Floats, own: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""A model of moving rows, chosen by rows of which those that judge are none."""
+"""Choice of a model of moving rows; the rows that validate it take no part in the choice."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from gateway.model.term import Label
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingKnowledge:
-    """What is known beside the rows.
+    """Prior knowledge of a diagnosis in motion.
 
     Attributes
     ----------
     allowed : names of effects that may be tried
-    trust : relative standard deviation of the CAD values to start with, None = worth nothing
-    free : whether the rows may change the trust
+    trust : initial relative standard deviation of the CAD values, None = CAD values unknown
+    free : True if the rows may change `trust`
     stated : gravity, known loads and torque constants
-    refuted : mistakes that rows which judge have not borne out
+    refuted : mistakes that the held-out rows do not confirm
     """
 
     allowed: frozenset[str]
@@ -43,7 +43,7 @@ class MovingKnowledge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Choice:
-    """A chosen model: the problem with its noise, the fits, the mistakes undone, and the rows as they were read."""
+    """Chosen model: the problem with its noise, the fits, the corrected mistakes, and the uncorrected rows."""
 
     problem: MovingProblem
     state: MovingState
@@ -52,14 +52,14 @@ class Choice:
 
 
 def problem_of(motion: MovingRows, trust: float | None, knowledge: MovingKnowledge) -> MovingProblem:
-    """The problem of rows under a trust of the CAD values, without effects."""
+    """Build the problem of rows without effects, for a relative standard deviation of the CAD values."""
     splits = choosing(motion, MOVING.blocks, frozenset(knowledge.stated.known) | {BARE_LABEL})
     null = null_model(motion, trust, knowledge.stated)
     return with_noise_of(MovingProblem(motion, null, MovingNoise(*np.ones((2, motion.axes))), splits), (), None)
 
 
 def choose(motion: MovingRows, knowledge: MovingKnowledge) -> Choice:
-    """The mistakes, the trust and the effects that the rows want, those that are given left out of everything."""
+    """Choose mistakes, CAD uncertainty and effects from all rows except the held-out ones."""
     problem = as_read = problem_of(motion, knowledge.trust, knowledge)
     mistakes = find_mistakes(problem, knowledge.allowed, knowledge.refuted)
     if mistakes:
@@ -73,7 +73,7 @@ def choose(motion: MovingRows, knowledge: MovingKnowledge) -> Choice:
 
 
 def plain_choice(motion: MovingRows, trust: float | None, knowledge: MovingKnowledge) -> Choice:
-    """The choice of no effect at all."""
+    """Return the choice without effects."""
     problem = problem_of(motion, trust, knowledge)
     return Choice(problem, state_of(problem, ()), (), problem)
 
@@ -81,7 +81,7 @@ def plain_choice(motion: MovingRows, trust: float | None, knowledge: MovingKnowl
 def _under(
     trust: float | None, problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge
 ) -> tuple[MovingProblem, MovingState]:
-    """The choice under another trust: effects that are not needed go; all is open where the links are worth nothing."""
+    """Repeat the choice with another CAD uncertainty: drop unneeded effects; all are open if the links are unknown."""
     if trust is None:
         null = null_model(problem.motion, None, knowledge.stated)
         return select(with_noise_of(replace(problem, null=null), (), None), knowledge.allowed)

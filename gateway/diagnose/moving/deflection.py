@@ -1,4 +1,4 @@
-"""Joint elasticity of a moving run seen by a secondary encoder: the link stands behind the motor by the torque."""
+"""Joint elasticity in motion from a secondary encoder: the wind-up is proportional to the torque."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ Floats = NDArray[np.float64]
 def elastic_joints(
     problem: MovingProblem, state: MovingState, pairs: Sequence[tuple[Mask, Mask]]
 ) -> tuple[EffectResult, ...]:
-    """Elastic joints among those with a secondary encoder.
+    """Report elastic joints among those with a secondary encoder.
 
-    Wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A joint
-    counts where the slope is certain, and foretells the wind-up of rows that were not in its fit: `pairs` of fitted and
-    judged ones.
+    The wind-up is regressed on the modelled torque of the links, with a constant for the zeros of the two encoders. A
+    joint is reported if the slope is significant and predicts the wind-up of rows that were not in its fit; `pairs` are
+    fitted and held-out rows.
     """
     motion = problem.motion
     found = []
@@ -46,7 +46,7 @@ def elastic_joints(
 
 
 def _foretold(pairs: Sequence[tuple[Mask, Mask]], design: Floats, bend: Floats) -> float:
-    """RMS of the wind-up that is left on unseen rows, with the torque over without it."""
+    """Ratio of the held-out RMS of the wind-up with the torque to that without it."""
     squares = np.zeros(2)
     for train, test in pairs:
         for place, columns in enumerate((design, design[:, 1:])):

@@ -1,8 +1,8 @@
-"""Diagnosis of moving runs: what the model lacks, chosen by some rows and judged on others that chose nothing.
+"""Diagnosis of moving runs: effects are chosen with some rows and validated with rows that took no part.
 
-The noise floor of a moving run is unknown unless its motion repeats; elsewhere the best verdict is `improved`. Errors
-are those of rows in which the axis moves (friction at a standstill is a set); how many those are stands in the
-provenance.
+The noise floor of a moving run is unknown unless its motion repeats; without repeats the best verdict is `improved`.
+Errors are evaluated on rows in which the axis moves, because static friction has no unique value. The provenance states
+the number of these rows.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ Floats = NDArray[np.float64]
 
 
 def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
-    """Find what the model lacks on moving rows.
+    """Find the effects that the model lacks on moving rows.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     Raises
     ------
     DataUnusable
-        No axis moves while its torque is measured, or the hold-out has only loads nothing is known of.
+        No axis moves while its torque is measured, or the hold-out rows have unknown loads only.
     InputError
         A known load that is not in the data.
     ConfigError
@@ -92,7 +92,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
 
 
 def _written(outcome: MovingOutcome, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
-    """The result, its loads from the fit of an estimate: without effects, and with those that the answer has."""
+    """Build the result, with loads from an estimate without effects and from one with the named effects."""
     problem, state = outcome.told
     sound = undo(table, [mistake for mistake, _ in outcome.mistakes])
     knowledge, delay_s = _told_to_fit(robot, options, problem.null.trust), problem.motion.delay_s
@@ -101,7 +101,7 @@ def _written(outcome: MovingOutcome, table: Table, robot: Robot, options: Diagno
 
 
 def _told_to_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) -> Knowledge:
-    """What a fit knows besides the rows, the CAD values trusted as the options say or else as the rows let it."""
+    """Knowledge for a fit: CAD uncertainty from the options, else as chosen from the rows."""
     inertials = options.inertials
     if inertials is None:
         usual = trust == MOVING.usual_trust or not has_inertials(robot)
@@ -110,7 +110,7 @@ def _told_to_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) ->
 
 
 def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Judges]:
-    """The model that all rows choose which may, and those by which it is judged."""
+    """Return the model chosen from all fitted rows, and the choices that the held-out rows validate."""
     found = choose(motion, knowledge)
     if motion.held_out.any():
         return found, Judges((found,))
@@ -119,7 +119,7 @@ def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Jud
 
 
 def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> MovingOutcome:
-    """The effects that their odds and the rows that judge bear out, and the others."""
+    """Divide the effects into those that odds and held-out rows confirm, and others."""
     problem, state = found.problem, found.state
     chosen = [
         replace(item, held=judges.effect(item.label, item.axes(problem.motion.axes), problem.noise.sigma_nm))
@@ -155,7 +155,7 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
 
 
 def _told(problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge) -> tuple[MovingProblem, MovingState]:
-    """The model that the answer is read from: a drawing that the rows do not contradict is no better than usual."""
+    """Return the model for the reported values, with the usual CAD uncertainty if the rows do not contradict it."""
     trust = problem.null.trust
     if not knowledge.free or trust is None or trust >= MOVING.usual_trust:
         return problem, state
@@ -164,13 +164,13 @@ def _told(problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge
 
 
 def _allowed(options: DiagnoseOptions) -> frozenset[str]:
-    """Names that may be tried: a factor between peak and effective current is found as a scale."""
+    """Names of effects to try; a factor between peak and rms current is found as a scale."""
     peak = "current_rms_peak" in options.only and "current_rms_peak" not in options.without
     return options.allowed | {"torque_constant_scale"} if peak else options.allowed
 
 
 def _foretold(motion: MovingRows, known: Collection[str]) -> MovingRows:
-    """Hold-out rows under a load that is neither fitted nor known cannot be foretold: they are not judged."""
+    """Exclude hold-out rows whose load is neither fitted nor known: they cannot be predicted."""
     seen = [BARE_LABEL, *known, *np.unique(motion.load[~motion.held_out])]
     strange = motion.held_out & ~np.isin(motion.load, seen)
     if not strange.any():
@@ -178,14 +178,14 @@ def _foretold(motion: MovingRows, known: Collection[str]) -> MovingRows:
     rest = motion.held_out & ~strange
     if not rest.any():
         raise DataUnusable(
-            f"--holdout: load {motion.load[strange][0]} is not in the data that are fitted; give it with --known, or"
-            " hold out rows under a load that is"
+            f"--holdout: load {motion.load[strange][0]} is not in the fitted data; state it with --known, or"
+            " hold out rows under a fitted load"
         )
     return replace(motion, judged=motion.judged & ~strange[:, None])
 
 
 def _trust(robot: Robot, inertials: str | None) -> tuple[float | None, bool]:
-    """Trust of the CAD values to start with, and whether the data may change it."""
+    """Initial relative standard deviation of the CAD values, and True if the data may change it."""
     if inertials == "ignore" or not has_inertials(robot):
         return None, False
     if inertials is None:

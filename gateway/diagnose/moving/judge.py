@@ -1,8 +1,8 @@
-"""What a chosen model is worth on rows that had no part in the choice.
+"""Validation of a chosen model on rows that took no part in the choice.
 
-Rows that were given judge the model that was chosen without them. Where none were given, outer blocks of time judge in
-turn, each a model that was chosen anew without it; of an effect of the final model counts there what the block's own
-choice has of it. These rows have a veto and nothing else: they choose no effect, no shape and no parameter.
+User-given hold-out rows validate the model chosen without them. Without such rows, outer blocks of time are held out in
+turn, each validating a model chosen without it. An effect of the final model then counts to the extent that the block's
+own choice contains it. Held-out rows can only reject: they choose no effect, shape or parameter.
 """
 
 from __future__ import annotations
@@ -26,26 +26,26 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judges:
-    """The choices that rows judge which they have not seen: one where rows were given, else one an outer block."""
+    """Choices with the rows that validate them: one for user-given rows, else one per outer block."""
 
     choices: tuple[Choice, ...]
 
     @property
     def pairs(self) -> list[tuple[NDArray[np.bool_], NDArray[np.bool_]]]:
-        """(fitted, judged) rows of each."""
+        """(fitted, held-out) rows of each choice."""
         motions = [choice.problem.motion for choice in self.choices]
         return [(~motion.held_out & motion.judged.any(axis=1), motion.held_out) for motion in motions]
 
     def before(self) -> Held:
-        """What the model without effects leaves, mistakes as they were read."""
+        """Held-out residuals of the model without effects, with uncorrected mistakes."""
         return _joined([(choice.as_read, _residual(choice.as_read, ())) for choice in self.choices])
 
     def plain(self) -> Held:
-        """The same with the mistakes undone."""
+        """Held-out residuals of the model without effects, with corrected mistakes."""
         return _joined([(choice.problem, _residual(choice.problem, ())) for choice in self.choices])
 
     def after(self, labels: Collection[Label]) -> Held:
-        """What the choices leave, of their effects those with these labels."""
+        """Held-out residuals of the choices, with those of their effects that have these labels."""
         parts = []
         for choice in self.choices:
             kept = [term for term in choice.state.terms if term.label in labels]
@@ -57,7 +57,7 @@ class Judges:
     def effect(
         self, label: Label, axes: Sequence[int], sigma_nm: Floats, instead: Sequence[Term] | None = None
     ) -> HeldRatio:
-        """Ratio of what the choices leave with one effect, or others `instead`, to what they leave without it."""
+        """Held-out RMS ratio with one effect, or others `instead`, to that without it."""
         with_it, without = [], []
         for choice in self.choices:
             problem, whole = choice.problem, choice.state.full.residual_nm
@@ -68,7 +68,7 @@ class Judges:
         return held_ratio(_joined(without), _joined(with_it), axes, sigma_nm)
 
     def ratios(self, terms: Sequence[Term]) -> list[float]:
-        """Held-out ratio of each of some effects that no choice has, beside all that it has; NaN where not to tell."""
+        """Held-out RMS ratio of each effect that no choice contains; NaN where it cannot be determined."""
         squares = np.zeros((len(terms), 2))
         for choice in self.choices:
             problem, full = choice.problem, choice.state.full
@@ -81,7 +81,7 @@ class Judges:
         return [float(np.sqrt(now / was)) if was > 0 else 1.0 for was, now in squares]
 
     def mistake(self, mistake: MovingMistake) -> HeldRatio:
-        """Ratio of what is left of the torque with one mistake undone to what is left as it was read."""
+        """Residual ratio of the torque with one mistake corrected to that without the correction."""
         as_read, undone = [], []
         for choice in self.choices:
             others = [other for other in choice.mistakes if other.label != mistake.label]
@@ -107,7 +107,7 @@ def _share_left(problem: MovingProblem) -> Floats:
 
 
 def _joined(parts: Sequence[tuple[MovingProblem, Floats]]) -> Held:
-    """Residuals of the rows that judge, each from its own choice."""
+    """Join the residuals of the held-out rows, each from its own choice."""
     first = parts[0][0].motion
     residual, counted = np.zeros_like(first.tau_nm), np.zeros_like(first.judged)
     for problem, left in parts:

@@ -1,8 +1,8 @@
-"""Torque that a drive reports later than the position: put to the motion that it belongs to before anything is fitted.
+"""Alignment of torque that a drive reports later than the position, before any fit.
 
-The filter of a drive's torque lags some milliseconds. Every arm has that, so it is no effect; left in, what it changes
-repeats in every period, and would pass for something that the model lacks. The delay is the one that an estimation of
-the same rows finds, among all else that every arm has.
+The torque filter of a drive delays by some milliseconds. Every arm has this delay, so it is no effect to report. If
+uncorrected, its error would repeat in every period and look like a missing effect. The delay is taken from an estimate
+of the same rows with all nuisance parameters.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _OF_AXES: Final = ("speed_rad_s", "floor_nm")
 
 
 def lags(table: Table, robot: Robot, options: DiagnoseOptions) -> Floats:
-    """By how much the torque of each axis (N,) is reported late [s]; 0 where no delay is certain.
+    """Delay (N,) [s] of each axis's torque against its position; 0 where no delay is significant.
 
-    Links are free in that fit: a delay must not make up for a drawing.
+    The links are free in that fit, so that a delay cannot compensate for wrong CAD values.
     """
     moving = table.take(table.moving)
     told = EstimateOptions(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
@@ -59,9 +59,9 @@ def prepare_in_step(
     delay_s: Floats,
     largest: float = LARGEST,
 ) -> MovingRows:
-    """Rows as `prepare` makes them, each axis's torque with the motion of its own `delay_s` (N,) earlier.
+    """Prepare rows with each axis's torque assigned to the motion `delay_s` (N,) earlier.
 
-    It is the motion that is moved, which is smooth: a torque jumps where an axis turns back.
+    The motion is shifted, not the torque, because the motion is smooth and torque jumps at a reversal.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def _columns_of(then: MovingRows, now: MovingRows, name: str, mine: NDArray[np.b
 
 
 def _earlier(table: Table, delay_s: float) -> Table:
-    """The table with the motion of its moving rows by `delay_s` earlier."""
+    """Return the table with the motion of its moving rows taken `delay_s` earlier."""
     rows = np.flatnonzero(table.moving)
     runs = np.char.add(np.char.add(np.asarray(table.file, dtype=str), "\x00"), table.run.astype(str))
     stretches = Stretches.of(runs[rows], table.time_s[rows])

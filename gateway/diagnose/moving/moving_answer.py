@@ -36,9 +36,9 @@ class MovingAnswer:
 
 
 def answer_of(table: Table, robot: Robot, knowledge: Knowledge, terms: Sequence[Term], delay_s: Floats) -> MovingAnswer:
-    """Fit the moving rows of a table with the effects `terms`, whose torque was reported `delay_s` (N,) late.
+    """Fit the moving rows of a table with the effects `terms` and torque delays `delay_s` (N,).
 
-    A table that cannot be fitted gives no load: each is refused with the reason.
+    If the table cannot be fitted, every load is refused with the reason.
     """
     moving = table.take(table.moving)
     knowledge, effects = knowledge.of_loads(moving.load), None

@@ -10,14 +10,14 @@ from gateway.identify.tuned_number import RUNS, threshold
 
 @dataclass(frozen=True, slots=True)
 class Demands:
-    """What an effect must show.
+    """Thresholds for the acceptance of an effect.
 
     Attributes
     ----------
-    ratio : held-out RMS of its axes with it over without it, at most
-    p_demand : probability that the fitted rows demand it by chance, times the candidates tried, at most
-    p_held : probability that the held-out error drops by chance, at most
-    blocks_better : share of the held-out blocks that get better, at least
+    ratio : largest ratio of the held-out RMS of its axes with the effect to that without it
+    p_demand : largest p-value on the fitted rows, times the number of tried candidates
+    p_held : largest p-value of the drop of the held-out error
+    blocks_better : smallest share of held-out blocks that improve
     """
 
     ratio: float
@@ -32,102 +32,118 @@ class MovingThresholds:
 
     # rows
     blocks: int = threshold(
-        6, "", "blocks of time held out in turn", "each still holds every axis both ways in a run of 10 s"
+        6, "", "blocks of time held out in turn", "in a run of 10 s each contains both directions of every axis"
     )
     judged_blocks: int = threshold(
-        4, "", "outer blocks that judge in turn", "three quarters of the rows are left to choose a model by"
+        4, "", "outer blocks held out in turn for validation", "three quarters of the rows remain to choose a model"
     )
     several_runs: int = threshold(
-        3, "", "runs from which on one may be held out whole", "two are left, which show what changes from run to run"
+        3, "", "number of runs from which a whole run may be held out", "the two others show the changes between runs"
     )
-    fewest_rows: int = threshold(60, "", "rows below which nothing is held out", "ten a block")
+    fewest_rows: int = threshold(60, "", "smallest number of rows for holding out any", "ten per block")
     shortest_s: float = threshold(
-        2.0, "s", "run below which nothing is held out", "some ten correlation times of a drive's current"
+        2.0, "s", "shortest run for holding out any rows", "about ten correlation times of a drive's current"
     )
     # what is named
-    ordinary: Demands = threshold(Demands(0.90, 5e-3, 0.02, 0.5), "", "demands on effects that any gear has", RUNS)
-    special: Demands = threshold(Demands(0.70, 1e-3, 0.02, 0.75), "", "demands on a fault or an extra part", RUNS)
+    ordinary: Demands = threshold(Demands(0.90, 5e-3, 0.02, 0.5), "", "acceptance of effects that every gear has", RUNS)
+    special: Demands = threshold(Demands(0.70, 1e-3, 0.02, 0.75), "", "acceptance of a fault or an extra part", RUNS)
     special_all_axes: Demands = threshold(
-        Demands(0.85, 1e-3, 0.02, 0.75), "", "the same where it shows on more than two axes", RUNS
+        Demands(0.85, 1e-3, 0.02, 0.75),
+        "",
+        "acceptance of a fault or an extra part that acts on more than two axes",
+        RUNS,
     )
-    rare: float = threshold(
-        30.0, "", "odds beforehand of another shape of friction over a fault or an extra part", RUNS
-    )
+    rare: float = threshold(30.0, "", "prior odds of another friction curve against a fault or an extra part", RUNS)
     sure_odds: float = threshold(10.0, "", "odds below which a runner-up contests an effect", RUNS)
-    largest_model: int = threshold(60, "", "terms of one model", "more than any arm has: keeps the search finite")
+    largest_model: int = threshold(
+        60, "", "largest number of terms of a model", "more than any arm has; limits the search"
+    )
     runners: int = threshold(
-        12, "", "candidates weighed in the place of an effect, and judged first as the next one", RUNS
+        12, "", "number of candidates compared with an effect, and tried first as the next one", RUNS
     )
     lead: float = threshold(
-        5.0, "log likelihood", "by which another law has to do better on held-out rows than a plainer one", RUNS
+        5.0, "log likelihood", "smallest gain on held-out rows of a complex friction law over a simpler one", RUNS
     )
     coupling_slack: float = threshold(
         4.0,
         "cost",
-        "by which a coupling has to fit better than one to one",
+        "smallest improvement of a fitted coupling over a one-to-one coupling",
         "two standard deviations of the coefficient",
     )
-    certain_scale: float = threshold(4.0, "std", "distance of a scale from 1 that is a failing finding", RUNS)
+    certain_scale: float = threshold(4.0, "std", "deviation of a scale from 1 that gives a failing finding", RUNS)
     # what is left
     structure_ratio: float = threshold(
-        0.87, "", "held-out ratio of a shape without a cause at which structure remains", RUNS
+        0.87, "", "held-out ratio of an unnamed torque curve below which structure remains", RUNS
     )
     structure_p: float = threshold(
         1e-3,
         "",
-        "probability that it does so by chance",
+        "p-value below which structure remains",
         "one false alarm in a thousand, over seven shapes and six axes one in twenty",
     )
     near_floor: float = threshold(
         1.41,
         "",
-        "held-out RMS over the noise between periods up to which it is noise, beside two of its standard deviations",
-        "what repeats is as large as the noise: friction next to standstill, which no model foretells, reaches 1.35",
+        "largest held-out RMS over the noise between periods that counts as noise, plus two standard deviations",
+        "the repeating error is then as large as the noise; unmodelled friction near standstill reaches 1.35",
     )
     overfitted: float = threshold(
         2.0,
         "",
-        "held-out over fitted RMS at which the motion is too poor",
+        "ratio of held-out to fitted RMS above which the motion is not rich enough",
         "held-out variance four times that of the fit",
     )
-    quiet: float = threshold(0.1, "", "share of the mean square that a quiet stretch counts beside its own", RUNS)
+    quiet: float = threshold(
+        0.1, "", "share of the mean square that is added to each stretch, so that small ones count little", RUNS
+    )
     # commissioning mistakes
     mistake: float = threshold(
         4.0,
         "std",
-        "power of friction below zero that reads a torque with the wrong sign",
-        "six axes, one false alarm in five thousand",
+        "negative friction power that proves a reversed torque sign",
+        "one false alarm in five thousand arms of six axes",
     )
     halved: float = threshold(
-        0.5, "", "held-out ratio that undoing a mistake must reach", "a mistake leaves residuals as large as the torque"
+        0.5,
+        "",
+        "largest held-out ratio of the correction of a mistake",
+        "a mistake leaves residuals as large as the torque",
     )
     right_way: float = threshold(
-        2.0, "std", "power of friction above zero in one run that proves the sign of its torque", "one in forty"
+        2.0, "std", "positive friction power in one run that proves a correct torque sign", "one error in forty"
     )
     explained: float = threshold(
-        0.1, "", "share of an axis's torque that is left of one that may be another axis's", RUNS
+        0.1, "", "largest share of an axis's torque not explained by another axis, for a suspected swap", RUNS
     )
-    most_mistakes: int = threshold(3, "", "mistakes of one arm", "two wrong drives and one cable")
+    most_mistakes: int = threshold(3, "", "largest number of mistakes of one arm", "two wrong drives and one cable")
     # secondary encoders
-    wind_up: float = threshold(6.0, "std", "compliance by a secondary encoder that is named", RUNS)
+    wind_up: float = threshold(6.0, "std", "smallest significant compliance from a secondary encoder", RUNS)
     wind_up_ratio: float = threshold(
-        0.7, "", "held-out ratio of the wind-up with the torque over without it", "as demands on an extra part"
+        0.7, "", "largest ratio of the held-out wind-up with the torque to that without it", "as for an extra part"
     )
-    largest_wind_up_rad: float = threshold(0.05, "rad", "beyond which the encoders do not belong together", "3 degrees")
-    # trust in the drawing of the links
+    largest_wind_up_rad: float = threshold(
+        0.05, "rad", "largest wind-up; above it the encoders do not belong to one joint", "3 degrees"
+    )
+    # uncertainty of the CAD values of the links
     usual_trust: float = threshold(
-        0.05, "", "relative error of drawings that is usual", "CAD against weighed links: a few percent"
+        0.05, "", "usual relative error of CAD link values", "CAD against weighed links: a few percent"
     )
     first_trust: float = threshold(
-        0.02, "", "trust to search with: at the usual one the links stretch to swallow a balancer", RUNS
+        0.02, "", "CAD error assumed in the search; with the usual one the links could absorb a balancer", RUNS
     )
-    usual_factor: float = threshold(2.0, "", "factor by which a drawing may be worse, one standard deviation", RUNS)
-    worthless: float = threshold(0.5, "", "error at which a drawing tells nothing", "links that may be half or double")
-    contradicted: float = threshold(3.0, "log odds", "against a tighter trust than the data like best", "log of 20")
+    usual_factor: float = threshold(2.0, "", "factor by which CAD values may be worse (one standard deviation)", RUNS)
+    worthless: float = threshold(
+        0.5, "", "relative error from which CAD values are not used", "links that may be half or double"
+    )
+    contradicted: float = threshold(
+        3.0, "log odds", "log odds against a smaller CAD error than the best one, for rejecting it", "log of 20"
+    )
     loose_mass: float = threshold(
-        0.5, "", "relative standard deviation at which a mass is unknown", "a load that may be half or double is none"
+        0.5, "", "relative standard deviation at which a mass is unknown", "the load may have half or double the mass"
     )
-    next_to_nothing: float = threshold(0.05, "", "as at rest: up to here a mass about 0 is told", "as at rest")
+    next_to_nothing: float = threshold(
+        0.05, "", "largest standard deviation for reporting a mass near 0, over the moved mass", "as at rest"
+    )
     loose_com_m: float = threshold(
         0.3,
         "m",

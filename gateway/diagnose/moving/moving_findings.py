@@ -1,4 +1,4 @@
-"""What is found on moving rows, and what is said of it in words: findings, and what to measure next."""
+"""Findings and recommended measurements of a diagnosis in motion."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingOutcome:
-    """Everything the result file is written from.
+    """All inputs of the result file.
 
-    `doubtful` effects are contested, `unproven` ones were not borne out by the rows that judge; `rejected` have their
-    held-out ratio. `told` is the model that loads and parameters are read from. `held_before`, `held_after`: what is
-    left of rows that chose nothing.
+    `doubtful` effects are contested by a rival; `unproven` ones were not confirmed by the held-out rows; `rejected`
+    have their held-out ratio. `told` is the model of the reported loads and parameters. `held_before`, `held_after` are
+    the held-out residuals.
     """
 
     told: tuple[MovingProblem, MovingState]
@@ -51,7 +51,7 @@ class MovingOutcome:
 
 
 def rms_of(state: MovingState) -> Floats:
-    """RMS (N,) [Nm] of what a model leaves of the fitted rows; NaN where there are none."""
+    """RMS (N,) [Nm] of the residual of a model on the fitted rows; NaN where there are none."""
     counted = state.full.weight > 0
     count = counted.sum(axis=0)
     square = (state.full.residual_nm**2 * counted).sum(axis=0)
@@ -59,16 +59,16 @@ def rms_of(state: MovingState) -> Floats:
 
 
 def does_not_carry(outcome: MovingOutcome) -> bool:
-    """The model fits the rows but not those held out: the motion is too poor for what is to be estimated."""
+    """Return True if the model fits the fitted rows but not the held-out ones: the motion is not rich enough."""
     fitted, held = rms_of(outcome.after), outcome.held_after.rms_nm
     there = (fitted > 0) & np.isfinite(held)
     return bool(there.any() and np.median(held[there] / fitted[there]) > MOVING.overfitted)
 
 
 def above_floor(outcome: MovingOutcome) -> Mapping[int, float]:
-    """Axes (from 0) whose held-out RMS is more than what differs between periods, with the ratio of both.
+    """Axes (from 0) whose held-out RMS exceeds the difference between periods, with the ratio of both.
 
-    Empty where nothing repeats: the noise is unknown there.
+    Empty if nothing repeats, because the noise is then unknown.
     """
     problem, held = outcome.problem, outcome.held_after
     floor = problem.motion.floor_nm
@@ -79,7 +79,7 @@ def above_floor(outcome: MovingOutcome) -> Mapping[int, float]:
 
 
 def floor_known(outcome: MovingOutcome) -> bool:
-    """Whether the noise of every axis that is judged is known from motion that repeats."""
+    """Return True if the noise of every tested axis is known from repeated motion."""
     motion = outcome.problem.motion
     return bool(np.isfinite(motion.floor_nm[motion.measured]).all())
 
@@ -89,7 +89,7 @@ def _where(item: Chosen) -> str:
 
 
 def tell_apart(item: Chosen) -> NextMeasurement:
-    """A run that tells an effect from its runner-up."""
+    """Recommend a run that separates an effect from its runner-up."""
     names = [item.terms[0].name]
     if item.runner_up is not None:
         names.append(item.runner_up.term.name)
@@ -99,10 +99,10 @@ def tell_apart(item: Chosen) -> NextMeasurement:
 
 
 def richer(outcome: MovingOutcome, any_effect: bool) -> tuple[NextMeasurement, ...]:
-    """A longer run, where nothing was found and the rows held out are not foretold."""
+    """Recommend a longer run if no effect was found and held-out rows are not predicted."""
     if any_effect or not does_not_carry(outcome):
         return ()
-    what = "a longer moving run over the whole range of every axis; the rows held out are not foretold by the others"
+    what = "a longer moving run over the whole range of every axis; the held-out rows are not predicted by the others"
     return (NextMeasurement(what),)
 
 
@@ -116,32 +116,32 @@ def faults(effects: tuple[EffectResult, ...]) -> tuple[Finding, ...]:
 
 
 def remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
-    """What else has to be known: axes that say nothing, structure that is left, what was not borne out."""
+    """Report unmeasured axes, remaining structure and unconfirmed effects."""
     motion = outcome.problem.motion
     found = [
-        Finding("warn", f"J{axis + 1}", "the axis does not move or is not measured: nothing is said about it")
+        Finding("warn", f"J{axis + 1}", "the axis does not move or is not measured: no result for it")
         for axis in np.flatnonzero(~motion.measured)
     ]
     found += [
-        Finding("info", f"J{axis + 1}", f"the residual still hangs on the motion (held-out ratio {ratio:.2f})")
+        Finding("info", f"J{axis + 1}", f"the residual still depends on the motion (held-out ratio {ratio:.2f})")
         for axis, ratio in outcome.structure.items()
     ]
     found += [
         Finding(
             "info",
             f"J{axis + 1}",
-            f"the error on unseen motion is {ratio:.2f} times what differs between two periods of the same motion: the"
-            " model lacks something there that repeats",
+            f"the error on unseen motion is {ratio:.2f} times the difference between periods of the same motion: the"
+            " model lacks an effect that repeats",
         )
         for axis, ratio in above_floor(outcome).items()
     ]
-    found += [Finding("info", _where(item), f"{_why_not(item)}: not believed") for item in outcome.unproven]
+    found += [Finding("info", _where(item), f"{_why_not(item)}: not reported") for item in outcome.unproven]
     found += [
         Finding(
             "warn",
             " ".join(f"J{joint}" for joint in joints),
-            f"{MISTAKES[name][0]}: suspected, and not borne out by the rows that chose nothing",
-            "check the sign and the place of its torque",
+            f"{MISTAKES[name][0]}: suspected, but not confirmed by the held-out rows",
+            "check the torque sign and the wiring of these axes",
         )
         for name, joints in sorted(outcome.refuted)
     ]
@@ -150,9 +150,10 @@ def remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
             Finding(
                 "warn",
                 "--holdout",
-                f"its rows are left by more than {MOVING.overfitted:g} times what the fitted ones are: another robot,"
-                " another load or state, or too poor a motion; no figure on them speaks for the model",
-                "hold out a run of the same robot under a load that is fitted",
+                f"the residual of its rows is more than {MOVING.overfitted:g} times that of the "
+                "fitted rows: another robot,"
+                " another load or state, or too little motion; the model is not validated on them",
+                "hold out a run of the same robot under a fitted load",
             )
         )
     if outcome.effects:
@@ -168,12 +169,13 @@ def remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
 
 
 def edge_findings(effects: Sequence[EffectResult]) -> list[Finding]:
-    """Parameters with no standard deviation because they lie at the edge of what is tried."""
+    """Report parameters without standard deviation because they are at a limit of the tried range."""
     return [
         Finding(
             "info",
             " ".join(f"J{joint}" for joint in effect.joints),
-            f"{key} of {LIBRARY[effect.name].words} lies at the edge of what was tried, the true one perhaps beyond it",
+            f"{key} of {LIBRARY[effect.name].words} is at the limit of the tried range; the true "
+            "value may be beyond it",
         )
         for effect in effects
         for key, std in effect.std.items()
@@ -182,14 +184,14 @@ def edge_findings(effects: Sequence[EffectResult]) -> list[Finding]:
 
 
 def _why_not(item: Chosen) -> str:
-    """Why an effect that the fitted rows want is not named."""
+    """Reason why an effect that the fitted rows support is not reported."""
     words, held = LIBRARY[item.terms[0].name].words, item.held
     if not held.below_one:
         return (
-            f"{words} fits the rows, but does not foretell those that chose nothing (held-out ratio {held.value:.2f},"
+            f"{words} fits the rows, but does not predict the held-out rows (held-out ratio {held.value:.2f},"
             f" 95 % {held.low:.2f} to {held.high:.2f})"
         )
     if item.runner_up is None:
-        return f"{words} is not worth what it has to be beforehand (odds {item.odds:.2g})"
+        return f"{words} has too little evidence for its prior probability (odds {item.odds:.2g})"
     other = LIBRARY[item.runner_up.term.name].words
-    return f"{words} fits the rows hardly better than {other}, which is not believed itself (odds {item.odds:.2g})"
+    return f"{words} fits the rows barely better than {other}, which is not accepted either (odds {item.odds:.2g})"

@@ -1,8 +1,8 @@
-"""Commissioning mistakes that a moving run shows by itself: a torque with the wrong sign, two axes swapped.
+"""Commissioning mistakes in a moving run: reversed torque sign, two swapped axes.
 
-Friction takes power. An axis whose fitted friction gives power reads its torque with the wrong sign. Two swapped axes
-explain each other's torque far better than their own. Either is believed only if undoing it helps for sure on rows held
-out, and a sign only if friction turns with it in every run.
+Friction dissipates power. If the fitted friction of an axis generates power, its torque sign is reversed. Two swapped
+axes explain each other's torque far better than their own. A mistake is accepted only if its correction improves
+held-out rows significantly, and a sign only if friction reverses with it in every run.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class MovingMistake:
 def find_mistakes(
     problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[Label] = frozenset()
 ) -> list[MovingMistake]:
-    """Mistakes in the order in which they were found, each with those before it undone; none that is `refuted`."""
+    """Find mistakes one after the other, each with the previous ones corrected; `refuted` ones are excluded."""
     found: list[MovingMistake] = []
     for _ in range(MOVING.most_mistakes):
         best = _worst(problem, allowed, refuted)
@@ -62,7 +62,7 @@ def find_mistakes(
 
 
 def undo(motion: Read, mistakes: Sequence[MovingMistake]) -> Read:
-    """The run as it would read without the mistakes."""
+    """Return the run with the mistakes corrected."""
     tau = motion.tau_nm.copy()
     for mistake in mistakes:
         if mistake.name == "axes_swapped":
@@ -73,7 +73,7 @@ def undo(motion: Read, mistakes: Sequence[MovingMistake]) -> Read:
 
 
 def _worst(problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[Label]) -> MovingMistake | None:
-    """The mistake whose undoing lowers the held-out error most, of those that lower it for sure."""
+    """Return the mistake whose correction reduces the held-out error most, among significant ones."""
     neutral = _with_neutral_noise(problem)
     now = fit(neutral, (), ~problem.motion.held_out, problem.motion.held_out)
     judged = []
@@ -87,7 +87,7 @@ def _worst(problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[L
 
 
 def _suspects(problem: MovingProblem, now: MovingFit, allowed: frozenset[str]) -> Iterator[tuple[MovingMistake, float]]:
-    """Mistakes that the fitted rows suggest, with the held-out ratio that undoing each must reach."""
+    """Mistakes that the fitted rows suggest, each with the held-out ratio that its correction must reach."""
     axes = [int(axis) for axis in np.flatnonzero(problem.motion.measured)]
     everything = ~problem.motion.held_out
     for axis in axes if "sign_reversed" in allowed else ():
@@ -102,13 +102,13 @@ def _suspects(problem: MovingProblem, now: MovingFit, allowed: frozenset[str]) -
 
 
 def _share_left(problem: MovingProblem, now: MovingFit, axis: int) -> float:
-    """Residual of an axis over its torque, both RMS over the rows that may be fitted."""
+    """RMS residual of an axis over its RMS torque, on the rows that may be fitted."""
     rows = now.weight[:, axis] > 0
     return float(np.sqrt(np.mean(now.residual_nm[rows, axis] ** 2) / np.mean(problem.motion.tau_nm[rows, axis] ** 2)))
 
 
 def _right_in_a_run(problem: MovingProblem, axis: int) -> bool:
-    """Whether friction takes power for sure in some run: a reversed sign would turn it in all of them."""
+    """Return True if friction significantly dissipates power in some run; a reversed sign would invert it in all."""
     motion = problem.motion
     for number in np.unique(motion.run[~motion.held_out]):
         rows = (motion.run == number) & ~motion.held_out
@@ -120,7 +120,7 @@ def _right_in_a_run(problem: MovingProblem, axis: int) -> bool:
 
 
 def _with_neutral_noise(problem: MovingProblem) -> MovingProblem:
-    """Weights from the size of the torque alone: a mistake must not choose its own."""
+    """Set the weights from the size of the torque only, so that a mistake cannot affect its own weight."""
     motion = problem.motion
     power = (motion.tau_nm**2 * motion.judged).sum(axis=0) / np.maximum(motion.judged.sum(axis=0), 1)
     sigma = 0.1 * np.sqrt(np.where(power > 0, power, 1.0))
@@ -132,7 +132,7 @@ def _undone(problem: MovingProblem, mistake: MovingMistake) -> MovingProblem:
 
 
 def _friction_power(problem: MovingProblem, solved: MovingFit, axis: int) -> float:
-    """Mean power of the fitted friction of one axis in its own standard deviations."""
+    """Mean power of the fitted friction of one axis over its standard deviation."""
     motion = problem.motion
     rows = solved.weight[:, axis] > 0
     speed = np.abs(motion.qd_rad_s[rows, axis])
@@ -152,7 +152,7 @@ def _takes_power(problem: MovingProblem, mistake: MovingMistake) -> bool:
 def _ratio(
     problem: MovingProblem, now: MovingFit, mistake: MovingMistake, train: NDArray[np.bool_], test: NDArray[np.bool_]
 ) -> float:
-    """RMS with the mistake undone over RMS as it reads, geometric mean over all axes of the mistake, on `test`."""
+    """RMS ratio with the mistake corrected to that without, geometric mean over its axes, on `test`."""
     other = _undone(problem, mistake)
     solved = fit(other, (), train, test)
     logs = []
@@ -165,9 +165,9 @@ def _ratio(
 
 
 def _held_ratio(problem: MovingProblem, mistake: MovingMistake) -> tuple[HeldRatio, float]:
-    """Held-out RMS, each axis over its own torque, undone over as it reads, and the log likelihood gained.
+    """Held-out RMS ratio with correction to that without, each axis over its torque; log likelihood gained.
 
-    Of the pair's axes, or of all for one sign.
+    Over the two swapped axes, or over all axes for one sign.
     """
     motion = problem.motion
     sides = []

@@ -1,9 +1,8 @@
-"""Noise of a moving run: its scale on every axis, and the share of rows that count.
+"""Noise of a moving run: scale of each axis, and share of independent rows.
 
-Residuals of a moving run hang together over time, so n rows are worth far fewer: each axis's weight carries the share
-of rows that count (integrated autocorrelation). The noise scale of an axis comes from a fit of that axis alone, free of
-all the others: taken from the residual of the very model on trial, the weights would switch off the axis that shows
-what is missing.
+Residuals of a moving run are autocorrelated, so n rows count as far fewer. The weight of each axis contains the share
+of independent rows (integrated autocorrelation). The noise scale of an axis comes from a fit of that axis alone. A
+scale from the residual of the tested model would reduce the weight of the very axis that lacks an effect.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ NOTHING_NM = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingNoise:
-    """Scale of the residual (N,) [Nm] and the share (N,) of rows that count."""
+    """Noise scale (N,) [Nm] of the residual, and share (N,) of independent rows."""
 
     sigma_nm: Floats
     share: Floats
@@ -39,7 +38,7 @@ class MovingNoise:
 
 
 def noise_of(motion: MovingRows, columns: Columns, terms: Sequence[Term], modelled: Modelled | None) -> MovingNoise:
-    """Scale and share of each axis from a fit of that axis alone; unmeasured axes get 1 and 1."""
+    """Scale and share of each axis from a fit of that axis alone; 1 and 1 for unmeasured axes."""
     sigma, share = np.ones((2, motion.axes))
     for axis in np.flatnonzero(motion.measured):
         more = []
@@ -74,7 +73,7 @@ def axis_alone(motion: MovingRows, columns: Columns, axis: int, more: Sequence[F
 
 
 def scaled_to(problem_noise: MovingNoise, residual_nm: Floats, judged: Mask) -> MovingNoise:
-    """The same noise, its common scale raised to what the model as a whole leaves (median over the axes)."""
+    """Return the noise with its common scale raised to the residual of the whole model (median over the axes)."""
     count = judged.sum(axis=0)
     there = count > 0
     square = (residual_nm**2 * judged).sum(axis=0)[there] / count[there]

@@ -1,7 +1,7 @@
-"""The result file of a diagnosis of moving runs.
+"""Result file of a diagnosis of moving runs.
 
-What differs between two periods of the same motion is the noise floor; where nothing repeats it is unknown, and the
-best verdict is `improved`.
+The noise floor is the difference between two periods of the same motion. Without repeats it is unknown, and the best
+verdict is `improved`.
 """
 
 from __future__ import annotations
@@ -47,16 +47,16 @@ Floats = NDArray[np.float64]
 
 #: Rows [-] that a result keeps for its pictures: some hundred kilobytes.
 ROWS_KEPT = 600
-#: What the figures on rows held out speak of.
+#: Meaning of the held-out rows by their kind.
 HELD_OUT = {
-    "given": "rows that were given, and chose nothing",
-    "blocks": "blocks of time of the same runs, each judged by a choice without it; they say little about another run",
-    "phases": "parts of the period, held out of every period, each judged by a choice without it",
+    "given": "rows given by the user, not used to choose the model",
+    "blocks": "blocks of time of the same runs, each validating a model chosen without it; no evidence for another run",
+    "phases": "parts of the period, held out of every period, each validating a model chosen without it",
 }
 
 
 def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer) -> Result:
-    """Write up a finished diagnosis, with what the model without and with its effects gives."""
+    """Build the result of a finished diagnosis, with residuals and loads without and with the effects."""
     problem, after = outcome.problem, outcome.after
     effects = (
         *_mistakes(outcome),
@@ -97,7 +97,7 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
 
 
 def too_little(problem: MovingProblem, state: MovingState, answer: MovingAnswer) -> Result:
-    """Too little motion to hold any of it out."""
+    """Build the result for a run that is too short to hold out any rows."""
     unknown = _unknown(problem)
     summary = FitSummary(rms_nm=listed(rms_of(state)), holdout_rms_nm=unknown, loads=answer.loads)
     step = NextMeasurement("a moving run of at least 10 s in which every axis changes its direction several times")
@@ -114,7 +114,7 @@ def too_little(problem: MovingProblem, state: MovingState, answer: MovingAnswer)
         next=(step,),
         findings=(
             *answer.findings,
-            Finding("warn", "data", f"{what} are too few to hold any out", "record a longer run"),
+            Finding("warn", "data", f"{what} are too few to hold out any of them", "record a longer run"),
         ),
     )
 
@@ -128,7 +128,7 @@ def _summary(state: MovingState, held: Held, answer: MovingAnswer) -> FitSummary
 
 
 def _effect(problem: MovingProblem, state: MovingState, item: Chosen, tried: int) -> EffectResult:
-    """`p_value` counts every candidate that was tried (Bonferroni)."""
+    """Entry of an effect; `p_value` is corrected for all tried candidates (Bonferroni)."""
     name, parameters, std = parameters_of(problem, state, item.terms)
     runner = item.runner_up
     evidence = Evidence(
@@ -145,7 +145,7 @@ def _tried(outcome: MovingOutcome) -> int:
 
 
 def _rivals(outcome: MovingOutcome, item: Chosen) -> list[EffectResult]:
-    """Both effects that explain the same rows."""
+    """Entries of both effects that explain the same rows."""
     problem = outcome.problem
     found = [_effect(*outcome.told, item, _tried(outcome))]
     rival = item.runner_up
@@ -203,19 +203,19 @@ def _provenance(problem: MovingProblem, outcome: MovingOutcome) -> dict[str, obj
 
 
 def _blocks(problem: MovingProblem) -> str:
-    """What a block of time is."""
+    """Return what a held-out block of time is: a part of a period, or of a run."""
     return "phases" if np.isfinite(problem.motion.floor_nm).any() else "blocks"
 
 
 def _axis_ratios(outcome: MovingOutcome) -> list[tuple[float, float, float]]:
-    """Held-out RMS after over before of every axis, with its 95 % interval."""
+    """Held-out RMS with effects over that without, of every axis, with its 95 % interval."""
     sigma = np.ones(outcome.problem.motion.axes)
     found = (held_ratio(outcome.held_before, outcome.held_after, [axis], sigma) for axis in range(len(sigma)))
     return [(ratio.value, ratio.low, ratio.high) for ratio in found]
 
 
 def _kept(problem: MovingProblem) -> NDArray[np.int_]:
-    """Rows that the result file keeps."""
+    """Indices of the rows that the result file stores."""
     return np.arange(0, len(problem.motion), max(1, int(np.ceil(len(problem.motion) / ROWS_KEPT))))
 
 
@@ -243,7 +243,7 @@ def _rows(problem: MovingProblem, state: MovingState) -> Rows:
 
 
 def _friction_level(problem: MovingProblem, state: MovingState) -> Floats:
-    """Dry friction (N,) [Nm] towards standstill, NaN for an axis that was not judged."""
+    """Coulomb friction (N,) [Nm] near standstill; NaN for an axis without held-out rows."""
     level = state.full.value[problem.null.friction[:, 0]].copy()
     for term in state.terms:
         if isinstance(term, Stribeck):

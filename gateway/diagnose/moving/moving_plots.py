@@ -1,7 +1,7 @@
-"""What the report draws of a diagnosis of moving runs: every row before and after, and each effect as a curve.
+"""Plot data of a diagnosis of moving runs: every row without and with effects, and each effect as a curve.
 
-The points are what is measured on an axis beyond the model without the effect, its other parameters as fitted. The
-curve is the effect; its band follows from the covariance of its coefficients.
+The points are measured torque minus the model without the effect, other parameters as fitted. The curve is the effect;
+its confidence band follows from the covariance of its coefficients.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def pictures(
     effects: Sequence[tuple[Term, ...]],
     kept: NDArray[np.int_],
 ) -> Drawn:
-    """What the report draws.
+    """Build the plot data.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def _curve(problem: MovingProblem, state: MovingState, terms: tuple[Term, ...]) 
 def _abscissa(
     problem: MovingProblem, state: MovingState, term: Term, axis: int, effect: Floats, rows: NDArray[np.int_]
 ) -> tuple[Floats, str, str]:
-    """What the effect is a function of; the effect itself where no single quantity describes it."""
+    """Independent variable of an effect; the effect itself if no single quantity describes it."""
     motion = problem.motion
     over = LIBRARY[term.name].over
     if over is Over.ANGLE:

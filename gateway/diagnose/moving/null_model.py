@@ -1,4 +1,4 @@
-"""The model that effects are tried against: columns and priors of an estimate in motion, made ready for many fits."""
+"""Null model, to which effects are added: columns and priors of an estimate in motion, prepared for many fits."""
 
 from __future__ import annotations
 
@@ -48,8 +48,8 @@ class NullModel:
     columns : Columns
     trust : float or None
         Relative standard deviation of the CAD values; None = link parameters unknown.
-    lines : for each axis, which columns reach it and those columns (n, k)
-    sums : what fits have summed over rows, by the rows
+    lines : for each axis, indices of its nonzero columns and those columns (n, k)
+    sums : cached sums over rows, by the set of rows
     """
 
     columns: Columns
@@ -69,12 +69,12 @@ class NullModel:
 
     @property
     def gain(self) -> Ints:
-        """Where the gain (N,) of every axis is among the parameters."""
+        """Index of the gain (N,) of every axis among the parameters."""
         return self.columns.nuisances["gain"]
 
     @property
     def usual(self) -> Ints:
-        """Where gains and load frictions (2 N,) are among the parameters."""
+        """Indices of gains and load frictions (2 N,) among the parameters."""
         return np.concatenate([self.columns.nuisances[name] for name in NUISANCES])
 
     def std_of(self, index: int) -> float:
@@ -82,12 +82,12 @@ class NullModel:
         return float(self.columns.prior.stds(self.usual)[np.flatnonzero(self.usual == index)[0]])
 
     def beyond(self, index: int, value: float) -> bool:
-        """Whether a gain or load friction is as far off as is ordinary, and the rows want it further."""
+        """Return True if a gain or load friction is at its prior limit and the rows pull it beyond."""
         off = abs(value - float(self.columns.prior.mean[index]))
         return index not in self.columns.taken and off > (1.0 - 1e-6) * NUISANCE_STD * self.std_of(index)
 
     def held(self, index: Ints, value: float) -> NullModel:
-        """The same with gains or load frictions held to a value, of which nothing else is known."""
+        """Return a copy with gains or load frictions fixed at a value, without other prior knowledge of them."""
         if not len(index):
             return self
         prior = self.columns.prior.freed(index).with_std(index, np.full(len(index), HELD_STD))
@@ -97,12 +97,12 @@ class NullModel:
         return replace(self, columns=replace(self.columns, prior=replace(prior, mean=mean), taken=taken))
 
     def without_usual_of(self, terms: Sequence[Term]) -> NullModel:
-        """The same where effects take the place of what is ordinary of them."""
+        """Return a copy without the nuisance parameters that effects replace."""
         index = [self.columns.usual_of(term) for term in terms]
         return self.held(np.array([k for k in index if k is not None], dtype=int), 0.0)
 
     def trusting(self, trust: float) -> NullModel:
-        """The same with CAD values, if it has them, trusted to another relative standard deviation."""
+        """Return a copy with another relative standard deviation of the CAD values, if there are any."""
         prior, factor = self.columns.prior, np.ones(len(self.columns.prior.rows))
         if self.trust is None:
             return self
@@ -112,10 +112,10 @@ class NullModel:
 
 
 def null_model(motion: MovingRows, trust: float | None, knowledge: Knowledge) -> NullModel:
-    """Build the columns of rows under a trust of the CAD values.
+    """Build the columns of rows for a relative standard deviation of the CAD values.
 
-    A load that is in no fitted row has no columns. Where nothing is known of the links and no row is of an unloaded arm
-    or a known load, the first load is a part of the last link.
+    A load without fitted rows has no columns. If the links are unknown and no row is of an unloaded arm or a known
+    load, the first load is part of the last link.
     """
     fitted = motion.load[~motion.held_out]
     unknown = unknown_labels(motion.load, knowledge.known)
@@ -140,15 +140,15 @@ def null_model(motion: MovingRows, trust: float | None, knowledge: Knowledge) ->
 
 
 def _line(columns: Floats) -> tuple[Ints, Floats]:
-    """Which columns (n, P) of one axis are there, and those."""
+    """Mask of the nonzero columns (n, P) of one axis, and those columns."""
     there = np.flatnonzero(columns.any(axis=0))
     return there, np.ascontiguousarray(columns[:, there])
 
 
 def _of_plausible_size(columns: Columns, motion: MovingRows) -> Columns:
-    """The columns with links of which nothing is known held to a size that an arm can have.
+    """Return the columns with unknown links limited to a plausible size.
 
-    Blocks of rows are predicted from few others: free links would be anything there.
+    Blocks of rows are predicted from few others, which do not determine free links.
     """
     base, size = moving_base(motion.robot, motion.gravity_m_s2), _plausible_size(motion)
     spread = base.combination * size
@@ -164,9 +164,9 @@ def _of_plausible_size(columns: Columns, motion: MovingRows) -> Columns:
 
 
 def _plausible_size(motion: MovingRows) -> Floats:
-    """Standard deviation (10 N,) of the parameters of links nothing is known of, from the torque the arm needs.
+    """Prior standard deviation (10 N,) of the parameters of unknown links, from the torque of the arm.
 
-    A body of the mass that the strongest axis holds at half the reach, on every link, as large as the link.
+    Each link is a body with the mass that the strongest axis can hold at half the reach, and of the link's length.
     """
     onward = np.linalg.norm(motion.robot.placement[1:, :3, 3], axis=1)
     reach = max(float(onward.sum()), SHORTEST_M)
@@ -183,7 +183,7 @@ def _torque_scale(motion: MovingRows) -> Floats:
 
 
 def _coulomb_nm(motion: MovingRows, columns: Columns, axis: int) -> float:
-    """Coulomb friction [Nm] of one axis, no less than what is lost in any noise."""
+    """Coulomb friction [Nm] of one axis, at least a small share of the noise."""
     least = LEAST_FRICTION * float(_torque_scale(motion)[axis])
     moves = bool((motion.judged[:, axis] & ~motion.held_out).any())
     return max(abs(axis_alone(motion, columns, axis)[0]), least) if moves else least

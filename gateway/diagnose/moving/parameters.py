@@ -1,4 +1,4 @@
-"""From fitted coefficients to the parameters of the result file, with their standard deviations."""
+"""Conversion of fitted coefficients to the parameters of the result file, with standard deviations."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def parameters_of(problem: MovingProblem, state: MovingState, terms: Sequence[Te
 
 
 def at_edge(problem: MovingProblem, terms: Sequence[Term], values: Named) -> list[str]:
-    """Parameters that lie where what is tried or what an arm can have ends: the true one may be beyond."""
+    """Names of parameters at a limit of the tried or plausible range; the true value may be beyond."""
     found = []
     for term in terms:
         if isinstance(term, Stribeck):
@@ -66,7 +66,7 @@ def at_edge(problem: MovingProblem, terms: Sequence[Term], values: Named) -> lis
 
 
 def _over_decays(problem: MovingProblem, state: MovingState, term: Stribeck, values: Named, std: Named) -> Named:
-    """Standard deviations with that of the decay, which is one of a few: all of them weighed by what the rows say."""
+    """Standard deviations including that of the decay, averaged over the tried decays by their likelihood."""
     motion, others = problem.motion, [other for other in state.terms if other != term]
     index = problem.null.friction[term.axis, :2]
     keys = ("coulomb_nm", "viscous_nm_s_rad", "stribeck_nm", "stribeck_velocity_rad_s")
@@ -86,7 +86,7 @@ def _over_decays(problem: MovingProblem, state: MovingState, term: Stribeck, val
 
 
 def figures_of(trial: Trial) -> tuple[Named, Named]:
-    """Parameters and standard deviations of an effect that was tried, its shape as it was tried."""
+    """Parameters and standard deviations of a tried effect, in the tried shape."""
     term = trial.term
     covariance = np.zeros((len(term.linear),) * 2)
     covariance[: term.count, : term.count] = trial.covariance
@@ -95,7 +95,7 @@ def figures_of(trial: Trial) -> tuple[Named, Named]:
 
 
 def certain(problem: MovingProblem, state: MovingState, terms: Sequence[Term]) -> bool:
-    """Whether a scale of a reading is so far from 1 that a failing finding may be made of it; other effects are."""
+    """Return True if a scale of a reading differs enough from 1 for a failing finding; True for other effects."""
     if not terms[0].scales_reading:
         return True
     _, parameters, std = parameters_of(problem, state, terms)
@@ -112,7 +112,7 @@ def _law(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Named,
 
 
 def _with_shape(problem: MovingProblem, state: MovingState, term: Term) -> tuple[Floats, Floats]:
-    """All parameters of a term with their covariance: those of its shape have their prior, and widen the others."""
+    """All parameters of a term with their covariance, including that of its shape."""
     index = state.full.part([term])
     if all(term.linear):
         return state.full.value[index], spread_of(problem, state, index)

@@ -1,4 +1,4 @@
-"""Fits of a moving run: penalised least squares on parts of the rows, with what every arm has held to its limits."""
+"""Penalised least-squares fits of a moving run to parts of the rows, with bounded nuisance parameters."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _NOTHING = Modelled(_EMPTY, _EMPTY, _EMPTY, _EMPTY)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingFit:
-    """One fit.
+    """Fit of one set of effects to the training rows.
 
     Attributes
     ----------
@@ -42,15 +42,15 @@ class MovingFit:
         0 outside the training rows.
     test : bool array of shape (n,)
     factor : array of shape (N,)
-        Scale in which the columns of the bodies stand on each axis.
-    extra : (positions (k,), columns (n, k)) of each axis, of the parameters that the null model has no columns of
+        Scale of the body columns on each axis.
+    extra : (positions (k,), columns (n, k)) of each axis, for parameters without columns in the null model
     inverse : array of shape (P, P)
-        Covariance of the parameters, those at a limit held there.
+        Covariance of the parameters, with those at a limit fixed.
     spread : array of shape (P, P)
-        The same with none held: the uncertainty of the result.
+        Covariance with no parameter fixed: the uncertainty of the result.
     value : array of shape (P,)
     residual_nm : array of shape (n, N)
-        Of every row, fitted or not.
+        Residual of every row, fitted or not.
     modelled : Modelled
     cost : float
         Weighted squares of training rows plus those of the prior.
@@ -70,7 +70,7 @@ class MovingFit:
     cost: float
 
     def part(self, terms: Sequence[Term]) -> Ints:
-        """Where the linear parameters of some of its effects stand, in the order of the effects of the fit."""
+        """Indices of the linear parameters of some of the fit's effects, in the order of the fit."""
         start, found = len(self.value) - sum(term.count for term in self.terms), []
         for term in self.terms:
             found += range(start, start + term.count) if term in terms else ()
@@ -78,7 +78,7 @@ class MovingFit:
         return np.array(found, dtype=int)
 
     def columns_of(self, where: Ints) -> Floats:
-        """Columns (n, N, k) of parameters (k,) of its effects."""
+        """Columns (n, N, k) of the parameters (k,) of the fit's effects."""
         out = np.zeros((*self.residual_nm.shape, len(where)))
         for axis, (positions, columns) in enumerate(self.extra):
             for place, position in enumerate(where):
@@ -107,13 +107,13 @@ class MovingFit:
         return columns[rows] @ (change[there].T * scale).T + more[rows] @ change[positions]
 
     def at_limit(self, index: int) -> bool:
-        """Whether a gain or load friction is as far off as is ordinary, and the rows want it further."""
+        """Return True if a gain or load friction is at its prior limit and the rows pull it beyond."""
         return self.null.beyond(index, float(self.value[index]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingProblem:
-    """What stays the same while effects come and go; `splits` choose, the rows that are given judge."""
+    """Data and settings that all trial fits share; `splits` choose effects, held-out rows validate them."""
 
     motion: MovingRows
     null: NullModel
@@ -122,19 +122,19 @@ class MovingProblem:
 
 
 def _scale(null: NullModel, there: Ints, factor: float) -> Floats:
-    """Scale (k,) of columns of one axis: that of the reading for the bodies, 1 for friction."""
+    """Scale (k,) of columns of one axis: that of the torque reading for bodies, 1 for friction."""
     return np.where(there < null.columns.bodies, factor, 1.0)
 
 
 def fit(
     problem: MovingProblem, terms: Sequence[Term], train: Mask, test: Mask, near: MovingFit | None = None
 ) -> MovingFit:
-    """Fit the null model with `terms` to the rows of `train` (n,), beginning with the torque of a fit that is `near`.
+    """Fit the null model with `terms` to the rows `train` (n,), starting from the torque of the fit `near`.
 
-    Gains, load frictions and other columns of the modelled torque are made anew until the torque settles. A gain
-    multiplies what the bodies give: their columns carry the gain found so far, and the target what that makes of the
-    torque found so far. No gain and no load friction goes beyond what is ordinary: what lies beyond is an effect, and
-    has to be found.
+    Columns that depend on the modelled torque, such as gains and load frictions, are recomputed until the torque
+    converges. A gain multiplies the torque of the bodies, so their columns carry the present gain and the target is
+    corrected for it. Gains and load frictions are limited to their prior range; a larger value must be explained by an
+    effect.
     """
     motion, null = problem.motion, problem.null.without_usual_of(terms)
     counted = (motion.judged & train[:, None]).astype(float)
@@ -188,10 +188,10 @@ def fit(
 
 
 def _posterior(information: Floats, right: Floats, prior: Prior) -> tuple[Floats, Floats]:
-    """Covariance (P, P) and parameters (P,) of normal equations with a prior.
+    """Covariance (P, P) and parameters (P,) from normal equations with a prior.
 
-    A search fits the same sums of products thousands of times: an orthogonal reduction of the rows (`solve`) takes ten
-    times as long.
+    A search solves the same sums of products thousands of times; an orthogonal reduction of the rows (`solve`) would
+    take ten times as long.
     """
     normal = information + prior.precision
     scale = np.sqrt(np.diag(normal))
@@ -205,7 +205,7 @@ def _posterior(information: Floats, right: Floats, prior: Prior) -> tuple[Floats
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """Rows that are fitted: which (n, N), their torque (n, N), weights (N,), and the columns' products by axis."""
+    """Fitted rows: mask (n, N), torque (n, N), weights (N,), and products of the columns by axis."""
 
     counted: Floats
     tau_nm: Floats
@@ -214,7 +214,7 @@ class _Seen:
 
 
 def _row_sums(null: NullModel, counted: Floats, train: Mask) -> Floats:
-    """Products (N, P, P) of the null model's columns on each axis over the rows that are fitted, summed once."""
+    """Products (N, P, P) of the null model's columns on each axis over the fitted rows, computed once."""
     key = train.tobytes()
     if key not in null.sums:
         count = len(null.columns.names)
@@ -227,7 +227,7 @@ def _row_sums(null: NullModel, counted: Floats, train: Mask) -> Floats:
 
 
 def _normal(null: NullModel, seen: _Seen, extra: Extra, factor: Floats, count: int) -> tuple[Floats, Floats]:
-    """Information (P, P) and right side (P,) of the fitted rows."""
+    """Information matrix (P, P) and right side (P,) of the fitted rows."""
     information, right = np.zeros((count, count)), np.zeros(count)
     square, body = seen.weight**2, null.columns.bodies
     known = len(null.columns.names)
@@ -252,7 +252,7 @@ def _normal(null: NullModel, seen: _Seen, extra: Extra, factor: Floats, count: i
 
 
 def _gain_positions(null: NullModel, terms: Sequence[Term]) -> Ints:
-    """Where the scale (N,) of each axis's reading is among the parameters."""
+    """Index of the torque-reading scale (N,) of each axis among the parameters."""
     found, start = null.gain.copy(), len(null.columns.names)
     for term in terms:
         if term.scales_reading:
@@ -262,7 +262,7 @@ def _gain_positions(null: NullModel, terms: Sequence[Term]) -> Ints:
 
 
 def _extra(motion: MovingRows, null: NullModel, terms: Sequence[Term], modelled: Modelled | None) -> Extra:
-    """Columns of each axis that the null model has none of; zero as long as they need a torque that is not modelled."""
+    """Columns of each axis that the null model lacks; zero until the torque that they need has been modelled."""
     torque = np.zeros_like(motion.tau_nm) if modelled is None else modelled.rigid_nm
     found = [
         (
@@ -284,7 +284,7 @@ def _extra(motion: MovingRows, null: NullModel, terms: Sequence[Term], modelled:
 
 
 def prior_precision(term: Term) -> Floats:
-    """Precision of the prior of an effect's linear parameters; 0 where there is no opinion."""
+    """Prior precision of an effect's linear parameters; 0 = no prior."""
     return np.nan_to_num(np.array(term.spread[: term.count]) ** -2.0)
 
 
@@ -296,7 +296,7 @@ def prior_of(terms: Sequence[Term]) -> Prior:
 
 
 def model_torque(problem: MovingProblem, terms: Sequence[Term], value: Floats) -> Modelled:
-    """Torque of the bodies, and the link parameters each row sees (load included); no other torque."""
+    """Torque of the bodies only, and the link parameters of each row, with the load included."""
     columns, motion = problem.null.columns, problem.motion
     body, load_kg = columns.bodies_of(value, motion.load)
     start = len(columns.names)

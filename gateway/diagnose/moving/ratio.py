@@ -1,4 +1,4 @@
-"""How much less a model leaves of rows that it has not seen, and how sure that is."""
+"""Ratio of held-out residuals of two models, with its confidence interval."""
 
 from __future__ import annotations
 
@@ -23,7 +23,10 @@ QUANTILES = np.array([0.025, 0.95, 0.975])
 
 @dataclass(frozen=True, slots=True)
 class HeldRatio:
-    """Held-out RMS after over before, its 95 % interval, `most` that it is in 95 %; NaN where nothing was held out."""
+    """Held-out RMS ratio after over before, its 95 % interval, and its one-sided 95 % limit `most`.
+
+    NaN if nothing was held out.
+    """
 
     value: float
     low: float
@@ -32,7 +35,7 @@ class HeldRatio:
 
     @property
     def below_one(self) -> bool:
-        """Whether it is below 1 in 95 % of what the stretches could have been."""
+        """Return True if the ratio is below 1 with 95 % confidence."""
         return self.most < 1.0
 
 
@@ -41,8 +44,9 @@ NOT_HELD = HeldRatio(np.nan, np.nan, np.nan, np.nan)
 
 
 def held_ratio(before: Held, after: Held, axes: Collection[int], sigma_nm: Floats) -> HeldRatio:
-    """Ratio pooled over axes in units of their noise (N,), by a bootstrap over stretches of time, as
-    many as there are independent values, widened as t is against the normal.
+    """Ratio pooled over axes in units of their noise (N,), with an interval by a bootstrap over time blocks.
+
+    The number of blocks is the number of independent values; the interval is widened as Student's t against the normal.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Families of effects with a shape that is not linear: the member that the rows prefer."""
+"""Shape selection for families of effects with nonlinear shape parameters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ EVALUATIONS = 150
 
 
 def refine(problem: MovingProblem, state: MovingState, term: Term, pool: Sequence[Term]) -> Term:
-    """The member of the effect's family that fits best, as far as the rows tell the members apart."""
+    """Return the member of an effect's family that fits best, as far as the rows can separate the members."""
     if isinstance(term, MotorCoupling):
         return _best_coupling(problem, state, term)
     if term.scales_reading:
@@ -37,7 +37,7 @@ def refine(problem: MovingProblem, state: MovingState, term: Term, pool: Sequenc
 
 
 def reshaped(problem: MovingProblem, state: MovingState, pool: Sequence[Term], newest: Term | None) -> MovingState:
-    """The model with each law but the newest in the shape that the rows want beside all the others."""
+    """Return the model with the shape of every friction law but the newest refitted."""
     for term in state.terms:
         if all(term.linear) or term == newest:
             continue
@@ -47,13 +47,13 @@ def reshaped(problem: MovingProblem, state: MovingState, pool: Sequence[Term], n
 
 
 def _best_scale(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) -> Term:
-    """The axis whose scale explains most once it is fitted to the end: two neighbours look alike to first order."""
+    """Axis whose scale explains most after a full fit; neighbouring axes are equal to first order."""
     members = [term for term in pool if term.scales_reading and term not in state.terms]
     return max(members, key=lambda term: refitted(problem, state, term).gain)
 
 
 def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Sequence[Term]) -> Term:
-    """The plainest law of the effect in its best shape, or another where the held-out rows clearly want it."""
+    """Simplest law of the effect in its best shape, or another that held-out rows clearly prefer."""
     chosen, best, lead = found, -np.inf, 0.0
     members = [term for term in pool if term.label == found.label]
     trials = [trial for trial in trials_of(problem, state.fits, state.full, members) if trial is not None]
@@ -73,7 +73,7 @@ def _best_law(problem: MovingProblem, state: MovingState, found: Term, pool: Seq
 
 
 def _best_shape(problem: MovingProblem, state: MovingState, term: Term) -> Term:
-    """The shape that the fitted rows and its prior want."""
+    """Shape with the lowest cost of fitted rows and prior."""
     start, spread = (np.array(values[term.count :]) for values in (term.start, term.spread))
 
     def cost(steps: Floats) -> float:
@@ -84,7 +84,7 @@ def _best_shape(problem: MovingProblem, state: MovingState, term: Term) -> Term:
 
 
 def _cost(problem: MovingProblem, state: MovingState, term: Term, shape: Floats) -> float:
-    """Cost of the fitted rows with one more effect, over that without it."""
+    """Cost of the fitted rows with one more effect minus the cost without it."""
     axes = list(term.enters(problem.motion.axes))
     columns = term.shaped(shape).columns(problem.motion, state.full.modelled)
     solved = extend(state.full, axes, columns, prior_precision(term))
@@ -92,7 +92,7 @@ def _cost(problem: MovingProblem, state: MovingState, term: Term, shape: Floats)
 
 
 def _best_coupling(problem: MovingProblem, state: MovingState, term: MotorCoupling) -> MotorCoupling:
-    """The coupling whose coefficient the fitted rows prefer; a one-to-one train if they do not contradict it."""
+    """Coupling coefficient that the fitted rows prefer; one-to-one unless they contradict it."""
     centre = term.coefficient
     others = [other for other in state.terms if other.label != term.label]
     grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
@@ -103,8 +103,10 @@ def _best_coupling(problem: MovingProblem, state: MovingState, term: MotorCoupli
 
 
 def coupling_cost(problem: MovingProblem, others: Sequence[Term], term: MotorCoupling, coefficient: float) -> float:
-    """Cost of the fitted rows if all friction and rotor inertia of the outer axis sit on its motor: only then does the
-    coefficient show, because what sits on the joint turns at the joint's own speed."""
+    """Cost of the fitted rows if all friction and rotor inertia of the outer axis act on its motor.
+
+    Only then can the coefficient be identified: friction on the joint depends on the joint's own speed.
+    """
     axis = term.outer
     columns, own = problem.null.columns, problem.null.friction[axis, :3]
     seen = (columns.design[:, axis, own] ** 2).sum(axis=0) * problem.noise.weight[axis] ** 2

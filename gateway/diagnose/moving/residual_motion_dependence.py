@@ -1,7 +1,7 @@
-"""Is what the model leaves noise, or does it still hang on the motion?
+"""Test of the residual for dependence on the motion.
 
-Columns without a cause (harmonics of the angles, speeds, motion of the neighbours, another friction in the last run)
-are put on trial like an effect. If they help on rows no fit has seen, the residual has structure that no effect of the
+Columns without a physical cause (harmonics of the angles, speeds, motion of the neighbours, another friction in the
+last run) are tried like effects. If they improve held-out rows, the residual has structure that no effect of the
 library explains.
 """
 
@@ -26,7 +26,7 @@ Floats = NDArray[np.float64]
 
 
 def structured_axes(problem: MovingProblem, state: MovingState) -> dict[int, float]:
-    """Axes (from 0) whose residual still hangs on their motion, with the held-out ratio that shows it."""
+    """Axes (from 0) whose residual depends on the motion, with the held-out ratio that proves it."""
     found = {}
     for axis in np.flatnonzero(problem.motion.measured):
         trials = (put_on_trial(problem, state.fits, state.full, Shapeless(int(axis), of)) for of in SHAPES)
@@ -46,7 +46,7 @@ def _convinces(trial: Trial) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Shapeless(OnAxis):
-    """A torque on one axis that is a smooth function `of` something, without a cause."""
+    """Torque on one axis as a smooth function of the quantity `of`, without a physical cause."""
 
     of: str
     name: ClassVar[str] = "structure"

@@ -1,8 +1,8 @@
-"""Effects are added one at a time while the error on held-out rows drops; each has to earn its place again at the end.
+"""Stepwise selection: effects are added while the held-out error drops, then each is tested again.
 
-An effect is believed when three things agree: the fitted rows demand it (F test, Bonferroni over all that was tried),
-the held-out error of its axes drops by more than a trifle, and the drop is spread over the held-out time. Effects that
-are ordinary in any gear need less than those that mean a fault or an extra part.
+An effect is accepted if three criteria agree: the fitted rows require it (F test, Bonferroni over all tried effects),
+the held-out error of its axes drops by more than a minimum, and the drop is spread over the held-out time. Effects that
+are common in gears have lower thresholds than faults or extra parts.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from gateway.model.term import Label, Term
 
 
 def demands(term: Term, axes: int) -> Demands:
-    """What this effect must show on an arm of so many axes."""
+    """Return the acceptance thresholds of this effect on an arm with this number of axes."""
     if term.is_common:
         return MOVING.ordinary
     return MOVING.special_all_axes if len(term.enters(axes)) > 2 else MOVING.special
@@ -32,10 +32,10 @@ def demands(term: Term, axes: int) -> Demands:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chosen:
-    """An effect in the final model: all its terms, its trial against the model without it, and the runner-up's.
+    """Effect in the final model: its terms, its trial against the model without it, and the runner-up's trial.
 
-    `contested`: the odds, against the runner-up and against nothing, are below `sure_odds`. `rival`: the runner-up
-    meets its own demands; of two names of which neither is believed none is given. `held`: worth on unseen rows.
+    `contested`: the odds against the runner-up or against no effect are below `sure_odds`. `rival`: the runner-up meets
+    its own thresholds; then neither of the two is reported. `held`: improvement on held-out rows.
     """
 
     terms: tuple[Term, ...]
@@ -52,12 +52,12 @@ class Chosen:
         return self.terms[0].label
 
     def axes(self, count: int) -> list[int]:
-        """Axes, from 0, of an arm of so many that it enters."""
+        """Axes (from 0) that the effect acts on, for an arm with this number of axes."""
         return sorted({axis for term in self.terms for axis in term.enters(count)})
 
 
 def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
-    """Whether a trial meets its demands."""
+    """Return True if a trial meets its thresholds."""
     need = demands(trial.term, problem.motion.axes)
     return (
         trial.ratio <= need.ratio
@@ -69,7 +69,7 @@ def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
 
 
 def select(problem: MovingProblem, allowed: frozenset[str]) -> tuple[MovingProblem, MovingState]:
-    """Add effects while they are believed, then drop those that are not needed any more.
+    """Add effects while they are accepted, then drop those that are no longer needed.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def select(problem: MovingProblem, allowed: frozenset[str]) -> tuple[MovingProbl
 
 
 def left_over(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -> list[Term]:
-    """Every effect that could be tried and is not in the model, in the shape that the fitted rows demand most."""
+    """Return every further effect that could be tried, in the shape that the fitted rows support most."""
     pool = [*candidates(problem, state.full, allowed), *suggested(problem, state.full, allowed)]
     return demanded_most(problem, state.full, _open(state, pool))
 
@@ -117,7 +117,7 @@ def _trials(problem: MovingProblem, state: MovingState, pool: Sequence[Term]) ->
 
 
 def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], tried: int) -> Trial | None:
-    """The believed trial that gains most: of those that the fitted rows demand most, else of all."""
+    """Accepted trial with the largest gain, first among the best supported candidates, then among all."""
     terms = _open(state, pool)
     if not terms:
         return None
@@ -131,7 +131,7 @@ def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], trie
 
 
 def _proven(problem: MovingProblem, state: MovingState, trial: Trial, tried: int) -> bool:
-    """Whether a trial meets its demands, goes beyond what is ordinary, and is what an arm can have."""
+    """Return True if a trial meets its thresholds, exceeds the nuisance prior and is physically possible."""
     return (
         believed(problem, trial, tried)
         and beyond_usual(problem, trial.term, trial.value, trial.covariance)
@@ -140,7 +140,7 @@ def _proven(problem: MovingProblem, state: MovingState, trial: Trial, tried: int
 
 
 def without_idle(problem: MovingProblem, state: MovingState) -> MovingState:
-    """Drop, one at a time, the effect that the held-out rows miss least, while it is not believed any more."""
+    """Drop effects one at a time, the least useful on held-out rows first, while they are not accepted."""
     while state.terms:
         rated = []
         for term in state.terms:
@@ -162,12 +162,12 @@ def _needed(problem: MovingProblem, trial: Trial) -> bool:
 
 
 def penalty(term: Term) -> float:
-    """Log of what an effect has to make good before it is weighed: its coefficients, and being rare in arms."""
+    """Log odds that an effect must overcome: for its number of coefficients, and its rarity."""
     return len(term.linear) + (0.0 if term.name in FRICTION else float(np.log(MOVING.rare)))
 
 
 def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -> list[Chosen]:
-    """Each effect of the model against the model without it, and against the best other effect in its place."""
+    """Compare each effect with the model without it, and with the best other effect in its place."""
     pool, axes = candidates(problem, state.full, allowed), problem.motion.axes
     out = []
     for key in dict.fromkeys(term.label for term in state.terms):

@@ -1,11 +1,9 @@
-"""Which rows choose a model and which rows judge it.
+"""Division of rows into those that choose a model and those that validate it.
 
-Where a motion repeats, a block of time is a part of the period, held out of all periods at once: a period says nothing
-new of a model that has seen another one.
-
-Blocks of time inside every run, pooled over the runs, choose; where there are several runs, those whose load hangs in
-another run too are held out whole, because blocks of one run say little about another. Rows that were given judge, or
-outer blocks inside every run, each judged by a model that was chosen without it.
+For repeated motion, a block of time is a part of the period, held out of all periods at once, because other periods of
+the same motion give no independent test. Blocks of time inside every run, pooled over the runs, choose. With several
+runs, a run whose load is also in another run is held out whole, because blocks of one run say little about other runs.
+User-given rows validate, or outer blocks inside every run, each validating a model chosen without it.
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ def blocks(motion: MovingRows, count: int) -> Splits:
 
 
 def choosing(motion: MovingRows, count: int, known: frozenset[str]) -> Splits:
-    """Splits that choose: whole runs where the others still show their load, blocks of time in the others."""
+    """Splits for the choice: whole runs where other runs carry their load, else blocks of time."""
     runs = np.unique(motion.run[~motion.held_out])
     whole = [number for number in runs if len(runs) >= MOVING.several_runs and _shared(motion, number, known)]
     splits: list[list[tuple[Mask, Mask]]] = [[] for _ in range(count)]
@@ -46,7 +44,7 @@ def choosing(motion: MovingRows, count: int, known: frozenset[str]) -> Splits:
 
 
 def judging(motion: MovingRows, count: int) -> tuple[MovingRows, ...]:
-    """The rows, with each outer block in turn given to judge; as they are where rows were given."""
+    """Return the rows with each outer block in turn held out for validation; unchanged if the user held out rows."""
     if motion.held_out.any():
         return (motion,)
     return tuple(
@@ -56,14 +54,14 @@ def judging(motion: MovingRows, count: int) -> tuple[MovingRows, ...]:
 
 
 def _shared(motion: MovingRows, number: int, known: frozenset[str]) -> bool:
-    """Whether every load of a run is known, or hangs in another run too."""
+    """Return True if every load of a run is known or is also in another run."""
     fitted = ~motion.held_out
     others = set(motion.load[fitted & (motion.run != number)])
     return all(label in others or label in known for label in {*motion.load[fitted & (motion.run == number)]})
 
 
 def _pieces(motion: MovingRows, number: int, count: int) -> Iterator[tuple[Mask, Mask]]:
-    """Rows of each block of a run that may be fitted, and those with the rows near to it."""
+    """Rows of each block of a run that may be fitted, and those rows with their neighbours in time."""
     mine = (motion.run == number) & ~motion.held_out
     rows = np.flatnonzero(mine)
     rows = rows[np.argsort(motion.phase_s[rows], kind="stable")]

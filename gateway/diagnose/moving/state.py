@@ -1,4 +1,4 @@
-"""A model with its fits to every split, how far they agree, and what one of its effects is worth."""
+"""Model with its fits to every split, the agreement of the fits, and the contribution of one of its effects."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def state_of(problem: MovingProblem, terms: Sequence[Term]) -> MovingState:
 
 
 def with_noise_of(problem: MovingProblem, terms: Sequence[Term], full: MovingFit | None) -> MovingProblem:
-    """The problem with noise figures that belong to the model with `terms`, as `full` fitted it."""
+    """Return the problem with the noise of the model with `terms`, from its fit `full`."""
     motion = problem.motion
     noise = noise_of(motion, problem.null.columns, terms, full.modelled if full is not None else None)
     problem = replace(problem, noise=noise)
@@ -50,12 +50,12 @@ def with_noise_of(problem: MovingProblem, terms: Sequence[Term], full: MovingFit
 
 
 def lacking(problem: MovingProblem, state: MovingState, label: Label) -> MovingState:
-    """The model without one effect; what is ordinary of it comes back."""
+    """Return the model without one effect; the nuisance parameter that it replaced is restored."""
     return state_of(problem, [term for term in state.terms if term.label != label])
 
 
 def beyond_usual(problem: MovingProblem, term: Term, value: Floats, covariance: Floats) -> bool:
-    """Whether the interval of an effect that every arm has a share of lies outside what is ordinary; others do."""
+    """Return True if the interval of an effect is outside the nuisance prior; True for effects without one."""
     index = problem.null.columns.usual_of(term)
     if index is None:
         return True
@@ -65,7 +65,7 @@ def beyond_usual(problem: MovingProblem, term: Term, value: Floats, covariance: 
 
 
 def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, term: Term) -> Trial:
-    """Trial of `term` from two fitted models: `smaller` has all of `larger` but the term (or its whole family)."""
+    """Trial of `term` from two fitted models: `smaller` is `larger` without the term (or its whole family)."""
     axes = list(term.enters(problem.motion.axes))
     where = larger.full.part([term])
     value, covariance = larger.full.value[where], larger.full.inverse[np.ix_(where, where)]
@@ -75,18 +75,18 @@ def compare(problem: MovingProblem, smaller: MovingState, larger: MovingState, t
 
 
 def refitted(problem: MovingProblem, smaller: MovingState, term: Term) -> Trial:
-    """Trial of one more effect, fitted to the end."""
+    """Trial of one more effect, with a full fit."""
     return compare(problem, smaller, state_of(problem, (*smaller.terms, term)), term)
 
 
 def spread_of(problem: MovingProblem, state: MovingState, where: NDArray[np.int_]) -> Floats:
-    """Covariance of parameters (k,): what the noise allows, or where it is wider, what leaving out blocks shows."""
+    """Covariance of parameters (k,) from the noise, or from leaving out blocks where that is wider."""
     without = jackknife(np.array([fit.value[where] for fit in _without_blocks(problem, state)]))
     return wider(state.full.spread[np.ix_(where, where)], without)
 
 
 def _without_blocks(problem: MovingProblem, state: MovingState) -> Sequence[MovingFit]:
-    """Fits that leave out a block of time of every run: to leave out a whole run is to lose what only it shows."""
+    """Fits without one block of time of every run; without a whole run, what only it determines would be lost."""
     if len(np.unique(problem.motion.run[~problem.motion.held_out])) < MOVING.several_runs:
         return state.fits
     splits = blocks(problem.motion, MOVING.blocks)

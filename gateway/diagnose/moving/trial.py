@@ -1,4 +1,4 @@
-"""What one more effect changes: error on rows no fit has seen, and how far the fitted rows demand it."""
+"""Trial of one more effect: change of the error on held-out rows, and significance on the fitted rows."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Solved = tuple[Floats, Floats, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """One effect on trial.
+    """Result of trying one effect.
 
     Attributes
     ----------
@@ -36,9 +36,9 @@ class Trial:
     gain : float
         Held-out log likelihood gained over all axes, correlated rows counted once.
     p_demand : float
-        Probability that the fitted rows alone would demand as much by chance (F test, prior included).
+        P-value of the effect on the fitted rows (F test, prior included).
     p_held : float
-        The same for the drop of the held-out error (one-sided t over stretches of time).
+        P-value of the drop of the held-out error (one-sided t test over stretches of time).
     blocks_better : float
         Share of the held-out blocks that got better on the effect's axes.
     value : array of shape (k,)
@@ -83,10 +83,10 @@ def trials_of(
 ) -> list[Trial | None]:
     """Add each effect, by itself, to the fits of every split.
 
-    None if the rows cannot tell it from what the model has, if what they demand has a p above `hopeless`, or if there
-    are more than `most` that they demand more. The step is exact for columns that do not depend on the model, and first
-    order for those that do. Of an effect that every arm has a share of, the model has as much of it as is
-    ordinary: what is tried is the rest, and the trial's value is the whole.
+    An effect has no trial (None) if the rows cannot separate it from the model, if its p-value is above `hopeless`, or
+    if more than `most` others have lower p-values. The step is exact for columns that do not depend on the model, and
+    first order for others. For an effect that extends a nuisance parameter, the model already contains the share within
+    the prior: the rest is tried, and the trial's value is the total.
     """
     out: list[Trial | None] = [None] * len(terms)
     usual = [problem.null.columns.usual_of(term) for term in terms]
@@ -103,7 +103,7 @@ def trials_of(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Asked:
-    """What the fitted rows say of an effect: its columns, what they add, the residual, log p of the F test, the fit."""
+    """Trial on the fitted rows: columns, what they add, residual, log p of the F test, fit."""
 
     columns: Floats
     step: Step
@@ -113,7 +113,7 @@ class _Asked:
 
 
 def _ask(problem: MovingProblem, full: MovingFit, terms: Sequence[Term], hopeless: float) -> dict[int, _Asked]:
-    """What the fitted rows demand, by the number of the effect; those below `hopeless`."""
+    """Trials on the fitted rows by index of the effect; those with a p-value below `hopeless`."""
     columns = [term.columns(problem.motion, full.modelled) for term in terms]
     out: dict[int, _Asked] = {}
     for number, step in enumerate(extensions(problem, full, terms, columns)):
@@ -129,7 +129,7 @@ def _ask(problem: MovingProblem, full: MovingFit, terms: Sequence[Term], hopeles
 
 
 def demanded_most(problem: MovingProblem, full: MovingFit, terms: Sequence[Term]) -> list[Term]:
-    """One term of each effect: the one that the fitted rows demand most."""
+    """Return one term of each effect: the one with the lowest p-value on the fitted rows."""
     best: dict[Label, tuple[float, Term]] = {}
     for number, told in _ask(problem, full, terms, np.inf).items():
         term = terms[number]
@@ -144,7 +144,7 @@ def _hold_out(
     terms: Sequence[Term],
     asked: Sequence[_Asked],
 ) -> list[Trial]:
-    """What each effect is worth on the rows of every split."""
+    """Evaluate each effect on the held-out rows of every split."""
     if not terms:
         return []
     before = held_out(problem, fits)
@@ -173,7 +173,7 @@ def _hold_out(
 def extensions(
     problem: MovingProblem, fit: MovingFit, terms: Sequence[Term], columns: Sequence[Floats]
 ) -> list[Step | None]:
-    """What the columns of each effect add to a fit; those that enter the same axes are taken together."""
+    """Extend a fit by the columns of each effect; effects on the same axes are computed together."""
     out: list[Step | None] = [None] * len(terms)
     alike: dict[tuple[int, ...], list[int]] = {}
     for number, term in enumerate(terms):
@@ -187,14 +187,14 @@ def extensions(
 
 
 def extend(fit: MovingFit, axes: list[int], columns: Floats, precision: Floats) -> Step | None:
-    """What columns (n, len(axes), k) with a prior of `precision` (k,) add to a fit; see `extend_each`."""
+    """Extend a fit by columns (n, len(axes), k) with prior `precision` (k,); see `extend_each`."""
     return extend_each(fit, axes, [columns], [np.broadcast_to(precision, columns.shape[2:])])[0]
 
 
 def extend_each(
     fit: MovingFit, axes: list[int], columns: Sequence[Floats], precision: Sequence[Floats]
 ) -> list[Step | None]:
-    """What sets of columns (n, len(axes), k) with priors of `precision` (k,) add to a fit, each set by itself.
+    """Extend a fit by each set of columns (n, len(axes), k) with prior `precision` (k,), each set by itself.
 
     Returns
     -------
@@ -241,7 +241,7 @@ def judge(
     after: Held,
     solved: Solved,
 ) -> Trial:
-    """Figures of one trial from the held-out residuals without (`before`) and with the effect (`after`)."""
+    """Compute the figures of a trial from held-out residuals `before` and `after` adding the effect."""
     value, covariance, log_p = solved
     noise, axes = problem.noise, list(term.enters(problem.motion.axes))
     old, new = before.square, after.square
@@ -272,12 +272,12 @@ def judge(
 
 
 def _rank(covariance: Floats) -> int:
-    """Coefficients that the rows show, at least 1."""
+    """Number of coefficients that the rows determine, at least 1."""
     return max(int(np.linalg.matrix_rank(covariance, hermitian=True)), 1)
 
 
 def demand(problem: MovingProblem, full: MovingFit, axes: list[int], solved: tuple[Floats, float, Floats]) -> float:
-    """Log p of what a refit shows: covariance of the effect, drop of the cost, residual (n, len(axes)) with it."""
+    """Log p-value of an effect after a refit, from its covariance, the drop of the cost, and the residual."""
     covariance, drop, after_nm = solved
     return _log_demand(problem, full, axes, after_nm, drop, _rank(covariance))
 
@@ -285,8 +285,10 @@ def demand(problem: MovingProblem, full: MovingFit, axes: list[int], solved: tup
 def _log_demand(
     problem: MovingProblem, full: MovingFit, axes: list[int], after_nm: Floats, drop: float, count: int
 ) -> float:
-    """Log p of the F test of a drop of the cost against what is left on the axes (n, len(axes)), rows counted by the
-    correlation of the residual that is left."""
+    """Log p-value of the F test of a drop of the cost against the residual on the axes (n, len(axes)).
+
+    Rows are counted by the autocorrelation of that residual.
+    """
     used = full.weight[:, axes] > 0
     rows = [after_nm[used[:, position], position] for position in range(len(axes))]
     freedom = max(sum(len(row) * counting_share(row) for row in rows if len(row)) - count, 4.0)
@@ -298,10 +300,10 @@ def _log_demand(
 
 
 def drop_by_chance(before: Floats, after: Floats) -> float:
-    """One-sided p that the held-out squares (n,) of a correlated series do not drop on the whole.
+    """One-sided p-value of the drop of the held-out squares (n,) of an autocorrelated series.
 
-    The log of the ratio over stretches of about one correlation time (6 to 24 of them) is put to a t test; a stretch
-    that was quiet before counts little, because a part of the mean is added to both sides.
+    The log ratios over 6 to 24 stretches of about one correlation time are put to a t test. Part of the mean is added
+    to both sides, so that stretches with a small error count little.
     """
     count = int(np.clip(len(before) * counting_share(before - after), FEWEST_STRETCHES, MOST_STRETCHES))
     if len(before) < 2 * count or not before.any():

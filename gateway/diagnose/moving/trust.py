@@ -1,8 +1,8 @@
-"""How far the CAD values of the links are trusted, where the user does not say.
+"""Relative standard deviation of the CAD link values, estimated if the user does not state it.
 
-Two stories compete by their evidence (marginal likelihood): the links are as drawn and something is missing, or nothing
-is missing and the drawing is that wrong. Drawings are wrong by a few percent; the tightest trust that the data do not
-contradict is kept.
+Two explanations are compared by evidence (marginal likelihood): the links are as in the CAD data and an effect is
+missing, or no effect is missing and the CAD data are wrong. CAD data are usually wrong by a few percent; the smallest
+standard deviation that the data do not contradict is used.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WIDE = 1e-8
 
 
 def log_evidence(problem: MovingProblem, terms: Sequence[Term]) -> float:
-    """Log marginal likelihood of the rows to be fitted, up to a constant that trust and effects do not change."""
+    """Log marginal likelihood of the fitted rows, up to a constant common to all models."""
     everything = ~problem.motion.held_out
     solved = fit(problem, terms, everything, problem.motion.held_out)
     prior = problem.null.columns.prior.beside(prior_of(terms)).precision
@@ -37,13 +37,13 @@ def log_evidence(problem: MovingProblem, terms: Sequence[Term]) -> float:
 
 
 def _log_det(matrix: Floats) -> float:
-    """Logarithm of the determinant of a matrix whose rows differ much in size."""
+    """Log determinant of a matrix whose rows differ much in size."""
     size = np.sqrt(np.diag(matrix))
     return float(np.linalg.slogdet(matrix / size / size[:, None])[1] + 2.0 * np.log(size).sum())
 
 
 def choose_trust(problem: MovingProblem, terms: Sequence[Term]) -> float | None:
-    """Trust of the CAD values: relative standard deviation, or None if they are worth nothing."""
+    """Choose the relative standard deviation of the CAD values; None = CAD values are not usable."""
     problem = _with_noise_left(problem, terms)
     stories = [list(terms)]
     without = [term for term in terms if term.name not in DRAWN]
@@ -56,7 +56,7 @@ def choose_trust(problem: MovingProblem, terms: Sequence[Term]) -> float | None:
 
 
 def _with_noise_left(problem: MovingProblem, terms: Sequence[Term]) -> MovingProblem:
-    """The problem with each axis's scale and correlation as the model with the effects leaves them."""
+    """Return the problem with the noise scale and correlation of the model with the effects."""
     motion = problem.motion
     everything = ~motion.held_out
     left = fit(problem, terms, everything, motion.held_out).residual_nm

@@ -65,7 +65,7 @@ def test_what_fits_but_does_not_predict_is_not_named():
     result = diagnose(first, robot, DiagnoseOptions(inertials="ignore", holdout=last))
     assert result.effects == ()
     assert ("load_dependent_friction", (2,)) in {(item.name, item.joints) for item in result.rejected}
-    assert any("does not foretell" in finding.what for finding in result.findings)
+    assert any("does not predict" in finding.what for finding in result.findings)
 
 
 @pytest.mark.slow
