@@ -79,7 +79,7 @@ def test_figures_come_with_an_interval_and_say_what_they_are_of():
     assert (ratio[:, 1] <= ratio[:, 0]).all()
     assert (ratio[:, 0] <= ratio[:, 2]).all()
     assert ratio[1, 2] < 1.0
-    assert "say little about another run" in str(result.provenance["held_out"])
+    assert "no evidence for another run" in str(result.provenance["held_out"])
 
 
 @pytest.mark.slow
