@@ -26,7 +26,7 @@ from drives.errors import DriveError
 from gateway.acquire.session import RecordRequest, record
 from gateway.data.blackbox.box import BlackBox, read_box
 from gateway.data.blackbox.recorder_process import KILLED
-from gateway.data.blackbox.recovery import BOTH_KILLED, salvage
+from gateway.data.blackbox.recovery import BOTH_KILLED, recover_box
 from gateway.data.blackbox.ring_buffer import box_of, folder_of
 from gateway.errors import GatewayError, InputError
 from gateway.motion.opening import BusOverride, open_arm
@@ -188,7 +188,7 @@ def _of_master(kind: str, job: Job, served: Drives, moved_s: float) -> Stop:
     path = box_of(job.path)
     while time.monotonic() < until_s and (folder_of(job.path).exists() or not path.with_suffix(".blf").exists()):
         if kind == "both_killed":
-            salvage(job.path)
+            recover_box(job.path)
         time.sleep(0.05)
     try:
         box = read_box(path)

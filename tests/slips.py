@@ -98,7 +98,7 @@ TABLES: list[tuple[str, Sequence[str], int, str, Make]] = [
         "an approach of 2",
         BOTH,
         3,
-        r"t\.csv:2: dir1: -2 is none of -1, 0 \(unknown\), 1",
+        r"t\.csv:2: dir1: -2 is not one of -1, 0 \(unknown\), 1",
         measured(scaled("dir%d", 2.0)),
     ),
     ("angles in mrad", BOTH, 3, r"t\.csv:2: q1_rad = .*in radians", measured(scaled("q%d_rad", 1e3))),

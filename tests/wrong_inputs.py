@@ -274,7 +274,7 @@ TABLES = [
     (
         "a label that means bare",
         table(ROW.replace("none", "None")),
-        r"t\.csv:2: load 'None' means the bare arm: write none",
+        r"t\.csv:2: load 'None' denotes the unloaded arm: write none",
     ),
     ("an empty label", table(ROW.replace("none", "")), r"t\.csv:2: load: a label is needed"),
     ("an empty file", together(text("", "t.csv"), cell()), r"t\.csv:1: the file is empty; a header line"),
@@ -353,7 +353,7 @@ KINDS: list[Kind] = [
         "recording: of another arm",
         ("estimate", "run.h5", "--cell", "cell.toml"),
         3,
-        (r"run\.h5: holds no arm 'left' but 'main'; name",),
+        (r"run\.h5: contains no arm 'left' but 'main'; name",),
         together(recording, cell(('name = "main"', 'name = "left"'))),
     ),
     Kind(
@@ -431,14 +431,14 @@ KINDS: list[Kind] = [
         "option: an empty load",
         ("record", "cell.toml", "--load", "", "-o", "r.h5"),
         2,
-        ("'' is no label: write",),
+        ("'' is not a label: write",),
         cell(),
     ),
     Kind(
         "option: a load called bare",
         ("record", "cell.toml", "--load", "bare", "-o", "r.h5"),
         2,
-        ("'bare' means the bare arm: write none",),
+        ("'bare' denotes the unloaded arm: write none",),
         cell(),
     ),
     Kind(
@@ -602,7 +602,7 @@ KINDS: list[Kind] = [
         "output: a recording that is there",
         ("record", "cell.toml", "--load", "none", "-o", "r.h5", "--yes"),
         3,
-        (r"r\.h5 exists; go on with it by --resume, or choose another name",),
+        (r"r\.h5 exists; continue it with --resume, or choose another name",),
         together(cell(), text("mine", "r.h5")),
     ),
     Kind(

@@ -238,7 +238,7 @@ def spoil(layout: Layout, rng: np.random.Generator) -> None:
         layout.refused = r":\d+: column '.*' is given twice"
     else:
         layout.rows[row][names.index("tool")] = "empty"
-        layout.refused = rf":{line}: .*means the bare arm: write none"
+        layout.refused = rf":{line}: .*denotes the unloaded arm: write none"
 
 
 def written(layout: Layout) -> bytes:

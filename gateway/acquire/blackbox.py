@@ -12,7 +12,7 @@ from typing import Final
 
 from drives.errors import DriveError
 from gateway.data.blackbox.part import FIELDS, BoxHeader
-from gateway.data.blackbox.recorder import BoxKeeper
+from gateway.data.blackbox.recorder import BoxRecorder
 from gateway.data.blackbox.ring_buffer import box_of
 from gateway.data.blackbox.spool import place_in
 from gateway.motion.observed_fields import fill
@@ -28,7 +28,7 @@ class BlackBoxWatch:
 
     Parameters
     ----------
-    recorder : BoxKeeper
+    recorder : BoxRecorder
     arm : str
         Arm whose samples are recorded; other arms may be powered too.
 
@@ -38,9 +38,9 @@ class BlackBoxWatch:
         True once the arms have been powered.
     """
 
-    def __init__(self, recorder: BoxKeeper, arm: str) -> None:
+    def __init__(self, recorder: BoxRecorder, arm: str) -> None:
         self.powered = False
-        self._recorder: BoxKeeper | None = recorder
+        self._recorder: BoxRecorder | None = recorder
         self._arm, self._place = arm, -1
 
     def began(self, scene: Scene) -> None:
@@ -73,7 +73,7 @@ def black_box(opened: OpenArm, header: BoxHeader) -> Generator[BlackBoxWatch]:
 
     Errors of the black box become notes of the error that ended the run. They do not stop the arm.
     """
-    recorder = BoxKeeper(header)
+    recorder = BoxRecorder(header)
     watch, bus = BlackBoxWatch(recorder, opened.config.name), opened.group.bus
     recorder.wait_until_kept()
     bus.add_tap(recorder.frame)

@@ -1,7 +1,7 @@
-"""A measurement in one zip file: its files, each with a checksum in `manifest.json`, read without trusting any name.
+"""Zip archive of one measurement: its files, each with a SHA-256 checksum in `manifest.json`.
 
-A file that the manifest does not list, one that is missing and one whose checksum differs are named together, and
-nothing of the archive is used.
+Reading rejects the whole archive if a file is missing, not listed in the manifest, or has another checksum; the error
+names every such file. File names are checked before anything is written.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _DAMAGED: Final = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError
 
 @dataclass(frozen=True, slots=True)
 class Archive:
-    """Files of an archive by name, without the manifest, and what the manifest states beside their checksums."""
+    """Files of an archive by name, without the manifest, and the other entries of the manifest."""
 
     files: Mapping[str, bytes]
     stated: Mapping[str, Any]
 
 
 def archive_bytes(archive: Archive) -> bytes:
-    """Return the zip file of an archive."""
+    """Return the content of the zip file of an archive."""
     listed = {name: hashlib.sha256(content).hexdigest() for name, content in archive.files.items()}
     manifest = json.dumps({"schema": SCHEMA, **archive.stated, "files": listed}, indent=1, allow_nan=False) + "\n"
     stream = io.BytesIO()
@@ -96,12 +96,12 @@ def _read(opened: zipfile.ZipFile, path: Path) -> Archive:
 
 
 def is_safe(name: str) -> bool:
-    """Whether a name stays inside the folder that it is written to, on every system."""
+    """Return whether a file name stays inside the folder that it is written to, on every operating system."""
     return bool(_NAME.fullmatch(name)) and not {"..", "."} & set(name.split("/"))
 
 
 def _content(opened: zipfile.ZipFile, name: str) -> bytes | None:
-    """Content of a file; None where it is damaged."""
+    """Return the content of a file; None if it is damaged."""
     try:
         return opened.read(name)
     except _DAMAGED:

@@ -1,6 +1,7 @@
-"""CSV text of measured tables and of paths: columns by name, cells as numbers, every refusal with file and line.
+"""Read and write the CSV text of measured tables and paths: columns by name, values as numbers.
 
-The file is converted in blocks of rows, so that memory stays near that of the numbers alone.
+Every error names file and line. The file is converted in blocks of rows, so that memory use is close to the size of
+the numbers.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ BLANK_ALLOWED = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of the measured table, or one an axis: name with `{}` for the axis, unit, when needed, meaning."""
+    """Column of the measured table, or one per axis (`{}` stands for the axis): name, unit, when required, meaning."""
 
     name: str
     unit: str
@@ -45,9 +46,9 @@ class Column:
 
 #: Every column that has a meaning, in the order in which it is explained.
 COLUMNS = (
-    Column("run", "", "no", "recording that the row comes from; the name of the file if absent"),
-    Column("load", "", "no", "label of what is on the flange; `none` = bare, the default"),
-    Column("pose", "", "rest rows", "integer; the same number under two loads is the same pose"),
+    Column("run", "", "no", "recording of the sample; the name of the file if absent"),
+    Column("load", "", "no", "label of the load on the flange; `none` = unloaded arm, the default"),
+    Column("pose", "", "rest rows", "integer; equal numbers with two loads are the same pose"),
     Column("time_s", "s", "moving rows", "at rest optional: start of the visit"),
     Column("q{}_rad", "rad", "yes", "joint position in the convention of the robot model"),
     Column("qd{}_rad_s", "rad/s", "moving rows", "joint speed; absent: at rest"),
@@ -57,22 +58,22 @@ COLUMNS = (
         "tau{}_nm",
         "Nm",
         "one of three",
-        "torque of the actuator on the joint's side, positive in the direction of positive q; ratio applied, efficiency"
+        "actuator torque on the joint side, positive in the direction of positive q; ratio applied, efficiency"
         " not, nothing subtracted",
     ),
-    Column("taum{}_nm", "Nm", "one of three", "torque on the motor's side; ratio, efficiency, sign come from the cell"),
+    Column("taum{}_nm", "Nm", "one of three", "torque on the motor side; the cell has ratio, efficiency and sign"),
     Column("i{}_a", "A", "one of three", "motor current; needs `--cell` for torque constant, ratio and sign"),
-    Column("tau{}_std_nm", "Nm", "no", "standard deviation of the samples that were averaged"),
-    Column("taum{}_std_nm", "Nm", "no", "the same of `taum{}_nm`"),
-    Column("i{}_std_a", "A", "no", "the same of `i{}_a`"),
-    Column("n", "", "no", "how many samples were averaged"),
-    Column("q2nd{}_rad", "rad", "no", "encoder on the link's side"),
+    Column("tau{}_std_nm", "Nm", "no", "standard deviation of the averaged samples"),
+    Column("taum{}_std_nm", "Nm", "no", "standard deviation of `taum{}_nm`"),
+    Column("i{}_std_a", "A", "no", "standard deviation of `i{}_a`"),
+    Column("n", "", "no", "number of averaged samples"),
+    Column("q2nd{}_rad", "rad", "no", "encoder on the link side"),
     Column("temp{}_c", "deg C", "no", "temperature of motor or drive"),
 )
 #: Columns of our own that say which rows of a motion repeat one another.
 PERIOD_COLUMNS = (
-    Column("x_excitation", "", "no", "moving rows: number of the motion, the same for the same motion and speed"),
-    Column("x_period", "", "no", "which period of it: rows of the same instant in two periods differ by noise alone"),
+    Column("x_excitation", "", "no", "moving samples: number of the motion, equal for equal motion and speed"),
+    Column("x_period", "", "no", "number of the period; samples of one instant in two periods differ by noise alone"),
     Column("x_phase_s", "s", "no", "time in the period"),
 )
 PATTERNS = tuple(column.name for column in COLUMNS if "{}" in column.name)
@@ -86,7 +87,7 @@ Lines = Iterator[tuple[int, list[str]]]
 
 @dataclass(frozen=True, slots=True)
 class CsvColumns:
-    """The cells of one CSV file.
+    """Columns of one CSV file.
 
     Attributes
     ----------
@@ -102,16 +103,16 @@ class CsvColumns:
 
     @property
     def axes(self) -> int:
-        """How many axes the columns are of: the highest that one of them names."""
+        """Number of axes: the highest axis in a column name."""
         return max((AXIS_OF.get(name, 0) for name in self.values), default=0)
 
     def where(self, row: int) -> str:
-        """`file:line` of a row."""
+        """Return `file:line` of a row."""
         return f"{self.file}:{self.line[row]}"
 
 
 def read_columns(path: Path) -> CsvColumns:
-    """Read a measured table (UTF-8 with or without byte order mark, comma, quoting, any line end).
+    """Read the columns of a measured table (UTF-8 with or without byte order mark, comma, quoting, any line end).
 
     Raises
     ------
@@ -133,17 +134,17 @@ def read_columns(path: Path) -> CsvColumns:
 
 
 def read_path_columns(path: Path, needed: Sequence[str], optional: Sequence[str] = ()) -> CsvColumns:
-    """Read the columns of a path, all of them numbers; lines that begin with # are remarks.
+    """Read the columns of a path, all numbers; lines that begin with # are comments.
 
     Raises
     ------
     InputError
-        As `read_columns`, or a column that is needed is missing.
+        As `read_columns`, or a required column is missing.
     """
     columns = _opened(path, frozenset((*needed, *optional)), remarks=True)
     missing = [name for name in needed if name not in columns.values]
     if missing:
-        raise InputError(f"{path}:1: column {missing[0]} is missing; a path has the columns {', '.join(needed)}")
+        raise InputError(f"{path}:1: column {missing[0]} is missing; a path needs the columns {', '.join(needed)}")
     return columns
 
 
@@ -190,7 +191,7 @@ def _header(cells: list[str] | None, file: str, known: frozenset[str]) -> list[s
     seen: set[str] = set()
     for name in (cell.strip() for cell in cells):
         if name not in known and not (name.startswith("x_") and name.isprintable()):
-            hint = "the separator must be a comma" if ";" in name or "\t" in name else "own columns start with x_"
+            hint = "the separator must be a comma" if ";" in name or "\t" in name else "user columns start with x_"
             raise InputError(f"{file}:1: unknown column '{_short(name)}'; {hint}, units are part of the name")
         if name in seen:
             raise InputError(f"{file}:1: column '{_short(name)}' is given twice")
@@ -207,7 +208,7 @@ def _rows(lines: Lines, header: list[str], file: str) -> Lines:
 
 
 def _kind(name: str, first: str, known: frozenset[str]) -> str:
-    """A column of one's own is text or numbers by its first cell; of the others it is known."""
+    """Return whether a column holds text or numbers; for a user column (`x_`) its first cell decides."""
     if name in TEXT:
         return "text"
     return "text" if name not in known and not _is_number(first) else "number"
@@ -226,7 +227,7 @@ def _text(cells: tuple[str, ...]) -> np.ndarray:
 
 
 def text_cells(texts: Sequence[object]) -> list[object]:
-    """Cells that no spreadsheet takes for a formula: an apostrophe before what begins like one; reading removes it."""
+    """Return cells with an apostrophe before those that a spreadsheet would take for a formula; reading removes it."""
     return [f"'{text}" if isinstance(text, str) and _FORMULA.match(text) else text for text in texts]
 
 
@@ -249,11 +250,11 @@ def _numbers(name: str, cells: tuple[str, ...], line: np.ndarray, file: str) -> 
 
 
 def _unusable(where: str, name: str, what: str) -> InputError:
-    return InputError(f"{where}: {name}: {what}; nothing is filled in, correct or remove the row")
+    return InputError(f"{where}: {name}: {what}; missing values are not filled in; correct or remove the row")
 
 
 def empty_cell(where: str, name: str) -> InputError:
-    """Error about a cell that may not be left empty."""
+    """Return the error for an empty cell in a required column."""
     return _unusable(where, name, "is empty")
 
 

@@ -1,4 +1,4 @@
-"""Libraries that are there with an extra of the package, and are named in one sentence where they are missing."""
+"""Import of optional libraries; a missing one is reported with the extra of the package that installs it."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from gateway.errors import ConfigError
 
 
 def needed(module: str, what: str, extra: str) -> Any:
-    """A module of a library that not every user has.
+    """Import and return an optional module.
 
     Parameters
     ----------
     module : str
     what : str
-        What needs it, for the message.
+        Feature that needs it, for the message.
     extra : str
-        Of the package, with which it is installed.
+        Extra of the package that installs it.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""One period of an excitation, as it was driven and sampled: raw words and SI values of every SYNC."""
+"""Period of an excitation trajectory as driven: raw drive words and SI values of every SYNC."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ _WORDS: Final = ("statusword", "position_count", "torque_word", "current_word", 
 
 @dataclass(frozen=True, slots=True)
 class PeriodLabel:
-    """What a period is called, before it has samples.
+    """Identification of a period before it has samples.
 
     Attributes
     ----------
     load : str
     excitation : int
-        Fingerprint of what is driven, at full speed.
+        Fingerprint of the excitation at full speed.
     name, kind : str
         Of the excitation.
     joint : int
-        Joint that a sweep turns, from 1; 0 = all.
+        Joint moved by a sweep, from 1; 0 = all.
     period : int
-        Which of the excitation's periods, from 1.
+        Number of the period within the excitation, from 1.
     speed : float
-        Share of the full speed, in (0, 1].
+        Fraction of full speed, in (0, 1].
     period_s : float
-        Duration as it is driven: a whole number of SYNCs.
+        Duration at that speed: a whole number of SYNC periods.
     """
 
     load: str
@@ -62,13 +62,13 @@ class Period:
     load, excitation, name, kind, joint, period, speed, period_s
         As in `PeriodLabel`.
     complete : bool
-        Whether every SYNC of it is here.
+        Whether it contains every SYNC.
     incomplete_epochs : int
-        SYNCs that some axis left unanswered.
+        Number of SYNCs that an axis did not answer.
     target_rad : array of shape (n, N)
-        Joint positions that were sent with each SYNC; they are due one SYNC later.
+        Joint setpoints sent with each SYNC; the drive reaches them one SYNC later.
     statusword, position_count, torque_word, current_word, velocity_word : int64 arrays of shape (n, N)
-        As received; `NO_WORD` where the drive sends none.
+        Raw values as received; `NO_WORD` where the drive sends none.
     q_rad, motor_torque_nm, joint_torque_nm, motor_current_a : arrays of shape (n, N)
         Current NaN where the drive sends none.
     sync_index : int64 array of shape (n,)
@@ -108,7 +108,7 @@ class Period:
 
     @property
     def motion(self) -> int:
-        """The same number for the same motion at the same speed, in any file."""
+        """Number of the motion, equal for equal motion and speed in all files."""
         return motion_number(self.excitation, self.speed)
 
 
@@ -117,18 +117,18 @@ Measured = TypeVar("Measured", bound=Visit | Period)
 
 
 def motion_number(excitation: int, speed: float) -> int:
-    """Fingerprint of an excitation driven at a share of its speed: at full speed, its own."""
+    """Return the fingerprint of an excitation at a fraction of its speed; at full speed its own fingerprint."""
     return excitation if speed == 1.0 else zlib.crc32(f"{excitation} at {speed!r}".encode())
 
 
 def harmonics_of(excitation: dict[str, Any]) -> int:
-    """Number of the fastest harmonic of a series, from its plain values; 0 where it is not made of harmonics."""
+    """Return the order of the highest harmonic of an excitation; 0 if it is not a Fourier series."""
     rows = excitation.get("cosine_rad")
     return len(rows[0]) if isinstance(rows, list) and rows and isinstance(rows[0], list) else 0
 
 
 def why_aliased(count: int, harmonics: int) -> str | None:
-    """Why so many SYNCs do not hold a period of so many harmonics, in words; None = they do."""
+    """Return why `count` SYNCs per period undersample the harmonics of an excitation; None if they suffice."""
     least = max(LEAST_PER_PERIOD, LEAST_PER_HARMONIC * harmonics)
     if count >= least:
         return None
@@ -139,7 +139,7 @@ def why_aliased(count: int, harmonics: int) -> str | None:
 
 
 class PeriodLog:
-    """Takes the samples of one period as they come, so that nothing is left to be put together at its end.
+    """Collects the samples of one period in preallocated arrays.
 
     Parameters
     ----------
@@ -150,9 +150,9 @@ class PeriodLog:
     Attributes
     ----------
     incomplete_epochs : int
-        SYNCs so far that some axis left unanswered.
+        Number of SYNCs so far that an axis did not answer.
     silent : set of int
-        Axes, from 1, whose drive left one unanswered.
+        Axes, from 1, whose drive did not answer a SYNC.
     """
 
     def __init__(self, label: PeriodLabel, count: int, axes: int) -> None:
@@ -164,7 +164,9 @@ class PeriodLog:
         self._sync, self._time = np.zeros(count, dtype=np.int64), np.zeros(count)
 
     def add(self, sample: ArmSample, target_rad: np.ndarray) -> None:
-        """One SYNC and the joint positions (N,) that were sent with it; one that is incomplete is counted alone."""
+        """Add the sample of one SYNC and the setpoints (N,) sent with it; of an incomplete sample only the count is
+        kept.
+        """
         readings = [reading for reading in sample.readings if reading is not None]
         if len(readings) < len(sample.readings):
             self.incomplete_epochs += 1
@@ -185,7 +187,7 @@ class PeriodLog:
         return self._taken
 
     def period(self, temperature_c: np.ndarray | None = None) -> Period:
-        """What was taken, complete if it is all of it; with the temperatures (N,) [deg C] that were read meanwhile.
+        """Return the collected period, marked complete if no SYNC is missing, with the temperatures (N,) [deg C].
 
         Raises
         ------
@@ -194,7 +196,8 @@ class PeriodLog:
         """
         n = self._taken
         if not n:
-            raise InputError(f"period {self._label.period} of '{self._label.name}': not one SYNC was answered")
+            where = f"period {self._label.period} of '{self._label.name}'"
+            raise InputError(f"{where}: the drives answered no SYNC; check power and bus")
         label = self._label
         words = {name: self._words[k, :n] for k, name in enumerate(_WORDS)}
         return Period(

@@ -1,9 +1,9 @@
-"""Position, speed and acceleration of one period of a motion, from its measured positions; pure numerics.
+"""Position, speed and acceleration over one period of a motion, from its measured positions.
 
-A period ends where it began, so its positions are a Fourier series; evenly spaced samples make its harmonics
-orthogonal, and least squares over the whole period is one transform (Swevers et al., IEEE Trans. Robotics and
-Automation 13, 1997). The tail of what the servo lags is another one at the beginning than at the end: a straight line
-between the ends is taken off first and put back afterwards, so that its jump does not ring through the derivatives.
+A period ends at its start position, so the positions are a Fourier series. Evenly spaced samples make its harmonics
+orthogonal, and least squares over the period is one Fourier transform (Swevers et al., IEEE Trans. Robotics and
+Automation 13, 1997). The servo lag differs between start and end.
+Therefore the line between the ends is subtracted first and added again afterwards; otherwise its jump causes ringing.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SEAM_S: Final = 0.06
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kinematics:
-    """Arrays of shape (n, N): position [rad], speed [rad/s], acceleration [rad/s2]."""
+    """Joint motion, arrays (n, N): position [rad], speed [rad/s], acceleration [rad/s2]."""
 
     q_rad: Floats
     qd_rad_s: Floats
@@ -35,7 +35,7 @@ class Kinematics:
 
 
 def by_harmonics(q_rad: Floats, period_s: float, least: int = 0, delay_s: float = 0.0) -> Kinematics:
-    """Least squares of a Fourier series over one period.
+    """Fit a Fourier series to one period of positions by least squares and return its motion.
 
     Parameters
     ----------
@@ -43,9 +43,9 @@ def by_harmonics(q_rad: Floats, period_s: float, least: int = 0, delay_s: float 
         Measured, evenly spaced over the period, its end left out.
     period_s : float
     least : int
-        Harmonics that are kept at least: those that were sent.
+        Minimum number of harmonics: that of the commanded motion.
     delay_s : float
-        The result is that of so much earlier.
+        The returned motion is earlier by this time.
     """
     n = len(q_rad)
     last = max(least, min(int(CUTOFF_HZ * period_s), int(MOST_SHARE * n)))
@@ -55,16 +55,16 @@ def by_harmonics(q_rad: Floats, period_s: float, least: int = 0, delay_s: float 
 
 
 def by_low_pass(q_rad: Floats, period_s: float, delay_s: float = 0.0) -> Kinematics:
-    """Zero-phase low pass of one period, half the power at `CUTOFF_HZ`: a Gaussian, which does not ring at corners.
+    """Filter one period of positions by a zero-phase Gaussian low pass and return its motion.
 
-    Parameters are those of `by_harmonics`.
+    Half the power passes at `CUTOFF_HZ`. A Gaussian does not ring at corners. Parameters are those of `by_harmonics`.
     """
     rate = np.arange(len(q_rad) // 2 + 1) / period_s
     return _filtered(q_rad, period_s, np.exp(-0.5 * np.log(2.0) * (rate / CUTOFF_HZ) ** 2), delay_s)
 
 
 def _filtered(q_rad: Floats, period_s: float, gain: Floats, delay_s: float) -> Kinematics:
-    """Series with each harmonic times its gain (n // 2 + 1,), and the straight line between the ends."""
+    """Return the series with each harmonic multiplied by its gain (n // 2 + 1,), plus the line between the ends."""
     n = len(q_rad)
     ramp = (np.arange(n) - 0.5 * (n - 1)) / n
     slope = -_jump(q_rad, period_s)
@@ -82,7 +82,7 @@ def _filtered(q_rad: Floats, period_s: float, gain: Floats, delay_s: float) -> K
 
 
 def _jump(q_rad: Floats, period_s: float) -> Floats:
-    """How far each joint (N,) is farther at the beginning of a period than its end leads to, by least squares."""
+    """Return the least-squares estimate of the jump (N,) [rad] between the end of a period and its beginning."""
     n = len(q_rad)
     reach = min(max(round(SEAM_S * n / period_s), SMOOTH + 1), n // 2)
     around = np.concatenate([q_rad[-reach:], q_rad[:reach]])

@@ -1,7 +1,6 @@
-"""Motion that is driven again and again: which rows repeat which, and what scatters from period to period.
+"""Repeated periods of a motion: which samples repeat which, and the torque noise between the periods.
 
-What differs between two periods of one excitation under one load is noise: the motion, the arm and all that the model
-lacks are the same in both.
+Two periods of one excitation under one load have the same motion, arm and model error; they differ by noise alone.
 """
 
 from __future__ import annotations
@@ -19,18 +18,18 @@ Mask = NDArray[np.bool_]
 
 #: Columns of a table that say which excitation a row belongs to (a number), which period, and the time in it [s].
 EXCITATION, PERIOD, PHASE_S = "x_excitation", "x_period", "x_phase_s"
-#: Periods from which on their scatter is told.
+#: Minimum number of periods for a noise estimate.
 FEWEST = 2
 
 
 def repeats(table: Table) -> Mask:
-    """Rows (n,) that belong to a period of an excitation."""
+    """Return a mask (n,) of the samples that belong to a period of an excitation."""
     columns = [table.extra.get(name, np.full(len(table), np.nan)) for name in (EXCITATION, PERIOD, PHASE_S)]
     return np.asarray(table.moving & np.isfinite(columns).all(axis=0))
 
 
 def excitation_runs(table: Table) -> Ints:
-    """Number (n,) of the excitation and load that a row was measured with, in one file; -1 where nothing repeats."""
+    """Return the number (n,) of the excitation and load of each sample, within one file; -1 without excitation."""
     rows = np.flatnonzero(repeats(table))
     out = np.full(len(table), -1)
     if not len(rows):
@@ -42,16 +41,17 @@ def excitation_runs(table: Table) -> Ints:
 
 
 def noise_between_periods(table: Table, turns: Mask) -> Floats:
-    """Standard deviation (N,) [Nm] of one torque reading, from what differs between periods; NaN where nothing repeats.
+    """Return the standard deviation (N,) [Nm] of one torque sample from differences between periods; NaN without
+    repeats.
 
-    Of each period its mean square distance from the mean of all, the median over the periods, so that a period in which
-    somebody touched the arm does not count; pooled over excitations and loads.
+    Uses the mean square deviation of each period from the mean of all periods, then the median over the periods, so
+    that a disturbed period has no influence; pooled over excitations and loads.
 
     Parameters
     ----------
     table : Table
     turns : bool array of shape (n, N)
-        Where an axis turns: one that stands holds what its friction allows, which is another torque in each period.
+        Where an axis moves. The torque of an axis at rest varies within its friction from period to period.
     """
     squares, counts = np.zeros((2, table.axes))
     for rows in _stacks(table):
@@ -65,7 +65,7 @@ def noise_between_periods(table: Table, turns: Mask) -> Floats:
 
 
 def _stacks(table: Table) -> Iterator[Ints]:
-    """Rows (periods, instants) of every excitation under one load that was driven at least twice."""
+    """Yield the sample indices (periods, instants) of every excitation and load with at least two periods."""
     runs = excitation_runs(table)
     for number in range(runs.max(initial=-1) + 1):
         mine = np.flatnonzero(runs == number)

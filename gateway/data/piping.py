@@ -1,6 +1,6 @@
-"""A process that writes, and the pipe to it: the side of the motion loop never waits.
+"""Writer process and the pipe to it, without blocking the motion loop.
 
-What the pipe has no room for stays here until the next call.
+Messages that do not fit in the pipe wait here until the next call.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ _LENGTH = struct.Struct("<Q")
 
 
 def framed(message: object) -> bytes:
-    """A message as it goes through a pipe."""
+    """Return a message with its length prefix, as sent through a pipe."""
     content = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     return _LENGTH.pack(len(content)) + content
 
 
 class Inbox:
-    """Puts the pieces that come out of a pipe together again; a message that was cut off never comes out."""
+    """Reassembles messages from the bytes of a pipe; a truncated message is never returned."""
 
     def __init__(self) -> None:
         self._pieces = bytearray()
 
     def put(self, piece: bytes) -> None:
-        """Add what was read."""
+        """Add received bytes."""
         self._pieces += piece
 
     def take(self) -> Any:
-        """Next whole message, None if there is none."""
+        """Return the next complete message, None if there is none."""
         if len(self._pieces) < _LENGTH.size:
             return None
         end = _LENGTH.size + _LENGTH.unpack_from(self._pieces)[0]
@@ -55,7 +55,7 @@ class Inbox:
 
 
 class PipeEnd:
-    """In a process that writes: the pipes from and to the one that feeds it."""
+    """Pipes of a writer process, from and to the process that sends to it."""
 
     def __init__(self, source: int, sink: int) -> None:
         self._source, self._sink = source, sink
@@ -63,7 +63,7 @@ class PipeEnd:
         self._inbox = Inbox()
 
     def receive(self) -> Any:
-        """Next message; None = there will be none any more."""
+        """Return the next message; None after the end of the input."""
         while (message := self._inbox.take()) is None:
             if not select.select([self._source], [], [], LOOK_S)[0]:
                 if os.getppid() != self._parent:
@@ -76,14 +76,14 @@ class PipeEnd:
         return message
 
     def say(self, message: object) -> None:
-        """Answer; nobody may be there to hear it any more."""
+        """Send an answer; ignore a closed pipe."""
         with suppress(BrokenPipeError):
             os.write(self._sink, framed(message))
 
 
 @contextmanager
 def _held_back() -> Generator[None]:
-    """A process that is started meanwhile never gets these signals; this one gets them afterwards."""
+    """Block signals during the start of a child, which inherits the mask; they are delivered here afterwards."""
     # a terminal or a service manager sends these to all processes; the writer ends when its work is done
     before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING_SIGNALS)
     try:
@@ -93,10 +93,10 @@ def _held_back() -> Generator[None]:
 
 
 class WriterProcess:
-    """The process that writes, as seen from here; `gone` once it has ended.
+    """Handle of a writer process; `gone` once it has ended.
 
-    It has a session of its own, so that Ctrl-C in a terminal does not reach it, and sees the end of its pipe when this
-    process dies in whatever way: it then writes what it has got and ends.
+    The process has its own session, so that Ctrl-C in a terminal does not reach it. When this process dies, its pipe
+    is closed; it then writes the received data and ends.
 
     Parameters
     ----------
@@ -123,16 +123,16 @@ class WriterProcess:
 
     @property
     def pid(self) -> int:
-        """Its process number."""
+        """Process number."""
         return self._process.pid
 
     def send(self, frame: bytes) -> None:
-        """Take a message in; never waits."""
+        """Queue a message; does not block."""
         self._unsent += frame
         self._push()
 
     def receive(self) -> list[Any]:
-        """Push on what is still here and return what has arrived; never waits."""
+        """Send queued data and return the received answers; does not block."""
         self._push()
         while not self.gone:
             try:
@@ -144,7 +144,7 @@ class WriterProcess:
         return list(iter(self._inbox.take, None))
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until it says something or can take more."""
+        """Wait until the process answers or its pipe accepts data."""
         if self.gone:
             return
         poll = select.poll()
@@ -155,23 +155,23 @@ class WriterProcess:
 
     @property
     def unsent_bytes(self) -> int:
-        """How much is still here."""
+        """Number of queued bytes not yet sent."""
         return 0 if self.gone else len(self._unsent)
 
     @property
     def unsent(self) -> bool:
-        """Whether something is still here."""
+        """Return whether queued data remain."""
         return bool(self._unsent) and not self.gone
 
     def hang_up(self) -> None:
-        """Nothing more comes: it writes what it has got and ends."""
+        """Close the input of the process: it writes the received data and ends."""
         if self._to >= 0:
             os.close(self._to)
             self._to = -1
         self._unsent.clear()
 
     def end(self) -> int:
-        """Wait for its end and give the pipe back; returns its exit code."""
+        """Wait for the end of the process, close its pipes and return its exit code."""
         self.hang_up()
         code = self._process.wait()
         if self._from >= 0:
@@ -181,7 +181,7 @@ class WriterProcess:
         return code
 
     def leave(self) -> None:
-        """Let it go on with what it has got, for however long; nobody hears of its end."""
+        """Let the process finish in the background; its end is not reported."""
         self.hang_up()
         os.close(self._from)
         self._from = -1
@@ -189,7 +189,7 @@ class WriterProcess:
         threading.Thread(target=self._process.wait, daemon=True, name="writer that is left").start()
 
     def kill(self) -> None:
-        """End it at once."""
+        """Kill the process."""
         self._process.kill()
         self.end()
 
@@ -208,7 +208,7 @@ class WriterProcess:
 
 
 def _own_end(pipe: Any) -> int:
-    """This end of a pipe, made one that never waits, above 2: where standard streams are closed, others write there."""
+    """Return a non-blocking pipe end with a descriptor above 2, so that it cannot replace a closed standard stream."""
     import fcntl  # pipes of this kind are of Linux and macOS; what only reads needs none
 
     with pipe:

@@ -1,4 +1,4 @@
-"""Measured data from files: recordings and tables, mixed."""
+"""Read measured data from a mix of recordings (HDF5) and tables (CSV)."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ RECORDING_SUFFIXES = (".h5", ".hdf5")
 
 
 def read_data(paths: Sequence[Path | str], recordings: Sequence[Recording], axes: AxisConversion | None) -> Table:
-    """Rows of all files; the same row in two files counts once.
+    """Return the samples of all files as one table; a sample that is in two files counts once.
 
     Parameters
     ----------
     paths : sequence of Path or str
         `.h5` recordings and `.csv` tables.
     recordings : sequence of Recording
-        Those among the paths, read and bound to their arm.
+        Recordings among the paths that are already read and bound to their arm.
     axes : AxisConversion or None
         Converts motor torques and currents of tables.
 
     Raises
     ------
     InputError
-        A file that cannot be used, an unknown kind of file, rows that contradict each other.
+        A file that cannot be used, an unknown kind of file, or contradictory samples.
     """
     by_path = {recording.path: recording for recording in recordings}
     return without_duplicates(concatenate([_rows(Path(path), by_path, axes) for path in paths]))
 
 
 def is_recording(path: Path) -> bool:
-    """Whether the name is that of a recording."""
+    """Return whether a path has the suffix of a recording."""
     return path.suffix.lower() in RECORDING_SUFFIXES
 
 

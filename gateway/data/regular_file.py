@@ -1,4 +1,4 @@
-"""Regular files of bounded size: their size, or their bytes. A pipe or a device has no size and may never end."""
+"""Read regular files of bounded size; pipes and devices are rejected, as they have no size and may never end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A posture to measure, as plans and recordings name it."""
+"""Static posture to measure, as plans and recordings identify it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Purpose = Literal["fit", "validation"]
 
 @dataclass(frozen=True, slots=True)
 class RestPose:
-    """One posture to measure; `number` is its name in every file."""
+    """Static posture to measure; `number` identifies it in every file."""
 
     number: int
     q_rad: tuple[float, ...]

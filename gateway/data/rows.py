@@ -1,4 +1,4 @@
-"""Rows of measured data as arrays: one per rest-pose visit or per instant of a moving run."""
+"""Table of measured samples as arrays: one per rest-pose visit or per instant of a moving run."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ COMPARED = (
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Measured rows; joints count from 0 along the second axis.
+    """Measured samples; joints count from 0 along the second axis.
 
     Attributes
     ----------
     file : tuple of str, one per row
-        File the row came from.
+        File of the sample.
     line : int array of shape (n,)
         Line in the CSV file, or visit number in the recording.
     run, load : str arrays of shape (n,)
-        Recording the row came from; label of what is on the flange (`none` = bare).
+        Recording of the sample; label of the load on the flange (`none` = unloaded arm).
     pose : int array of shape (n,)
         Number of the rest pose; -1 in moving rows.
     time_s : array of shape (n,)
-        NaN where not given.
+        NaN where unknown.
     q_rad, qd_rad_s, qdd_rad_s2 : arrays of shape (n, N)
         Joint motion in the convention of the robot model; derivatives are zero at rest.
     moving : bool array of shape (n,)
@@ -79,21 +79,21 @@ class Table:
     extra: dict[str, np.ndarray] = field(default_factory=dict)
 
     def __len__(self) -> int:
-        """Number of rows."""
+        """Number of samples."""
         return len(self.file)
 
     @property
     def axes(self) -> int:
-        """How many axes the rows have."""
+        """Number of axes."""
         return self.q_rad.shape[1]
 
     def with_torque_scaled(self, scale: np.ndarray) -> Table:
-        """The same rows with the torque of each axis multiplied by `scale` (N,)."""
+        """Return a copy with the torque of each axis multiplied by `scale` (N,)."""
         scaled = ("tau_nm", "tau_std_nm", "motor_torque_nm")
         return replace(self, **{name: getattr(self, name) * scale for name in scaled})
 
     def take(self, rows: np.ndarray) -> Table:
-        """The chosen rows as a new table.
+        """Return the selected samples as a new table.
 
         Parameters
         ----------
@@ -108,23 +108,23 @@ class Table:
         return Table(**chosen)
 
     def where(self, row: int) -> str:
-        """`file:line` of a row, for messages."""
+        """Return `file:line` of a sample, for messages."""
         return f"{self.file[row]}:{self.line[row]}"
 
 
 def concatenate(tables: Sequence[Table]) -> Table:
-    """Rows of several tables, one after the other; an own column that only some tables have becomes NaN elsewhere.
+    """Return the samples of several tables in one; a user column missing in a table becomes NaN there.
 
     Raises
     ------
     InputError
-        No table is given, or tables of different arms by their number of axes.
+        No table, or tables with different numbers of axes.
     """
     if not tables:
-        raise InputError("no measured data given")
+        raise InputError("no measured data: name a recording (.h5) or a table (.csv)")
     if len({table.axes for table in tables}) > 1:
         counts = ", ".join(f"{table.file[0] if table.file else 'a file without rows'} {table.axes}" for table in tables)
-        raise InputError(f"the data are of arms with different numbers of axes ({counts}); give those of one arm")
+        raise InputError(f"the data are of arms with different numbers of axes ({counts}); give the data of one arm")
     joined: dict[str, Any] = {
         item.name: np.concatenate([getattr(table, item.name) for table in tables])
         for item in fields(Table)
@@ -139,15 +139,15 @@ def concatenate(tables: Sequence[Table]) -> Table:
 
 
 def without_duplicates(table: Table) -> Table:
-    """Drop rows that repeat an earlier one in every value.
+    """Remove samples that repeat an earlier one in every value.
 
-    Rows are the same visit or instant if run, load, pose, directions and time agree; a value that only one of them has
-    is no difference.
+    Two samples are the same visit or instant if run, load, pose, directions and time agree; a value missing in one of
+    them is not a difference.
 
     Raises
     ------
     InputError
-        Two rows are the same visit or instant and their values differ.
+        Two samples of the same visit or instant have different values.
     """
     _, run = np.unique(table.run, return_inverse=True)
     _, load = np.unique(table.load, return_inverse=True)

@@ -1,4 +1,4 @@
-"""What the drives of an arm reported for one SYNC."""
+"""Sample of an arm at one SYNC, as reported by its drives."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from drives.values import InstrumentReading
 
 
 def following_error_rad(target_rad: np.ndarray, position_rad: np.ndarray) -> np.ndarray:
-    """Return the following error as ISO 9283 and CiA 402 (0x60F4) count it: target less actual position."""
+    """Return the following error [rad], target minus actual position (ISO 9283; CiA 402 object 0x60F4)."""
     return target_rad - position_rad
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSample:
-    """What the drives of an arm of N axes reported for one SYNC, on the joint side.
+    """Sample of an arm of N axes at one SYNC, joint side, as reported by its drives.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class ArmSample:
 
     @property
     def complete(self) -> bool:
-        """Whether every drive answered this SYNC."""
+        """Return whether every drive answered this SYNC."""
         return None not in self.readings
 
     @property

@@ -27,7 +27,7 @@ def read_csv(path: Path, axes: AxisConversion | None) -> Table:
     ----------
     path : Path
     axes : AxisConversion or None
-        Needed where the table gives motor currents; without it, motor torques stay on the motor side.
+        Required for motor currents; without it, motor torques stay on the motor side.
 
     Returns
     -------
@@ -102,7 +102,7 @@ def _integers(columns: CsvColumns, name: str, least: int) -> np.ndarray:
 
 
 def _rest_or_moving(columns: CsvColumns) -> tuple[np.ndarray, np.ndarray]:
-    """Pose (n,) and moving (n,): a row moves if it has a velocity or no pose."""
+    """Return pose (n,) and moving (n,): a sample with a velocity or without pose is moving."""
     n_rows = len(columns.line)
     speeds = _by_axis(columns, "qd{}_rad_s")
     pose = _integers(columns, "pose", MOVING) if "pose" in columns.values else np.full(n_rows, MOVING)
@@ -112,7 +112,7 @@ def _rest_or_moving(columns: CsvColumns) -> tuple[np.ndarray, np.ndarray]:
     if lost.any():
         row = int(np.argmax(lost))
         raise InputError(
-            f"{columns.where(row)}: a rest row needs a pose number (column 'pose'), a moving row needs qd1_rad_s to "
+            f"{columns.where(row)}: a row at rest needs a pose number (column 'pose'), a moving row needs qd1_rad_s to "
             f"qd{columns.axes}_rad_s and qdd1_rad_s2 to qdd{columns.axes}_rad_s2"
         )
     if moving.any():
@@ -126,7 +126,7 @@ def _rest_or_moving(columns: CsvColumns) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_axis(columns: CsvColumns, pattern: str, needed: np.ndarray | None = None) -> np.ndarray:
-    """A column per axis side by side, NaN where absent; `needed` marks the rows that must have them all."""
+    """Return the columns of all axes as one array, NaN where absent; in rows marked by `needed` none may be empty."""
     n_rows = len(columns.line)
     out = np.full((n_rows, columns.axes), np.nan)
     for joint in range(columns.axes):
@@ -149,7 +149,7 @@ def _directions(columns: CsvColumns) -> np.ndarray:
     if bad.any():
         row, joint = np.argwhere(bad)[0]
         raise InputError(
-            f"{columns.where(int(row))}: dir{joint + 1}: {values[row, joint]:g} is none of -1, 0 (unknown), 1"
+            f"{columns.where(int(row))}: dir{joint + 1}: {values[row, joint]:g} is not one of -1, 0 (unknown), 1"
         )
     return values.astype(np.int8)
 
@@ -157,7 +157,7 @@ def _directions(columns: CsvColumns) -> np.ndarray:
 def _torques(
     columns: CsvColumns, axes: AxisConversion | None, moving: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Joint torque, its standard deviation, motor torque: (n, N) each, NaN where not measured."""
+    """Return joint torque, its standard deviation, and motor torque: (n, N) each, NaN where not measured."""
     tau, taum, current = (_by_axis(columns, pattern) for pattern in ("tau{}_nm", "taum{}_nm", "i{}_a"))
     _one_source_per_axis(columns)
     tau_std, taum_std, current_std = (
@@ -191,7 +191,7 @@ def _one_source_per_axis(columns: CsvColumns) -> None:
 
 
 def _spread(columns: CsvColumns, pattern: str, moving: np.ndarray) -> np.ndarray:
-    """Standard deviations (n, N); a row of a motion, which is no mean, may leave them empty."""
+    """Return the standard deviations (n, N); they are optional for moving samples, which are not means."""
     values = _by_axis(columns, pattern)
     for joint in range(columns.axes):
         name = pattern.format(joint + 1)
@@ -206,7 +206,7 @@ def _spread(columns: CsvColumns, pattern: str, moving: np.ndarray) -> np.ndarray
 
 
 def write_csv(table: Table, path: Path) -> None:
-    """Write a table so that `read_csv` gives it back: joint torques, only the columns that hold something.
+    """Write a table that `read_csv` reads back: joint torques, without empty columns.
 
     Raises
     ------
@@ -221,7 +221,7 @@ def write_csv(table: Table, path: Path) -> None:
 
 
 def csv_of(table: Table) -> str:
-    """Text of a table, as `read_csv` reads it: joint torques, only the columns that hold something.
+    """Return the CSV text of a table: joint torques, without empty columns.
 
     Raises
     ------
@@ -268,11 +268,11 @@ def _refuse_part_of_an_axis(torque_nm: np.ndarray) -> None:
     partly = (missing > 0) & (missing < 1)
     if partly.any():
         raise InputError(
-            f"axis {int(np.argmax(partly)) + 1} was measured in some rows only; a table has every axis in all rows or "
-            "in none: export the recordings one by one"
+            f"axis {int(np.argmax(partly)) + 1} was measured in some rows only; in a table, each axis has a torque in"
+            " all rows or in none: export each recording separately"
         )
 
 
 def _cells(values: np.ndarray) -> list[object]:
-    """Shortest decimals that read back to the same number; empty for NaN."""
+    """Return the shortest decimals that read back to the same number; empty for NaN."""
     return ["" if value != value else value for value in values.tolist()]

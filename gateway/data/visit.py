@@ -1,4 +1,4 @@
-"""One side of one rest pose, as it was sampled: raw words and SI values."""
+"""Visit of a rest pose from one approach direction, as sampled: raw drive words and SI values."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NO_WORD = -(2**31)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visit:
-    """Samples of a standing arm.
+    """Samples of an arm at rest in one pose, approached from one direction.
 
     Attributes
     ----------
@@ -29,20 +29,21 @@ class Visit:
     approach : int
         Sign of the last motion of all joints.
     complete : bool
-        Whether all samples that were asked for are here.
+        Whether it contains all requested samples.
     incomplete_epochs : int
-        SYNCs that some axis left unanswered while sampling.
+        Number of SYNCs during sampling that an axis did not answer.
     direction : int8 array of shape (N,)
         Sign of each joint's last commanded motion.
     target_rad : array of shape (N,)
     statusword, position_count, torque_word, current_word, velocity_word : int64 arrays of shape (n, N)
-        As received; `NO_WORD` where the drive sends none.
+        Raw values as received; `NO_WORD` where the drive sends none.
     q_rad, motor_torque_nm, joint_torque_nm, motor_current_a : arrays of shape (n, N)
         Current NaN where the drive sends none.
     sync_index : int64 array of shape (n,)
     time_s : array of shape (n,)
     gravity_nm, friction_band_nm : arrays of shape (N,) or None
-        Half sum and half difference of both sides, with the efficiency of each side; with the second side only.
+        Half-sum and half-difference of the torques of both approach directions, each with its gear efficiency;
+        stored with the second direction only.
     temperature_c : array of shape (N,) or None
         Of motor or drive, read once during the visit; NaN where the drive reports none, None where none does.
     """
@@ -78,7 +79,7 @@ class Visit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VisitLabel:
-    """What a visit is called, before it has samples; fields as in `Visit`."""
+    """Identification of a visit before it has samples; fields as in `Visit`."""
 
     load: str
     pose: int
@@ -95,12 +96,12 @@ def visit_from_samples(
     incomplete_epochs: int,
     temperature_c: np.ndarray | None = None,
 ) -> Visit:
-    """Stack complete samples.
+    """Return a visit from complete samples.
 
     Raises
     ------
     InputError
-        No sample, or an incomplete one.
+        There is no sample, or one is incomplete.
     """
     rows = [[reading for reading in sample.readings if reading is not None] for sample in samples]
     if not rows or any(len(row) != len(label.direction) for row in rows):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from gateway.data.blackbox.box import ArmBox, BlackBox
-from gateway.data.blackbox.frame_decoder import BoxDrive, Told, drives_of, sample_times_s, story
+from gateway.data.blackbox.frame_decoder import BoxDrive, DecodedEvent, decoded_events, drives_of, sample_times_s
 from gateway.data.sample import following_error_rad
 from gateway.report import notation, stop_figures
 from gateway.report.page import Head, page
@@ -26,7 +26,7 @@ def render_stop(box: BlackBox) -> str:
     """Return the HTML page of a stop."""
     drives = drives_of(box)
     time_s = sample_times_s(box)
-    before, after, left_out = _lines(story(box))
+    before, after, left_out = _lines(decoded_events(box))
     curves = [curves_of(arm, time_s, box.sync_index) for arm in box.arms]
     about = (("recording", box.recording), ("", box.created), ("", box.software))
     return page(
@@ -112,7 +112,7 @@ def _known_last(values: Floats, text: Callable[[float], str]) -> str:
     return text(float(known[-1])) if len(known) else notation.plain(None)
 
 
-def _lines(reported: Sequence[Told]) -> tuple[list[Told], list[Told], int]:
+def _lines(reported: Sequence[DecodedEvent]) -> tuple[list[DecodedEvent], list[DecodedEvent], int]:
     """Return the events closest to the stop, before and after it, and the number of others."""
     before = [each for each in reported if each.time_s <= 0.0]
     after = [each for each in reported if each.time_s > 0.0]
@@ -120,7 +120,7 @@ def _lines(reported: Sequence[Told]) -> tuple[list[Told], list[Told], int]:
     return *shown, len(reported) - sum(map(len, shown))
 
 
-def _line(reported: Told, drives: dict[int, BoxDrive], arms: int) -> tuple[str, str, str]:
+def _line(reported: DecodedEvent, drives: dict[int, BoxDrive], arms: int) -> tuple[str, str, str]:
     """Return time, source, event."""
     time_s = f"{reported.time_s:+.3f}".replace("-", "\N{MINUS SIGN}")
     return time_s, notation.listing([_who(node, drives, arms) for node in reported.nodes]), reported.what

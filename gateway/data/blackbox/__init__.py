@@ -1,1 +1,1 @@
-"""The black box: the last seconds of all frames and samples before a stop, beside the recording."""
+"""Black box: all CAN frames and samples of the last seconds before a stop, stored beside the recording."""

@@ -1,4 +1,4 @@
-"""The black box as a file: HDF5 with samples and frames, and the frames as BLF for CAN tools."""
+"""Write and read the file of a black box: samples and frames as HDF5, and the frames as BLF for CAN tools."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmBox:
-    """The last samples of one arm: `values` by the names of `FIELDS`, each of shape (n, N)."""
+    """Last samples of one arm: arrays (n, N) by the names of `FIELDS`."""
 
     name: str
     values: dict[str, Floats]
@@ -44,19 +44,19 @@ class ArmBox:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlackBox:
-    """What a black box holds.
+    """Content of a black box.
 
     Attributes
     ----------
     path : Path
     recording, reason, created, software, cell : str
-        Name of the recording; why the run was stopped.
+        Name of the recording; reason of the stop; creation time, program version, and text of the cell file.
     wall_s, time_s : arrays of shape (n,)
         Wall clock and time of the run of each SYNC.
     sync_index : int64 array of shape (n,)
     arms : tuple of ArmBox
     frames : array of shape (m,) of `FRAME_TYPE`
-        Those of the stop itself too; stamped by the wall clock.
+        Received frames, including those of the stop; time stamps of the wall clock.
     """
 
     path: Path
@@ -73,7 +73,7 @@ class BlackBox:
 
 
 def write_box(path: Path, header: BoxHeader, parts: Sequence[BoxPart], reason: str) -> None:
-    """Write the box and its frames beside it, whole or not at all.
+    """Write the black box, and its frames as BLF beside it; replace each file only when it is complete.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def read_box(path: Path) -> BlackBox:
     Raises
     ------
     InputError
-        Not there, damaged, or no black box.
+        The file is missing, damaged, or not a black box.
     """
     try:
         refuse_damaged(path)
@@ -131,7 +131,7 @@ def read_box(path: Path) -> BlackBox:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     with open_recording(path) as root:
         if root.text("kind", "recording") != "black box" or root.integer("schema") != SCHEMA:
-            raise InputError(f"{path}: is no black box of schema {SCHEMA}")
+            raise InputError(f"{path}: not a black box of schema {SCHEMA}")
         arms = [(str(name), int(axes)) for name, axes in root.document("arms", list, [])]
         held = root.inside("frames")
         frames = np.empty(len(held.array("time_s", None, "f")), FRAME_TYPE)

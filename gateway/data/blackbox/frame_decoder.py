@@ -1,4 +1,4 @@
-"""What the frames of a black box say in words: states of the drives, emergencies, SDO, NMT; t = 0 is the stop."""
+"""Decode the CANopen frames of a black box into event text: drive states, emergencies, SDO, NMT; t = 0 is the stop."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from gateway.errors import ConfigError
 #: TPDO1 begins with the statusword, RPDO1 with the controlword: `drives.pdo`.
 TPDO1_BASE: Final = 0x180
 RPDO1_BASE: Final = 0x200
-#: A drive whose answers pause for so many times the usual time between them is silent.
-SILENT_PERIODS: Final = 5.0
-#: What several nodes say alike within this time is told once [s].
+#: A drive counts as not responding after this many times the median interval of its answers.
+RESPONSE_PERIODS: Final = 5.0
+#: Equal messages of several nodes within this time are merged [s].
 TOGETHER_S: Final = 0.005
 _NODES: Final = 128
 _ABORT: Final = 0x80
@@ -36,13 +36,13 @@ _OBJECTS: Final = {entry.address: str(entry) for entry in OBJECTS.values()}
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """What one node or several said, or were told.
+class DecodedEvent:
+    """Decoded message that one or several nodes sent or received.
 
     Attributes
     ----------
     time_s : float
-        Before (negative) or after the stop.
+        Time relative to the stop; negative before it.
     nodes : tuple of int
         0: every node.
     what : str
@@ -55,7 +55,7 @@ class Told:
 
 @dataclass(frozen=True, slots=True)
 class StateSpan:
-    """A drive in one state, from its first to its last answer that says so [s before or after the stop]."""
+    """Time in which a drive reported one state: first and last answer with it [s relative to the stop]."""
 
     begin_s: float
     end_s: float
@@ -64,7 +64,7 @@ class StateSpan:
 
 @dataclass(frozen=True, slots=True)
 class BoxDrive:
-    """Whose answers are in the frames: a joint (from 1) of an arm, and the profile if it is one of the package."""
+    """Drive that sent frames of the box: arm, joint (from 1), and its profile if the package contains it."""
 
     arm: str
     joint: int
@@ -72,7 +72,9 @@ class BoxDrive:
 
 
 def drives_of(box: BlackBox) -> dict[int, BoxDrive]:
-    """Drives of the arms by node id; none where the cell of the box is of another version of this program."""
+    """Return the drives of the arms by node id; empty if this version of the program cannot read the cell file of the
+    box.
+    """
     try:
         cell = parse_cell(box.cell, f"{box.path}: cell")
     except ConfigError:
@@ -87,12 +89,12 @@ def drives_of(box: BlackBox) -> dict[int, BoxDrive]:
 
 
 def sample_times_s(box: BlackBox) -> NDArray[np.float64]:
-    """Times (n,) of the samples [s]: the last of them is the stop, t = 0."""
+    """Return the times (n,) of the samples [s]; the last sample is the stop, t = 0."""
     return box.time_s - box.time_s[-1] if len(box.time_s) else box.time_s
 
 
 def frame_times_s(box: BlackBox) -> NDArray[np.float64]:
-    """Times (m,) of the frames [s], in time of the run as far as there are samples, by the wall clock elsewhere."""
+    """Return the times (m,) of the frames [s]: run time where samples exist, otherwise from the wall clock."""
     wall_s = np.asarray(box.frames["time_s"], dtype=float)
     if not len(box.time_s):
         return wall_s - wall_s[-1:]
@@ -103,17 +105,17 @@ def frame_times_s(box: BlackBox) -> NDArray[np.float64]:
 
 
 def state_spans(box: BlackBox, node: int) -> list[StateSpan]:
-    """States of one drive in the order of time, with gaps where it was silent."""
+    """Return the states of one drive in time order, with gaps while it did not respond."""
     chosen = box.frames["can_id"] == TPDO1_BASE + node
     time_s, words = frame_times_s(box)[chosen], _first_words(box.frames[chosen])
     states = [decode_state(word) for word in words.tolist()]
-    silent_s = _silent_s(time_s)
+    limit_s = _response_limit_s(time_s)
     found: list[StateSpan] = []
     for at_s, state in zip(time_s.tolist(), states, strict=True):
         last = found[-1] if found else None
-        if last is not None and at_s - last.end_s <= silent_s and last.state is state:
+        if last is not None and at_s - last.end_s <= limit_s and last.state is state:
             found[-1] = StateSpan(last.begin_s, at_s, state)
-        elif last is not None and at_s - last.end_s <= silent_s:
+        elif last is not None and at_s - last.end_s <= limit_s:
             found[-1] = StateSpan(last.begin_s, at_s, last.state)
             found.append(StateSpan(at_s, at_s, state))
         else:
@@ -121,48 +123,49 @@ def state_spans(box: BlackBox, node: int) -> list[StateSpan]:
     return found
 
 
-def story(box: BlackBox) -> list[Told]:
-    """Everything but what is the same at every SYNC, in the order of time."""
+def decoded_events(box: BlackBox) -> list[DecodedEvent]:
+    """Return all decoded messages in time order, except those that repeat unchanged at every SYNC."""
     drives, time_s = drives_of(box), frame_times_s(box)
-    told = [*_service(box, time_s, drives), *_heartbeats(box, time_s)]
+    events = [*_service(box, time_s, drives), *_heartbeats(box, time_s)]
     for node in drives:
-        told += _states(box, node)
-        told += _commands(box, time_s, node)
-    return _together(sorted(told, key=lambda each: (each.time_s, each.nodes)))
+        events += _states(box, node)
+        events += _commands(box, time_s, node)
+    return _together(sorted(events, key=lambda each: (each.time_s, each.nodes)))
 
 
 def _first_words(frames: NDArray[Any]) -> NDArray[np.int64]:
     return frames["data"][:, 0].astype(np.int64) | frames["data"][:, 1].astype(np.int64) << 8
 
 
-def _silent_s(time_s: NDArray[np.float64]) -> float:
-    return SILENT_PERIODS * float(np.median(np.diff(time_s))) if len(time_s) > 1 else np.inf
+def _response_limit_s(time_s: NDArray[np.float64]) -> float:
+    return RESPONSE_PERIODS * float(np.median(np.diff(time_s))) if len(time_s) > 1 else np.inf
 
 
-def _states(box: BlackBox, node: int) -> Iterator[Told]:
-    """Every change of the state of a drive, and its silence."""
+def _states(box: BlackBox, node: int) -> Iterator[DecodedEvent]:
+    """Return every change of the state of a drive, and the times without response."""
     found = state_spans(box, node)
     for before, after in zip(found, found[1:], strict=False):
         if before.end_s == after.begin_s:
-            yield Told(after.begin_s, (node,), f"{before.state} > {after.state}")
+            yield DecodedEvent(after.begin_s, (node,), f"{before.state} > {after.state}")
         else:
-            yield Told(before.end_s, (node,), f"silent for {after.begin_s - before.end_s:.3f} s, then {after.state}")
+            gap_s = after.begin_s - before.end_s
+            yield DecodedEvent(before.end_s, (node,), f"no response for {gap_s:.3f} s, then {after.state}")
     syncs_s = frame_times_s(box)[box.frames["can_id"] == SYNC_ID]
-    if found and len(syncs_s) and syncs_s[-1] - found[-1].end_s > _silent_s(syncs_s):
-        yield Told(found[-1].end_s, (node,), "last answer to a SYNC")
+    if found and len(syncs_s) and syncs_s[-1] - found[-1].end_s > _response_limit_s(syncs_s):
+        yield DecodedEvent(found[-1].end_s, (node,), "last answer to a SYNC")
 
 
-def _commands(box: BlackBox, time_s: NDArray[np.float64], node: int) -> Iterator[Told]:
-    """Every change of the controlword that is sent to a drive."""
+def _commands(box: BlackBox, time_s: NDArray[np.float64], node: int) -> Iterator[DecodedEvent]:
+    """Return every change of the controlword sent to a drive."""
     chosen = box.frames["can_id"] == RPDO1_BASE + node
     words = _first_words(box.frames[chosen])
     for place in np.flatnonzero(np.diff(words)).tolist():
         at_s = float(time_s[chosen][place + 1])
-        yield Told(at_s, (node,), f"is sent controlword 0x{words[place + 1]:04X} after 0x{words[place]:04X}")
+        yield DecodedEvent(at_s, (node,), f"is sent controlword 0x{words[place + 1]:04X} after 0x{words[place]:04X}")
 
 
-def _heartbeats(box: BlackBox, time_s: NDArray[np.float64]) -> Iterator[Told]:
-    """Every change of the NMT state that a node shows, and that its heartbeat stopped."""
+def _heartbeats(box: BlackBox, time_s: NDArray[np.float64]) -> Iterator[DecodedEvent]:
+    """Return every change of the NMT state in a node's heartbeat, and the time when its heartbeat stopped."""
     last: dict[int, int] = {}
     beats: dict[int, list[float]] = {}
     for place in _of(box, HEARTBEAT_BASE):
@@ -170,43 +173,43 @@ def _heartbeats(box: BlackBox, time_s: NDArray[np.float64]) -> Iterator[Told]:
         state = int(box.frames["data"][place, 0]) & 0x7F
         if last.get(node, state if state else None) != state:
             said = str(NmtState(state)) if state in set(NmtState) else f"0x{state:02X}"
-            yield Told(float(time_s[place]), (node,), f"NMT {said}")
+            yield DecodedEvent(float(time_s[place]), (node,), f"NMT {said}")
         last[node] = state
         beats.setdefault(node, []).append(float(time_s[place]))
     latest_s = max((at_s[-1] for at_s in beats.values()), default=0.0)
     for node, at_s in beats.items():
-        if latest_s - at_s[-1] > _silent_s(np.array(at_s)):
-            yield Told(at_s[-1], (node,), "last heartbeat")
+        if latest_s - at_s[-1] > _response_limit_s(np.array(at_s)):
+            yield DecodedEvent(at_s[-1], (node,), "last heartbeat")
 
 
 def _of(box: BlackBox, base: int) -> list[int]:
-    """Places of the frames of any node (1 to 127) with a base of the predefined connection set."""
+    """Return the indices of the frames whose identifier is `base` plus a node id (1 to 127)."""
     ids, odd = box.frames["can_id"], box.frames["flags"] & (EXTENDED | REMOTE | ERROR)
     return np.flatnonzero((ids > base) & (ids < base + _NODES) & (odd == 0)).tolist()
 
 
-def _service(box: BlackBox, time_s: NDArray[np.float64], drives: dict[int, BoxDrive]) -> Iterator[Told]:
-    """Emergency messages, SDO, NMT commands, error frames."""
+def _service(box: BlackBox, time_s: NDArray[np.float64], drives: dict[int, BoxDrive]) -> Iterator[DecodedEvent]:
+    """Return emergency messages, SDO transfers, NMT commands and error frames."""
     frames = box.frames
     for place in np.flatnonzero(frames["flags"] & ERROR).tolist():
-        yield Told(float(time_s[place]), (0,), "error frame of the adapter")
+        yield DecodedEvent(float(time_s[place]), (0,), "error frame of the adapter")
     for place in _of(box, EMCY_BASE):
         node = int(frames["can_id"][place]) - EMCY_BASE
         profile = drives[node].profile if node in drives else None
-        yield Told(
+        yield DecodedEvent(
             float(time_s[place]), (node,), f"EMCY {parse_emergency(node, _content(frames[place]), 0, profile).what}"
         )
     for base in (SDO_REQUEST_BASE, SDO_ANSWER_BASE):
         for place in _of(box, base):
             said = _sdo(_content(frames[place]), base == SDO_REQUEST_BASE)
             if said:
-                yield Told(float(time_s[place]), (int(frames["can_id"][place]) - base,), said)
+                yield DecodedEvent(float(time_s[place]), (int(frames["can_id"][place]) - base,), said)
     for place in np.flatnonzero((frames["can_id"] == NMT_ID) & (frames["length"] >= 2)).tolist():
         command, node = (int(byte) for byte in frames["data"][place, :2])
         if command in set(NmtCommand):
-            told = NmtCommand(command).name.lower().replace("_", " ")
+            name = NmtCommand(command).name.lower().replace("_", " ")
             who = "" if not frames["flags"][place] & RECEIVED else " by another master"
-            yield Told(float(time_s[place]), (node,), f"is sent NMT {told}{who}")
+            yield DecodedEvent(float(time_s[place]), (node,), f"is sent NMT {name}{who}")
 
 
 def _content(frame: Any) -> bytes:
@@ -214,7 +217,7 @@ def _content(frame: Any) -> bytes:
 
 
 def _sdo(data: bytes, request: bool) -> str:
-    """What an SDO frame says; empty where its other half says it."""
+    """Return the text of an SDO frame; empty if the matching request or answer already contains it."""
     if len(data) < 8:
         return ""
     address = int.from_bytes(data[1:3], "little"), data[3]
@@ -232,15 +235,15 @@ def _sdo(data: bytes, request: bool) -> str:
     return f"SDO {name} {verb} 0x{int.from_bytes(data[4 : 4 + size], 'little'):0{2 * size}X}"
 
 
-def _together(told: list[Told]) -> list[Told]:
-    """What several nodes said alike at about the same time, told once."""
-    found: list[Told] = []
+def _together(events: list[DecodedEvent]) -> list[DecodedEvent]:
+    """Merge equal messages of several nodes at about the same time into one."""
+    found: list[DecodedEvent] = []
     last: dict[str, int] = {}
-    for each in told:
+    for each in events:
         place = last.get(each.what)
         if place is not None and each.time_s - found[place].time_s <= TOGETHER_S:
             same = found[place]
-            found[place] = Told(same.time_s, tuple(dict.fromkeys((*same.nodes, *each.nodes))), same.what)
+            found[place] = DecodedEvent(same.time_s, tuple(dict.fromkeys((*same.nodes, *each.nodes))), same.what)
         else:
             last[each.what] = len(found)
             found.append(each)

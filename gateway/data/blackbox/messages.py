@@ -1,4 +1,4 @@
-"""What the motion loop and the process that keeps the black box say to each other, beside `BoxHeader` and parts."""
+"""Messages between the motion loop and the process that stores the black box, besides `BoxHeader` and parts."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class BoxVerdict:
-    """Last message: why the run was stopped; None = it ended well, and nothing is kept."""
+    """Last message to the process: reason of the stop; None = normal end, the stored data are deleted."""
 
     reason: str | None
 
 
 @dataclass(frozen=True, slots=True)
 class BoxReady:
-    """First answer: parts are kept from now on."""
+    """First answer of the process: it stores parts from now on."""
 
 
 @dataclass(frozen=True, slots=True)
 class BoxEnd:
-    """Answer to the verdict: what could not be written; empty = all is done."""
+    """Answer to the verdict: write error; empty if all was written."""
 
     failed: str

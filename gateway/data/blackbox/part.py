@@ -1,6 +1,6 @@
-"""A piece of the last seconds as it is taken and kept: rows of samples, frames as on the bus.
+"""Part of a black box: the samples and CAN frames of about half a second, as one block of bytes.
 
-What is taken inside the motion loop is packed there and then: handing it on is a copy of bytes.
+The motion loop packs each value when it is taken, so that sending a part only copies bytes.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ FRAME_TYPE: Final = np.dtype(
     [("time_s", "<f8"), ("can_id", "<u4"), ("flags", "u1"), ("length", "u1"), ("data", "u1", 8)]
 )
 RECEIVED, EXTENDED, REMOTE, ERROR = 1, 2, 4, 8
-#: What stands before the axes of a row.
+#: Columns before those of the axes.
 HEAD: Final = ("wall_s", "time_s", "sync_index")
 #: Per axis: name and unit; NaN where a drive did not answer or sends no such word.
 FIELDS: Final = (
     ("q_rad", "rad"),
     ("target_rad", "rad, sent with this SYNC, due at the next"),
     ("joint_torque_nm", "Nm, joint side, gear efficiency not applied"),
-    ("modelled_torque_nm", "Nm, joint side, by the model, without friction; 0: links unknown"),
+    ("modelled_torque_nm", "Nm, joint side, from the robot model, without friction; 0: link masses unknown"),
     ("motor_current_a", "A, of the kind the torque constant refers to"),
     ("statusword", "bits of 0x6041"),
     ("position_count", "encoder counts"),
@@ -38,20 +38,20 @@ FIELDS: Final = (
 
 
 def width_of(axes: int) -> int:
-    """Numbers in a row of arms with so many axes in all."""
+    """Return the number of values in a sample of arms with `axes` axes in total."""
     return len(HEAD) + len(FIELDS) * axes
 
 
 @dataclass(frozen=True, slots=True)
 class BoxHeader:
-    """What is known before anything moves.
+    """Constant data of a black box, known before any motion.
 
     Attributes
     ----------
     recording : Path
-        Beside which the box lies.
+        The box is stored beside it.
     arms : tuple of (str, int)
-        Name and number of axes, in the order of the rows.
+        Name and number of axes, in the order of the samples.
     cell : str
         Text of the cell file.
     created, software : str
@@ -66,7 +66,7 @@ class BoxHeader:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxPart:
-    """What was taken in about half a second.
+    """Samples and frames of about half a second.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class BoxPart:
         `HEAD`, then per arm each of `FIELDS` for its axes.
     frames : array of shape (m,) of `FRAME_TYPE`
     time_s, wall_s : float
-        When it ends: time of the run, and the wall clock.
+        End of the part: run time, and wall clock.
     """
 
     rows: NDArray[np.float64]
@@ -84,13 +84,13 @@ class BoxPart:
 
 
 def pack(rows: NDArray[np.float64], frames: bytes | bytearray, time_s: float, wall_s: float) -> bytes:
-    """Bytes of a part; `frames` are packed by `FRAME`."""
+    """Return the bytes of a part; `frames` are packed by `FRAME`."""
     head = _HEAD.pack(MAGIC, len(rows), rows.shape[1], len(frames) // FRAME.size, time_s, wall_s)
     return head + rows.tobytes() + frames
 
 
 def unpack(content: bytes) -> BoxPart | None:
-    """A part of its bytes; None = it was cut off."""
+    """Decode the bytes of a part; return None if they are truncated."""
     if len(content) < _HEAD.size or content[:4] != MAGIC:
         return None
     _, rows, width, frames, time_s, wall_s = _HEAD.unpack_from(content)

@@ -1,4 +1,4 @@
-"""The motion loop's side of the black box: takes rows and frames, hands them on twice a second, never waits."""
+"""Black box in the motion loop: collect samples and frames and send them twice a second, without blocking."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from gateway.data.piping import WriterProcess, framed
 PROGRAM: Final = "gateway.data.blackbox.recorder_process"
 #: Between two parts [s]: half of what a kill may cost.
 PART_S: Final = 0.5
-#: Rows until a part is handed on in any case.
+#: Number of samples after which a part is sent in any case.
 MOST_ROWS: Final = 1024
-#: A process that is held up has so much handed to it; what comes further is left out.
+#: Limit of the data queued for a process that does not read; further parts are dropped.
 MOST_BYTES: Final = 64_000_000
-#: The box must be written by then, once the arm stands [s].
+#: Time limit for writing the box after standstill [s].
 CLOSING_S: Final = 60.0
-#: Until the process must be there [s].
+#: Time limit for the start of the process [s].
 STARTING_S: Final = 60.0
 
 Answer = TypeVar("Answer", BoxReady, BoxEnd)
 
 
-class BoxKeeper:
-    """Takes what happens and has it kept by a process of its own; for one thread.
+class BoxRecorder:
+    """Collects samples and frames and sends them to a separate process that stores them; for one thread.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ class BoxKeeper:
     Attributes
     ----------
     left_out : int
-        Parts for which there was no room.
+        Number of parts dropped because the process did not read them in time.
     """
 
     def __init__(self, header: BoxHeader) -> None:
@@ -51,16 +51,16 @@ class BoxKeeper:
         self._frames = bytearray()
         self._said: list[Any] = []
         self._time_s, self._handed_s = 0.0, time.monotonic()
-        self._lock = threading.Lock()  # whoever waits for an answer receives: frames come from any thread
+        self._lock = threading.Lock()  # frames arrive from several threads
         self._process = WriterProcess(PROGRAM)
         self._process.send(framed(header))
 
     def wait_until_kept(self) -> None:
-        """Return once everything that comes is kept, or the process cannot do it; not in the loop."""
+        """Wait until the process stores parts, or has ended; not to be called in the motion loop."""
         self._heard(BoxReady, STARTING_S)
 
     def row(self, time_s: float, sync_index: int) -> NDArray[np.float64]:
-        """The axes' part of a new row, to be filled; all NaN."""
+        """Append a sample of NaN and return its axis values, to be filled by the caller."""
         with self._lock:
             if self._taken == MOST_ROWS or time.monotonic() - self._handed_s >= PART_S:
                 self._hand_on()
@@ -73,7 +73,7 @@ class BoxKeeper:
         return row[len(HEAD) :]
 
     def frame(self, message: Any, received: bool) -> None:
-        """One frame of the bus."""
+        """Append one CAN frame."""
         flags = RECEIVED * received + EXTENDED * message.is_extended_id
         flags += REMOTE * message.is_remote_frame + ERROR * message.is_error_frame
         data = bytes(message.data)
@@ -86,12 +86,12 @@ class BoxKeeper:
                 self._hand_on()  # no rows come: the arm is not under power yet, or no more
 
     def close(self, reason: str | None) -> str:
-        """Have the box written, or removed where `reason` is None; not in the loop.
+        """Write the black box, or delete the stored data if `reason` is None; not to be called in the motion loop.
 
         Returns
         -------
         str
-            What went wrong with that; empty = nothing.
+            Error text; empty if none.
         """
         with self._lock:
             self._closed = True
@@ -104,12 +104,12 @@ class BoxKeeper:
             return answer.failed
         if self._process.gone:
             self._process.end()
-            return f"{self._box}: the process that writes it has ended before its time; the next run does it"
+            return f"{self._box}: the process that writes the black box ended early; the next run writes it"
         self._process.leave()
-        return f"{self._box}: the black box is still being written, after {CLOSING_S:g} s; it goes on by itself"
+        return f"{self._box}: the black box is not complete after {CLOSING_S:g} s; writing continues in the background"
 
     def _heard(self, kind: type[Answer], limit_s: float) -> Answer | None:
-        """Its next word of that kind; None = it has ended, or is still silent."""
+        """Return the next answer of a type; None if the process has ended or does not answer in time."""
         until_s = time.monotonic() + limit_s
         while time.monotonic() < until_s:
             self._said += self._process.receive()
@@ -126,7 +126,7 @@ class BoxKeeper:
         return None
 
     def _hand_on(self) -> None:
-        """Let the process have what was taken; what it has no room for is left out."""
+        """Send the collected part to the process; drop it if the queue is full."""
         self._handed_s = time.monotonic()
         if self._process.unsent_bytes < MOST_BYTES:
             part = pack(self._rows[: self._taken], self._frames, self._time_s, time.time())

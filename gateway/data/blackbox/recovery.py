@@ -1,4 +1,4 @@
-"""A black box of what is left of a run that was killed together with the process that kept its last seconds."""
+"""Recover a black box from parts on disk after the motion program and the storing process were both killed."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ from typing import Final
 from drives.file_lock import lock_file
 from gateway.data.blackbox.ring_buffer import HEADER, box_of, folder_of, header_in, parts_in, remove
 
-BOTH_KILLED: Final = (
-    "the program that moved the arm was killed, and what keeps its last seconds too: this is what was kept until then"
-)
+BOTH_KILLED: Final = "the program that moved the arm and its recorder process were killed: data until then"
 
 
-def salvage(recording: Path) -> None:
-    """Write the box of parts that nobody keeps any more, and remove them; nothing where there are none.
+def recover_box(recording: Path) -> None:
+    """Write the black box from parts whose process has ended, and delete the parts; do nothing if there are none.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Parts of the last seconds on disk: one file each, the oldest removed; they outlive every kill."""
+"""Ring buffer of the last seconds on disk: one file per part, the oldest deleted; it survives a killed process."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ HEADER: Final = "header.json"
 
 
 def folder_of(recording: Path) -> Path:
-    """Where the parts lie while a recording is written to."""
+    """Return the folder of the parts while a recording is written."""
     return recording.with_name(f".{box_of(recording).name.removesuffix(BOX_SUFFIX)}.blackbox")
 
 
 def recording_of(folder: Path) -> Path:
-    """The box of whose parts lie in a folder: `folder_of` leads back to it."""
+    """Return the recording path that belongs to a folder of parts; inverse of `folder_of`."""
     return folder.with_name(folder.name.removeprefix(".").removesuffix(".blackbox") + BOX_SUFFIX)
 
 
 def box_of(recording: Path) -> Path:
-    """The black box beside a recording, or the box itself; its frames lie beside it as `.blf`."""
+    """Return the path of the black box of a recording; its frames have the same name with `.blf`."""
     return recording if recording.name.endswith(BOX_SUFFIX) else recording.with_suffix(BOX_SUFFIX)
 
 
 class Ring:
-    """The parts of one run, on disk.
+    """Parts of one run on disk, the newest seconds only.
 
     Parameters
     ----------
     folder : Path
-        What is left there of an earlier run is removed.
+        Parts of an earlier run in it are deleted.
     header : BoxHeader
-        Kept beside the parts.
+        Stored with the parts.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class Ring:
         os.write(self._header, _header_text(header).encode())
 
     def add(self, content: bytes, time_s: float, wall_s: float) -> None:
-        """Write one part, and remove those that are too old.
+        """Write one part and delete the parts that are too old.
 
         Raises
         ------
@@ -79,7 +79,7 @@ class Ring:
             self._kept.popleft()[0].unlink(missing_ok=True)
 
     def close(self) -> None:
-        """Keep no more; what lies there stays."""
+        """Stop storing parts; the stored ones remain."""
         os.close(self._header)
 
 
@@ -96,7 +96,7 @@ def _header_text(header: BoxHeader) -> str:
 
 
 def header_in(folder: Path) -> BoxHeader | None:
-    """Whose parts lie in a folder; None = that was not kept, or was cut off."""
+    """Return the header stored with the parts of a folder; None if it is missing or truncated."""
     try:
         held = json.loads((folder / HEADER).read_bytes())
         arms = tuple((str(name), int(axes)) for name, axes in held["arms"])
@@ -107,13 +107,13 @@ def header_in(folder: Path) -> BoxHeader | None:
 
 
 def parts_in(folder: Path) -> list[BoxPart]:
-    """What lies in a folder, in its order; a part that was cut off is left out."""
+    """Return the parts of a folder in time order, without truncated ones."""
     found = [unpack(path.read_bytes()) for path in _files(folder)]
     return [part for part in found if part is not None]
 
 
 def remove(folder: Path) -> None:
-    """Remove the parts and their folder."""
+    """Delete the parts and their folder."""
     for path in (*_files(folder), folder / HEADER):
         path.unlink(missing_ok=True)
     with suppress(OSError):

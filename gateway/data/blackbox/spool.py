@@ -1,4 +1,4 @@
-"""Black boxes of what is not recorded: named by the time, the newest ones kept."""
+"""Spool of black boxes of runs without recording: named by time, the newest ones kept."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Final
 
-from gateway.data.blackbox.recovery import salvage
+from gateway.data.blackbox.recovery import recover_box
 from gateway.data.blackbox.ring_buffer import BOX_SUFFIX, recording_of
 
 #: Boxes of one arm that stay: each holds half a minute, some megabytes.
@@ -14,13 +14,13 @@ MOST_BOXES: Final = 10
 
 
 def place_in(folder: Path, kind: str, now: datetime) -> Path:
-    """Where the next box lies; what a killed program has left there becomes a box, and the oldest ones go.
+    """Return the path of the next black box; recover the parts of a killed program and delete the oldest boxes.
 
     Parameters
     ----------
     folder : Path
     kind : str
-        Whose boxes these are: cell and arm.
+        Name prefix of the boxes: cell and arm.
     now : datetime
         Wall clock, with its zone.
 
@@ -32,7 +32,7 @@ def place_in(folder: Path, kind: str, now: datetime) -> Path:
     name = "".join(part if part.isalnum() or part in "-_" else "_" for part in kind)
     folder.mkdir(parents=True, exist_ok=True)
     for left in folder.glob(f".{name}.*Z.blackbox"):
-        salvage(recording_of(left))
+        recover_box(recording_of(left))
     boxes = sorted(folder.glob(f"{name}.*Z{BOX_SUFFIX}"))
     for old in boxes[: max(0, len(boxes) - MOST_BOXES + 1)]:
         old.unlink(missing_ok=True)

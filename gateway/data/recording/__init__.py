@@ -1,1 +1,1 @@
-"""Recordings (HDF5): reader, writer, and the process that writes."""
+"""Recordings (HDF5): reader, writer, and the writer process."""

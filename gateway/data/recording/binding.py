@@ -1,7 +1,7 @@
-"""Recordings bound to the arm that they are analysed for: the same drives on the same axes, the constants that hold.
+"""Convert a recording with the constants of the cell that it is evaluated for: same drives, same axes.
 
-The raw words stay; what follows from them is worked out anew where a constant was corrected since the recording. What
-cannot be mended afterwards, because the arm stood elsewhere than the recording says, is refused.
+Raw drive words are kept. Values that depend on a constant corrected since the recording are recomputed. A changed
+constant that makes the recorded posture wrong (ratio, sign, zero, coupling) is an error.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from gateway.errors import InputError
 
 @dataclass(frozen=True, slots=True)
 class Correction:
-    """A constant that another value holds for than the recording was made with.
+    """A constant of the cell that differs from the one in the recording.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Correction:
 
     @property
     def what(self) -> str:
-        """In words, without the joint."""
+        """Text of the correction, without the joint."""
         return f"{self.name} {self.used:g}, recorded with {self.recorded:g}"
 
     def __str__(self) -> str:
@@ -50,7 +50,7 @@ class Correction:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bound:
-    """A recording of one arm, converted with the constants of one cell.
+    """Recording of one arm, converted with the constants of one cell.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Bound:
 
 
 def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
-    """The recording of an arm under a cell.
+    """Return the recording of an arm, converted with the constants of a cell.
 
     Parameters
     ----------
@@ -76,14 +76,14 @@ def bind(recording: Recording, cell: Cell, arm: ArmConfig) -> Bound:
     Raises
     ------
     InputError
-        The recording was made with another cell, holds no such arm, or its drives were wired otherwise, or the torque
-        cannot be worked out with another torque constant because the file does not hold what was read from the drives.
+        The recording was made with another cell, lacks the arm, or has other drives or axes; or the torque cannot be
+        recomputed because the file lacks the constants read from the drives.
     """
     part = recording.arm(arm.name)
     if part is None:
         held = ", ".join(f"'{each.name}'" for each in recording.arms) or "none"
         raise InputError(
-            f"{recording.path}: holds no arm '{arm.name}' but {held}; name the cell and arm that it was made with"
+            f"{recording.path}: contains no arm '{arm.name}' but {held}; name the cell and arm that it was made with"
         )
     before = arm_config(recording.cell, arm.name, str(recording.path))
     if len(before.axis) != len(arm.axis):
@@ -123,8 +123,8 @@ def _refuse_wired_otherwise(recording: Recording, before: ArmConfig, after: ArmC
                 )
     if not np.array_equal(AxisConversion.from_arm(before).coupling, AxisConversion.from_arm(after).coupling):
         raise InputError(
-            f"{recording.path}: was recorded with another coupling of the axes: the arm stood elsewhere than the cell"
-            " would have it; name the cell that it was made with, or measure again"
+            f"{recording.path}: was recorded with another coupling of the axes: its postures differ from those of"
+            " this cell; name the cell that it was made with, or measure again"
         )
 
 
@@ -137,7 +137,7 @@ def _corrections(before: ArmConfig, after: ArmConfig) -> Iterator[Correction]:
 
 
 def _constants(axis: AxisConfig) -> dict[str, float]:
-    """What may be corrected, by its key in the cell file."""
+    """Return the constants that may be corrected, by key of the cell file."""
     return {
         "torque_constant_nm_per_a": axis.torque_constant_nm_per_a.value,
         "gear_ratio": axis.gear_ratio.value,
@@ -150,13 +150,13 @@ def _constants(axis: AxisConfig) -> dict[str, float]:
 def _torque_scale(
     recording: Recording, part: ArmRecording, arms: tuple[ArmConfig, ArmConfig], corrections: Sequence[Correction]
 ) -> np.ndarray:
-    """Motor torque (N,) by the torque constants of the second arm over that by those of the first."""
+    """Return the ratio (N,) of motor torques with the torque constants of the second and of the first arm."""
     if not part.constants:
         changed = [f"J{each.joint}" for each in corrections if each.name == "torque_constant_nm_per_a"]
         if changed:
             raise InputError(
-                f"{recording.path}: does not hold what was read from the drives, so that the torque of"
-                f" {', '.join(changed)} cannot be worked out with another torque constant; measure again"
+                f"{recording.path}: lacks the constants read from the drives, so the torque of"
+                f" {', '.join(changed)} cannot be recomputed with another torque constant; measure again"
             )
         return np.ones(len(arms[1].axis))
     where = str(recording.path)
@@ -167,7 +167,7 @@ def _torque_scale(
 def torque_units(
     config: ArmConfig, profiles: Mapping[str, Any], constants: Sequence[Constants], where: str
 ) -> np.ndarray:
-    """Motor torque (N,) [Nm] per bit of each torque word.
+    """Return the motor torque (N,) [Nm] per bit of each torque word.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def torque_units(
     for axis, read_from_drive in zip(config.axis, constants, strict=True):
         text = profiles.get(axis.profile)
         if not isinstance(text, str):
-            raise InputError(f"{where}: the file holds no text of profile '{axis.profile}'")
+            raise InputError(f"{where}: the file contains no profile '{axis.profile}'")
         try:
             if axis.profile not in parsed:
                 parsed[axis.profile] = parse_profile(text, axis.profile)
@@ -212,7 +212,8 @@ def _converted(visit: Measured, scale: np.ndarray, old: AxisConversion, new: Axi
 
 
 def refuse_other_drives(recordings: Sequence[Recording], arm: str) -> None:
-    """Refuse recordings of one arm whose drives are not the same pieces; a drive without serial number says nothing.
+    """Raise an error if recordings of one arm have different drive serial numbers; missing serial numbers are
+    ignored.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""Typed, tolerant access to HDF5 files of unknown origin: a value of the expected kind, or `InputError` with its place.
+"""Typed access to HDF5 files of unknown origin: a value of the expected type, or `InputError` with its location.
 
-libhdf5 reports damage by many kinds of exception, and a damaged header may claim any size: sizes are compared with the
-file before anything is read. Refused: links and storage that lead out of the file, and objects that are linked twice.
+libhdf5 reports damage by many types of exception, and a damaged header may claim any size. Sizes are compared with
+the file before reading. Rejected: links and storage outside the file, and objects linked more than once.
 """
 
 from __future__ import annotations
@@ -38,37 +38,37 @@ _objects: Any = importlib.import_module("h5py.h5o")
 
 @dataclass(frozen=True, slots=True)
 class Hdf5Group:
-    """A group of an open file, with words for messages."""
+    """Group of an open file, with its name for messages."""
 
     file: str
     limit_bytes: int
     group: h5py.Group
 
     def where(self, name: str = "") -> str:
-        """`file:/group/name`."""
+        """Return `file:/group/name`."""
         return f"{self.file}:{self.group.name}{'/' if name else ''}{name}"
 
     def refuse(self, name: str, what: str) -> InputError:
-        """Error about an object of this group."""
+        """Return an error about an object of this group."""
         return InputError(f"{self.where(name)}: {what}")
 
     def names(self) -> list[str]:
-        """Names of what the group holds."""
+        """Return the names of the objects in the group."""
         return list(self.group.keys())
 
     def has(self, name: str) -> bool:
-        """Whether the group holds an object of that name."""
+        """Return whether the group contains an object of that name."""
         return name in self.group
 
     def inside(self, name: str) -> Hdf5Group:
-        """A group below this one."""
+        """Return a subgroup."""
         found = self._object(name)
         if not isinstance(found, h5py.Group):
-            raise self.refuse(name, "is no group")
+            raise self.refuse(name, "is not a group")
         return Hdf5Group(self.file, self.limit_bytes, found)
 
     def array(self, name: str, columns: int | None, kinds: str) -> np.ndarray:
-        """A dataset of shape (n,) or (n, columns) and of number kinds `kinds` ("iu", "f").
+        """Return a dataset of shape (n,) or (n, columns) and of number kinds `kinds` ("iu", "f").
 
         Raises
         ------
@@ -88,15 +88,15 @@ class Hdf5Group:
         return np.asarray(found[()])
 
     def columns(self, name: str, columns: int) -> np.ndarray:
-        """A dataset of numbers of shape (n,) or (n, columns), whichever it is; raises as `array`."""
+        """Return a dataset of numbers of shape (n,) or (n, columns), with the errors of `array`."""
         return self.array(name, columns if self._dataset(name).ndim == 2 else None, "biuf")
 
     def attributes(self) -> dict[str, Any]:
-        """Every attribute as it is stored."""
+        """Return all attributes as stored."""
         return {name: self._attribute(name, None) for name in self.group.attrs}
 
     def text(self, name: str, default: str | None = None) -> str:
-        """A text attribute."""
+        """Return a text attribute."""
         value = self._attribute(name, default)
         if isinstance(value, bytes):
             value = value.decode("utf-8")
@@ -105,35 +105,37 @@ class Hdf5Group:
         return value
 
     def label(self, name: str) -> str:
-        """A text attribute that is the label of a load."""
+        """Return a text attribute that is the label of a load."""
         value = self.text(name)
         if not value or not value.isprintable():
-            raise self.refuse(f"@{name}", "is empty or holds control characters: the label of a load is printable text")
+            raise self.refuse(
+                f"@{name}", "is empty or contains control characters: the label of a load must be printable text"
+            )
         return value
 
     def integer(self, name: str, default: int | None = None) -> int:
-        """An integer attribute."""
+        """Return an integer attribute."""
         value = self._attribute(name, default)
         if not isinstance(value, int | np.integer | np.bool_):
             raise self.refuse(f"@{name}", f"is {type(value).__name__}, an integer expected")
         return int(value)
 
     def number(self, name: str) -> float:
-        """A finite number as attribute."""
+        """Return an attribute that is a finite number."""
         value = self._attribute(name, None)
         if not isinstance(value, int | float | np.integer | np.floating) or not np.isfinite(value):
-            raise self.refuse(f"@{name}", "is no finite number")
+            raise self.refuse(f"@{name}", "is not a finite number")
         return float(value)
 
     def numbers(self, name: str, count: int, default: np.ndarray | None = None) -> np.ndarray:
-        """An attribute of `count` finite numbers."""
+        """Return an attribute of `count` finite numbers."""
         value = self._numbers(name, count, default)
         if not np.isfinite(value).all():
             raise self.refuse(f"@{name}", f"{count} finite numbers expected")
         return value
 
     def optional_numbers(self, name: str, count: int) -> np.ndarray | None:
-        """An attribute of `count` numbers, NaN where one is missing; None where there is no such attribute."""
+        """Return an attribute of `count` numbers, NaN where one is missing; None if the attribute does not exist."""
         return self._numbers(name, count, None) if name in self.group.attrs else None
 
     def _numbers(self, name: str, count: int, default: np.ndarray | None) -> np.ndarray:
@@ -143,11 +145,11 @@ class Hdf5Group:
         return value
 
     def document(self, name: str, kind: type, default: Any) -> Any:
-        """A JSON attribute of that kind."""
+        """Return a JSON attribute of type `kind`."""
         try:
             value = json.loads(self.text(name, json.dumps(default)))
         except (json.JSONDecodeError, RecursionError) as error:
-            raise self.refuse(f"@{name}", f"is no JSON: {error}") from error
+            raise self.refuse(f"@{name}", f"is not JSON: {error}") from error
         if not isinstance(value, kind):
             raise self.refuse(f"@{name}", f"is {type(value).__name__}, {kind.__name__} expected")
         return value
@@ -165,30 +167,30 @@ class Hdf5Group:
     def _dataset(self, name: str) -> h5py.Dataset:
         found = self._object(name)
         if not isinstance(found, h5py.Dataset):
-            raise self.refuse(name, "is no dataset")
+            raise self.refuse(name, "is not a dataset")
         if found.is_virtual or found.external is not None:
-            raise self.refuse(name, "keeps its numbers in another file; a recording holds all of its own")
+            raise self.refuse(name, "stores its numbers in another file; a recording must contain all its data")
         return found
 
     def _object(self, name: str) -> Any:
         if name not in self.group:
             raise self.refuse(name, "is missing")
         if not isinstance(self.group.get(name, getlink=True), h5py.HardLink):
-            raise self.refuse(name, "leads out of the file")
+            raise self.refuse(name, "is a link out of the file")
         found = self.group[name]
         if _objects.get_info(found.id).rc != 1:
-            raise self.refuse(name, "is linked more than once; a recording holds each group and dataset once")
+            raise self.refuse(name, "is linked more than once; a recording contains each group and dataset once")
         return found
 
 
 @contextmanager
 def open_recording(path: Path) -> Generator[Hdf5Group]:
-    """Open an HDF5 file for reading; whatever is wrong with it becomes `InputError`.
+    """Open an HDF5 file for reading; every error of libhdf5 becomes an `InputError`.
 
     Raises
     ------
     InputError
-        Not there, no HDF5, truncated, damaged.
+        The file is missing, not HDF5, truncated or damaged.
     """
     try:
         size = regular_size(path)
@@ -198,4 +200,4 @@ def open_recording(path: Path) -> Generator[Hdf5Group]:
         raise
     except DAMAGE as error:
         words = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(f"{path}: cannot be read as a recording, it is damaged or no HDF5 file ({words})") from error
+        raise InputError(f"{path}: cannot be read as a recording, it is damaged or not HDF5 ({words})") from error

@@ -1,4 +1,4 @@
-"""One writer for one recording: the writer of a run that was killed may still be busy when the next run starts."""
+"""Lock file of a recording: one writer at a time, as the writer of a killed run may still be active at the next run."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _LOOK_S = 0.02
 
 @contextmanager
 def sole_writer(path: Path, patience_s: float) -> Generator[None]:
-    """Nobody else writes this recording meanwhile; the mark beside the file is no mark any more once its owner is gone.
+    """Hold the lock of a recording; a lock file whose process has ended is ignored.
 
     Parameters
     ----------
     path : Path
         The recording.
     patience_s : float
-        How long another writer may take to come to its end.
+        Time to wait for another writer to end.
 
     Raises
     ------
     InputError
-        Another one goes on writing it, or nothing can be written there.
+        Another process still writes it, or the folder is not writable.
     """
     mark = path.with_name(path.name + ".lock")
     until_s = time.monotonic() + patience_s
@@ -47,7 +47,7 @@ def sole_writer(path: Path, patience_s: float) -> Generator[None]:
 
 
 def _taken(mark: Path) -> int | None:
-    """The mark, held; None if another one holds it, or has just taken it away."""
+    """Return the locked file; None if another process holds it or has just deleted it."""
     descriptor = os.open(mark, os.O_RDWR | os.O_CREAT, 0o666)
     try:
         lock_file(descriptor)

@@ -1,4 +1,4 @@
-"""Measured rows of the periods of a recording: one per SYNC, the joints' motion from their measured positions."""
+"""Measured samples of the periods of a recording: one per SYNC, motion from the measured positions."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ from gateway.errors import InputError
 
 
 def torque_delay_s(config: ArmConfig, profiles: Mapping[str, str], where: str) -> float:
-    """How late the drives' torque words are behind their positions: the mean of what the profiles state.
+    """Return the mean delay [s] of the drives' torque words behind their positions, as the profiles state it.
 
-    A filter of first order is late by its time constant. What one axis has beside the mean is for the estimation.
+    A first-order filter delays by its time constant. The estimation identifies the deviation of each axis from the
+    mean.
 
     Raises
     ------
@@ -31,7 +32,7 @@ def torque_delay_s(config: ArmConfig, profiles: Mapping[str, str], where: str) -
     for axis in config.axis:
         text = profiles.get(axis.profile)
         if not isinstance(text, str):
-            raise InputError(f"{where}: the file holds no text of profile '{axis.profile}'")
+            raise InputError(f"{where}: the file contains no profile '{axis.profile}'")
         try:
             late.append(parse_profile(text, axis.profile).torque.filter_s)
         except ProfileError as error:
@@ -39,8 +40,8 @@ def torque_delay_s(config: ArmConfig, profiles: Mapping[str, str], where: str) -
     return float(np.mean(late))
 
 
-def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, late_s: float) -> Table:
-    """Rows of a complete period.
+def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, delay_s: float) -> Table:
+    """Return the samples of a complete period.
 
     Parameters
     ----------
@@ -50,15 +51,15 @@ def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, 
     path : Path
         Of the recording.
     harmonics : int
-        That were sent; 0 where it was no series.
-    late_s : float
-        How late the torques are.
+        Number of commanded harmonics; 0 if the excitation is not a Fourier series.
+    delay_s : float
+        Delay of the torques.
     """
     n = len(period)
     if period.kind == "series":
-        motion = by_harmonics(period.q_rad, period.period_s, harmonics, late_s)
+        motion = by_harmonics(period.q_rad, period.period_s, harmonics, delay_s)
     else:
-        motion = by_low_pass(period.q_rad, period.period_s, late_s)
+        motion = by_low_pass(period.q_rad, period.period_s, delay_s)
     blank = np.full(period.q_rad.shape, np.nan)
     return Table(
         file=(str(path),) * n,

@@ -1,4 +1,4 @@
-"""Reader of the periods of a recording, and of the excitations that they were driven by."""
+"""Read the periods of a recording, and the excitations that were driven."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ WHOLE: Final = 0.25
 
 
 def read_excitations(place: Hdf5Group) -> dict[int, dict[str, Any]]:
-    """By fingerprint, as plain values; empty where the arm was never moved to learn it.
+    """Return the excitations by fingerprint, as plain values; empty if the arm was not moved.
 
     Raises
     ------
     InputError
-        One that is no JSON, or that is called by no number.
+        An excitation is not JSON, or its name is not a number.
     """
     if not place.has("excitations"):
         return {}
@@ -28,7 +28,7 @@ def read_excitations(place: Hdf5Group) -> dict[int, dict[str, Any]]:
     found: dict[int, dict[str, Any]] = {}
     for name in known.group.attrs:
         if not (name.isascii() and name.isdigit() and len(name) <= 10):
-            raise known.refuse(f"@{name}", "is no number of an excitation")
+            raise known.refuse(f"@{name}", "is not a number of an excitation")
         found[int(name)] = known.document(name, dict, {})
     return found
 
@@ -36,12 +36,12 @@ def read_excitations(place: Hdf5Group) -> dict[int, dict[str, Any]]:
 def read_periods(
     place: Hdf5Group, axes: int, torque_unit_nm: np.ndarray | None, excitations: dict[int, dict[str, Any]]
 ) -> tuple[Period, ...]:
-    """Periods of an arm in the order of measuring.
+    """Return the periods of an arm in measurement order.
 
     Raises
     ------
     InputError
-        A period that is not what a period has, or that lacks a SYNC though it is said to be complete.
+        A period has invalid attributes, or lacks a SYNC although it is marked complete.
     """
     if not place.has("periods"):
         return ()
@@ -49,7 +49,7 @@ def read_periods(
     found = []
     for name in periods.names():
         if not (name.isascii() and name.isdigit() and len(name) < 10):
-            raise periods.refuse(name, "is no number of a period")
+            raise periods.refuse(name, "is not a number of a period")
         found.append(_period(periods.inside(name), int(name), (axes, torque_unit_nm), excitations))
     return tuple(sorted(found, key=lambda period: period.number))
 
@@ -78,7 +78,7 @@ def _period(
     )
     _require_labels(place, period, axes)
     if period.excitation not in excitations:
-        raise place.refuse("@excitation", f"is {period.excitation}; the file does not hold that excitation")
+        raise place.refuse("@excitation", f"is {period.excitation}; the file does not contain that excitation")
     if period.complete:
         _require_whole(place, period, harmonics_of(excitations[period.excitation]))
     return period
@@ -86,18 +86,18 @@ def _period(
 
 def _require_labels(place: Hdf5Group, period: Period, axes: int) -> None:
     if period.kind not in KINDS or not 0 <= period.joint <= axes or period.period < 1:
-        raise place.refuse("", "load, kind, joint or period is not what a period has")
+        raise place.refuse("", "load, kind, joint or period has an invalid value")
     if not (0 < period.speed <= 1 and period.period_s > 0):
         raise place.refuse("@speed", "speed must be above 0 and at most 1, period_s above 0")
 
 
 def _require_whole(place: Hdf5Group, period: Period, harmonics: int) -> None:
-    """A complete period holds each of its SYNCs, a whole number of them, enough for what was driven."""
+    """Check that a complete period contains every SYNC, a whole number of them, and enough for its harmonics."""
     steps = np.diff(period.sync_index)
     if (steps != 1).any():
         at = int(np.argmax(steps != 1))
         one, two = period.sync_index[at : at + 2].tolist()
-        raise place.refuse("sync_index", f"SYNC {one} is followed by {two}, and the period is said to be complete")
+        raise place.refuse("sync_index", f"SYNC {one} is followed by {two}, but the period is marked complete")
     n = len(period)
     apart_s = float(period.time_s[-1] - period.time_s[0]) / max(n - 1, 1)
     if not (apart_s > 0 and abs(n * apart_s - period.period_s) < WHOLE * apart_s):

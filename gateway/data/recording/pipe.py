@@ -1,4 +1,4 @@
-"""What the motion loop and the process that writes the recording say to each other."""
+"""Messages between the motion loop and the process that writes the recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PROGRAM = "gateway.data.recording.writer_process"
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """First message to the writer: the file; fields as of `RecordingWriter`."""
+    """First message to the writer: the file; fields as in `RecordingWriter`."""
 
     path: Path
     header: RecordingHeader
@@ -27,7 +27,7 @@ class Start:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keep:
-    """To the writer: a visit or a period that has its number."""
+    """Message to the writer: a numbered visit or period."""
 
     arm: str
     visit: Visit | Period
@@ -35,7 +35,7 @@ class Keep:
 
 @dataclass(frozen=True, slots=True)
 class Finish:
-    """To the writer: how the run ended; fields as of `RecordingWriter.finish`, and the number of the question."""
+    """Message to the writer: result of the run; fields of `RecordingWriter.finish`, and the number of the request."""
 
     question: int
     arm: str
@@ -46,28 +46,28 @@ class Finish:
 
 @dataclass(frozen=True, slots=True)
 class Ready:
-    """From the writer, once: it has begun, or why it cannot (empty = it can)."""
+    """First answer of the writer: it is ready, or the error (empty if ready)."""
 
     refused: str
 
 
 @dataclass(frozen=True, slots=True)
 class Written:
-    """From the writer: all visits up to this number are on disk."""
+    """Message from the writer: all visits up to this number are on disk."""
 
     number: int
 
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """From the writer: a write has failed; the visit is still held and goes into the next one."""
+    """Message from the writer: a write failed; the visit is kept in memory and included in the next write."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """From the writer: answer to that `Finish`; why it could not be written (empty = it is on disk)."""
+    """Answer to a `Finish`: the write error, empty if the file is on disk."""
 
     question: int
     failed: str

@@ -1,4 +1,4 @@
-"""Queue between the motion loop and the process that writes the recording: the loop never waits for a disk."""
+"""Queue between the motion loop and the process that writes the recording, so that the loop never waits for a disk."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from gateway.data.recording.writer import ArmHeader, Numbering, RecordingHeader,
 from gateway.data.visit import Visit
 from gateway.errors import InputError
 
-#: Visits that may wait for the disk before the loop is to stop.
+#: Number of unwritten visits at which the motion loop must stop.
 CAPACITY = 8
-#: Until the process that writes must be there.
+#: Time limit for the start of the writer process.
 START_TIMEOUT_S = 60.0
 #: Between two words about what is still to be written.
 TELL_S = 0.5
 
-ADVICE = "look in the system's log whether it ran out of memory"
+ADVICE = "check the system log for lack of memory"
 
 
 def _silent(waiting: int) -> None:
@@ -32,10 +32,10 @@ def _silent(waiting: int) -> None:
 
 
 class VisitQueue:
-    """Takes visits and periods in the motion loop and has them written by a process of its own; for one thread.
+    """Accepts visits and periods in the motion loop and sends them to a writer process; for one thread.
 
-    The process is started here, before there is power, and ended by `close`. It outlives a master that is killed until
-    it has written what it was given.
+    The process is started here, before the drives are enabled, and ended by `close`. If the master is killed, the
+    process first writes what it has received.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ class VisitQueue:
     earlier : Recording or None
         The file's content so far, to go on with; None = the file must not exist.
     capacity : int
-        Visits that may wait for the disk before the loop is to stop.
+        Number of unwritten visits at which the loop must stop.
     write : callable, optional
-        Puts the content in the place of the file, in the process that writes (it is pickled).
+        Replaces the file by the content; called in the writer process (pickled).
 
     Attributes
     ----------
     visits : int
-        Taken in so far.
+        Number accepted so far.
     failed : InputError or None
-        The first write that went wrong: the loop is to stop. The visits are held and are part of every later write.
+        First write error: the loop must stop. The visits are kept and included in every later write.
 
     Raises
     ------
@@ -86,16 +86,16 @@ class VisitQueue:
 
     @property
     def waiting(self) -> int:
-        """Visits that are not on disk yet, as far as is known here."""
+        """Number of visits not yet confirmed as written."""
         return len(self._waiting)
 
     @property
     def full(self) -> bool:
-        """Whether the loop is to stop: so many visits are not on disk yet."""
+        """Return whether the loop must stop because too many visits are not yet written."""
         return len(self._waiting) >= self._capacity
 
     def add(self, arm: str, visit: Measured) -> Measured:
-        """Take a visit or a period in; never waits.
+        """Queue a visit or a period; does not block.
 
         Returns
         -------
@@ -105,12 +105,12 @@ class VisitQueue:
         Raises
         ------
         InputError
-            Twice the capacity is waiting.
+            Twice the capacity is not yet written.
         """
         if len(self._waiting) >= 2 * self._capacity:
             raise InputError(
-                f"{self.path}: {len(self._waiting)} visits wait for the disk and no more are taken; record on a faster "
-                "disk"
+                f"{self.path}: {len(self._waiting)} visits are not yet written, the queue is full; record on a "
+                "faster disk"
             )
         stored = self._numbering.next(visit)
         frame = framed(Keep(arm, stored))
@@ -120,7 +120,7 @@ class VisitQueue:
         return stored
 
     def written(self) -> tuple[Visit | Period, ...]:
-        """Visits and periods that have reached the disk since the last call, in their order; never waits."""
+        """Return the visits and periods written since the last call, in order; does not block."""
         self._listen()
         visits, self._written = tuple(self._written), []
         return visits
@@ -133,19 +133,20 @@ class VisitQueue:
         statistics: dict[str, Any],
         tell: Callable[[int], None] = _silent,
     ) -> None:
-        """Store how the run ended (`success`, `abort`, `fail`) and wait until everything is on disk; not in the loop.
+        """Store the result of the run (`success`, `abort`, `fail`) and wait until all is on disk; not for the motion
+        loop.
 
-        What was waiting is returned by `written` afterwards.
+        The visits written meanwhile are returned by the next call of `written`.
 
         Parameters
         ----------
         tell : callable, optional
-            Called with the number of visits that are still to be written, every half second.
+            Called every half second with the number of visits not yet written.
 
         Raises
         ------
         InputError
-            Not everything could be written; what is on disk is whole.
+            Not everything could be written; the file on disk is consistent.
         """
         if self._process.gone:
             self._again()
@@ -159,7 +160,7 @@ class VisitQueue:
             raise InputError(answer.failed)
 
     def close(self) -> None:
-        """Have everything that is waiting written, and end the process; not in the loop."""
+        """Write all queued visits and end the process; not to be called in the motion loop."""
         while self._process.unsent:
             self._process.wait(TELL_S)
             self._listen()
@@ -170,7 +171,7 @@ class VisitQueue:
         self._process.end()
 
     def _asked(self, finish: Finish, tell: Callable[[int], None]) -> Finished | None:
-        """Its answer; None if it has ended."""
+        """Return the answer of the process; None if it has ended."""
         self._questions += 1
         self._process.send(framed(replace(finish, question=self._questions)))
         told_s = time.monotonic()
@@ -194,13 +195,13 @@ class VisitQueue:
                     if isinstance(message, Ready) and message.refused:
                         raise InputError(message.refused)
                     return process
-            raise InputError(f"{self.path}: the process that is to write it does not start; {ADVICE}")
+            raise InputError(f"{self.path}: the process that writes the recording does not start; {ADVICE}")
         except BaseException:
             process.kill()
             raise
 
     def _again(self) -> None:
-        """Start the process anew, with what it took with it: it was killed."""
+        """Restart the killed process with the visits that it had not written."""
         self._process.end()
         earlier = read(self.path) if self.path.exists() else None
         there = (
@@ -214,8 +215,7 @@ class VisitQueue:
 
     def _ended(self) -> InputError:
         return InputError(
-            f"{self.path}: the process that writes it has ended before its time; {self.waiting} visits were not on "
-            f"disk yet; {ADVICE}"
+            f"{self.path}: the process that writes it ended early; {self.waiting} visits were not yet written; {ADVICE}"
         )
 
     def _listen(self) -> None:

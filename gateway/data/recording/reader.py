@@ -1,7 +1,7 @@
-"""Reader of a recording (HDF5): what was measured, on which cell.
+"""Read a recording (HDF5): measured visits and periods, and the cell they were measured on.
 
-The torque is worked out anew from the raw words, with the constants that were read from the drives and the cell and
-profile texts that are stored in the file.
+The torque is recomputed from the raw words, with the constants read from the drives and the cell and profile texts of
+the file.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ STATUSES = ("success", "abort", "fail")
 
 
 def read(path: Path) -> Recording:
-    """Read a recording; one that was killed is read up to its last finished visit or period.
+    """Read a recording; of a killed run, up to its last complete visit or period.
 
     Raises
     ------
     InputError
-        With file and object: not HDF5, truncated, damaged, of another schema, or a torque that does not follow from
+        With file and object: not HDF5, truncated, damaged, of another schema, or a torque that disagrees with
         its raw words.
     """
     path = Path(path)
@@ -50,7 +50,7 @@ def read(path: Path) -> Recording:
 
 
 def read_unsealed(path: Path) -> Recording:
-    """Read a recording without looking at its seal; as `read` otherwise."""
+    """Read a recording without checking its checksum; otherwise as `read`."""
     with open_recording(path) as root:
         schema = root.integer("schema")
         if schema != SCHEMA:
@@ -125,7 +125,7 @@ def _poses(place: Hdf5Group, axes: int) -> tuple[RestPose, ...]:
 
 
 def _with_measured(asked: Sequence[RestPose], visits: Sequence[Visit]) -> tuple[RestPose, ...]:
-    """Poses that the recording is to hold, and those that were chosen while it was made."""
+    """Return the planned poses and those chosen during the recording."""
     poses = {pose.number: pose for pose in asked}
     for visit in visits:
         purpose: Purpose = "validation" if visit.purpose == "validation" else "fit"
@@ -135,7 +135,7 @@ def _with_measured(asked: Sequence[RestPose], visits: Sequence[Visit]) -> tuple[
 
 def _number(visits: Hdf5Group, name: str) -> int:
     if not (name.isascii() and name.isdigit() and len(name) < 10):
-        raise visits.refuse(name, "is no number of a visit")
+        raise visits.refuse(name, "is not a number of a visit")
     return int(name)
 
 
@@ -156,5 +156,5 @@ def _visit(place: Hdf5Group, number: int, axes: int, torque_unit_nm: np.ndarray 
         temperature_c=place.optional_numbers("temperature_c", axes),
     )
     if visit.purpose not in ("fit", "validation") or visit.approach not in SIDES:
-        raise place.refuse("", "load, purpose or approach is not what a visit has")
+        raise place.refuse("", "load, purpose or approach has an invalid value")
     return visit

@@ -1,4 +1,4 @@
-"""What a recording holds, and the measured table that follows from it."""
+"""Content of a recording in memory, and the measured table computed from it."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ SIDES = (-1, 1)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmRecording:
-    """What one arm has measured.
+    """Measurements of one arm.
 
     Attributes
     ----------
     name : str
     poses : tuple of RestPose
-        That the recording is to hold.
+        Planned poses.
     visits : tuple of Visit
         In the order of measuring.
     periods : tuple of Period
         In the order of measuring.
     excitations : dict of int to dict
-        What the periods were driven by, by fingerprint, as plain values.
+        Excitations of the periods by fingerprint, as plain values.
     constants : tuple of Constants
-        What was read from the drives; empty if the file does not say.
+        Constants read from the drives; empty if the file lacks them.
     identities, ledger : lists of dict
     bus_statistics : dict
         Empty until the run has ended.
@@ -54,16 +54,16 @@ class ArmRecording:
     excitations: dict[int, dict[str, Any]] = field(default_factory=dict)
 
     def done(self, load: str) -> tuple[tuple[int, int], ...]:
-        """(pose, approach) of the complete visits under a load."""
+        """Return (pose, approach) of the complete visits with a load."""
         return tuple((visit.pose, visit.approach) for visit in self.visits if visit.complete and visit.load == load)
 
     def missing(self, load: str) -> tuple[tuple[int, int], ...]:
-        """(pose, approach) that the poses ask for and that no complete visit under this load holds."""
+        """Return (pose, approach) of the planned visits with a load that are not complete."""
         done = set(self.done(load))
         return tuple((pose.number, side) for pose in self.poses for side in SIDES if (pose.number, side) not in done)
 
     def driven(self, load: str) -> frozenset[tuple[int, float, int]]:
-        """(excitation, speed, period) of the complete periods under a load."""
+        """Return (excitation, speed, period) of the complete periods with a load."""
         return frozenset(
             (each.excitation, each.speed, each.period) for each in self.periods if each.complete and each.load == load
         )
@@ -79,7 +79,7 @@ class Recording:
     created, software, exit_status, reason : str
     cell : Cell
     cell_text, robot_text : str
-        As stored; the robot text is empty for an arm given by Denavit-Hartenberg rows.
+        As stored; the robot text is empty for an arm defined by Denavit-Hartenberg parameters.
     profiles : dict of str to str
         Profile name -> TOML text.
     arms : tuple of ArmRecording
@@ -100,18 +100,19 @@ class Recording:
     calibration: str = ""
 
     def arm(self, name: str) -> ArmRecording | None:
-        """The arm of that name, None if it has recorded nothing."""
+        """Return the arm of that name, None if the recording has no data of it."""
         return next((arm for arm in self.arms if arm.name == name), None)
 
     @property
     def loads(self) -> tuple[str, ...]:
-        """Labels of the loads, in the order of measuring."""
+        """Labels of the loads, in measurement order."""
         return tuple(dict.fromkeys(each.load for arm in self.arms for each in (*arm.visits, *arm.periods)))
 
     def table(self, arm: str | None = None) -> Table:
-        """Measured rows: two per pose and load at rest, one per side of approach; one per SYNC of a complete period.
+        """Return the measured table: per pose and load one sample per approach direction; one per SYNC of a complete
+        period.
 
-        A visit's row holds the means over its samples.
+        The sample of a visit contains the means over its readings.
 
         Parameters
         ----------
@@ -128,22 +129,22 @@ class Recording:
         parts += [rows for part in chosen for rows in self._moving_rows(part)]
         if not parts:
             raise InputError(
-                f"{self.path}: holds no complete visit and no complete period; measure again, or finish it by record "
-                "--resume"
+                f"{self.path}: contains no complete visit and no complete period; measure again, or complete it with"
+                " record --resume"
             )
         return concatenate(parts)
 
     def _moving_rows(self, arm: ArmRecording) -> list[Table]:
         config = arm_config(self.cell, arm.name, str(self.path))
         axes = AxisConversion.from_arm(config)
-        late_s = torque_delay_s(config, self.profiles, str(self.path)) if arm.periods else 0.0
+        delay_s = torque_delay_s(config, self.profiles, str(self.path)) if arm.periods else 0.0
         return [
             period_rows(
                 each,
                 axes.joint_torque(each.motor_torque_nm),
                 self.path,
                 harmonics_of(arm.excitations[each.excitation]),
-                late_s,
+                delay_s,
             )
             for each in arm.periods
             if each.complete
@@ -186,7 +187,7 @@ def _std(samples: np.ndarray) -> np.ndarray:
 
 
 def arm_config(cell: Cell, name: str, where: str) -> ArmConfig:
-    """The cell's arm of that name.
+    """Return the arm of a cell by name.
 
     Raises
     ------
@@ -196,4 +197,4 @@ def arm_config(cell: Cell, name: str, where: str) -> ArmConfig:
     for arm in cell.arm:
         if arm.name == name:
             return arm
-    raise InputError(f"{where}: holds visits of arm '{name}', which its cell file does not have")
+    raise InputError(f"{where}: contains visits of arm '{name}', which its cell file does not have")

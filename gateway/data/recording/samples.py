@@ -1,4 +1,4 @@
-"""What a visit and a period have in common in a recording: words as received, and the values that follow from them."""
+"""Read the samples of a visit or a period: raw drive words, and the values computed from them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SAME_TORQUE = 1e-6
 
 
 def read_samples(place: Hdf5Group, axes: int, torque_unit_nm: np.ndarray | None) -> dict[str, np.ndarray]:
-    """Arrays by the names of the fields of `Visit` and `Period`.
+    """Return the sample arrays by the field names of `Visit` and `Period`.
 
     Parameters
     ----------
@@ -20,12 +20,12 @@ def read_samples(place: Hdf5Group, axes: int, torque_unit_nm: np.ndarray | None)
         Group of the visit or period.
     axes : int
     torque_unit_nm : array of shape (N,) or None
-        Motor torque per bit of the torque word; None = the file does not say.
+        Motor torque per bit of the torque word; None = not in the file.
 
     Raises
     ------
     InputError
-        Missing, of another shape, not finite, not one row per sample, no sample, or a torque that does not follow from
+        Missing, of another shape, not finite, not one row per sample, no sample, or a torque that disagrees with
         its raw words.
     """
 
@@ -35,7 +35,7 @@ def read_samples(place: Hdf5Group, axes: int, torque_unit_nm: np.ndarray | None)
     torque_word, stored_nm = words("torque_permille"), finite(place, "motor_torque_nm", axes)
     motor_nm = stored_nm if torque_unit_nm is None else torque_word * torque_unit_nm
     if motor_nm.shape != stored_nm.shape or not np.allclose(motor_nm, stored_nm, rtol=SAME_TORQUE, atol=1e-12):
-        raise place.refuse("motor_torque_nm", "does not follow from torque_permille and the constants of the file")
+        raise place.refuse("motor_torque_nm", "disagrees with torque_permille and the constants of the file")
     absent = np.full(torque_word.shape, NO_WORD, dtype=np.int64)
     arrays = {
         "statusword": words("statusword"),
@@ -54,22 +54,22 @@ def read_samples(place: Hdf5Group, axes: int, torque_unit_nm: np.ndarray | None)
     }
     require_length(place, arrays, len(torque_word))
     if not len(torque_word):
-        raise place.refuse("", "holds no sample")
+        raise place.refuse("", "contains no sample")
     if (np.diff(arrays["sync_index"]) <= 0).any():
-        raise place.refuse("sync_index", "does not grow")
+        raise place.refuse("sync_index", "does not increase")
     return arrays
 
 
 def finite(place: Hdf5Group, name: str, columns: int | None) -> np.ndarray:
-    """A dataset of finite floats; raises `InputError` where it is not."""
+    """Return a dataset of finite floats; raise `InputError` if a value is not finite."""
     values = place.array(name, columns, "f").astype(float)
     if not np.isfinite(values).all():
-        raise place.refuse(name, "holds a value that is not finite")
+        raise place.refuse(name, "contains a value that is not finite")
     return values
 
 
 def require_length(place: Hdf5Group, arrays: dict[str, np.ndarray], n_samples: int) -> None:
-    """Refuse arrays that are not one row per sample."""
+    """Check that arrays have one row per sample."""
     for name, values in arrays.items():
         if len(values) != n_samples:
             raise place.refuse(name, f"has {len(values)} samples, torque_permille has {n_samples}")

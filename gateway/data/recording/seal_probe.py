@@ -1,4 +1,4 @@
-"""Reads one recording and says nothing: run as a process of its own on files that may crash the reader."""
+"""Read one recording in a separate process without output, for files that may crash the reader."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CPU_S = 30
 
 
 def main() -> int:
-    """Exit 0 if the reader comes back, with a recording or with a typed error."""
+    """Exit with 0 if the reader returns, with a recording or with a typed error."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     resource.setrlimit(resource.RLIMIT_CPU, (CPU_S, CPU_S))
     try:

@@ -1,6 +1,6 @@
-"""Writer of a recording: after each visit or period the whole file is written under a temporary name, synced, renamed.
+"""Writer of a recording: after each visit or period the file is written under a temporary name, synced, renamed.
 
-The file is built in memory; what is on disk is always a whole file, the last one or the one before.
+The file is built in memory, so that the file on disk is always complete: the last version or the one before.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from gateway.errors import InputError
 #: Puts a content in the place of a file, whole or not at all; raises InputError.
 Write = Callable[[Path, bytes], None]
 #: What to do where a recording would be replaced.
-NOT_REPLACED = "go on with it by --resume, or choose another name"
+NOT_REPLACED = "continue it with --resume, or choose another name"
 UNFINISHED = "not finished: still running, or killed"
 
 #: dataset -> (field of Visit and of Period, unit)
@@ -47,18 +47,18 @@ VALUES = {
 
 @dataclass(frozen=True, slots=True)
 class ArmHeader:
-    """What is stored once per arm.
+    """Constant data of one arm in a recording.
 
     Attributes
     ----------
     name : str
     poses : tuple of RestPose
     constants : tuple of Constants, one per drive
-        What was read from the drives.
+        Read from the drives.
     identities, ledger : lists of dict
-        Who the drives are; every object that was written, with its old value.
+        Identity of the drives; every object written, with its old value.
     excitations : dict of int to dict
-        By their fingerprints: what the periods were driven by, as plain values.
+        Excitations of the periods by fingerprint, as plain values.
     """
 
     name: str
@@ -71,7 +71,7 @@ class ArmHeader:
 
 @dataclass(frozen=True, slots=True)
 class RecordingHeader:
-    """What is stored once per file; texts are those of the files themselves."""
+    """Constant data of a recording; texts are the contents of the input files."""
 
     created: str
     cell: str
@@ -82,7 +82,7 @@ class RecordingHeader:
 
 
 class Numbering:
-    """Numbers visits and periods on from those of a file and lets their time run on.
+    """Continues the numbers and the time of the visits and periods of a file.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class Numbering:
         self._shift_s: float | None = None
 
     def next(self, visit: Measured) -> Measured:
-        """The visit or the period as it is stored, with its number."""
+        """Return the visit or the period with its number and stored time."""
         if self._shift_s is None:
             period_s = float(np.diff(visit.time_s).min()) if len(visit) > 1 else 1.0
             late = self._last_s + period_s - float(visit.time_s[0])
@@ -107,19 +107,19 @@ class Numbering:
 
 
 def refuse_other_cell(earlier: Recording | None, cell_text: str) -> None:
-    """Refuse to go on with a recording that another cell file was recorded with.
+    """Raise an error if a recording was made with another cell file.
 
     Raises
     ------
     InputError
     """
     if earlier is not None and earlier.cell_text != cell_text:
-        what = "was recorded with another cell file; choose another name for this recording"
+        what = "was recorded with another cell file; choose another name for the new recording"
         raise InputError(f"{earlier.path} {what}")
 
 
 class RecordingWriter:
-    """Adds visits and periods to one file; `visits` counts both.
+    """Appends visits and periods to one file; `visits` counts both.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class RecordingWriter:
     earlier : Recording or None
         The file's content so far, to go on with; None = the file must not exist.
     write : callable, optional
-        Puts the content in the place of the file, whole or not at all; `write_recording` unless given.
+        Replaces the file by the content, atomically; default `write_recording`.
 
     Raises
     ------
@@ -152,7 +152,7 @@ class RecordingWriter:
                 (arm.name, each.number) for arm in earlier.arms for each in (*arm.visits, *arm.periods)
             }:
                 self._file.close()
-                raise InputError(f"{path} was still being written by an earlier run; go on with it once more")
+                raise InputError(f"{path} an earlier run was still writing it; continue it again")
         root = self._file.attrs
         root["schema"] = SCHEMA
         root["created"] = header.created if earlier is None else earlier.created
@@ -164,7 +164,7 @@ class RecordingWriter:
         self._numbering = Numbering(earlier)
 
     def begin(self, header: ArmHeader) -> None:
-        """Store what belongs to an arm; an arm that is there already keeps its visits and periods."""
+        """Store the constant data of an arm; an arm already in the file keeps its visits and periods."""
         arm = self._arms.require_group(header.name)
         arm.require_group("visits")
         if header.excitations:
@@ -189,24 +189,24 @@ class RecordingWriter:
         Returns
         -------
         Visit or Period
-            With its number; its time runs on from the visits before.
+            With its number; its time continues that of the previous visits.
 
         Raises
         ------
         InputError
-            The file cannot be written; the one before is still there.
+            The file cannot be written; the previous version is unchanged.
         """
         stored = self._numbering.next(visit)
         self.store(arm, stored)
         return stored
 
     def store(self, arm: str, visit: Visit | Period) -> None:
-        """Store a visit or a period that has its number and write the file.
+        """Store a visit or a period that has its number, and write the file.
 
         Raises
         ------
         InputError
-            The file cannot be written; the one before is still there, and the next write holds this visit too.
+            The file cannot be written; the previous version is unchanged, and the next write includes this visit.
         """
         if isinstance(visit, Period):
             _write_period(self._arms.require_group(f"{arm}/periods").create_group(f"{visit.number:04d}"), visit)
@@ -216,7 +216,7 @@ class RecordingWriter:
         self.visits += 1
 
     def finish(self, arm: str, status: str, reason: str, statistics: dict[str, Any]) -> None:
-        """Store how the run ended (`success`, `abort`, `fail`) and write the file.
+        """Store the result of the run (`success`, `abort`, `fail`) and write the file.
 
         Raises
         ------
@@ -228,7 +228,7 @@ class RecordingWriter:
         self._save(status, reason)
 
     def close(self) -> None:
-        """Give the memory back; what is on disk stays."""
+        """Free the memory; the file on disk is unchanged."""
         self._file.close()
 
     def _save(self, status: str, reason: str) -> None:
@@ -239,23 +239,23 @@ class RecordingWriter:
 
 
 def write_recording(path: Path, content: bytes) -> None:
-    """Write a file so that a crash at any time leaves the old one or the new one, whole.
+    """Write a file atomically: a crash leaves the complete previous file or the complete new one.
 
     Raises
     ------
     InputError
-        It cannot be written (disk full, no permission); the old one is untouched.
+        It cannot be written (disk full, no permission); the previous file is unchanged.
     """
     try:
         replace_file(path, content)
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be written: {error.strerror or error}; what was recorded before is still in it"
+            f"{path}: cannot be written: {error.strerror or error}; the file still contains the earlier data"
         ) from error
 
 
 def _stored(arms: h5py.Group) -> set[tuple[str, int]]:
-    """Arm and number of every visit and period."""
+    """Return arm and number of every visit and period."""
     groups = [(str(arm), f"{arm}/{kind}") for arm in arms for kind in ("visits", "periods")]
     return {(arm, int(str(number))) for arm, group in groups if group in arms for number in arms.require_group(group)}
 

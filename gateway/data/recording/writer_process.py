@@ -1,8 +1,8 @@
 """Process that writes a recording (`python -m gateway.data.recording.writer_process`), started by `VisitQueue`.
 
-HDF5 holds Python's lock while a file is built and a disk may take seconds to sync; neither may hold up the motion
-loop. Visits come in on standard input, what is on disk is said on standard output. When the input ends, in whatever
-way, what has come in whole is written and the process ends.
+HDF5 holds Python's lock while a file is built, and a disk may take seconds to sync; neither may delay the motion
+loop. Visits are read from standard input, completed writes are reported on standard output. At the end of the input
+the process writes all complete visits and ends.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ PATIENCE_S = 20.0
 
 
 def main() -> None:
-    """Write until the input ends."""
+    """Write visits until the input ends."""
     leave_real_time()
     feed = PipeEnd(0, 1)
     start = feed.receive()

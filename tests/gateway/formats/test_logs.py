@@ -398,7 +398,7 @@ SPEEDS = '[[column]]\nlog = "actual_qd_{}"\ntable = "qd{}_rad_s"\nunit = "rad/s"
         ("[load]", "[rows]\nfrom_s = 5.0\n[load]", "[rows] of the map keeps none of the log's 5 rows"),
         ("[load]", "[rest]\n[load]", "the arm nowhere stands for 0.5 s"),
         (SPEEDS, "[motion]\ncutoff_hz = 10\n", "5 rows are too few for the speeds of [motion]: 20 at least"),
-        ('"gripper"', '"empty"', "map.toml line 7: load 'empty' means the bare arm"),
+        ('"gripper"', '"empty"', "map.toml line 7: load 'empty' denotes the unloaded arm"),
         ("axes = 6", "axes = ", "map.toml line 1"),
         ("axes = 6", "axes = 1", "map.toml line 1: axes = 1 must be at least 2"),
     ],

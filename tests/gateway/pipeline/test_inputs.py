@@ -81,7 +81,7 @@ def test_recording_of_another_robot_is_refused(cell_at, record):
 @pytest.mark.parametrize(
     ("edit", "says"),
     [
-        (lambda text: text.replace('name = "main"', 'name = "left"'), "holds no arm 'left' but 'main'"),
+        (lambda text: text.replace('name = "main"', 'name = "left"'), "contains no arm 'left' but 'main'"),
         (
             lambda text: text.replace("node_id = 2\n", "node_id = 12\n"),
             "J2 was recorded with node_id 2, the cell says 12",

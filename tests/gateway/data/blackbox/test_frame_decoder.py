@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drives.cia402 import State
-from gateway.data.blackbox.frame_decoder import drives_of, frame_times_s, state_spans, story
+from gateway.data.blackbox.frame_decoder import decoded_events, drives_of, frame_times_s, state_spans
 from gateway.data.blackbox.part import ERROR, FRAME_TYPE
 from tests.support.pages.stop import FAULTED, PERIOD_S, SLOW, UNRESPONSIVE, stopped
 
@@ -17,7 +17,7 @@ def box(tmp_path_factory):
 
 
 def decoded(box, words):
-    return [(each.time_s, each.nodes) for each in story(box) if words in each.what]
+    return [(each.time_s, each.nodes) for each in decoded_events(box) if words in each.what]
 
 
 def test_frames_are_reported_in_the_time_of_the_run(box):
@@ -55,7 +55,7 @@ def test_a_pause_of_the_answers_is_a_gap(box):
     assert first.end_s == pytest.approx(-3.0, abs=1e-5)
     assert second.begin_s == pytest.approx(-2.49, abs=1e-5)
     assert last.state is State.SWITCH_ON_DISABLED
-    assert decoded(paused, "silent for 0.510 s, then OPERATION ENABLED") == [(pytest.approx(-3.0, abs=1e-5), (1,))]
+    assert decoded(paused, "no response for 0.510 s, then OPERATION ENABLED") == [(pytest.approx(-3.0, abs=1e-5), (1,))]
 
 
 def test_what_drives_and_master_say_besides_is_in_words(box):

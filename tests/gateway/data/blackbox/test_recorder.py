@@ -27,9 +27,9 @@ from gateway.data.blackbox.part import (
     unpack,
     width_of,
 )
-from gateway.data.blackbox.recorder import BoxKeeper
+from gateway.data.blackbox.recorder import BoxRecorder
 from gateway.data.blackbox.recorder_process import KILLED
-from gateway.data.blackbox.recovery import BOTH_KILLED, salvage
+from gateway.data.blackbox.recovery import BOTH_KILLED, recover_box
 from gateway.data.blackbox.ring_buffer import HEADER, KEPT_S, MOST_WALL_S, Ring, box_of, folder_of, parts_in
 from gateway.errors import InputError
 
@@ -39,10 +39,10 @@ LOOP = """
 import sys, time
 from pathlib import Path
 from types import SimpleNamespace
-from gateway.data.blackbox.recorder import BoxKeeper
+from gateway.data.blackbox.recorder import BoxRecorder
 from gateway.data.blackbox.part import BoxHeader
 
-keeper = BoxKeeper(BoxHeader(Path(sys.argv[1]), (("main", 2),), "cell", "now", "test"))
+keeper = BoxRecorder(BoxHeader(Path(sys.argv[1]), (("main", 2),), "cell", "now", "test"))
 keeper.wait_until_kept()
 frame = SimpleNamespace(arbitration_id=0x181, data=b"12345", is_extended_id=False, is_remote_frame=False,
                         is_error_frame=False)
@@ -125,7 +125,9 @@ def test_both_killed_leave_their_parts(tmp_path):
     parts = parts_in(folder_of(run))
     assert 0.0 <= last_s - parts[-1].rows[-1, 0] < 1.0
     assert not box_of(run).exists()
-    until(lambda: salvage(run) or box_of(run).with_suffix(".blf").exists())  # a process that is killed dies in its time
+    until(
+        lambda: recover_box(run) or box_of(run).with_suffix(".blf").exists()
+    )  # a process that is killed dies in its time
     box = read_box(box_of(run))
     assert box.reason == BOTH_KILLED
     assert (box.recording, box.cell, box.arms[0].name) == ("run.h5", "cell", "main")
@@ -136,7 +138,7 @@ def test_both_killed_leave_their_parts(tmp_path):
 def test_the_next_run_makes_a_box_of_what_both_killed_have_left(tmp_path):
     run = tmp_path / "run.h5"
     left_by_killed(run)
-    box_recorder = BoxKeeper(header(run))
+    box_recorder = BoxRecorder(header(run))
     box_recorder.wait_until_kept()
     assert read_box(box_of(run)).sync_index.tolist() == [7]
     assert box_recorder.close(None) == ""
@@ -147,7 +149,7 @@ def test_parts_that_are_still_kept_are_left_alone(tmp_path):
     run = tmp_path / "run.h5"
     live = Ring(folder_of(run), header(run))
     live.add(part(), 1.0, 2.0)
-    salvage(run)
+    recover_box(run)
     assert len(parts_in(folder_of(run))) == 1
     assert not box_of(run).exists()
     live.close()
@@ -158,9 +160,9 @@ def test_parts_of_an_unknown_owner_are_removed(tmp_path, text):
     run = tmp_path / "run.h5"
     left_by_killed(run)
     (folder_of(run) / HEADER).write_text(text)
-    salvage(run)
+    recover_box(run)
     assert list(tmp_path.iterdir()) == []
-    salvage(run)
+    recover_box(run)
 
 
 def test_what_is_kept_is_half_a_minute_of_the_run(tmp_path):
@@ -210,20 +212,20 @@ def test_every_number_and_every_kind_of_frame_comes_back(tmp_path):
 
 
 def test_a_run_that_ends_well_leaves_nothing(tmp_path):
-    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    box_recorder = BoxRecorder(header(tmp_path / "run.h5"))
     box_recorder.row(1.0, 1)[:] = 0.0
     assert box_recorder.close(None) == ""
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path):
-    box_recorder = BoxKeeper(header(tmp_path / "no" / "such" / "\0".replace("\0", "x" * 300) / "run.h5"))
+    box_recorder = BoxRecorder(header(tmp_path / "no" / "such" / "\0".replace("\0", "x" * 300) / "run.h5"))
     box_recorder.row(1.0, 1)[:] = 0.0
     assert "cannot be written" in box_recorder.close("a stop")
 
 
 def test_the_loop_never_waits_for_a_stopped_process(tmp_path):
-    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    box_recorder = BoxRecorder(header(tmp_path / "run.h5"))
     os.kill(box_recorder._process.pid, signal.SIGSTOP)
     try:
         for sync in range(20 * 1024):
@@ -238,11 +240,11 @@ def test_the_loop_never_waits_for_a_stopped_process(tmp_path):
 
 def test_a_delayed_process_goes_on_and_its_box_comes(tmp_path, monkeypatch):
     monkeypatch.setattr("gateway.data.blackbox.recorder.CLOSING_S", 0.05)
-    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    box_recorder = BoxRecorder(header(tmp_path / "run.h5"))
     box_recorder.wait_until_kept()
     box_recorder.row(0.01, 1)[:] = 1.0
     os.kill(box_recorder._process.pid, signal.SIGSTOP)
-    assert "still being written" in box_recorder.close("a stop")
+    assert "not complete after" in box_recorder.close("a stop")
     assert not box_of(tmp_path / "run.h5").exists()
     os.kill(box_recorder._process.pid, signal.SIGCONT)
     until(box_of(tmp_path / "run.h5").with_suffix(".blf").exists)
@@ -251,7 +253,7 @@ def test_a_delayed_process_goes_on_and_its_box_comes(tmp_path, monkeypatch):
 
 
 def test_a_frame_that_comes_while_it_closes_is_left_out_and_harms_nothing(tmp_path):
-    box_recorder = BoxKeeper(header(tmp_path / "run.h5"))
+    box_recorder = BoxRecorder(header(tmp_path / "run.h5"))
     box_recorder.row(0.01, 1)[:] = 1.0
     frame = SimpleNamespace(
         arbitration_id=0x181, data=b"1", is_extended_id=False, is_remote_frame=False, is_error_frame=False
@@ -267,6 +269,6 @@ def test_what_is_no_black_box_is_said(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_box(tmp_path / "none.h5")
     (tmp_path / "x.h5").write_bytes(b"no")
-    with pytest.raises(InputError, match="is no HDF5 file"):
+    with pytest.raises(InputError, match="not an HDF5 file"):
         read_box(tmp_path / "x.h5")
     write_blf(tmp_path / "f.blf", [LoggedFrame(1.0, 1, b"")])

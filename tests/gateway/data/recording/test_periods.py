@@ -182,15 +182,15 @@ def _without_a_sync(group):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (_without_a_sync, "SYNC 176 is followed by 178, and the period is said to be complete"),
+        (_without_a_sync, "SYNC 176 is followed by 178, but the period is marked complete"),
         (lambda group: group.attrs.__setitem__("period_s", 1.997), "a period is a whole number of SYNCs"),
-        (lambda group: group.attrs.__setitem__("excitation", 7), "is 7; the file does not hold that excitation"),
+        (lambda group: group.attrs.__setitem__("excitation", 7), "is 7; the file does not contain that excitation"),
         (
             lambda group: group.attrs.__setitem__("kind", "waltz"),
-            "load, kind, joint or period is not what a period has",
+            "load, kind, joint or period has an invalid value",
         ),
         (lambda group: group.attrs.__setitem__("speed", 2.0), "speed must be above 0 and at most 1"),
-        (lambda group: group.attrs.__setitem__("speed", "fast"), "is no finite number"),
+        (lambda group: group.attrs.__setitem__("speed", "fast"), "is not a finite number"),
         (lambda group: group.__delitem__("target_rad"), "target_rad: is missing"),
     ],
 )

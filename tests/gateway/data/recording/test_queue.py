@@ -141,7 +141,7 @@ def test_a_blocked_disk_fills_the_queue_and_nothing_waits(tmp_path, header):
         assert queue.written() == ()
         took_s.append(time.perf_counter() - begin_s)
     assert np.median(took_s) < 0.002
-    with pytest.raises(InputError, match="8 visits wait for the disk"):
+    with pytest.raises(InputError, match="8 visits are not yet written"):
         queue.add("main", many[0])
     assert (queue.waiting, queue.failed) == (8, None)
     gate.touch()
@@ -220,7 +220,7 @@ def test_a_run_that_is_still_written_is_waited_for(tmp_path, header):
         pass
     end = threading.Timer(0.1, lambda: (gate.touch(), before.close()))
     end.start()
-    with pytest.raises(InputError, match="was still being written by an earlier run"):
+    with pytest.raises(InputError, match="an earlier run was still writing it"):
         VisitQueue(before.path, header, ARM_HEADER, earlier)
     end.join()
     queue = VisitQueue(before.path, header, ARM_HEADER, read(before.path))
@@ -288,7 +288,7 @@ def test_a_process_that_is_killed_is_replaced_once_the_arm_is_at_rest(tmp_path, 
     queue.add("main", visit(1, 1))
     os.kill(queue._process.pid, signal.SIGKILL)
     until(queue, lambda: queue.failed is not None)
-    assert "has ended before its time; 1 visits were not on disk" in str(queue.failed)
+    assert "ended early; 1 visits were not yet written" in str(queue.failed)
     queue.add("main", visit(2, 1))
     assert queue.written() == ()
     gate.touch()

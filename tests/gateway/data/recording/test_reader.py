@@ -232,24 +232,24 @@ def _replace(name: str, value):
         (lambda f: f.attrs.__setitem__("exit_status", "ok"), "@exit_status: is 'ok'"),
         (lambda f: f.attrs.__setitem__("cell", "name ="), "not valid TOML"),
         (lambda f: f.attrs.__setitem__("cell", 5), "@cell: is int64, text expected"),
-        (lambda f: f.attrs.__setitem__("profiles", "{}"), "no text of profile 'generic-cia402'"),
-        (lambda f: f.attrs.__setitem__("profiles", "{"), "@profiles: is no JSON"),
+        (lambda f: f.attrs.__setitem__("profiles", "{}"), "contains no profile 'generic-cia402'"),
+        (lambda f: f.attrs.__setitem__("profiles", "{"), "@profiles: is not JSON"),
         (lambda f: f.__delitem__("arms"), "arms: is missing"),
         (lambda f: f.move("/arms/main", "/arms/left"), "visits of arm 'left'"),
         (lambda f: f["/arms/main"].attrs.__setitem__("constants", "[1]"), "@constants: is damaged"),
         (lambda f: f["/arms/main"].attrs.__setitem__("constants", "[]"), None),
-        (_words, "0002/motor_torque_nm: does not follow from torque_permille"),
+        (_words, "0002/motor_torque_nm: disagrees with torque_permille"),
         (_replace("/arms/main/visits/0001/q_rad", np.zeros((SAMPLES, 5))), "q_rad: has the shape (12, 5)"),
         (_replace("/arms/main/visits/0001/q_rad", np.zeros((3, 6))), "q_rad: has 3 samples"),
-        (_replace("/arms/main/visits/0001/q_rad", np.full((SAMPLES, 6), np.nan)), "q_rad: holds a value"),
+        (_replace("/arms/main/visits/0001/q_rad", np.full((SAMPLES, 6), np.nan)), "q_rad: contains a value"),
         (_replace("/arms/main/visits/0001/q_rad", [b"x"] * SAMPLES), "q_rad: has the shape"),
         (_replace("/arms/main/visits/0001/statusword", np.zeros((SAMPLES, 6))), "statusword: holds float64"),
-        (_replace("/arms/main/visits/0001/sync_index", np.zeros(SAMPLES, dtype=int)), "sync_index: does not grow"),
-        (_replace("/arms/main/visits/0001/time_s", h5py.ExternalLink("x.h5", "/")), "leads out of the file"),
+        (_replace("/arms/main/visits/0001/sync_index", np.zeros(SAMPLES, dtype=int)), "sync_index: does not increase"),
+        (_replace("/arms/main/visits/0001/time_s", h5py.ExternalLink("x.h5", "/")), "is a link out of the file"),
         (lambda f: f["/arms/main/visits/0001"].attrs.__setitem__("approach", 0), "0001: load, purpose or approach"),
         (lambda f: f["/arms/main/visits/0001"].attrs.__delitem__("pose"), "0001/@pose: is missing"),
-        (lambda f: f["/arms/main/visits"].move("0001", "first"), "first: is no number"),
-        (lambda f: f["/arms/main/visits"].__setitem__("0009", 3), "0009: is no group"),
+        (lambda f: f["/arms/main/visits"].move("0001", "first"), "first: is not a number"),
+        (lambda f: f["/arms/main/visits"].__setitem__("0009", 3), "0009: is not a group"),
     ],
 )
 def test_damaged_content_is_named(path, change, message):
@@ -284,7 +284,7 @@ def _stored_elsewhere(kind):
 @pytest.mark.parametrize("kind", ["external", "virtual"])
 def test_numbers_in_another_file_are_not_read(path, kind):
     forge(path, _stored_elsewhere(kind))
-    with pytest.raises(InputError, match="0001/torque_permille: keeps its numbers in another file"):
+    with pytest.raises(InputError, match="0001/torque_permille: stores its numbers in another file"):
         read(path)
 
 
@@ -322,7 +322,7 @@ def test_a_recording_as_it_was_written_needs_no_other_process(path, monkeypatch)
 @pytest.mark.parametrize("label", ["a\x1b]0;mine\x07", "a\nb", "a\N{RIGHT-TO-LEFT OVERRIDE}b", ""])
 def test_a_label_that_would_control_a_terminal_is_not_read(path, label):
     forge(path, lambda file: file["/arms/main/visits/0001"].attrs.__setitem__("load", label))
-    with pytest.raises(InputError, match="0001/@load: is empty or holds control characters"):
+    with pytest.raises(InputError, match="0001/@load: is empty or contains control characters"):
         read(path)
 
 
@@ -341,7 +341,7 @@ def test_a_dataset_that_claims_more_than_the_file_is_not_read(path):
 def test_foreign_files(tmp_path, content):
     path = tmp_path / "run.h5"
     path.write_bytes(content)
-    with pytest.raises(InputError, match=r"no HDF5 file|truncated"):
+    with pytest.raises(InputError, match=r"not an HDF5 file|truncated"):
         read(path)
 
 
