@@ -93,7 +93,7 @@ def passes_of(
     """
     passes = []
     tried = TRIED_SPEED * speed
-    if load != BARE_LABEL and not any(way == fingerprint(plan.excitations[0]) for way, _, _ in driven):
+    if load != BARE_LABEL and not any(each == fingerprint(plan.excitations[0]) for each, _, _ in driven):
         first = plan.excitations[0]
         passes.append(Pass(first, tried, (1,), slowed(first, tried, sync_period_s)))
     for excitation in plan.excitations:

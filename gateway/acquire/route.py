@@ -128,8 +128,8 @@ def _paths(
             break
         found = find_paths(workspace, points, exits, entries, blocked)
         for (a, b), path in found.items():
-            whole = np.vstack([exits[a], path, entries[b]])
-            cost[a, b] = workspace.travel_time(whole[:-1], whole[1:]).sum()
+            corners = np.vstack([exits[a], path, entries[b]])
+            cost[a, b] = workspace.travel_time(corners[:-1], corners[1:]).sum()
             via[a][b] = tuple(tuple(point.tolist()) for point in path)
         blocked = [pair for pair in blocked if pair not in found]
         if _all_reached(cost):

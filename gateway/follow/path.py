@@ -117,11 +117,11 @@ def read_path(file: Path, workspace: Workspace, period_s: float) -> FollowPath:
             return _timed(file.stem, times, points, workspace, period_s)
         if len(points) > MOST_WAYPOINTS:
             raise InputError(f"{file}: holds {len(points)} waypoints, the limit is {MOST_WAYPOINTS}")
-        given = _Waypoints(waypoints_rad=tuple(tuple(row) for row in points.tolist()))
+        waypoints = _Waypoints(waypoints_rad=tuple(tuple(row) for row in points.tolist()))
     else:
-        given = _read_toml(text, file)
-        _refuse_far(np.array(given.waypoints_rad), str(file))
-    return _waypoints(given.name or file.stem, given, workspace, period_s, str(file))
+        waypoints = _read_toml(text, file)
+        _refuse_far(np.array(waypoints.waypoints_rad), str(file))
+    return _waypoints(waypoints.name or file.stem, waypoints, workspace, period_s, str(file))
 
 
 def _refuse_far(points: np.ndarray, where: str) -> None:
@@ -188,10 +188,10 @@ def _least_s(pairs: Sequence[tuple[np.ndarray, np.ndarray]], limits: MotionLimit
     """
     total_s = 0.0
     for start, end in pairs:
-        way = np.abs(end - start)
-        by_speed = (way / limits.speed_rad_s).max()
-        by_acceleration = 2 * np.sqrt((way / limits.acceleration_rad_s2).max())
-        by_jerk = np.cbrt(32 * (way / limits.jerk_rad_s3).max())
+        distance = np.abs(end - start)
+        by_speed = (distance / limits.speed_rad_s).max()
+        by_acceleration = 2 * np.sqrt((distance / limits.acceleration_rad_s2).max())
+        by_jerk = np.cbrt(32 * (distance / limits.jerk_rad_s3).max())
         total_s += max(by_speed, by_acceleration, by_jerk, period_s)
     return float(total_s)
 

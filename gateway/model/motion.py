@@ -196,9 +196,9 @@ def at_links(table: Table) -> Table:
 
 
 def prepare(
-    table: Table, given: Table | None, robot: Robot, gravity_m_s2: Floats, largest: float = LARGEST
+    table: Table, held_out: Table | None, robot: Robot, gravity_m_s2: Floats, largest: float = LARGEST
 ) -> MovingRows:
-    """Return the samples of moving runs in `table` (to fit) and `given` (held out), at most `largest`.
+    """Return the samples of moving runs in `table` (to fit) and `held_out` (never fitted), at most `largest`.
 
     Raises
     ------
@@ -207,8 +207,8 @@ def prepare(
     """
     fitted, fitted_run = _in_time_order(table)
     parts, runs = [fitted], [fitted_run]
-    if given is not None:
-        held, held_run = _in_time_order(given)
+    if held_out is not None:
+        held, held_run = _in_time_order(held_out)
         parts.append(held)
         runs.append(held_run + fitted_run.max() + 1)
     run = np.concatenate(runs)

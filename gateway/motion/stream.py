@@ -141,9 +141,9 @@ class Stream:
         self.sync_index = 0
         self._arms, self._desk, self._period_s = station.arms, station.options.desk, station.period_s
         pairs = zip(station.arms.members, station.workspaces, strict=True)
-        late = BUFFERED_SYNCS if station.arms.real else 0.0
+        delay_syncs = BUFFERED_SYNCS if station.arms.real else 0.0
         self._watches = [
-            Watch(arm.name, workspace, station.period_s, late, own_torque(arm, workspace, station.period_s))
+            Watch(arm.name, workspace, station.period_s, delay_syncs, own_torque(arm, workspace, station.period_s))
             for arm, workspace in pairs
         ]
         self._acceleration = np.concatenate([each.acceleration_rad_s2 for each in station.workspaces])

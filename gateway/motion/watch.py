@@ -168,9 +168,9 @@ class Watch:
         if not self._delayed[-1]:
             return
         self._contact.note_delayed_sync()
-        late, rule = sum(self._delayed), ARM_RULES["rhythm"]
-        if late > rule.limit * (self._delayed.maxlen or 1):
-            raise rule.raised(f"arm '{self._arm}': {late} of the last {len(self._delayed)} SYNCs were delayed")
+        delayed, rule = sum(self._delayed), ARM_RULES["rhythm"]
+        if delayed > rule.limit * (self._delayed.maxlen or 1):
+            raise rule.raised(f"arm '{self._arm}': {delayed} of the last {len(self._delayed)} SYNCs were delayed")
 
     def _refuse(self, values: np.ndarray, q_rad: np.ndarray) -> None:
         if self._count[RANGE].any():

@@ -92,7 +92,7 @@ def calibrate(
         raise ConfigError("calibrate needs the cell file, whose torque constants it measures")
     options = replace(estimate_options(about), inertials="ignore", bare=None)
     found = pair_visits(table.take(~table.moving), options.efficiency, options.coupling)
-    visits, aside = without_outliers(found, robot, options.gravity_m_s2)
+    visits, rejected = without_outliers(found, robot, options.gravity_m_s2)
     if not (visits.load == BARE_LABEL).any():
         raise DataUnusable(
             f"the data hold no rest pose of the unloaded arm (load '{BARE_LABEL}'): measure it before and after the"
@@ -128,7 +128,7 @@ def calibrate(
     )
     places = Places(robot, options.gravity_m_s2, moment, postures)
     findings = (*mismatch, *stated_findings(axes), *unknown_axes(axes, noise_nm, weight, places))
-    return Calibration(axes, stored, (*findings, *aside.findings, *drift_findings(drifts)))
+    return Calibration(axes, stored, (*findings, *rejected.findings, *drift_findings(drifts)))
 
 
 def _best(axes: Sequence[AxisCalibration]) -> str:
