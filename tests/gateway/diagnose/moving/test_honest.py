@@ -206,4 +206,4 @@ def test_an_estimate_at_the_edge_of_its_range_is_reported():
     (finding,) = edge_findings([effect])
     assert finding.where == "J3"
     assert "stribeck_nm" in finding.what
-    assert "edge" in finding.what
+    assert "limit of the tried range" in finding.what
