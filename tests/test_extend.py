@@ -47,7 +47,7 @@ def estimate_twice(visits, robot, options):
     return replace(found, method="twice")
 '''
 ADAPTER = '''
-"""An adapter that the gateway has never heard of."""
+"""An adapter that is unknown to the gateway."""
 
 from can.interfaces.udp_multicast import UdpMulticastBus
 

@@ -198,7 +198,7 @@ CELLS = [
     ("a misspelt key", ("gear_efficiency", "gear_efficency"), AXIS, "unknown key .*: write gear_efficiency"),
     ("a key in another unit", (LIMIT, "position_limit_deg = [-160, 160]"), AXIS, "write position_limit_rad"),
     ("limits in degrees", (LIMIT, "position_limit_rad = [-180, 180]"), AXIS, r"degrees: write .*\[-3.142, 3.142\]"),
-    ("limits the wrong way round", (LIMIT, "position_limit_rad = [2.8, -2.8]"), AXIS, "write the lower one first"),
+    ("limits exchanged", (LIMIT, "position_limit_rad = [2.8, -2.8]"), AXIS, "write the lower one first"),
     ("one limit", (LIMIT, "position_limit_rad = [2.8]"), AXIS, r"write position_limit_rad = \[NUMBER, NUMBER\]"),
     ("a limit that is none", (LIMIT, "position_limit_rad = [nan, 2.8]"), AXIS, "not a finite number"),
     ("a speed in degrees", ("speed_limit_rad_s = 0.8", "speed_limit_rad_s = 60"), AXIS, "degrees a second: write"),
@@ -270,7 +270,11 @@ TABLES = [
     ("semicolons", table(ROW.replace(",", ";"), header=HEADER.replace(",", ";")), r"t\.csv:1: .*must be a comma"),
     ("a row that is too short", table("none,1,0.1"), r"t\.csv:2: 3 cells where the header names 9 columns"),
     ("rows that contradict", table(ROW, ROW.replace("12.5", "99")), r"t\.csv:3: .*t\.csv:2"),
-    ("a pose that is no number", table(ROW.replace("none,1,", "none,1.5,")), r"t\.csv:2: pose: 1.5 is not an integer"),
+    (
+        "a pose that is not a number",
+        table(ROW.replace("none,1,", "none,1.5,")),
+        r"t\.csv:2: pose: 1.5 is not an integer",
+    ),
     (
         "a label that means bare",
         table(ROW.replace("none", "None")),
@@ -296,8 +300,8 @@ KINDS: list[Kind] = [
         "cell: a profile that is not there",
         ("check", "cell.toml", "--bus", f"virtual:{uuid.uuid4().hex}"),
         3,
-        ("nobody' cannot be read", "one of .*generic-cia402"),
-        cell(('"generic-cia402"', '"nobody"')),
+        ("unknown' cannot be read", "one of .*generic-cia402"),
+        cell(('"generic-cia402"', '"unknown"')),
     ),
     Kind("cell: not there", ("plan", "no.toml"), 3, (r"no\.toml: cannot be read",)),
     Kind("cell: bytes", PLAN, 3, (r"cell\.toml: cannot be read.*utf-8",), text(b"\xff\xfe\x00", "cell.toml")),
@@ -456,7 +460,7 @@ KINDS: list[Kind] = [
         cell(),
     ),
     Kind(
-        "motion: a period that tells nothing",
+        "motion: an uninformative period",
         (*PLAN, "--moving", "--period", "2"),
         5,
         ("a period of 2 s: use 5 to 20 s",),
@@ -512,7 +516,7 @@ KINDS: list[Kind] = [
         "until: a load of an arm that is not known", (*UNTIL, "mass=1%"), 3, ("measure the unloaded arm first",), cell()
     ),
     Kind(
-        "until: the bare arm",
+        "until: the unloaded arm",
         ("record", "cell.toml", "--load", "none", "-o", "r.h5", "--until", "mass=1%"),
         3,
         ("is the unloaded arm, for which no mass is estimated",),
@@ -526,7 +530,7 @@ KINDS: list[Kind] = [
         ("--warm-up needs --thermal",),
         cell(),
     ),
-    Kind("thermal: the bare arm as a load", (*THERMAL, "--load", "none"), 2, ("give only the loads",), cell()),
+    Kind("thermal: the unloaded arm as a load", (*THERMAL, "--load", "none"), 2, ("give only the loads",), cell()),
     Kind(
         "thermal: a load twice",
         (*THERMAL, "--load", "a", "--load", "a"),
@@ -669,7 +673,7 @@ KINDS: list[Kind] = [
     ),
     Kind("bus: no SPEC", ("scan", "--bus", "can0"), 4, ("can0", "INTERFACE:CHANNEL")),
     Kind(
-        "bus: nobody there",
+        "bus: no drive there",
         ("scan", "--bus", f"virtual:{uuid.uuid4().hex}", "--listen", "0.05"),
         4,
         ("no node answered; check supply, wiring, termination and bit rate",),

@@ -36,9 +36,9 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--bus", type=int, default=12, help="cells over the bus, from start to report")
     parser.add_argument("--cells", type=int, default=400, help="nature: arms of each condition")
     parser.add_argument("--diagnosed", type=int, default=None, help="nature: so many of them diagnosed too (all)")
-    parser.add_argument("--effects", type=int, default=600, help="nature: arms with something beyond the ordinary")
+    parser.add_argument("--effects", type=int, default=600, help="nature: arms with an effect beyond nuisances")
     parser.add_argument("--conditions", default=None, help="nature: names with commas (all)")
-    parser.add_argument("--timed", type=int, default=20, help="nature: so many diagnoses of 40 poses by the clock")
+    parser.add_argument("--timed", type=int, default=20, help="nature: number of timed diagnoses of 40 poses")
     arguments = parser.parse_args(argv)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"

@@ -42,7 +42,7 @@ def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
         for number in range(plan.cells)
         for condition in plan.conditions
     ]
-    nuisance_cells = run(run_nuisance_only, tasks, jobs, out / "ordinary.jsonl") if tasks else []
+    nuisance_cells = run(run_nuisance_only, tasks, jobs, out / "nuisances.jsonl") if tasks else []
     seeds = range(plan.first, plan.first + plan.effects)
     effects = run(run_effect, list(seeds), jobs, out / "effects.jsonl") if seeds else []
     timed = run(run_timed, list(range(plan.first, plan.first + plan.timed)), 1, out / "timed.jsonl")
@@ -59,15 +59,25 @@ def report(nuisance_cells: list[dict], effects: list[dict], timed: list[dict], o
 
     console = Console(width=160)
     conditions = Table(
-        title="95 % intervals that hold the truth (m x y z), width over the oracle's, named, gross visits"
+        title="95 % intervals that hold the truth (m x y z), width over the oracle's, named, outlier visits"
     )
-    for name in ("condition", "cells", "estimate", "width", "diagnose", "width", "named", "gross found", "thrown out"):
+    for name in (
+        "condition",
+        "cells",
+        "estimate",
+        "width",
+        "diagnose",
+        "width",
+        "named",
+        "outliers found",
+        "thrown out",
+    ):
         conditions.add_column(name)
     for row in figures.by_condition(nuisance_cells):
         conditions.add_row(*row)
     console.print(conditions)
     for title, rows in (
-        ("named where only the ordinary is there", figures.falsely_named(nuisance_cells)),
+        ("named where only nuisances are there", figures.falsely_named(nuisance_cells)),
         ("one mechanism", figures.confusion(effects)),
     ):
         table = Table("what is there", "what was said", "cells", title=title)

@@ -33,7 +33,7 @@ def strict_figures(cells: Sequence[Cell]) -> Figures:
         f"strict: right, one effect of strength {LEAST:g} to {STRONG:g}": share(STRICT.right(by_kind["weak"])),
         f"strict: right, two effects, each of strength >= {STRONG:g}": share(STRICT.right(strong), ">= 0.926"),
         f"strict: right, two effects, each of strength >= {LEAST:g}": share(STRICT.right(by_kind["several"])),
-        f"strict: right or silent, below {LEAST:g}": share([1.0 - value for value in below]),
+        f"strict: right or without a name, below {LEAST:g}": share([1.0 - value for value in below]),
         "strict: something named that is not there": share(STRICT.misnamed([*plain, *off])),
         "strict: off-library given a library name": share(STRICT.misnamed(off), "<= 0.05"),
         "strict: wiring mistakes named": share(STRICT.right(wired)),

@@ -27,7 +27,7 @@ def figures(scope: Any) -> dict[str, dict]:
         f"stop requests at {number} instants: not answered within 1 SYNC and the ramp": figure(
             len(answers.delayed), "<= 0", ""
         ),
-        "longest way of set points after a request, beyond the ramp": figure(max(answers.syncs), "<= 1", "SYNCs"),
+        "longest path of setpoints after a request, beyond the ramp": figure(max(answers.syncs), "<= 1", "SYNCs"),
     }
     bar = scope.bar("brakes that fall", len(PERIODS_S) * len(FALLS_RAD_S2) * len(JOINTS))
     with tempfile.TemporaryDirectory() as folder:

@@ -28,7 +28,7 @@ def figures(scope: Any) -> dict[str, dict]:
         out[f"{how}: not at rest, then disabled, then in the brakes, in time"] = figure(
             untimely,
             "== 0",
-            f"(late {seen.delayed}, disabled before rest {seen.dropped}, not at all {seen.unsafe};"
+            f"(delayed {seen.delayed}, disabled before rest {seen.dropped}, not at all {seen.unsafe};"
             f" longest {seen.longest_s:.2f} s, ramp + {GRACE_S:g} s)",
         )
         out[f"{how}: finished work lost"] = figure(seen.lost, "== 0", f"of {seen.announced} visits announced")

@@ -81,7 +81,7 @@ def figures(scope: Any) -> dict[str, dict]:
         ),
         "soak memory grown": figure(swung.grown_bytes / 1e6, "<= 5", "MB"),
         "soak stops of the arm": figure(len(swung.stops), ">= 0"),
-        "soak periods missed by the clock": figure(swung.overruns, ">= 0"),
+        "soak periods missed in real time": figure(swung.overruns, ">= 0"),
     }
 
 

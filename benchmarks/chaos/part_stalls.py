@@ -14,13 +14,13 @@ PERIOD_S = 0.01
 def figures(scope: Any) -> dict[str, dict]:
     """Stall and look."""
     count = scope.count(STALLS)
-    bar = scope.bar("masters held up", count)
+    bar = scope.bar("masters stalled", count)
     stalls = stall_masters(count, period_s=PERIOD_S, progress=bar.step)
     for complaint in stalls.complaints:
         scope.print(f"held up: {complaint}", markup=False)
     longest = max(stalls.words_s, default=0.0)
     return {
-        "masters held up by the clock": figure(stalls.stalls, f">= {count}"),
+        "masters stalled in real time": figure(stalls.stalls, f">= {count}"),
         "stalls with a joint beyond its speed limit": figure(stalls.fast, "== 0", f"of {stalls.stalls}"),
         "largest speed after a stall": figure(stalls.share, f"<= {MEASURING}", "of the limit"),
         "stop words later than two periods": figure(stalls.delayed, "== 0", f"of {stalls.moving} stalls in motion"),

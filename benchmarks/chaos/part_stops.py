@@ -22,5 +22,5 @@ def figures(scope: Any) -> dict[str, dict]:
         within = 100.0 * (1.0 - stops.failed / max(len(stops.times_s), 1))
         out[f"drives stop after {how} of the master"] = figure(within, ">= 100", "%")
         bound = f"<= {stops.bound_s + 0.02:.3f}"
-        out[f"longest way to a stop after {how}"] = figure(max(stops.times_s, default=0.0), bound, "s")
+        out[f"longest path to a stop after {how}"] = figure(max(stops.times_s, default=0.0), bound, "s")
     return out

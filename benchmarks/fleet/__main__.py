@@ -38,7 +38,7 @@ def _parts(place: Path, options: argparse.Namespace) -> dict[str, dict]:
         figures |= _drifts(place / "drifts", drifts.Plant(options.seed, analysed))
     if "unlike" in parts:
         found = _drifts(place / "unlike", drifts.Plant(options.seed + 1, analysed, HETEROGENEITY_STD))
-        figures |= {f"robots that wander unlike each other: {name}": counted for name, counted in found.items()}
+        figures |= {f"heterogeneous robots: {name}": counted for name, counted in found.items()}
     if "recordings" in parts:
         figures |= recordings.figures(place / "recordings", options.recordings)
     return figures
@@ -51,7 +51,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/fleet"))
     parser.add_argument("--robots", type=int, default=1000, help="simulated robots, a check a day for a year each")
     parser.add_argument("--analysed", type=int, help="robots of which drifts are looked for; all by default")
-    parser.add_argument("--recordings", type=int, default=2000, help="recordings that are estimated anew")
+    parser.add_argument("--recordings", type=int, default=2000, help="recordings that are estimated again")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
     with tempfile.TemporaryDirectory() as name:

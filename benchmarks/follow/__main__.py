@@ -153,7 +153,7 @@ def _with_wrong_efficiency(place: rig.Place, handle: Any) -> dict[str, dict]:
     command = rig.peaks(rig.followed(handle, cell, request, "maximum", "identified"))
     right = rig.peaks(rig.followed(handle, place.cell, request, "velocity alone", "identified"))
     values = {
-        "large arm told 5 to 10 points less gear efficiency: axes 2 and 3, identified over maximum load": max(
+        "large arm with 5 to 10 points less gear efficiency stated: axes 2 and 3, identified over maximum load": max(
             float(command["identified"][axis] / command["maximum"][axis]) for axis in WATCHED
         ),
         "large arm: axes 2 and 3, identified load over the velocity offset alone": max(

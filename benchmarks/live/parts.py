@@ -182,7 +182,7 @@ def stopped(out: Path, clicks: int, *, alone: bool) -> Figures:
         "stop clicked twice to the quick stop word on the bus, p95": figure(
             round(float(np.percentile(word_ms, 95)), 1) if word_ms else float("nan"), "<= 200", "ms"
         ),
-        "stop clicked to the first set point that brakes, p95": figure(
+        "stop clicked to the first setpoint that brakes, p95": figure(
             round(float(np.percentile(slow_ms, 95)), 1) if slow_ms else float("nan"), "<= 200", "ms"
         ),
         "clicks": {"value": clicks, "unit": f"judged {len(slow_ms)} and {len(word_ms)}"},
@@ -249,7 +249,7 @@ def mistreated(out: Path) -> Figures:
     for name, act in cases.items():
         other = _set_points(out, act, "mistreated", ("--live",))
         differ = abs(len(other) - len(plain)) + sum(a != b for a, b in zip(other, plain, strict=False))
-        figures[f"{name}: set points that differ"] = figure(differ, "== 0", f"of {len(plain)}")
+        figures[f"{name}: setpoints that differ"] = figure(differ, "== 0", f"of {len(plain)}")
     return figures
 
 

@@ -43,7 +43,7 @@ def main(argv: list[str]) -> int:
         return 1
     for fault in found:
         print(f"{fault.page}, {fault.layout}: {fault.kind}: {fault.what} at {fault.where}", file=sys.stderr)
-    figures = {"pages opened in three ways": figure(opened, ">= 8")}
+    figures = {"pages opened in three layouts": figure(opened, ">= 8")}
     for kind in ("overlap", "cut off", "orphan heading"):
         figures[f"elements: {kind}"] = figure(sum(fault.kind == kind for fault in found), "== 0")
     show(figures)

@@ -103,12 +103,12 @@ def timing() -> dict[str, dict]:
     add("incomplete epochs", steady["incomplete"], unit, "0", steady["incomplete"] == 0)
     add("cycle in lockstep, 12 drives", 1e3 * steady["cycle_s"], "ms, physics left out")
     ended = clock["ended"][:70] or "to the end"
-    add("by the clock: cycles until the end", clock["cycles"], f"of {clock['wanted']}; {ended}")
-    add("by the clock: cycles with a late answer", 1e2 * clock["late_share"], f"% of {clock['cycles']}")
-    add("by the clock: jitter p50", 1e6 * clock["jitter_p50_s"], "us")
-    add("by the clock: jitter p99", 1e6 * clock["jitter_p99_s"], "us")
-    add("by the clock: skew of the SYNCs p50", 1e6 * clock["skew_p50_s"], "us")
-    add("by the clock: skew of the SYNCs p99", 1e6 * clock["skew_p99_s"], "us")
+    add("real time: cycles until the end", clock["cycles"], f"of {clock['wanted']}; {ended}")
+    add("real time: cycles with a delayed answer", 1e2 * clock["late_share"], f"% of {clock['cycles']}")
+    add("real time: jitter p50", 1e6 * clock["jitter_p50_s"], "us")
+    add("real time: jitter p99", 1e6 * clock["jitter_p99_s"], "us")
+    add("real time: skew of the SYNCs p50", 1e6 * clock["skew_p50_s"], "us")
+    add("real time: skew of the SYNCs p99", 1e6 * clock["skew_p99_s"], "us")
     add("planned bus load", clock["load_percent"], "%, worst case")
     return out
 

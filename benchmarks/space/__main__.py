@@ -61,7 +61,7 @@ def figures_of(cells: list[dict]) -> dict[str, dict]:
     found = {
         "cells": figure(len(cells), f">= {CELLS}"),
         "cells planned": figure(len(planned), ">= 190"),
-        "planned cells whose poses or ways touch something": figure(touching, "<= 0"),
+        "planned cells whose poses or paths touch something": figure(touching, "<= 0"),
         "postures looked at": figure(sum(cell["postures"] for cell in planned), ">= 1"),
     }
     if seconds:

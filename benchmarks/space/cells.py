@@ -186,7 +186,7 @@ def _payload_link(axes: int, load: list[tuple[np.ndarray, str]], flange: Vector,
     place, turn = (" ".join(f"{value:.9f}" for value in each) for each in (flange, rpy))
     return (
         f'<link name="payload"><inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>'
-        f'</inertial>{shapes}</link><joint name="hung" type="fixed"><parent link="link_{axes}"/><child link="payload"/>'
+        f'</inertial>{shapes}</link><joint name="rod" type="fixed"><parent link="link_{axes}"/><child link="payload"/>'
         f'<origin xyz="{place}" rpy="{turn}"/></joint>'
     )
 

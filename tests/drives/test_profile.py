@@ -124,7 +124,7 @@ def test_every_mistake_of_a_file_is_named_at_once():
 
 def test_a_profile_that_is_not_there_names_those_that_are():
     with pytest.raises(ProfileError, match="generic-cia402"):
-        load_profile("nobody")
+        load_profile("unknown")
 
 
 def test_the_schema_is_json_and_has_every_key():

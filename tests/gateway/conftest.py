@@ -31,7 +31,7 @@ class FakeDrives:
         What was asked, without the SYNCs.
     log_of_parts : list of str
         Parts of SYNCs that several arms share.
-    silent : dict of int to int
+    unanswered : dict of int to int
         SYNC -> axis (from 0) that does not answer it.
     fault_at, jam_at : int or None
         SYNC of a drive fault; SYNC from which joint 2 no longer follows.

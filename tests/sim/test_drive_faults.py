@@ -188,7 +188,7 @@ def test_in_lockstep_drives_stop_by_themselves_once_the_master_is_gone(monkeypat
     assert not any(drive.automaton.energised for drive in server.drives)
     at_rest_s = bench.unit.world.time_s
     wait(5.0)
-    assert bench.unit.world.time_s < at_rest_s + 0.2, "time stands still again"
+    assert bench.unit.world.time_s < at_rest_s + 0.2, "time stops again"
     bench.close()
 
 

@@ -195,7 +195,7 @@ def test_a_delayed_answer_is_delayed_by_time_where_a_time_is_given(rig: Rig) -> 
 
 
 def test_the_reaction_by_the_clock_may_be_another_one() -> None:
-    kind = Kind("wire", "goes on", 1, "late", real="retried")
+    kind = Kind("wire", "goes on", 1, "delayed", real="retried")
     assert (kind.reaction_in("lockstep"), kind.reaction_in("real")) == ("goes on", "retried")
     assert KINDS["tpdo_lost"].reaction_in("real") == "retried"
 

@@ -41,7 +41,7 @@ def test_payloads_of_the_examples(name, mass):
         (lambda text: text.replace("gear_ratio", "ratio", 1), "'gear_ratio' is missing"),
         (lambda text: text.replace('robot = "robot.urdf"', 'robot = "none.urdf"'), "none.urdf: cannot be read"),
         (lambda text: text.replace('robot = "robot.urdf"', ""), "names no robot"),
-        (lambda text: text.replace("generic-cia402", "nobody", 1), "cannot be read"),
+        (lambda text: text.replace("generic-cia402", "unknown", 1), "cannot be read"),
         (lambda text: text.replace('bus = "a"', 'bus = "b"'), r"no \[bus.b\]"),
         (lambda text: text + "\n[[arm.axis]]\nnode_id = 7\n", r"has 7 \[\[arm.axis\]\] tables, its robot 6 joints"),
         (lambda text: text.replace("value = 120", 'value = "x"', 1), "wrong kind"),

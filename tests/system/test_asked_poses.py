@@ -72,7 +72,7 @@ def test_a_pose_is_measured_once_more_by_its_number(place, gateway, serve):
 
 
 def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway):
-    without_drives = ("record", place.cell, "--bus", "virtual:nobody", "--load", "none", "-o", place.run, "--yes")
+    without_drives = ("record", place.cell, "--bus", "virtual:empty", "--load", "none", "-o", place.run, "--yes")
     for more, code, says in (
         (("--pose", "0.1,0.2"), 2, "has 6 axes"),
         (("--pose", "0,30,0,0,30,0"), 2, "add --unit deg"),

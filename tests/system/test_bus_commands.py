@@ -69,7 +69,7 @@ def test_scan_names_a_node_whose_identity_cannot_be_read(gateway, monkeypatch):
     unresponsive = Identity(3, *[None] * 8)
     found = (ScanResult(unresponsive, 1, NmtState.OPERATIONAL, (), "node 3: no SDO answer within 300 ms"),)
     monkeypatch.setattr("drives.probe.scan", lambda bus, listen_s: found)
-    done = gateway("scan", "--bus", "virtual:silent", "--json", "-")
+    done = gateway("scan", "--bus", "virtual:unanswered", "--json", "-")
     assert done.exit_code == 4
     assert "node 3 answers, but its identity cannot be read: node 3: no SDO answer" in done.stderr
     (node,) = json.loads(done.stdout)["nodes"]

@@ -70,13 +70,13 @@ def test_there_and_home_again_after_the_proof(place, gateway, serve):
     ],
 )
 def test_a_posture_that_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway, to, code, says):
-    done = gateway("move", place.cell, "--bus", "virtual:nobody", "--to", to, "--yes")
+    done = gateway("move", place.cell, "--bus", "virtual:empty", "--to", to, "--yes")
     assert done.exit_code == code, done.output
     assert says in said(done)
 
 
 def test_a_place_for_loads_has_to_be_given(place, gateway):
-    done = gateway("move", narrow(place, "[-2.8, 2.8]"), "--bus", "virtual:nobody", "--to", "loading", "--yes")
+    done = gateway("move", narrow(place, "[-2.8, 2.8]"), "--bus", "virtual:empty", "--to", "loading", "--yes")
     assert done.exit_code == 3, done.output
     assert "loading_rad is missing" in said(done)
 

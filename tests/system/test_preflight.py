@@ -126,7 +126,7 @@ def test_a_stopped_node_is_said_to_be_stopped_and_is_woken_by_the_recommended_co
     assert found["where"] == "J3 node 3"
     assert "NMT state STOPPED" in found["what"]
     assert "servo-gateway restore" in found["advice"]
-    assert node.state == STOPPED, "check writes nothing and wakes nobody"
+    assert node.state == STOPPED, "check writes nothing and wakes no drive"
     assert gateway("restore", place.cell, "--bus", drives.bus).exit_code == 0
     assert gateway("check", place.cell, "--bus", drives.bus).exit_code == 0
 

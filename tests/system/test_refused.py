@@ -86,9 +86,9 @@ def test_a_drive_of_another_make(place, gateway, serve):
 
 
 def test_no_drive_at_all(place, gateway):
-    done = gateway("record", place.cell, "--bus", "virtual:nobody", "--load", "none", "-o", place.run, "--yes")
+    done = gateway("record", place.cell, "--bus", "virtual:empty", "--load", "none", "-o", place.run, "--yes")
     complains(done, 4, "nodes 1 to 6", "no device answers")
-    complains(gateway("scan", "--bus", "virtual:nobody", "--listen", 0.1), 4, "no node answered")
+    complains(gateway("scan", "--bus", "virtual:empty", "--listen", 0.1), 4, "no node answered")
     complains(gateway("scan", "--bus", "virtual"), 4, "INTERFACE:CHANNEL")
 
 

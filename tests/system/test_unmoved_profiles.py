@@ -24,7 +24,7 @@ def with_profile(place, name):
 @pytest.mark.parametrize("name", NOT_MOVED)
 def test_every_motion_is_refused_with_the_reason_before_anything_is_sent(name, place, gateway):
     with_profile(place, name)
-    recorded = gateway("record", place.cell, "--bus", "virtual:nobody", "--load", "none", "-o", place.run, "--yes")
+    recorded = gateway("record", place.cell, "--bus", "virtual:empty", "--load", "none", "-o", place.run, "--yes")
     assert recorded.exit_code == 3, recorded.output
     said = " ".join(recorded.output.split())
     assert f"J1, J2, J3, J4, J5, J6: profile {name} refuses motion" in said

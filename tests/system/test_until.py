@@ -53,7 +53,7 @@ def test_what_cannot_be_meant_is_refused_before_the_bus_is_opened(place, gateway
         ("load", ("--bare", "r.json"), 2, "give --until as well"),
         ("load", ("--until", "mass=1%", "--bare", place.folder / "none.json"), 3, "none.json"),
     ):
-        done = record(gateway, place, "virtual:nobody", load, *more)
+        done = record(gateway, place, "virtual:empty", load, *more)
         assert done.exit_code == code, (more, done.output)
         assert says in " ".join(done.output.split()), (more, done.output)
 

@@ -13,7 +13,7 @@ from tests.support.blind.nature_figures import effect_figures, nuisance_figures,
 from tests.support.blind.shares import middle, share
 
 
-def cell(kind: str = "ordinary", truth: tuple = (), found: tuple = (), verdict: str = "none_needed", **more) -> dict:
+def cell(kind: str = "nuisance", truth: tuple = (), found: tuple = (), verdict: str = "none_needed", **more) -> dict:
     inside = {"inside": [1.0, 1.0, 1.0, 0.0], "width": [1.0, 1.1, 1.2, 1.3]}
     return {
         "seed": 0,
@@ -57,7 +57,7 @@ def test_coverage_leaves_out_what_was_not_given_and_misstated_priors():
     assert out["diagnose: 95 % interval holds mass"]["unit"] == "of 1"
     assert out["estimate: 95 % intervals hold the truth, all four"]["value"] == 0.75
     assert out["diagnose: width over the oracle's"]["value"] == pytest.approx(1.15)
-    assert out["something named where only the ordinary is there"]["value"] == 0.0
+    assert out["something named where only nuisances are there"]["value"] == 0.0
     assert out["something named, priors misstated"]["value"] == 1.0
     assert out["base: diagnose holds z"]["value"] == 0.0
 
@@ -85,5 +85,5 @@ def test_outlier_visits_are_found_on_their_axis_and_good_ones_stay():
     hit = cell(outliers=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 2, 6.5)])
     beside = cell(outliers=[(0, "tool", 2, 7.0)], set_aside=[(0, "tool", 3, 6.5), (1, "none", 3, 5.0)])
     out = outlier_figures([hit, beside])
-    assert out["gross visits of 4 bands and more found"]["value"] == 0.5
+    assert out["outlier visits of 4 bands and more found"]["value"] == 0.5
     assert out["good visits thrown out"]["value"] == pytest.approx(1 / 6)

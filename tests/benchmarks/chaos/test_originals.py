@@ -16,11 +16,11 @@ def test_no_original_is_lost_where_an_operation_is_the_last_one():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["nothing is noted", "no record of the way back", "any value is the original"])
+@pytest.mark.parametrize("fault", ["nothing is noted", "no record of the path back", "any value is the original"])
 def test_a_worse_ledger_loses_originals(monkeypatch, fault):
     if fault == "nothing is noted":
         monkeypatch.setattr(ledger.WriteLedger, "note", lambda self, *entries: None)
-    elif fault == "no record of the way back":
+    elif fault == "no record of the path back":
         monkeypatch.setattr(ledger.WriteLedger, "expect", lambda self, device, values: None)
         monkeypatch.setattr(ledger.WriteLedger, "confirm", lambda self, device, values: None)
         monkeypatch.setattr(ledger, "_keeps", lambda known, now, write: now == known.old)

@@ -60,7 +60,7 @@ def test_the_page_of_a_fleet_is_whole_and_its_picture_is_taken(
     window.picture(pictures / "fleet.png")
     taken, shown = size_px(pictures / "fleet.png"), size_px(PICTURES / "fleet.png")
     assert taken[0] == shown[0] == WIDE_PX
-    assert taken[1] == pytest.approx(shown[1], rel=0.1), "taken anew by python -m pytest --pictures"
+    assert taken[1] == pytest.approx(shown[1], rel=0.1), "taken again by python -m pytest --pictures"
 
 
 @pytest.mark.slow

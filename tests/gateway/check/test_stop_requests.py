@@ -74,7 +74,7 @@ def phases_of(slave: Joint) -> dict[str, int]:
         "second motion": (moving_again + quick) // 2,
         "quick stop": quick,
         "after the quick stop": (quick + down_again) // 2,
-        "second way down": (down_again + end) // 2,
+        "second disabling": (down_again + end) // 2,
     }
 
 
@@ -93,7 +93,7 @@ PHASES = (
     "second motion",
     "quick stop",
     "after the quick stop",
-    "second way down",
+    "second disabling",
 )
 
 

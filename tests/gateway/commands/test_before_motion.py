@@ -34,7 +34,7 @@ def run(place, *words):
     return CliRunner().invoke(main, [str(word) for word in words], input="")
 
 
-MOVING = ("--load", "none", "--yes", "--bus", "virtual:nobody")
+MOVING = ("--load", "none", "--yes", "--bus", "virtual:empty")
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_a_recording_of_another_cell_is_refused_before_anything_moves(place, mor
 def test_a_commissioning_that_is_gone_on_with_under_another_cell_is_refused(place):
     recording(place, "run.h5")
     (place / "cell.toml").write_text((place / "cell.toml").read_text() + "# edited\n")
-    done = run(place, "commission", place / "cell.toml", "--out", place, "--resume", "--bus", "virtual:nobody")
+    done = run(place, "commission", place / "cell.toml", "--out", place, "--resume", "--bus", "virtual:empty")
     assert done.exit_code == 3, done.output
     assert "another cell file" in done.stderr
 

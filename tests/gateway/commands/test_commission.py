@@ -41,7 +41,7 @@ class Listener:
 
     def bring(self, opened, target, plan, options) -> None:
         assert transfer_from_here(opened, target, plan) is plan, "planned once"
-        assert self.keeping, "a way that ends badly leaves a black box"
+        assert self.keeping, "a path that ends in a fault leaves a black box"
         self.done.append(str(target))
         self.overrides.append(options.override)
 

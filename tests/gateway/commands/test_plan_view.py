@@ -20,7 +20,7 @@ def test_a_plan_is_drawn_and_says_what_it_assumes(tmp_path):
     page = file.read_text(encoding="utf-8")
     assert page.count("<svg") == 1 + 3 + 4
     (arm,) = re.findall(r'<polyline class="link arm"[^>]* points="([^"]+)"><title>arm at pose 1</title>', page)
-    assert len(arm.split()) == 1 + 6 + 1, "base, six joints, flange: the arm stands in the large view"
+    assert len(arm.split()) == 1 + 6 + 1, "base, six joints, flange: the arm is in the large view"
     assert len(set(arm.split())) > 3
     assert "src=" not in page
     assert "href=" not in page

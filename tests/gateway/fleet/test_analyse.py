@@ -207,7 +207,7 @@ def test_commands_from_files_to_pages(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert sorted(path.suffix for path in (tmp_path / "pages").iterdir()) == [".html", ".html"]
     assert run("fleet", "report", store, "-o", tmp_path / "pages").exit_code == 3
-    assert run("fleet", "report", store, "--robot", "nobody").exit_code == 3
+    assert run("fleet", "report", store, "--robot", "unknown").exit_code == 3
 
 
 def test_commands_name_what_cannot_be_used(tmp_path: Path) -> None:

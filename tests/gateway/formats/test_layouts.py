@@ -80,7 +80,7 @@ LAYOUTS: dict[str, str | bytes] = {
     "decimal commas and tabs": text(comma, "\t"),
     "thousands and decimal commas": text(european, ";"),
     "thousands in quotes": text(lambda value: f'"{value:,.6f}"', ";"),
-    "thousands late in the log": text(lambda value: european(value) if value < 1275 else comma(value), ";"),
+    "thousands after the first lines": text(lambda value: european(value) if value < 1275 else comma(value), ";"),
     "units below": "\n".join([HEAD, "s,rad,rad,Nm,Nm", *REST]),
     "units in brackets below": "\n".join([HEAD, "[s],[rad],[rad],[Nm],[Nm]", *REST]),
     "descriptions and units below": "\n".join([HEAD, "time,axis one,axis two,torque,torque", "s,rad,rad,Nm,Nm", *REST]),

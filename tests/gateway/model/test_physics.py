@@ -149,7 +149,7 @@ def test_another_arm_is_recognized_by_its_axes(robot):
     placement[2, :3, 3] += 0.02
     apart = re.search(r"differ by (\d+) mm", kinematic_difference(robot, replace(robot, placement=placement)))
     assert apart is not None
-    assert 4 <= int(apart[1]) <= 35, "of the 35 mm, what the arm as a whole may stand elsewhere"
+    assert 4 <= int(apart[1]) <= 35, "of the 35 mm, offset of the arm as a whole"
     axis = robot.axis.copy()
     axis[4] = -axis[4]
     assert "differ by 180.0 degrees" in kinematic_difference(robot, replace(robot, axis=axis))

@@ -40,7 +40,7 @@ def move(stream: Stream, workspace, target=TARGET) -> None:
 
 def stand(stream: Stream) -> None:
     for row in range(100):
-        stream.hold("stand", row, 100)
+        stream.hold("hold", row, 100)
 
 
 def asked_at(fake, sync: int, kind: StopKind) -> MoveOptions:
@@ -214,7 +214,7 @@ def test_by_the_clock_the_scheduler_is_asked_for_while_power_is_on(station, fake
             log.append(("real time", fake.enabled))
 
         def __exit__(self, *_):
-            log.append(("ordinary", fake.enabled))
+            log.append(("usual", fake.enabled))
 
     monkeypatch.setattr("gateway.motion.power.RealTime", Asked)
     with powered(Stream(station)):
@@ -222,7 +222,7 @@ def test_by_the_clock_the_scheduler_is_asked_for_while_power_is_on(station, fake
     assert log == []
     with powered(Stream(replace(station, arms=Arms(station.arms.members, "real")))):
         assert fake.enabled
-    assert log == [("real time", False), ("ordinary", False)]
+    assert log == [("real time", False), ("usual", False)]
 
 
 def test_a_wish_that_comes_with_the_last_sync_is_reported(station, fake):

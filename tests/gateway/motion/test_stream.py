@@ -56,7 +56,7 @@ def test_it_waits_for_as_many_whole_periods_as_cover_the_time(make, fake, second
     stream = make()
     notified = []
     before = fake.sync_index
-    stream.stand(seconds, "stand", notified.append)
+    stream.stand(seconds, "hold", notified.append)
     assert fake.sync_index - before == len(notified) == syncs
     assert [samples[0].sync_index for samples in notified] == list(range(before + 1, before + 1 + syncs))
     assert stream.sync_index == fake.sync_index
@@ -68,17 +68,17 @@ def test_the_brakes_are_given_their_time_and_then_a_jump_of_torque_is_contact(ma
     fake.contact_nm = {fake.sync_index + 3: 0.5 * workspace.torque_nm[2]}
     stream.take_over()
     assert fake.sync_index == 1 + round(TAKE_OVER_S / PERIOD_S)
-    stream.stand(0.2, "stand")
+    stream.stand(0.2, "hold")
     fake.contact_nm[fake.sync_index + 1] = -0.5 * workspace.torque_nm[2]
     with pytest.raises(LimitExceeded, match="joint 3: the torque has jumped"):
-        stream.stand(0.2, "stand")
+        stream.stand(0.2, "hold")
 
 
 def test_observers_are_notified_four_times_a_second(make, notified):
     stream = make()
-    stream.stand(2.0, "stand")
+    stream.stand(2.0, "hold")
     assert [row for _, row, _ in notified] == list(range(0, 200, round(REPORT_S / PERIOD_S)))
-    assert {(what, rows) for what, _, rows in notified} == {("stand", 200)}
+    assert {(what, rows) for what, _, rows in notified} == {("hold", 200)}
 
 
 def test_setpoints_begin_where_the_arm_is_and_no_motion_is_none(make, fake, workspace):
@@ -97,7 +97,7 @@ def test_a_wish_says_how_urgent_it_is(make, fake, workspace, kind, urgent, movin
     wish = StopRequest(kind, StoppedByPerson("a person"))
     stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 20 else None))
     with pytest.raises(StoppedByPerson):
-        move(stream, workspace) if moving else stream.stand(1.0, "stand")
+        move(stream, workspace) if moving else stream.stand(1.0, "hold")
     assert stream.urgent == urgent
     # along the path the arm has come to rest by then; an urgent stop is left to the drives
     assert stream.moving == (moving and urgent)

@@ -166,7 +166,7 @@ def test_nothing_is_replaced_unasked(folder):
         ("gear_ratio = 100", 'gear_ratio = 100\ninertials = "good"', "line 7: inertials is 'good'"),
         ("gear_ratio = 100", "gear_ratio = 100\nposes = { count = 1 }", "nothing was written"),
         ("11, 12, 13", "11, 11, 13", "node id 11 is used for more than one axis"),
-        ('"generic-cia402"', '"nobody"', "nobody' cannot be read"),
+        ('"generic-cia402"', '"unknown"', "unknown' cannot be read"),
         ('"arm.urdf"', '"none.urdf"', "none.urdf: cannot be read"),
         ('"arm.urdf"', '"dh"', "dh_alpha_rad is missing"),
         ("offline = true", "offline = 1", "line 1: offline is neither true nor false"),

@@ -87,7 +87,7 @@ def figures(cells: list[Cell]) -> dict[str, dict]:
     called = [float(bool(c["found"]) and c["verdict"] in ("explained", "undecided")) for c in off]
     share("off-library effect called by a library name", called, 0.05, least=False)
     _median(out, "hold-out residual after, over the noise floor", over, 1.1)
-    _median(out, "load error after, over that of an estimator told the effect", ratios, 1.2)
+    _median(out, "load error after, over that of an estimator given the effect", ratios, 1.2)
     value = float(np.mean(inside)) if inside else float("nan")
     out["95 % intervals hold the truth"] = {
         "value": value,

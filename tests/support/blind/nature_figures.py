@@ -54,10 +54,10 @@ def nuisance_figures(cells: Sequence[Cell]) -> Figures:
         out[f"{word}: refused"] = share([_refused(cell, word) for cell in cells])
     asked = [cell for cell in cells if cell["verdict"]]
     stated = [cell for cell in asked if not cell["misstated"]]
-    out["something named where only the ordinary is there"] = share(_named(stated), "<= 0.02")
+    out["something named where only nuisances are there"] = share(_named(stated), "<= 0.02")
     out["something named, priors misstated"] = share(_named([cell for cell in asked if cell["misstated"]]))
     verdicts = ("none_needed", "explained", "improved")
-    out["structure or doubt without a name"] = share(
+    out["structure or uncertainty without a name"] = share(
         [float(not cell["found"] and cell["verdict"] not in verdicts) for cell in asked]
     )
     for condition in CONDITIONS:
@@ -109,9 +109,9 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
             NATURE.misnamed([cell for cell in strange if _size(cell) < LEAST])
         ),
         "wiring mistakes named": share(NATURE.right(wired)),
-        "beyond the ordinary: 95 % intervals hold the truth": share(covered(loads, "diagnosed")),
-        "beyond the ordinary: width over the oracle's": middle(widths(named, "diagnosed"), "<= 1.15"),
-        "beyond the ordinary: refused": share([float(bool(cell["refused"])) for cell in cells]),
+        "beyond nuisances: 95 % intervals hold the truth": share(covered(loads, "diagnosed")),
+        "beyond nuisances: width over the oracle's": middle(widths(named, "diagnosed"), "<= 1.15"),
+        "beyond nuisances: refused": share([float(bool(cell["refused"])) for cell in cells]),
     }
 
 
@@ -125,7 +125,7 @@ def outlier_figures(cells: Sequence[Cell]) -> Figures:
     found = [value for cell in asked for value in _found(cell)]
     thrown = [value for cell in asked for value in _thrown(cell)]
     return {
-        f"gross visits of {LARGE_BANDS:g} bands and more found": share(found, ">= 0.95"),
+        f"outlier visits of {LARGE_BANDS:g} bands and more found": share(found, ">= 0.95"),
         "good visits thrown out": share(thrown, "<= 0.01"),
     }
 

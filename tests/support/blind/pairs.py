@@ -131,7 +131,7 @@ if __name__ == "__main__":
         found = confusable_pairs(number)
         print(f"arm {number}")
         print("  links and load take up:", ", ".join(_text(of) for of in found.unseen))
-        print("  no pose tells apart:", "; ".join(f"{_text(a)} and {_text(b)}" for a, b in found.same) or "none")
+        print("  no pose distinguishes:", "; ".join(f"{_text(a)} and {_text(b)}" for a, b in found.same) or "none")
         print(
-            "  hardly any does:", "; ".join(f"{_text(a)} and {_text(b)} ({c:.4f})" for a, b, c in found.near) or "none"
+            "  almost none does:", "; ".join(f"{_text(a)} and {_text(b)} ({c:.4f})" for a, b, c in found.near) or "none"
         )

@@ -86,9 +86,9 @@ def counters_of(opened: OpenArm, node: int) -> dict[str, float]:
     nodes = [node] if node else [config.node_id for config in opened.config.axis]
     return {
         "incomplete": statistics.incomplete,
-        "late": statistics.late,
-        "late or twice": statistics.late + statistics.ambiguous,
-        "late or unsure": statistics.late + statistics.unsure,
+        "delayed": statistics.late,
+        "delayed or twice": statistics.late + statistics.ambiguous,
+        "delayed or unsure": statistics.late + statistics.unsure,
         "duplicate": statistics.duplicate,
         "ambiguous": statistics.ambiguous,
         "wrong_length": statistics.wrong_length,
@@ -118,7 +118,7 @@ def _sdo(statistics: GroupStatistics, nodes: list[int]) -> dict[str, float]:
     own = [each for each in statistics.sdo if each.node_id in nodes]
     return {
         "sdo timeouts": sum(each.timeouts for each in own),
-        "sdo late": sum(each.late for each in own),
+        "sdo delayed": sum(each.late for each in own),
         "sdo aborts": sum(each.aborts for each in own),
         "sdo longest ms": 1000.0 * max(each.max_s for each in own),
     }

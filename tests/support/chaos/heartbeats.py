@@ -83,7 +83,7 @@ def heartbeats_after_refused_stop(
 def _judge(track: Track, kind: str, period_s: float, result: Heartbeats) -> None:
     words = [at for at, number, data in track.frames if number in range(RPDO1 + 1, RPDO1 + 7) and stops(data)]
     if not words:
-        result.complaints.append(f"{kind}: the arm was not told to stop")
+        result.complaints.append(f"{kind}: the arm was not commanded to stop")
         return
     # what is sent to drives that are found and checked again does not answer this stop
     until_s = min((at for at, number, _ in track.frames if number == 0 and at > words[0]), default=float("inf"))

@@ -132,7 +132,7 @@ class Interrupter:
     @contextmanager
     def _stage(self, command: Command) -> Iterator[Stage]:
         if not command.pair:
-            assert self.small is not None, "the drives of one arm are served by whoever made this"
+            assert self.small is not None, "the drives of one arm are served by the caller"
             self.small.served.ask("renew")
             yield self.small
             return

@@ -58,7 +58,7 @@ def judge_cause(outcome: Outcome, stated: Stated, fault: Fault | None, error: Ex
     if not re.search(stated.says, first, re.DOTALL):
         complain(f"it does not say '{stated.says}': {said}")
     if stated.rule and REACTIONS[stated.rule].advice not in first:
-        complain(f"the advice is not that of '{stated.rule}': {said}")
+        complain(f"the remedy is not that of '{stated.rule}': {said}")
     if fault is not None and fault.node and not _names(stated, fault.node, causes, first):
         complain(f"node {fault.node} is not named: {said}")
 
@@ -72,7 +72,7 @@ def _causes(error: Exception | None) -> list[Exception]:
 
 def _names(stated: Stated, node: int, causes: list[Exception], said: str) -> bool:
     """Whether the node is named, in words and, by an error that has a place for it, by number."""
-    if stated.named == "nobody":
+    if stated.named == "no node":
         return all(not isinstance(each, DriveError) or each.node is None for each in causes)
     if stated.named == "id":
         return f"id {SDO_REQUEST + node:03X}" in said
@@ -102,9 +102,9 @@ def judge_samples(outcome: Outcome, fault: Fault | None, evidence: Evidence) -> 
         complain(f"{len(visits)} visits of {evidence.planned}")
     kept, reported = sum(visit.incomplete_epochs for visit in visits), len(evidence.repeated)
     if kept != reported:
-        complain(f"{reported} SYNCs were told as taken again, {kept} are kept with the visits")
+        complain(f"{reported} SYNCs were reported as repeated, {kept} are kept with the visits")
     if reported > evidence.counters["incomplete"]:
-        complain(f"{reported} SYNCs were told as taken again, {evidence.counters['incomplete']:g} are counted")
+        complain(f"{reported} SYNCs were reported as repeated, {evidence.counters['incomplete']:g} are counted")
     reaction = KINDS[outcome.kind].reaction_in(outcome.pacing)
     if reaction == "retried" and outcome.in_samples:
         named = {axis for event in evidence.repeated for axis in event.axes}
@@ -125,14 +125,14 @@ def follow(watched: Watched, outcome: Outcome, fault: Fault | None, start: int) 
     after = [each for each in watched.seen.states if last is not None and each[0] >= last[0]]
     stop = next((each for each in after if any(each[3][axis] != ENABLED_WORD for axis in healthy)), None)
     if stop is None:
-        outcome.complaints.append("no drive was told to stop")
+        outcome.complaints.append("no drive was commanded to stop")
         return
     reported = stop[0] - 1
     bound = bound_syncs(outcome.kind, outcome.pacing, outcome.period_s)
     if start:
         outcome.detected = reported - start
         if bound is not None and outcome.detected > bound:
-            outcome.complaints.append(f"told after {outcome.detected} SYNCs, {bound} are stated")
+            outcome.complaints.append(f"reported after {outcome.detected} SYNCs, {bound} are stated")
     rest = [each for each in after if each[0] > reported]
     safe = next((each[0] for each in rest if all(each[1][axis] is not ENABLED for axis in healthy)), None)
     if safe is None:
@@ -143,7 +143,7 @@ def follow(watched: Watched, outcome: Outcome, fault: Fault | None, start: int) 
         return
     outcome.safe = safe - reported
     if outcome.safe > SAFE_BOUND:
-        outcome.complaints.append(f"safe {outcome.safe} SYNCs after the stop was told")
+        outcome.complaints.append(f"safe {outcome.safe} SYNCs after the stop was commanded")
     for earlier, later in zip(rest, rest[1:], strict=False):
         for axis in healthy:
             outcome.moved += later[1][axis] is ENABLED and later[2][axis] != earlier[2][axis]

@@ -77,7 +77,7 @@ STOPS: dict[str, Callable[[StopDesk, FakeDrive], None]] = {
     "along the path": _by_person,
     "quick stop": _quickly,
     "drive in fault": _fault,
-    "drive silent": _stop_responding,
+    "drive does not respond": _stop_responding,
 }
 
 
@@ -96,7 +96,7 @@ def stopped(kind: str, seed: int, at_s: float, row: str = ROW) -> PairStop:
 
         def stop(time_s: float) -> None:
             if not asked and time_s >= begin_s:
-                delay = UNANSWERED_SYNCS if kind == "drive silent" else 1
+                delay = UNANSWERED_SYNCS if kind == "drive does not respond" else 1
                 asked.append((time_s, bound_n(rig, drives, delay * rig.cell.sync_period_s)))
                 STOPS[kind](desk, drives[FAILING])
 
@@ -176,7 +176,7 @@ def judged(found: list[PairStop]) -> dict[str, dict]:
     if quick:
         spread = (min(quick), max(quick))
         out["pair, quick stop of healthy drives, largest force"] = figure(max(quick), "<= 120", "N", spread)
-    for kind in ("drive in fault", "drive silent"):
+    for kind in ("drive in fault", "drive does not respond"):
         share = [done.after_n / done.bound_n for done in found if done.kind == kind]
         if share:
             spread = (min(share), max(share))

@@ -135,7 +135,6 @@ def _serve(folder: Path, edit: Callable[[str], str], bus: str, pipe: Connection,
         "log": witness.cut,
         "logs": lambda: [witness.cut()],
         "answers": lambda: dict(rig.seen.answers),
-        "hang": rig.simulation.mount,
     }
     with rig:
         answer(pipe, answers)

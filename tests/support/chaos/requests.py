@@ -103,7 +103,7 @@ def _one(loaded: LoadedCell, name: str, sync: int, kind: StopKind, answers: Answ
             over = last_set_point(slaves) - sync - ramp
             answers.syncs.append(over)
             if over > 1:
-                answers.delayed.append(f"{what}: set points go on for {over + ramp} SYNCs")
+                answers.delayed.append(f"{what}: setpoints go on for {over + ramp} SYNCs")
             if {slave.state for slave in slaves} != {"switch on disabled"}:
                 answers.delayed.append(f"{what}: not all axes are disabled")
 

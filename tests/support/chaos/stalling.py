@@ -159,7 +159,7 @@ def _many(loaded: Any, folder: Path, bus: str, pipe: Connection) -> None:
                 finally:
                     pipe.send(("file", str(path)))
     except (DriveError, GatewayError) as error:
-        pipe.send(("said", f"opened anew: {type(error).__name__}: {error}"))
+        pipe.send(("said", f"opened again: {type(error).__name__}: {error}"))
     except StoppedByPerson:
         return
 
@@ -277,7 +277,7 @@ def _judge(track: Track, asleep_s: float, woken_s: float, period_s: float, resul
     if took_s > STOP_PERIODS * period_s:
         result.delayed += 1
         result.complaints.append(
-            f"held up for {woken_s - asleep_s:.3f} s, overrun {overrun:.2f} periods: stop word after {took_s:.4f} s"
+            f"stalled for {woken_s - asleep_s:.3f} s, overrun {overrun:.2f} periods: stop word after {took_s:.4f} s"
         )
 
 

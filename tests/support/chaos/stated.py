@@ -30,7 +30,7 @@ from drives.errors import (
 from gateway.errors import FindingFailed, LimitExceeded, PoseNeverSettles
 
 #: Whom a message has to name: the node (or its joint), by number and in words; none, where the whole bus is meant.
-Named = Literal["node", "joint", "id", "nobody"]
+Named = Literal["node", "joint", "id", "no node"]
 #: Number of CAN ids of SDO requests before the one of node 0.
 SDO_REQUEST = 0x600
 
@@ -96,10 +96,10 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
             counts=(Count("duplicate", share=0.95), _COMPLETE), real=(Count("duplicate", share=0.9),)
         ),
         # delayed but in time is regular: nothing may be counted
-        "tpdo_delayed": Stated(counts=(_COMPLETE, Count("late", most=0)), real=()),
-        "tpdo_reordered": Stated(counts=(_COMPLETE, Count("late", most=0), Count("ambiguous", most=0)), real=()),
+        "tpdo_delayed": Stated(counts=(_COMPLETE, Count("delayed", most=0)), real=()),
+        "tpdo_reordered": Stated(counts=(_COMPLETE, Count("delayed", most=0), Count("ambiguous", most=0)), real=()),
         "tpdo_late": Stated(
-            counts=(_GAPS, Count("late or twice", least=1)), real=(_GAPS, Count("late or unsure", least=1))
+            counts=(_GAPS, Count("delayed or twice", least=1)), real=(_GAPS, Count("delayed or unsure", least=1))
         ),
         "tpdo_short": Stated(counts=(_GAPS, Count("wrong_length", share=1.0))),
         "tpdo_empty": Stated(counts=(_GAPS, Count("wrong_length", share=1.0))),
@@ -109,7 +109,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         ),
         "tpdo_random_loss": Stated(counts=(_GAPS,)),
         "burst": Stated(
-            counts=(_GAPS, Count("late or twice", least=1)), real=(_GAPS, Count("late or unsure", least=1))
+            counts=(_GAPS, Count("delayed or twice", least=1)), real=(_GAPS, Count("delayed or unsure", least=1))
         ),
         # a command that a drive does not receive is not reported; what counts is that no sample is touched
         "rpdo_lost": Stated(counts=(_COMPLETE,), real=()),
@@ -117,7 +117,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "sync_lost": Stated(counts=(Count("incomplete", least=1, most=1),), real=(_GAPS,)),
         # SDO on the wire
         "sdo_late": Stated(counts=(Count("sdo longest ms", least=95), Count("sdo timeouts", most=0))),
-        "sdo_too_late": Stated(counts=(Count("sdo timeouts", least=1), Count("sdo late", least=1))),
+        "sdo_too_late": Stated(counts=(Count("sdo timeouts", least=1), Count("sdo delayed", least=1))),
         "sdo_lost": Stated(counts=(Count("sdo timeouts", least=1),)),
         "sdo_silent": Stated(NodeMissing, "does not respond to SDO requests.*reports PREOPERATIONAL"),
         "sdo_aborted": Stated(SdoAbort, r"6060:00.*0x08000022"),
@@ -199,16 +199,16 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "brake_falls": Stated(None, r"sank by 0\.0[01]\d\d rad in its brake within .* held by its drive again"),
         # the bus
         "second_master_sync": Stated(
-            ForeignMaster, "a frame with id 080 .* came from another master", "second_master", "nobody"
+            ForeignMaster, "a frame with id 080 .* came from another master", "second_master", "no node"
         ),
         "second_master_nmt": Stated(
-            ForeignMaster, "a frame with id 000 .* came from another master", "second_master", "nobody"
+            ForeignMaster, "a frame with id 000 .* came from another master", "second_master", "no node"
         ),
         "second_master_sdo": Stated(
             ForeignMaster, "3 frames with id 6.. .* came from another master", "foreign_master", "id"
         ),
         "second_master_slow": Stated(
-            ForeignMaster, r"in 0\.5 s it has sent [456] SYNC; nothing was sent", named="nobody"
+            ForeignMaster, r"in 0\.5 s it has sent [456] SYNC; nothing was sent", named="no node"
         ),
         "error_frames": Stated(
             counts=(Count("error frames", share=1.0), _COMPLETE), real=(Count("error frames", share=1.0),)
@@ -216,7 +216,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "error_passive": Stated(
             counts=(Count("error frames", share=1.0), _COMPLETE), real=(Count("error frames", share=1.0),)
         ),
-        "bus_off": Stated(BusOff, "the CAN controller is bus-off", "bus_off", "nobody"),
+        "bus_off": Stated(BusOff, "the CAN controller is bus-off", "bus_off", "no node"),
         "strange_frames": Stated(
             counts=(Count("extended frames", share=0.5), Count("remote frames", share=0.5), _COMPLETE),
             real=(Count("extended frames", share=0.5), Count("remote frames", share=0.5)),

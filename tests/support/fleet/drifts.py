@@ -125,9 +125,9 @@ def drifts(store: Store, plant: Plant) -> dict[str, dict]:
     years = plant.robots * DAYS / 365.25
     spread_of = np.quantile(over, [0.05, 0.5, 0.95])
     return {
-        "worn gains told by 1.2 times the earliest possible day": share(np.array(in_time), ">= 0.95"),
-        "the same, by one who knows how the wanders are drawn": share(np.array(best), "printed"),
-        "day on which they are told over the earliest possible: median": figure(float(spread_of[1]), "<= 1.2")
+        "worn gains detected by 1.2 times the earliest possible day": share(np.array(in_time), ">= 0.95"),
+        "the same, with the true law of the random walks": share(np.array(best), "printed"),
+        "day of detection over the earliest possible: median": figure(float(spread_of[1]), "<= 1.2")
         | {"interval": [float(spread_of[0]), float(spread_of[2])]},
         "false alarms in a robot year, all axes and quantities": figure(false / years, "<= 0.01", "1/a")
         | {"interval": _poisson(false, years)},

@@ -156,7 +156,19 @@ def check_odd_frames(frames: list[tuple[int, bytes, bool, bool, bool]]) -> None:
 # ---------------------------------------------------------------------------------------------------------------- SDO
 
 #: What happens to one answer of the device.
-FATES = ("keep", "keep", "keep", "drop", "junk first", "junk after", "junk instead", "twice", "flip", "short", "late")
+FATES = (
+    "keep",
+    "keep",
+    "keep",
+    "drop",
+    "junk first",
+    "junk after",
+    "junk instead",
+    "twice",
+    "flip",
+    "short",
+    "delayed",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,14 +217,14 @@ class Device:
             "junk instead": [junk],
             "twice": [answer, answer],
             "short": [answer[:5]],
-            "late": [],
+            "delayed": [],
         }.get(fate, [answer])
         if fate == "flip" and junk:
             position = junk[0] % 64
             flipped = bytearray(answer)
             flipped[position // 8] ^= 1 << position % 8
             out, self.deceived = [bytes(flipped)], True
-        if fate == "late":
+        if fate == "delayed":
             self._delayed.append(answer)
         return delayed + out
 

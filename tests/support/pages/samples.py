@@ -28,7 +28,7 @@ def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
     yield "result", render(found)
     yield "estimate", render(_estimated(found))
     yield "refused", render(_refused(found))
-    yield "not-hung", render(_not_mounted(found))
+    yield "not-mounted", render(_not_mounted(found))
     yield "moving", render(moving_result())
     yield "follow", render_follow(comparison())
     yield "pair", forces()

@@ -163,7 +163,7 @@ def figures(rows: Sequence[Row], limit_n: float, *, judged: bool) -> dict[str, F
         last = [table.cycles(name, USUAL, seed)[-1:] for seed in table.seeds]
         moved = [1e3 * float(one[0]["part_off_m"]) for one in last if one and "part_off_m" in one[0]]
         goal = "all <= 1" if judged and name == "C8" else ""
-        out[f"part off the way of the master alone, {name}"] = _value(
+        out[f"part off the path of the master alone, {name}"] = _value(
             moved, "mm, median, least and most", goal, _most(1.0) if goal else None
         )
     return {name: figure for name, figure in out.items() if not np.isnan(figure["value"])}

@@ -260,7 +260,7 @@ class Cycles:
     @property
     def broken_off(self) -> str:
         """How often by what."""
-        return f"{len(self.stalled)} stalls, {len(self.delayed)} late, {len(self.stopped)} others"
+        return f"{len(self.stalled)} stalls, {len(self.delayed)} delayed, {len(self.stopped)} others"
 
     def calm(self, first: int) -> list[float]:
         """What was measured of the cycles without a delayed SYNC, from a number on."""
@@ -322,7 +322,7 @@ def taught(seed: int, period_s: float) -> tuple[Cycles, float]:
         attempt(attempts, lambda: clocked(seed, period_s), teach)
     left_n = max(point.force_n[-1] for point in path_taught.points)
     print(
-        f"seed {seed}: taught by the clock, at most {left_n:.1f} N left at {len(path_taught.points)} points",
+        f"seed {seed}: taught in real time, at most {left_n:.1f} N left at {len(path_taught.points)} points",
         flush=True,
     )
     return attempts, left_n
@@ -331,7 +331,7 @@ def taught(seed: int, period_s: float) -> tuple[Cycles, float]:
 def beside(path_taught: Cycles, count: int) -> tuple[Cycles, Cycles]:
     """Row C8 in real time and in lockstep, both begun with the same function."""
     found, seed, period_s = list[Cycles](), path_taught.seed, path_taught.period_s
-    for how, opened in (("by the clock", clocked), ("in lockstep", stepped)):
+    for how, opened in (("in real time", clocked), ("in lockstep", stepped)):
         begun = Cycles(seed, period_s, function=path_taught.function, laws_s=path_taught.laws_s)
         attempts = cycles_of(lambda opened=opened: opened(seed, period_s), begun, "C8", count)
         print(f"seed {seed}: C8 {how}: {attempts.cycles(1.0)} N, {attempts.broken_off}", flush=True)
@@ -342,7 +342,7 @@ def beside(path_taught: Cycles, count: int) -> tuple[Cycles, Cycles]:
 def gap(seed: int, period_s: float) -> Cycles:
     """E5 in real time."""
     attempts = cycles_of(lambda: clocked(seed, period_s, GAP_CELL), Cycles(seed, period_s), "E5", GAP_CYCLES)
-    print(f"seed {seed}: E5 by the clock: {attempts.cycles(1e3, 3)} mm, {attempts.broken_off}", flush=True)
+    print(f"seed {seed}: E5 in real time: {attempts.cycles(1e3, 3)} mm, {attempts.broken_off}", flush=True)
     return attempts
 
 
@@ -356,16 +356,16 @@ def run_figures(runs: list[tuple[Cycles, Cycles]], count: int) -> dict[str, dict
     clock = [attempts for attempts, _ in runs]
     calm = [most / max(other.most[LEARNING:]) for one, other in runs for most in one.calm(LEARNING)]
     return {
-        "C8 by the clock, whole cycles": figure(
+        "C8 in real time, whole cycles": figure(
             sum(len(attempts.most) for attempts in clock), f">= {count * len(runs)}"
         ),
         **stops("C8", clock),
-        "C8 by the clock, largest force": plain(both[:, 0], "N"),
+        "C8 in real time, largest force": plain(both[:, 0], "N"),
         "C8 in lockstep, largest force": plain(both[:, 1], "N"),
-        "C8 by the clock, cycles within 1.1 times lockstep": plain([1e2 * float(np.mean(within))], "%"),
-        "C8 by the clock, cycles without a SYNC late by 0.4 of its period": plain([len(calm)], ""),
-        "C8 by the clock over lockstep, in these cycles": plain(calm or [math.nan], ""),
-        "C8 by the clock over lockstep": figure(max(over), f"<= {MOST_OVER_LOCKSTEP}", "", (min(over), max(over))),
+        "C8 in real time, cycles within 1.1 times lockstep": plain([1e2 * float(np.mean(within))], "%"),
+        "C8 in real time, cycles without a SYNC delayed by 0.4 of its period": plain([len(calm)], ""),
+        "C8 in real time over lockstep, in these cycles": plain(calm or [math.nan], ""),
+        "C8 in real time over lockstep": figure(max(over), f"<= {MOST_OVER_LOCKSTEP}", "", (min(over), max(over))),
     }
 
 
@@ -375,9 +375,9 @@ def gap_figures(gaps: list[Cycles]) -> dict[str, dict]:
     calm = [1e3 * most for attempts in gaps for most in attempts.calm(GAP_LEARNING)]
     return {
         **stops("E5", gaps),
-        "E5 by the clock, cycles from the third on without a late SYNC": plain([len(calm)], ""),
-        "E5 by the clock, gap error in these": plain(calm or [math.nan], "mm"),
-        "E5 by the clock, gap error": figure(max(last), f"<= {MOST_GAP_MM}", "mm", (min(last), max(last))),
+        "E5 in real time, cycles from the third on without a delayed SYNC": plain([len(calm)], ""),
+        "E5 in real time, gap error in these": plain(calm or [math.nan], "mm"),
+        "E5 in real time, gap error": figure(max(last), f"<= {MOST_GAP_MM}", "mm", (min(last), max(last))),
     }
 
 
@@ -387,9 +387,9 @@ def stops(what: str, clock: list[Cycles]) -> dict[str, dict]:
         sum(len(getattr(attempts, name)) for attempts in clock) for name in ("stalled", "delayed", "stopped")
     )
     return {
-        f"{what} by the clock, stopped by a stall of the machine": plain([stalled], ""),
-        f"{what} by the clock, stopped by the force after a SYNC that was late": plain([delayed], ""),
-        f"{what} by the clock, stopped by anything else": figure(others, "== 0"),
+        f"{what} in real time, stopped by a stall of the machine": plain([stalled], ""),
+        f"{what} in real time, stopped by the force after a delayed SYNC": plain([delayed], ""),
+        f"{what} in real time, stopped by anything else": figure(others, "== 0"),
     }
 
 
@@ -422,7 +422,7 @@ def main(argv: list[str]) -> int:
         first = {seed: taught(seed, period_s) for seed in seeds}
         taught_paths = [path_taught for path_taught, _ in first.values()]
         out |= stops("teaching", taught_paths)
-        out["taught by the clock, force left at a point"] = plain([left_n for _, left_n in first.values()], "N, felt")
+        out["taught in real time, force left at a point"] = plain([left_n for _, left_n in first.values()], "N, felt")
         runs = [beside(path_taught, arguments.cycles) for path_taught in taught_paths]
         out |= run_figures(runs, arguments.cycles)
         attempts += [*taught_paths, *(clock for clock, _ in runs)]

@@ -68,7 +68,7 @@ def clean() -> tuple[Table, Robot]:
 def test_delays_are_reported_where_they_are_certain() -> None:
     table, robot = recorded(5, World())
     early = replace(table, tau_nm=np.roll(table.tau_nm, -2, axis=0))
-    assert lags(early, robot, DiagnoseOptions()).max() == 0.0, "no drive knows its torque before its position"
+    assert lags(early, robot, DiagnoseOptions()).max() == 0.0, "no drive has its torque before its position"
     few = table.take(np.arange(20))
     assert lags(few, robot, DiagnoseOptions()).max() == 0.0
 

@@ -54,7 +54,7 @@ def test_kr300_lacks_a_balancer_and_carries_a_believable_load():
     assert found.com_m is not None
     assert abs(found.com_m[0]) < 0.1
     assert abs(found.com_m[1]) < 0.1
-    assert -0.6 < found.com_m[2] < -0.24, "beyond the flange, which lies at z = -0.24 m"
+    assert -0.6 < found.com_m[2] < -0.24, "beyond the flange, which is at z = -0.24 m"
     assert from_json(to_json(result)).effects[0].name == "balancer_spring"
 
 
@@ -106,7 +106,7 @@ def test_ur10_friction_follows_speed_and_the_load_as_any_gears_does():
     result = diagnose_motion(table, robot, DiagnoseOptions())
     before, after = held(result)
     assert {("velocity_friction", (1,)), ("velocity_friction", (2,))} <= named(result)
-    assert {name for name, _ in named(result)} <= {"velocity_friction"}, "a loss of some 5 % is ordinary"
+    assert {name for name, _ in named(result)} <= {"velocity_friction"}, "a loss of some 5 % is usual"
     assert 0.02 < result.nuisance["load_friction"].value[1] < 0.08
     assert result.nuisance["load_friction"].std[1] < 0.03
     assert after[1] < 0.7 * before[1]

@@ -226,7 +226,7 @@ def test_a_balancer_takes_torque_off_gravity_and_not_a_trifle(motion, modelled, 
     std = np.ones(2)
     assert HarmonicBalancer().possible(against, std, seen)
     assert not HarmonicBalancer().possible(-against, std, seen), "it would load the axis"
-    assert not HarmonicBalancer().possible(0.1 * against, std, seen), "nobody builds one so weak"
+    assert not HarmonicBalancer().possible(0.1 * against, std, seen), "unrealistically weak"
     undrawn = replace(seen, drawn_nm=np.zeros_like(seen.drawn_nm))
     assert HarmonicBalancer().possible(against, std, undrawn)
 
