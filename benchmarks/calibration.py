@@ -4,7 +4,7 @@ python -m benchmarks.calibration [--seeds 10000:10200] [--centre known|unknown|b
 
 Random arms of `benchmarks.conflict` (torque by pinocchio, friction and gears of their own), torque constants with a
 standard deviation of 3 %. A load of half the rated one is measured between two unloaded blocks and handed to
-`servo-gateway calibrate`; the next load, 30 to 100 % of the rated one, is measured with other friction and noise and
+`servo-gateway calibrate`. The next load, 30 to 100 % of the rated one, is measured with other friction and noise and
 handed to `servo-gateway estimate`, with and without the calibration file. Development seeds are 0 to 9999.
 """
 

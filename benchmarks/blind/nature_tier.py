@@ -1,8 +1,8 @@
-"""The tier drawn by nature: which cells are run, and what is printed of them.
+"""Tier `nature`: choice of the cells and printed figures.
 
 Development seeds start at 0, test seeds at 30000; the test seeds are run once for the published table and never tuned
-on. Of each condition `cells` arms with only nuisances are estimated and, the first `diagnosed` of them, diagnosed;
-then `effects` arms with something beyond it are diagnosed with the robot at hand.
+on. Of each condition `cells` arms with only nuisances are estimated, and the first `diagnosed` of them diagnosed.
+Then `effects` arms with an additional effect are diagnosed, with the robot available for more poses.
 """
 
 from __future__ import annotations

@@ -6,12 +6,12 @@ python -m benchmarks.certify [--arms 200] [--draws 1000] [--replays 10] [--paths
 Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of their own.
 
 - Acceptance: a load is identified from twelve poses of each arm with `estimate`. Half of the arms get an error that
-  reaches twice the tolerance somewhere in the workspace: another mass or centre of the load, a spring, a cable, a
-  tilted base, a shifted joint zero, a hose on the forearm, a changed gain. The poses of the design of `accept` are
-  measured with other friction and noise, and `accept --from` decides.
+  reaches twice the tolerance somewhere in the workspace. The errors are another mass or centre of the
+  load, a spring, a cable, a tilted base, a shifted joint zero, a hose on the forearm, a changed gain. The poses of the
+  design of `accept` are measured with other friction and noise, and `accept --from` decides.
 - Expanded uncertainty: Monte Carlo of JCGM 101. Torque constants, links, friction and noise are drawn from the priors
-  that the estimate assumes, the mass is estimated from each draw, and half the 95 % interval of its error is held
-  against the expanded uncertainty of the certificate.
+  that the estimate assumes, and the mass is estimated from each draw. Half the 95 % interval of its error is compared
+  with the expanded uncertainty of the certificate.
 - Replay: stored measurements are computed again with another number of threads.
 - Temperature: mass with a drift by recorded temperatures, against time alone.
 - Load cost: cycle times of `cost` on drawn paths against a search with pinocchio, and the time-optimal bound.

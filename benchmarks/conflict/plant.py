@@ -1,6 +1,6 @@
 """What is measured on an arm at rest: friction, gears, constants, repeatability and noise on top of its gravity torque.
 
-The torque of an axis that came to rest in direction d, with gravity torque tau:
+The torque of an axis that came to rest in direction d, with gravity torque tau::
 
     inner = tau + s d c                   s: share of the friction band c that acts behind the gear
     outer = inner (1 + n)                 where the motor drives (d inner > 0), else inner (1 - n'), n' about n (1 - n)

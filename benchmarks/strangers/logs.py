@@ -1,8 +1,8 @@
 """Logs of strangers: runs of one arm at rest and in motion, written as other programs write them.
 
-A log is right when it is imported as what was written and the load of the table is inside its interval, or when it is
-refused with its line and a remedy. What was written comes from pinocchio; the runs are those whose plainly written
-table holds the load inside its interval, so that the layout alone is judged.
+A log counts as right when it is imported as written, with the load of the table inside its interval. It also counts as
+right when it is refused with its line and a remedy. Values come from pinocchio. The runs are those whose plain
+table holds the load inside its interval, so that only the layout is judged.
 """
 
 from __future__ import annotations

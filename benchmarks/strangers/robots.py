@@ -1,7 +1,8 @@
 """Robot descriptions of strangers: an arm of known joints, and around it what exporters, grippers and editors add.
 
-A file is right when it is read as its arm with the torque that pinocchio computes, or when it is refused with a
-sentence that says what to type: a tip that is to be typed is then typed, and the arm has to be right with it.
+A file counts as right when it is read as its arm with the torque that pinocchio computes. It also counts as right when
+it is refused with a message that says what to type. A tip link that is asked for is then typed, and the arm has to be
+right with it.
 """
 
 from __future__ import annotations

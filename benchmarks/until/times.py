@@ -1,8 +1,8 @@
-"""Time under power for a load at rest: until it is known as today's poses let it be known, over today's time.
+"""Time under power for a load at rest with `--until`, over the time for all poses of the cell.
 
 Both examples over the virtual bus, in lockstep, by SYNC. The unloaded arm and the load are measured at all poses of the
-cell, the ones to judge on too, and estimated with torque constants that are known; then the same load once more with
-`--until` at the half widths that came out, the widest coordinate standing for the centre of gravity.
+cell and the holdout, and estimated with known torque constants. Then the same load is measured with `--until` at the
+half widths of that result, the widest coordinate representing the centre of gravity.
 """
 
 from __future__ import annotations

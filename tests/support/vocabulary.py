@@ -72,7 +72,12 @@ EXCEPTIONS: Final[Mapping[tuple[str, str], str]] = {
     ("gateway/commands/guided.py", "hang"): "line on standard output that scripts wait for",
     ("sim/demo.py", "hang"): "the same line, waited for",
     ("tests/sim/test_demo.py", "hang"): "the same line, waited for",
+    ("tests/system/conftest.py", "hang"): "the same line, waited for",
     ("CONTRIBUTING.md", "*"): "shows the words and their replacements",
+    ("tests/support/language.py", "sentence"): "a sentence of a text is what is counted",
+    ("tests/support/language.py", "sentences"): "a sentence of a text is what is counted",
+    ("tests/support/language.py", "whole"): "name of the table of whole identifiers",
+    ("tests/support/pages/result.py", "late"): "key of the documented JSON: answers of a bus after their SYNC",
 }
 #: Words that codespell takes for slips: names, identifiers and terms of the field, other languages.
 SPELLED: Final = (

@@ -3,9 +3,10 @@
 python tests/vcan/vm.py [--install] [--where native|vm] [-- COMMAND ...]
 
 Without COMMAND the tests marked `vcan` run. Order of preference: a `vcan0` that exists or can be made; else a qemu
-virtual machine (software emulation, no network, the folders of this machine shared into it) with the kernel of the
-distribution; else the run is skipped with the reason. Where `SERVO_GATEWAY_REQUIRE_VCAN=1` is set a skip is a
-failure, and missing packages are installed as with `--install`. Kernel and unpacked modules are kept in `.cache/vcan`.
+virtual machine; else the run is skipped with the reason. The virtual machine is a software emulation without network,
+with the kernel of the distribution and the folders of this machine shared into it. Where
+`SERVO_GATEWAY_REQUIRE_VCAN=1` is set a skip is a failure, and missing packages are installed as with `--install`.
+Kernel and unpacked modules are kept in `.cache/vcan`.
 
 Only the standard library is used, except to run the tests themselves.
 """

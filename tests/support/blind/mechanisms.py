@@ -1,8 +1,7 @@
-"""What every mechanism of nature may rightly be called, fixed before anything was ever asked of a cell of nature.
+"""Correct names of every mechanism of `nature`, fixed before the first diagnosis of such a cell.
 
 The joints are those that the mechanism was drawn with. Two names are allowed where rest poses cannot distinguish
-them even in principle: a constant in the half-sums is the zero of a sensor as well as friction that differs
-by direction.
+them even in principle. A constant in the half-sums is the zero of a sensor or friction that differs by direction.
 A mechanism without a name is one that no name of the library fits.
 """
 

@@ -101,7 +101,9 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
         f"right, two or more effects, each of strength >= {LEAST:g}": share(NATURE.right(by_kind["several"]), ">= 0.9"),
         f"right, two or more effects, each of strength >= {STRONG:g}": share(NATURE.right(strong), ">= 0.9"),
         f"right, two or more effects, each of strength >= {STRONG:g} beyond the others too": share(NATURE.right(clear)),
-        f"right or silent, below {LEAST:g}": share([1.0 - value for value in NATURE.misnamed(by_kind["below"])]),
+        f"right or without a name, below {LEAST:g}": share(
+            [1.0 - value for value in NATURE.misnamed(by_kind["below"])]
+        ),
         "right, priors misstated": share(NATURE.right([c for c in misstated if kind(truth(c)) != "below"])),
         "something named that is not there": share(NATURE.misnamed(named)),
         "off-library given a library name": share(NATURE.misnamed(off), "<= 0.05"),

@@ -1,7 +1,9 @@
 """Which effects no rest pose can distinguish, by the rank of their joint columns over the whole joint space.
 
-python -m tests.support.blind.pairs: columns of every effect at random poses all over the joint space, bare and loaded,
-with the columns of unknown links, loads and friction bands projected out. The rest of an effect shows whether it is
+python -m tests.support.blind.pairs
+
+Columns of every effect at random poses all over the joint space, bare and loaded, with those of unknown links, loads
+and friction bands projected out. The rest of an effect shows whether it is
 detectable. A pair whose joint rank is below the sum of both cannot be distinguished; the largest canonical correlation
 shows how near to that the others come.
 """

@@ -1,7 +1,7 @@
 """Two arms are stopped with one part between them: the largest true force inside the part, over PyBullet in lockstep.
 
-Row B (one relation, hands that yield) at speed 1.5, stopped at three instants of its path: by a person, by a quick stop
-of healthy drives, by a drive that faults and by one that stops responding.
+Row B (one relation, hands that yield) at speed 1.5, stopped at three instants of its path. Causes are an operator, a
+quick stop of healthy drives, a drive that faults and one that stops responding.
 """
 
 from __future__ import annotations

@@ -55,14 +55,14 @@ class Count:
 
 @dataclass(frozen=True, slots=True)
 class Stated:
-    """Expected report of one kind of fault.
+    """Expected report of a kind of fault.
 
     Attributes
     ----------
     error : class of the error, exactly; None = nothing is raised
     says : regular expression that its words match
     rule : of `gateway.motion.reactions.REACTIONS` whose remedy it ends with; "" = none
-    named : whom it names
+    named : node, joint or id that it names
     counts : counters where nothing is raised
     real : counters in real time, where they differ
     """

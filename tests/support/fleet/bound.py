@@ -17,7 +17,7 @@ LOOKS_DAY = np.arange(28.0, 366.0, 7.0)
 def threshold(series: int) -> float:
     """Least constant threshold of weekly looks at so many drifts for 1 false alarm in 100 robot years, by numbers.
 
-    Drift over its standard deviation from look to look is a Gauss-Markov chain; its density is carried over a grid,
+    Drift over its standard deviation from look to look is a Gauss-Markov chain. Its density is carried over a grid,
     and what is outside the threshold is taken away at every look. White noise: information goes with the cube of
     the time.
     """

@@ -1,8 +1,8 @@
 """Run drives on a bus: python -m tests.support.independent_drive --bus SPEC --node 1,2,3,4,5,6 --variant zero-extended.
 
 Prints `ready`. Commands come as lines: `load MASS X Y Z` and `load none` attach and remove a load at the last link
-[kg, m]; `stops` prints of each axis the speeds of its joint at which quick stops began [rad/s], as JSON; `read NODE
-INDEX SUB` prints what an object holds. The process ends with its standard input.
+[kg, m]. `stops` prints the joint speeds of each axis at which quick stops began [rad/s], as JSON. `read NODE INDEX
+SUB` prints the value of an object. The process ends with its standard input.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-// What a reader would call broken: text that is cut off or lies on other text, boxes that lie on other boxes.
+// Faults of a page that a reader sees: text that is cut off or overlaps other text, overlapping boxes.
 // Returns [{kind, what, where}]; sizes in CSS pixels. SVG text counts like any other.
 const SLACK = 1.5;          // rounding of layouts
 const LEAST_OVERLAP = 0.12; // of the smaller text: letters have air about them
@@ -11,7 +11,7 @@ const shown = (element) => {
   }
   return true;
 };
-const told = (text) => text.trim().replace(/\s+/g, " ").slice(0, 60);
+const textOf = (text) => text.trim().replace(/\s+/g, " ").slice(0, 60);
 const place = (box) => `${Math.round(box.left)},${Math.round(box.top + scrollY)} ${Math.round(box.right - box.left)}x${Math.round(box.bottom - box.top)}`;
 
 // every line of every text
@@ -23,7 +23,7 @@ for (let node = walker.nextNode(); node; node = walker.nextNode()) {
   const range = document.createRange();
   range.selectNodeContents(node);
   for (const box of range.getClientRects()) {
-    if (box.width > 0.5 && box.height > 0.5) texts.push({ box, text: told(node.data), parent });
+    if (box.width > 0.5 && box.height > 0.5) texts.push({ box, text: textOf(node.data), parent });
   }
 }
 
@@ -77,7 +77,7 @@ for (let i = 0; i < boxes.length; i++) {
     const across = Math.min(frames[i].right, frames[k].right) - Math.max(frames[i].left, frames[k].left);
     const down = Math.min(frames[i].bottom, frames[k].bottom) - Math.max(frames[i].top, frames[k].top);
     if (across > SLACK && down > SLACK) {
-      const name = (element) => `${element.tagName.toLowerCase()} ${told(element.textContent).slice(0, 30)}`;
+      const name = (element) => `${element.tagName.toLowerCase()} ${textOf(element.textContent).slice(0, 30)}`;
       faults.push({ kind: "overlap", what: `${name(boxes[i])} | ${name(boxes[k])}`, where: place(frames[k]) });
     }
   }

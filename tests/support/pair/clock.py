@@ -422,7 +422,9 @@ def main(argv: list[str]) -> int:
         first = {seed: taught(seed, period_s) for seed in seeds}
         taught_paths = [path_taught for path_taught, _ in first.values()]
         out |= stops("teaching", taught_paths)
-        out["taught in real time, force left at a point"] = plain([left_n for _, left_n in first.values()], "N, felt")
+        out["taught in real time, force left at a point"] = plain(
+            [left_n for _, left_n in first.values()], "N, estimated"
+        )
         runs = [beside(path_taught, arguments.cycles) for path_taught in taught_paths]
         out |= run_figures(runs, arguments.cycles)
         attempts += [*taught_paths, *(clock for clock, _ in runs)]

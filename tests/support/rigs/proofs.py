@@ -18,8 +18,8 @@ from sim.serve import running
 def keep_proof_of_stop(cell: Path, bus: str, folders: pytest.TempPathFactory) -> None:
     """Store a proof for a cell file on a bus in the current state folder, with the remark that the arm has moved.
 
-    The proof is made by `check --prove-stop` on simulated drives without faults, for the first test that asks for it,
-    and kept in the folder that the workers of one test run share. It is void where a drive differs from that.
+    The first test that asks for the proof makes it with `check --prove-stop` on simulated drives without faults. It is
+    kept in the folder that the workers of one test run share. It is void where a drive differs from that.
     """
     kept = folders.getbasetemp().parent / f"proof-{hashlib.sha256(cell.read_bytes()).hexdigest()[:16]}.json"
     with kept.with_suffix(".lock").open("w") as lock:

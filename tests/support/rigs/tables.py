@@ -14,10 +14,10 @@ from gateway.data.rows import MOVING, Table
 def make_table(
     load: Sequence[str] | np.ndarray, pose: ArrayLike, q: ArrayLike, tau: ArrayLike, **extra_columns: Any
 ) -> Table:
-    """Rows as given; pose -1 is a moving row.
+    """Build a table from rows; pose -1 is a moving row.
 
-    `run`, `time`, `qd`, `qdd`, `direction`, `std`, `count`, `q2nd`, `temperature`, `motor`, `extra` and `file` as they
-    are, unknown (at rest) where they are not given; one value holds for all rows and axes.
+    Other columns by name: `run`, `time`, `qd`, `qdd`, `direction`, `std`, `count`, `q2nd`, `temperature`, `motor`,
+    `extra` and `file`. A column left out is unknown (at rest). One value holds for all rows and axes.
     """
     n, axes = len(load), np.shape(q)[1]
 
