@@ -355,20 +355,20 @@ class Bus:
         sent = self._sent.get(can_id)
         if sent is not None and sent < _ECHO_MEMORY:
             self._sent[can_id] = sent + 1
-        late_s = 0.0
+        delay_s = 0.0
         with self._send_lock:
             try:
                 self._adapter.send(frame)
             except BusError:
                 raise
             except Exception as error:  # as in `receive`
-                late_s = self._send_again(frame, error)
+                delay_s = self._send_again(frame, error)
         if not self.echoes:
             if self._taps:
                 self._hand_to_taps(frame, received=False)
             if self.log is not None:
                 self.log.add(_as_sent(frame))
-        return late_s
+        return delay_s
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send one frame."""

@@ -52,11 +52,11 @@ class SyncClock:
         """Return by how much the time since the last SYNC exceeds one period [s]; 0 before the first SYNC."""
         return 0.0 if self._last_s is None else max(0.0, time.monotonic() - self._last_s - self._period_s)
 
-    def sent(self, due_s: float, late_s: float = 0.0) -> None:
+    def sent(self, due_s: float, delay_s: float = 0.0) -> None:
         """Record a SYNC that was due at a monotonic time [s] and was sent later because the transmit queue was full."""
-        self._last_s = due_s + late_s
-        if late_s and self.lateness_s:
-            self.lateness_s[-1] += late_s
+        self._last_s = due_s + delay_s
+        if delay_s and self.lateness_s:
+            self.lateness_s[-1] += delay_s
 
     def follow(self, now_s: float) -> None:
         """Adopt the SYNC time [s] of another clock; the following SYNC is scheduled by this clock again."""

@@ -116,7 +116,7 @@ class EnableSequence:
         self.check_stop()
         raise_failures(self._moved(epoch))
         if self._now_s() - self._since_s > self._limit_s:
-            raise_failures(self._late(epoch))
+            raise_failures(self._overdue(epoch))
 
     def _now_s(self) -> float:
         """Return the time for the limits [s]: SYNC time in lockstep, else the monotonic clock."""
@@ -144,7 +144,7 @@ class EnableSequence:
                 failures.append(DriveFault(what, node=drive.node_id, index=0x6064, advice=advice))
         return failures
 
-    def _late(self, epoch: Epoch) -> list[TransitionTimeout]:
+    def _overdue(self, epoch: Epoch) -> list[TransitionTimeout]:
         advice = "check power stage, STO and enable input, and the drive's display"
         what = f"after {self._limit_s:.1f} s not all axes are enabled and responding"
         slow = [

@@ -109,7 +109,7 @@ class EpochCollector:
         self._inquiry = inquiry
         self.counts = EpochCounts()
         #: Answers that came after their SYNC was closed, or may have, by slot.
-        self.late_count_by_slot = [0] * len(slots)
+        self.delayed_count_by_slot = [0] * len(slots)
         #: What came since the last SYNC, assigned or not.
         self.frames: list[bytes | bytearray | None] = [None] * len(slots)
         self.alignment = Alignment()
@@ -224,7 +224,7 @@ class EpochCollector:
                 elif len(frame.data) != sizes[slot]:
                     self.counts.wrong_length += 1
                 elif frame.timestamp < sent_wall_s and self._is_older(slot, frame.timestamp):
-                    self._late(slot)
+                    self._count_delayed(slot)
                 elif frames[slot] is None:
                     frames[slot] = frame.data
                     left -= 1
@@ -251,15 +251,15 @@ class EpochCollector:
             self.alignment.came(slot, stamp_s - self._sent_wall_s)
         return True
 
-    def _late(self, slot: int) -> None:
+    def _count_delayed(self, slot: int) -> None:
         self.counts.late += 1
-        self.late_count_by_slot[slot] += 1
+        self.delayed_count_by_slot[slot] += 1
 
     def _hold_unassigned(self, slot: int, stamp_s: float) -> None:
         """Store a frame that may respond to an earlier SYNC if its slot is unassigned."""
         if slot in self.alignment.astray:
             self.counts.unsure += 1
-            self.late_count_by_slot[slot] += 1
+            self.delayed_count_by_slot[slot] += 1
             after_s = stamp_s - self._sent_wall_s
             if not 0.0 <= after_s < _CLOCK_SET_S:
                 after_s = time.monotonic() - self._sent_s
@@ -320,12 +320,12 @@ class EpochCollector:
         if len(data) != self._sizes[slot]:
             self.counts.wrong_length += 1
         elif slot in self.alignment.astray:
-            self._late(slot)
+            self._count_delayed(slot)
             self.alignment.came(slot, math.inf)
             self.frames[slot] = self.frames[slot] or data
         elif self.frames[slot] is None:
             self.frames[slot] = data
-            self._late(slot)
+            self._count_delayed(slot)
         else:
             self.counts.duplicate += 1
             if self.frames[slot] != data:

@@ -271,22 +271,22 @@ def _listed(errors: Sequence[DriveError]) -> list[str]:
     groups: dict[tuple[object, ...], list[DriveError]] = {}
     for error in _flat(errors):
         groups.setdefault(_same(error), []).append(error)
-    whole: list[str] = []
-    bare: list[str] = []
-    given: set[str] = set()
+    with_remedy: list[str] = []
+    without_remedy: list[str] = []
+    mentioned: set[str] = set()
     for first, *others in groups.values():
         place = first.where
         if first.node is not None and others:
             named = [error.node for error in (first, *others) if error.node is not None]
             place = _nodes(named) + place.removeprefix(f"node {first.node}")
         text = f"{place}: {first.what}" if place else first.what
-        advice = "" if first.advice in given else first.advice
-        given.add(first.advice)
-        whole.append(f"{text}; {advice}" if advice else text)
-        bare.append(text)
-    if sum(map(len, whole)) <= _LONGEST:
-        return whole
-    return [*whole[:1], *bare[1:]]
+        advice = "" if first.advice in mentioned else first.advice
+        mentioned.add(first.advice)
+        with_remedy.append(f"{text}; {advice}" if advice else text)
+        without_remedy.append(text)
+    if sum(map(len, with_remedy)) <= _LONGEST:
+        return with_remedy
+    return [*with_remedy[:1], *without_remedy[1:]]
 
 
 def _short(listed: list[str]) -> list[str]:

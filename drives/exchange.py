@@ -192,7 +192,7 @@ class SyncExchange:
 
     def _delayed(self, axis: int) -> int:
         first = self._first_slots[axis]
-        return sum(self.collector.late_count_by_slot[first : first + len(self.drives[axis].answers)])
+        return sum(self.collector.delayed_count_by_slot[first : first + len(self.drives[axis].answers)])
 
     def is_at_rest(self, axis: int) -> bool:
         """Return whether an axis (from 0) was at rest at the last SYNCs."""
@@ -262,8 +262,8 @@ class SyncExchange:
     def sync(self) -> None:
         """Third part: send the SYNC; raises `BusError`."""
         self._wall_s = time.time()
-        self._began_s, late_s = self._send_sync(self._due_s)
-        self._wall_s += late_s
+        self._began_s, delay_s = self._send_sync(self._due_s)
+        self._wall_s += delay_s
         self._moved = self._moves
 
     def gather(self) -> Epoch:
@@ -329,11 +329,11 @@ class SyncExchange:
         """Send SYNC; return the monotonic time of its transmission and its delay by a full transmit queue [s]."""
         self.sync_index += 1
         began_s = time.monotonic()
-        late_s = self._bus.send_frame(self._sync_frame)
+        delay_s = self._bus.send_frame(self._sync_frame)
         self._recall = None
         self.sent_s = time.monotonic()
-        self.clock.sent(due_s, late_s)
-        return began_s + late_s, late_s
+        self.clock.sent(due_s, delay_s)
+        return began_s + delay_s, delay_s
 
     def _epoch(self, now_s: float, time_s: float, answers: Frames) -> Epoch:
         if self.started_s is None:

@@ -1,4 +1,4 @@
-"""A measuring device beside the drives (CiA 404): process values by synchronous TPDO, in the same row as the drives.
+"""Measuring device on the bus of the drives (CiA 404): process values by synchronous TPDO, sampled at the same SYNC.
 
 The meaning of its channels is defined by the cell. All frames of one SYNC make one reading; if a frame is missing there
 is none, and a channel with an invalid status has no value.
@@ -35,7 +35,7 @@ _TPDOS: Final = 4
 
 @dataclass(frozen=True, slots=True)
 class InstrumentSetup:
-    """What is read from a measuring device.
+    """Settings of a measuring device: channels, scaling and unit.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class InstrumentSetup:
 
 
 class Instrument:
-    """One measuring device.
+    """Master's representation of one measuring device.
 
     Parameters
     ----------
@@ -123,11 +123,11 @@ class Instrument:
 
     @property
     def answers(self) -> tuple[tuple[int, int], ...]:
-        """CAN id and length of every frame that answers a SYNC."""
+        """Return CAN id and length of each TPDO that follows a SYNC."""
         return tuple((plan.cob_id, plan.size_bytes) for plan in self.plans)
 
     def identify(self) -> None:
-        """Make sure that one measuring device answers, and no other kind.
+        """Make sure that exactly one device responds and that it is a CiA 404 measuring device.
 
         Raises
         ------
@@ -142,7 +142,7 @@ class Instrument:
             raise IdentityMismatch(what, node=self.node_id, index=0x1000, advice="correct the node id in the cell")
 
     def survey(self) -> tuple[OtherPdo, ...]:
-        """Read which PDOs are switched on that the exchange does not use; nothing is written."""
+        """Read which PDOs are valid but not used by the exchange; nothing is written."""
         self.other_pdos = other_pdos(self.access, {plan.communication for plan in self.plans})
         self.left_pdos = tuple(pdo for pdo in self.other_pdos if not pdo.may_be_switched_off)
         return self.other_pdos
@@ -187,7 +187,7 @@ class Instrument:
             )
 
     def decode(self, sync_index: int, frames: Frames, first_slot: int) -> InstrumentReading | None:
-        """Reading of one SYNC; None where a frame of this device is missing."""
+        """Return the reading of one SYNC, or None if a frame of this device is missing."""
         words: list[int] = []
         for slot, unpack in enumerate(self._unpack, start=first_slot):
             data = frames[slot]

@@ -1,4 +1,4 @@
-"""Latency of SDO answers: one histogram per node."""
+"""Latency of SDO responses, as one histogram per node."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ LATENCY_EDGES_S: Final = (0.0002, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05,
 
 @dataclass(frozen=True, slots=True)
 class SdoStatistics:
-    """Latency of the answers of one node, and what was wrong with the others.
+    """Latency of the SDO responses of one node, and numbers of failed requests.
 
     Attributes
     ----------
@@ -47,17 +47,17 @@ class LatencyHistogram:
         self.max_s = 0.0
 
     def add(self, latency_s: float) -> None:
-        """Count one answer."""
+        """Count one response."""
         self.bins[bisect_left(LATENCY_EDGES_S, latency_s)] += 1
         self.sum_s += latency_s
         self.max_s = max(self.max_s, latency_s)
 
     @property
     def count(self) -> int:
-        """Answers so far."""
+        """Return the number of responses."""
         return sum(self.bins)
 
     @property
     def mean_s(self) -> float:
-        """Mean latency; 0 before the first answer."""
+        """Return the mean latency [s]; 0 before the first response."""
         return self.sum_s / self.count if self.count else 0.0

@@ -1,4 +1,4 @@
-"""Write ledger: every object that was written to a drive, and its original value, on disk before it is written.
+"""Write ledger: file that stores each object's original value before the gateway writes the object to a drive.
 
 An entry belongs to a drive, by its serial number, and is found from any cell file and any spelling of the bus.
 Simulated drives share their serial numbers: on a network (`drives.bus_spec.NETWORKS`) an entry belongs to the bus too.
@@ -60,7 +60,7 @@ class KnownDevice:
 
     @classmethod
     def of(cls, identity: Identity, bus: str | None) -> KnownDevice:
-        """The device that has identified itself on a bus."""
+        """Build the device from the identity that it has reported on a bus."""
         serial = None if identity.serial_number in _NO_SERIAL else identity.serial_number
         return cls(identity.node_id, bus, identity.vendor_id, identity.product_code, identity.revision, serial)
 
@@ -116,7 +116,7 @@ class LedgerEntry:
 
     @property
     def where(self) -> str:
-        """`node 3:6072:00 (max_torque)`."""
+        """Return node and object as text, e.g. `node 3:6072:00 (max_torque)`."""
         return f"node {self.node_id}:{object_name(self.index, self.subindex)}"
 
     def __str__(self) -> str:
@@ -129,15 +129,15 @@ class LedgerEntry:
 
     @property
     def device(self) -> KnownDevice:
-        """Whose object it is."""
+        """Return the device of the object."""
         return KnownDevice(self.node_id, self.bus, self.vendor_id, self.product_code, self.revision, self.serial_number)
 
     def is_own(self, value: int) -> bool:
-        """Whether the gateway wrote this value, or the drive is known to have made it of one."""
+        """Return whether the gateway wrote this value, or the drive derived it from such a value."""
         return value == self.new or value in self.also
 
     def is_of(self, device: KnownDevice) -> bool:
-        """Whether the object belongs to a device; unknown fields count as equal."""
+        """Return whether the object belongs to a device; unknown fields count as equal."""
         pairs: list[tuple[object, object]] = [
             (self.vendor_id, device.vendor_id),
             (self.product_code, device.product_code),
@@ -154,7 +154,7 @@ class LedgerEntry:
 
 
 class WriteLedger:
-    """Entries in the order of their first write, of any number of drives.
+    """Ledger entries of any number of drives, in the order of their first write.
 
     Parameters
     ----------
@@ -176,24 +176,24 @@ class WriteLedger:
 
     @property
     def entries(self) -> tuple[LedgerEntry, ...]:
-        """All entries."""
+        """Return all entries."""
         return tuple(self._entries)
 
     def of_node(self, node_id: int) -> tuple[LedgerEntry, ...]:
-        """Entries of every device that was written to at a node id."""
+        """Return the entries of every device that was written to at a node id."""
         return tuple(entry for entry in self._entries if entry.node_id == node_id)
 
     def of(self, device: KnownDevice) -> tuple[LedgerEntry, ...]:
-        """Entries of one device."""
+        """Return the entries of one device."""
         return tuple(entry for entry in self._entries if entry.is_of(device))
 
     def of_predecessors(self, device: KnownDevice) -> tuple[LedgerEntry, ...]:
-        """Entries of other devices that were written to at the same node of the same bus."""
+        """Return the entries of other devices that were written to at the same node of the same bus."""
         same = (device.node_id, device.bus)
         return tuple(each for each in self._entries if (each.node_id, each.bus) == same and not each.is_of(device))
 
     def note(self, *entries: LedgerEntry) -> None:
-        """Enter writes that are about to happen.
+        """Store writes that are about to be sent.
 
         Parameters
         ----------
@@ -213,7 +213,7 @@ class WriteLedger:
                 _enter(held, batch)
 
     def expect(self, device: KnownDevice, values: Sequence[tuple[tuple[int, int], int]]) -> None:
-        """Enter further values that a restore is about to write to objects that have an entry."""
+        """Store further values that a restore is about to write to objects that have an entry."""
         more: dict[tuple[int, int], list[int]] = {}
         for address, value in values:
             more.setdefault(address, []).append(value)
@@ -226,7 +226,7 @@ class WriteLedger:
             self._each(held, device, set(more), with_values)
 
     def confirm(self, device: KnownDevice, values: dict[tuple[int, int], int]) -> None:
-        """What objects read back after a write; it is on disk with the next change, or by `settle`."""
+        """Store the values read back after a write; they reach the disk with the next change or by `settle`."""
 
         def closed(entry: LedgerEntry) -> LedgerEntry:
             back = values[entry.address]
@@ -236,16 +236,16 @@ class WriteLedger:
         self._each(self._entries, device, set(values), closed)
 
     def settle(self, mark: Callable[[LedgerEntry], LedgerEntry] = lambda entry: entry) -> None:
-        """Bring to disk what was confirmed since the last change, each entry as `mark` makes it."""
+        """Write the entries confirmed since the last change to disk, each modified by `mark`."""
         with self._change() as held:
             held[:] = [mark(entry) for entry in held]
 
     def forget(self, *entries: LedgerEntry) -> None:
-        """Take out entries whose original value is back."""
+        """Remove entries whose original value has been restored."""
         self.exchange(entries)
 
     def exchange(self, out: Sequence[LedgerEntry], back: Sequence[LedgerEntry] = ()) -> None:
-        """Take entries out and put others in, in one change."""
+        """Replace entries by others in one change."""
         gone = {(entry.device, entry.address) for entry in out}
         put = {(entry.device, entry.address): entry for entry in back}
         with self._change() as held:
@@ -267,7 +267,7 @@ class WriteLedger:
 
     @contextmanager
     def _change(self) -> Generator[list[LedgerEntry]]:
-        """Change the list of entries; on disk at the end, where another process cannot have changed it meanwhile."""
+        """Change the list of entries under the file lock and write it to disk at the end."""
         if self.path is None:
             yield self._entries
             return
@@ -289,7 +289,7 @@ class WriteLedger:
             ) from error
 
     def _read(self) -> None:
-        """Take over what the file holds, unless it is as it was left here."""
+        """Read the file if another process has changed it."""
         stamp = None if self.path is None else _stamp(self.path)
         if self.path is not None and stamp is not None and stamp != self._stamp:
             self._entries = load_entries(self.path)
@@ -297,7 +297,7 @@ class WriteLedger:
 
 
 def _enter(held: list[LedgerEntry], batch: Sequence[LedgerEntry]) -> None:
-    """Enter the writes to one object; its original value stays unless another tool has written it since."""
+    """Store the writes to one object; its original value is kept unless another tool has written the object since."""
     first, last = batch[0], batch[-1]
     now, values = first.old, [entry.new for entry in batch]
     place = next((at for at, each in enumerate(held) if each.address == first.address and each.is_of(first.device)), -1)
@@ -314,7 +314,7 @@ def _enter(held: list[LedgerEntry], batch: Sequence[LedgerEntry]) -> None:
 
 
 def _keeps(known: LedgerEntry, now: int, write: LedgerEntry) -> bool:
-    """Whether the original of an entry still counts when an object that holds `now` is written again."""
+    """Return whether the original value stays valid when an object that holds `now` is written again."""
     if known.writer == "applied" and write.writer == "run":
         return False
     return now == known.old or known.is_own(now) or (known.open and known.node_id == write.node_id)
@@ -330,7 +330,7 @@ def _stamp(path: Path) -> tuple[int, ...] | None:
 
 
 def take_over(ledger: WriteLedger, path: Path, bus: str | None) -> None:
-    """Move the entries of a file of the first schema into a ledger; what names no drive stays there.
+    """Move the entries of a file of the first schema into a ledger; entries without a drive identity stay there.
 
     Parameters
     ----------
@@ -364,7 +364,7 @@ def take_over(ledger: WriteLedger, path: Path, bus: str | None) -> None:
 
 @contextmanager
 def _locked(path: Path) -> Generator[None]:
-    """Keep other processes from changing a ledger meanwhile."""
+    """Lock a ledger against changes by other processes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lock = os.open(path.with_suffix(".lock"), os.O_RDWR | os.O_CREAT, 0o666)
     try:
@@ -383,12 +383,12 @@ def _locked(path: Path) -> Generator[None]:
 
 
 def load_entries(path: Path) -> list[LedgerEntry]:
-    """Entries of a ledger file, of an old schema too.
+    """Return the entries of a ledger file, of old schemas too.
 
     Raises
     ------
     ConfigurationRefused
-        It is no ledger.
+        The file is not a ledger.
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))

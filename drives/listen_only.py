@@ -38,7 +38,7 @@ class _Answers:
         self._answers: dict[tuple[int, int], bytes] = {}
 
     def take(self, data: bytes | bytearray) -> bool:
-        """Keep a frame if it is an answer with a value; whether it was."""
+        """Store the value of an SDO response; return whether the frame was one."""
         if len(data) != 8 or data[0] & _COMMAND_BITS != SCS_UPLOAD or not data[0] & EXPEDITED:
             return False
         self._answers[int.from_bytes(data[1:3], "little"), data[3]] = bytes(data)
@@ -81,7 +81,7 @@ class _ObservedDrive:
             self.set_constants(constants)
 
     def set_constants(self, constants: Constants) -> None:
-        """Its constants are known."""
+        """Set the constants and build the decoder."""
         setup = self.setup
         scale = self.scale = motor_scale(setup.profile, constants, setup.torque_constant_nm_per_a)
         unpack = [plan.layout.unpack for plan in self.plans]
@@ -99,7 +99,7 @@ class _ObservedDrive:
             return
 
     def take(self, sync_index: int) -> DriveReading | None:
-        """What it has answered to the SYNC before this moment."""
+        """Return the reading of the last SYNC from the frames received since."""
         reading = None if self.decoder is None else self.decoder(sync_index, self.frames)
         self.frames = [None] * len(self.plans)
         return reading
@@ -139,7 +139,7 @@ class ListenOnlyBus:
 
     @property
     def unknown(self) -> tuple[int, ...]:
-        """Nodes whose constants were not received: their words cannot be scaled."""
+        """Return the nodes whose constants were not received, so that their raw values cannot be scaled."""
         return tuple(drive.setup.node_id for drive in self._drives if drive.scale is None)
 
     def epochs(self) -> list[Epoch]:
@@ -185,7 +185,7 @@ class ListenOnlyBus:
         self.bus.subscribe(EMCY_BASE + node_id, on_emergency)
 
     def _on_sync(self, _can_id: int, _data: bytes | bytearray, time_s: float) -> None:
-        """What has come since the last SYNC answers that one."""
+        """Assign the frames received since the last SYNC to that SYNC."""
         if self._began_s is None:
             self._began_s = time_s
         else:

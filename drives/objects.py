@@ -26,7 +26,7 @@ SIZE_BYTES: Final[dict[str, int]] = {"u8": 1, "i8": 1, "u16": 2, "i16": 2, "u32"
 
 
 def decode_integer(data: bytes, size_bytes: int, *, signed: bool) -> int:
-    """Integer of an SDO answer, cut to the size of the object.
+    """Decode the integer of an SDO response, truncated to the size of the object.
 
     Drives answer objects of 8 and 16 bits with 4 bytes, filled up with the sign or, also for negative values, with 0.
 

@@ -28,7 +28,7 @@ _SLICE_S: Final = 0.01
 
 
 class NmtStart:
-    """START to every node of a group.
+    """NMT START of every node of a group, with confirmation.
 
     Parameters
     ----------

@@ -23,7 +23,7 @@ _MOST_BYTES: Final = 8
 
 @dataclass(frozen=True, slots=True)
 class OtherPdo:
-    """A PDO that is switched on and not planned.
+    """A valid PDO of a node that the exchange does not use.
 
     Attributes
     ----------
@@ -52,7 +52,7 @@ class OtherPdo:
 
     @property
     def is_sent(self) -> bool:
-        """Whether the node sends it."""
+        """Return whether the node sends this PDO (TPDO)."""
         return self.communication >= TPDO_COMMUNICATION
 
     @property
@@ -62,7 +62,7 @@ class OtherPdo:
 
     @property
     def cyclic_bytes(self) -> int | None:
-        """Length of the frame that it adds to a SYNC cycle; None = it adds none, or one by event."""
+        """Return the frame length that it adds to every SYNC cycle [bytes]; None if it is not sent cyclically."""
         if not self.is_sent or self.transmission > _LAST_SYNCHRONOUS:
             return None
         return min(_MOST_BYTES, sum(entry & 0xFF for entry in self.mapped) // 8)
@@ -73,7 +73,7 @@ class OtherPdo:
 
 
 def other_pdos(access: NodeAccess, planned: Collection[int]) -> tuple[OtherPdo, ...]:
-    """Read which PDOs of a node are switched on and not planned; nothing is written.
+    """Read which PDOs of a node are valid but not used by the exchange; nothing is written.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""PDO plans: which objects travel in which frame, and the order in which a mapping is written (CiA 301, 7.5.2.36).
+"""PDO mapping of the cyclic exchange: objects of each frame, and the order of the writes (CiA 301, 7.5.2.36).
 
 RPDO1 = controlword, target position, torque offset. TPDO1 = statusword, position and, if it fits, the torque object.
 TPDO2, where it is needed = the torque object if it did not fit, velocity, current. All synchronous, every SYNC.
@@ -47,7 +47,7 @@ Read = Callable[[int, int, str], int]
 
 @dataclass(frozen=True, slots=True)
 class PdoPlan:
-    """One PDO as it shall be.
+    """Required configuration of one PDO.
 
     Attributes
     ----------
@@ -69,18 +69,18 @@ class PdoPlan:
 
     @property
     def size_bytes(self) -> int:
-        """Length of the frame."""
+        """Return the length of the frame [bytes]."""
         return sum(entry.size_bits for entry in self.entries) // 8
 
     @property
     def layout(self) -> struct.Struct:
-        """Codec of the frame."""
+        """Return the codec of the frame."""
         return struct.Struct("<" + "".join(STRUCT_CODE[entry.type] for entry in self.entries))
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One write of a mapping."""
+    """One SDO write of a PDO configuration."""
 
     index: int
     subindex: int
@@ -90,18 +90,18 @@ class Step:
 
 
 def rpdo_plan(node_id: int) -> PdoPlan:
-    """RPDO1 of a node."""
+    """Return the configuration of RPDO1 of a node."""
     entries = (CONTROLWORD, TARGET_POSITION, TORQUE_OFFSET)
     return PdoPlan("RPDO1", RPDO_COMMUNICATION, RPDO_MAPPING, 0x200 + node_id, entries)
 
 
 def offset_plan(node_id: int) -> PdoPlan:
-    """RPDO2 of a node in a run with feedforward: the velocity offset."""
+    """Return the configuration of RPDO2 of a node in a run with feedforward: the velocity offset."""
     return PdoPlan("RPDO2", RPDO_COMMUNICATION + 1, RPDO_MAPPING + 1, 0x300 + node_id, (VELOCITY_OFFSET,))
 
 
 def tpdo_plans(profile: DriveProfile, node_id: int) -> tuple[tuple[PdoPlan, ...], tuple[Role, ...]]:
-    """TPDOs of a node, and what their values are, in the order of the frames' bytes.
+    """Return the TPDO configurations of a node, and the role of each mapped object in the order of the bytes.
 
     Returns
     -------
@@ -166,7 +166,7 @@ def differences(plan: PdoPlan, read: Read) -> list[str]:
 
 
 def mapping_steps(plan: PdoPlan, cob_id_now: int) -> list[Step]:
-    """Writes that make the PDO as planned, in the order that the standard asks for.
+    """Return the writes that configure a PDO, in the order that the standard requires.
 
     Switch it off, set the transmission type, empty the mapping, fill it, set its length, switch it on.
     """
@@ -198,7 +198,7 @@ def restore_steps(old: dict[tuple[int, int], tuple[str, int]]) -> list[Step]:
 
 
 def ordered_steps(values: dict[tuple[int, int], tuple[str, int]], reason: str) -> list[Step]:
-    """Writes of these values in an order that a drive takes.
+    """Return the writes of these values in an order that a drive accepts.
 
     Parameters
     ----------

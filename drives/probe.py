@@ -1,4 +1,4 @@
-"""Scan the bus: one SDO request to every node id at once, and all answers to it."""
+"""Bus scan: one SDO request to every node id at once, and the identity of each node that responds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _PAUSE_EVERY: Final = 16
 
 
 def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3, question: bytes = QUESTIONS[0]) -> dict[int, int]:
-    """Ask every node for something that it has.
+    """Send one SDO request for a mandatory object to every node and count the responses.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def probe(bus: Bus, node_ids: Iterable[int], timeout_s: float = 0.3, question: b
 
 @dataclass(frozen=True, slots=True)
 class ScanResult:
-    """One node id that answered.
+    """Result for one node id that responded.
 
     Attributes
     ----------
@@ -134,7 +134,7 @@ def _look_at(bus: Bus, node_id: int, devices: int, state: NmtState | None) -> Sc
 
 
 def matching_profiles(identity: Identity) -> tuple[str, ...]:
-    """Names of the packaged profiles that fit a device: those that name its vendor first, then the generic one.
+    """Return the names of the packaged profiles that match a device: those of its vendor first, then the generic one.
 
     A profile without a vendor id matches no device automatically; an engineer selects it.
     """

@@ -92,7 +92,7 @@ class DriveProfile(Strict):
 
     @property
     def text(self) -> str:
-        """The TOML this profile was read from, for the recording."""
+        """Return the TOML text of the profile, which is stored in recordings."""
         return self._text
 
     @property
@@ -107,7 +107,7 @@ class DriveProfile(Strict):
 
     @property
     def obstacles(self) -> tuple[str, ...]:
-        """Why a drive of this profile is read and not moved, each with what to do; empty = it is moved."""
+        """Return why a drive of this profile may be read but not moved, each with a remedy; empty = may be moved."""
         found = list(self.no_motion)
         if self.torque.assumed:
             where = f"0x{self.torque.object.index:04X}:{self.torque.object.subindex:02X}"
@@ -129,7 +129,7 @@ class DriveProfile(Strict):
         return tuple(found)
 
     def emcy_entry(self, code: int) -> EmcyEntry | None:
-        """The entry of an emergency code, None if the profile does not list it."""
+        """Return the entry of an EMCY code, or None if the profile does not list it."""
         return next((entry for entry in self.emcy if entry.code == code), None)
 
     @model_validator(mode="after")

@@ -1,4 +1,4 @@
-"""A drive profile against the data sheet of the drive: does the device have what the profile counts on?"""
+"""Compare a drive profile with the drive's EDS: objects, data types and PDO mapping that the profile relies on."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SET: Final = ("mode", "mode_display", "abort_connection_option", "consumer_hear
 
 
 def check_eds(profile: DriveProfile, path: Path) -> None:
-    """Compare a profile with the data sheet it names.
+    """Compare a profile with the EDS that it names.
 
     Raises
     ------
@@ -38,7 +38,7 @@ def check_eds(profile: DriveProfile, path: Path) -> None:
 
 
 def contradictions(profile: DriveProfile, sheet: Sheet) -> list[str]:
-    """Objects that the master uses by a profile, and that a data sheet lacks or describes differently, in words."""
+    """Return the differences between the objects that the master uses and those in an EDS, as text."""
     problems: list[str] = []
     for reference, mapped in _wanted(profile):
         where = f"{reference.index:04X}:{reference.subindex:02X}"
@@ -54,7 +54,7 @@ def contradictions(profile: DriveProfile, sheet: Sheet) -> list[str]:
 
 
 def _wanted(profile: DriveProfile) -> Iterator[tuple[ObjectReference, bool]]:
-    """Objects that the master uses, and whether in a PDO."""
+    """Return the objects that the master uses, each with whether it is mapped to a PDO."""
     for name in (*_MAPPED, *_SET):
         entry = OBJECTS[name]
         reference = ObjectReference.model_validate(

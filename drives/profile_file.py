@@ -17,7 +17,7 @@ GENERIC: Final = "generic-cia402"
 
 
 def list_profiles() -> list[str]:
-    """Names of the profiles that come with the package, sorted."""
+    """Return the names of the packaged profiles, sorted."""
     return sorted(path.stem for path in PROFILE_FOLDER.glob("*.toml"))
 
 
@@ -48,7 +48,7 @@ def load_profile(name_or_path: str | Path) -> DriveProfile:
 
 
 def find_profile(name: str, folder: Path) -> DriveProfile:
-    """A profile as a cell names it: one of the package, else a file in a folder, with or without `.toml`.
+    """Read the profile that a cell names: a packaged one, else a file in a folder, with or without `.toml`.
 
     Raises
     ------
@@ -92,11 +92,11 @@ def parse_profile(text: str, where: str, folder: Path = PROFILE_FOLDER) -> Drive
 
 
 def _table(path: KeyPath) -> str:
-    """`[torque.rated]` of a path into a profile; nothing at the top of the file."""
+    """Return the table header of a path, e.g. `[torque.rated]`; empty at the top of the file."""
     return f"[{'.'.join(map(str, path[:-1]))}]" if len(path) > 1 else ""
 
 
 def profile_schema() -> dict[str, Any]:
-    """JSON schema of the profile file, as editors read it."""
+    """Return the JSON schema of profile files for editors."""
     schema = DriveProfile.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": "servo-gateway drive profile"}

@@ -1,4 +1,4 @@
-"""Tests of how the drives stop: without the master's heartbeat, by the quick stop word, by the brake of one axis.
+"""Stop tests of the drives: loss of the master's heartbeat, quick stop, and holding brake of one axis.
 
 CiA 301 7.2.8.3.2.2 (heartbeat consumer, 0x1016) and CiA 402-2 (abort connection option, 0x6007) define the required
 reaction. The test shows whether this drive, with this firmware and wiring, has it.
@@ -74,7 +74,7 @@ class DriveTest(Protocol):
     def guards(self) -> bool: ...
 
     def controlwords(self) -> list[int]:
-        """Controlwords of the next SYNC; called once per SYNC."""
+        """Return the controlwords of the next SYNC; called once per SYNC."""
         ...
 
     def held_count(self, axis: int) -> int | None:
@@ -82,13 +82,13 @@ class DriveTest(Protocol):
         ...
 
     def see(self, epoch: Epoch) -> None:
-        """Take the answers of one SYNC."""
+        """Process the readings of one SYNC."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class StopTrace:
-    """One drive after the master's last heartbeat, or after the quick stop word.
+    """Stop of one drive after the master's last heartbeat, or after the quick stop controlword.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ class StopTrace:
 
     @property
     def in_time(self) -> bool:
-        """Whether it left OPERATION ENABLED within the stated time, as far as SYNCs can show."""
+        """Return whether the drive left OPERATION ENABLED within the stated time, to the resolution of a SYNC."""
         return self.left_s is not None and self.enabled_s <= self.stated_s
 
 
@@ -145,11 +145,11 @@ class _Axis:
 
     @property
     def done(self) -> bool:
-        """Out of operation, and come to rest."""
+        """Return whether the axis has left OPERATION ENABLED and is at rest."""
         return self._stood
 
     def see(self, time_s: float, state: State, count: int) -> None:
-        """One answer."""
+        """Process one reading."""
         self._look_whether_still(time_s, count)
         self._counts.append(count)
         self.state = state
@@ -162,7 +162,7 @@ class _Axis:
         self._stood |= self.left_s is not None and still_s >= STILL_S - _TIME_TOLERANCE_S
 
     def _look_whether_still(self, time_s: float, count: int) -> None:
-        """Note when the motor last left the range within which it counts as standing, `_moving_s`."""
+        """Store in `_moving_s` when the motor last left the range in which it counts as at rest."""
         if not self._counts:
             self._low = self._high = count
         elif time_s > self._seen_s:
@@ -174,7 +174,7 @@ class _Axis:
         self._seen_s = time_s
 
     def ask(self, time_s: float) -> None:
-        """The same by SDO."""
+        """Read statusword and position by SDO instead, and process them."""
         access = self.drive.access
         try:
             state = decode_state(access.read(OBJECTS["statusword"], ONCE))
@@ -183,7 +183,7 @@ class _Axis:
             return
 
     def word(self) -> int:
-        """A drive that has stopped is not energised again; its ramp is not cut short."""
+        """Return the controlword of the drive: no new energising, no interruption of its ramp."""
         if self.left_s is None:
             return ENABLE_OPERATION
         return QUICK_STOP if self.state is State.QUICK_STOP_ACTIVE else DISABLE_VOLTAGE
@@ -270,7 +270,7 @@ class StopTest:
         return self.done and axis.left_s is None
 
     def _without_answer(self, axis: _Axis, passed_s: float) -> None:
-        """An axis has not answered several SYNCs."""
+        """Handle an axis that has not responded to several SYNCs."""
         axis.ask(passed_s)
 
     def _over(self, passed_s: float) -> bool:
@@ -387,16 +387,16 @@ class BrakeTest:
 
     @property
     def moved_rad(self) -> float:
-        """Largest motor angle from where the drive last held the axis, while its brake had to hold it [rad]."""
+        """Return the largest motor angle from the last held position while the brake had to hold the axis [rad]."""
         return self._most_count * abs(self._drive.scale.count_rad)
 
     @property
     def farthest_rad(self) -> float:
-        """The same until the drive has brought the axis to rest again [rad]."""
+        """Return the largest motor angle from the last held position until the drive holds the axis again [rad]."""
         return self._farthest_count * abs(self._drive.scale.count_rad)
 
     def enable_again(self) -> None:
-        """Let the drive hold the axis again, where it is."""
+        """Enable the drive again, which then holds the axis at its present position."""
         self._enables = True
 
     def controlwords(self) -> list[int]:
@@ -418,7 +418,7 @@ class BrakeTest:
         try:
             word = next_controlword(state, State.OPERATION_ENABLED)
         except NoRoute as error:
-            what = f"cannot hold its axis again after its brake was tried: {error}"
+            what = f"cannot be enabled again after the brake test: {error}"
             advice = "use the emergency stop if the axis falls; then check the drive and its brake"
             raise DriveFault(what, node=self._drive.node_id, index=0x6041, advice=advice) from None
         if self.beyond_limit and self._enable_syncs < _ENABLE_SYNCS:
@@ -455,14 +455,14 @@ class BrakeTest:
             self._target = reading.position_count
         elif enabled:
             self.held = self._exchange.is_at_rest(self._axis)
-            self._wait("does not come to rest after its brake was tried")
+            self._wait("does not come to rest after the brake test")
         else:
             if not 0 < self._enable_syncs <= _ENABLE_SYNCS:
                 self._target = reading.position_count
             self._wait("was commanded to hold its axis again after the brake test, and is not enabled")
 
     def _moves(self, reading: DriveReading) -> None:
-        """Largest angle, and whether it is beyond the limit, now or at the next SYNC."""
+        """Return the largest angle [rad], and whether it exceeds the limit now or will at the next SYNC."""
         before = self._moved_count
         self._moved_count = moved = abs(reading.position_count - self._held_count)
         self._farthest_count = max(self._farthest_count, moved)

@@ -31,7 +31,7 @@ Reaction = Literal["stop", "along the path", "retry", "count"]
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One monitored condition.
+    """Monitored condition with its limit and reaction.
 
     Attributes
     ----------
@@ -60,17 +60,17 @@ class Rule:
 
     @property
     def count(self) -> int:
-        """The limit as a number of things."""
+        """Return the limit as an integer count."""
         return int(self.limit)
 
     def syncs(self, period_s: float, pacing: str) -> int:
-        """The limit as a number of SYNCs at this period."""
+        """Return the limit as a number of SYNCs at this period."""
         return self.count if pacing == "lockstep" else max(self.count, math.ceil(self.least_s / period_s))
 
     def raised(
         self, what: str, *, node: int | None = None, index: int | None = None, code: int | None = None, more: str = ""
     ) -> DriveError:
-        """The error of this rule about a node or the whole bus; `more` is added to the remedy."""
+        """Return the error of this rule for a node or the whole bus; `more` is appended to the remedy."""
         advice = "; ".join(part for part in (self.advice, more) if part)
         return (self.error or DriveError)(what, node=node, index=index, code=code, advice=advice)
 

@@ -27,7 +27,7 @@ _CAP_SYS_NICE: Final = 23
 
 @dataclass(frozen=True, slots=True)
 class RealTimeStatus:
-    """What the operating system gives.
+    """Real-time rights granted by the operating system.
 
     Attributes
     ----------
@@ -89,13 +89,13 @@ class RealTime:
 
 
 def leave_real_time() -> None:
-    """Default scheduling for the calling thread: threads and processes inherit what started them was given."""
+    """Set default scheduling for the calling thread, because threads and processes inherit their parent's."""
     with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def available() -> RealTimeStatus:
-    """What `RealTime` would be given, as far as the limits of this process say; nothing is changed."""
+    """Return the rights that `RealTime` would obtain by the limits of this process; nothing is changed."""
     missing: list[str] = []
     fifo = hasattr(os, "SCHED_FIFO") and (_capable(_CAP_SYS_NICE) or _limit("RLIMIT_RTPRIO") >= _PRIORITY)
     if not fifo:
@@ -128,7 +128,7 @@ def _limit(name: str) -> float:
 
 
 def _capable(number: int) -> bool:
-    """Whether this process has a capability of Linux; a container's root may lack it."""
+    """Return whether this process has a Linux capability; root in a container may lack it."""
     try:
         lines = Path("/proc/self/status").read_text().splitlines()
     except OSError:
@@ -162,7 +162,7 @@ def _libc_has(name: str) -> bool:
 
 
 def _libc_call(name: str, *arguments: int) -> str:
-    """Call a function of the C library that returns 0 when all is well; otherwise its error in words."""
+    """Call a C library function; return "" on success, else the error text."""
     if not _libc_has(name):
         return "not supported by this system"
     ctypes.set_errno(0)

@@ -1,4 +1,4 @@
-"""Raw words <-> SI on the motor side: pure arithmetic that follows from the profile.
+"""Conversion factors between raw object values and SI units on the motor side, derived from the profile.
 
 Everything is linear, so the cyclic path multiplies by factors that are computed here once.
 """
@@ -14,7 +14,7 @@ from drives.profile import DriveProfile, Signal, TorqueOffsetWord
 
 @dataclass(frozen=True, slots=True)
 class Constants:
-    """What a profile may leave to be read from the drive, in SI; None = the profile does not ask for it.
+    """Constants read from the drive, in SI; None = the profile does not require them.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Constants:
 
 @dataclass(frozen=True, slots=True)
 class MotorScale:
-    """Factors between raw words and SI, motor side.
+    """Factors between raw object values and SI units, motor side.
 
     Attributes
     ----------
@@ -59,16 +59,16 @@ class MotorScale:
     offset_nm: float | None
 
     def counts(self, position_rad: float) -> int:
-        """Nearest position count of a motor angle."""
+        """Return the nearest position count of a motor angle [rad]."""
         return round(position_rad / self.count_rad)
 
     def revolutions(self, number: float) -> float:
-        """Counts of so many motor revolutions, not rounded."""
+        """Return the counts of a number of motor revolutions, not rounded."""
         return number * 2.0 * math.pi / self.count_rad
 
 
 def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_per_a: float) -> MotorScale:
-    """Work out the factors of one axis.
+    """Compute the factors of one axis.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def motor_scale(profile: DriveProfile, constants: Constants, torque_constant_nm_
 
 
 def _ampere_per_bit(profile: DriveProfile, what: str, signal: Signal, rated: float | None) -> float:
-    """Nm per bit of a torque, A (of the torque constant) per bit of a current."""
+    """Return Nm per bit of a torque, or A (as used by the torque constant) per bit of a current."""
     if signal.is_current and None in (signal.current_reference, signal.torque_constant_per):
         advice = "give current_reference and torque_constant_per in the profile; no default is assumed"
         raise ProfileError(f"profile {profile.name}: {what} is a current, rms or peak is not known", advice=advice)

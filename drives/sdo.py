@@ -1,4 +1,4 @@
-"""SDO client that rejects stale answers (CiA 301, 7.2.4: expedited and segmented transfer).
+"""SDO client that rejects delayed responses to earlier requests (CiA 301, 7.2.4: expedited and segmented transfer).
 
 One transfer at a time per node, under a lock. Reads may be repeated, writes never.
 """
@@ -99,7 +99,7 @@ class SdoClient(SdoChannel):
         self.download(index, subindex, data, options)
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible string; what cannot be printed in it becomes a space."""
+        """Read a visible string; non-printable characters become spaces."""
         return one_line(self.upload(index, subindex).rstrip(b"\0").decode("latin-1"))
 
     # -- transfers ---------------------------------------------------------------------------------------------------

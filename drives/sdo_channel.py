@@ -49,7 +49,7 @@ def expedited_data(answer: bytes, size_bytes: int | None = None) -> bytes:
 
 @dataclass(slots=True)
 class Posted:
-    """A read without waiting.
+    """SDO read request that does not block, and its result.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class Posted:
 
 @dataclass(frozen=True, slots=True)
 class Pending:
-    """An answer that may still come: its specifier and address, until when, and when it was asked for."""
+    """Response that may still arrive after its time-out: specifier, address, expiry time and request time."""
 
     specifier: int
     address: tuple[int, int] | None
@@ -94,7 +94,7 @@ class Pending:
 
 
 class SdoChannel:
-    """Requests to one node, one at a time.
+    """SDO channel to one node with one request at a time.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class SdoChannel:
 
     @property
     def statistics(self) -> SdoStatistics:
-        """Latencies and what went wrong so far."""
+        """Return the latencies and the numbers of failed requests so far."""
         return SdoStatistics(
             node_id=self.node_id,
             count=self._latency.count,
@@ -186,7 +186,7 @@ class SdoChannel:
 
     @property
     def asked(self) -> bool:
-        """Whether the last question of `ask` is still open."""
+        """Return whether the last request of `ask` is still without a response."""
         return any(pending.question == self._questions for pending in self._pending)
 
     # -- one request, one answer -------------------------------------------------------------------------------------
@@ -247,7 +247,7 @@ class SdoChannel:
         return False
 
     def _settle_pending(self, answer: bytes) -> bool:
-        """Whether this is an answer that was given up: it leaves the quarantine."""
+        """Return whether a frame is the response to a timed-out request, which is then no longer expected."""
         if len(answer) != 8:
             return False
         command, index, subindex = HEAD.unpack_from(answer)
@@ -268,7 +268,7 @@ class SdoChannel:
         return True
 
     def _wait_out_quarantine(self, specifier: int, echo: tuple[int, int] | None) -> None:
-        """Wait until no answer that could be mistaken for the next one can come any more."""
+        """Wait until no delayed response can arrive that could be mistaken for the next one."""
         while True:
             now = time.monotonic()
             with self._pending_lock:

@@ -17,7 +17,7 @@ from drives.latency import SdoStatistics
 
 @dataclass(frozen=True, slots=True)
 class GroupStatistics:
-    """State of a drive group's counters.
+    """Counters and latencies of a drive group.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class GroupStatistics:
 def group_statistics(
     bus: Bus, drives: Sequence[Cia402Drive], exchange: SyncExchange | None, emcy: EmcyLog
 ) -> GroupStatistics:
-    """Gather the counters of a group; those of an exchange that does not exist yet are zero."""
+    """Return the counters of a group; counters of the exchange are zero before it exists."""
     counts = EpochCounts() if exchange is None else exchange.collector.counts
     bitrate = bus.spec.bitrate_bit_s
     planned, measured, lateness, overruns = 0.0, None, (), 0
@@ -105,7 +105,7 @@ def group_statistics(
 
 
 def quantile(values: Sequence[float], share: float) -> float | None:
-    """Smallest value that at least `share` of the values do not exceed; None without values."""
+    """Return the smallest value that at least `share` of the values do not exceed; None without values."""
     if not values:
         return None
     ordered = sorted(values)

@@ -1,7 +1,7 @@
 """Monitor emergencies, statusword bits and repeated identical answers of the drives.
 
-Each of them is a reason to stop: the readings of a drive are invalid when it limits the torque, has a following error,
-is controlled by its panel or repeats an old answer.
+Each of them stops all axes. The readings of a drive are invalid when it limits the torque, has a following error, is
+controlled by its panel or repeats old values.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _BITS: Final = (
 
 
 class StatusMonitor:
-    """Checks every epoch while the axes are enabled.
+    """Monitor of EMCY messages, statusword bits and repeated values while the axes are enabled.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class StatusMonitor:
         self.forgive()
 
     def forgive(self) -> None:
-        """Begin a new run."""
+        """Reset the monitor for a new run."""
         self._seen_count = self._emcy.count
         axes = len(self._exchange.drives)
         self._odd, self._same, self._last = [0] * axes, [0] * axes, [None] * axes
@@ -85,7 +85,7 @@ class StatusMonitor:
         self._open.pop(axis, None)
 
     def check(self, epoch: Epoch) -> None:
-        """One SYNC.
+        """Check the epoch of one SYNC.
 
         Raises
         ------

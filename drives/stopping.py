@@ -79,7 +79,7 @@ class _Step:
 
 
 class _BrakeDrop:
-    """Largest movement of each axis from its last held position.
+    """Measurement of the largest movement of each axis from its last held position.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class _BrakeDrop:
         self._most_count = [0] * len(exchange.drives)
 
     def note(self, epoch: Epoch) -> None:
-        """One SYNC."""
+        """Process the readings of one SYNC."""
         for axis, reading in enumerate(epoch.readings):
             if reading is None:
                 continue
@@ -133,7 +133,7 @@ class _DisableSequence:
         self._left = [math.ceil(min(_closing_s(drive), self.closing_s) / period_s) for drive in exchange.drives]
 
     def word(self, axis: int, state: State) -> int:
-        """Next controlword of an axis; one call is one SYNC."""
+        """Return the next controlword of an axis; one call per SYNC."""
         if state is State.SWITCHED_ON and self._left[axis] > 0:
             self._left[axis] -= 1
             return DISABLE_OPERATION
@@ -200,7 +200,7 @@ def _moves(exchange: SyncExchange) -> bool:
 
 
 def _watch(exchange: SyncExchange, brake_drop: _BrakeDrop) -> list[DriveError]:
-    """Positions after the brakes have closed."""
+    """Measure the drop of each axis after the brakes have closed."""
     until_s = time.monotonic() + _DROP_WATCH_MAX_S
     try:
         for _ in range(math.ceil(_DROP_WATCH_S / exchange.timing.period_s)):
@@ -248,7 +248,7 @@ def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> 
 
 
 def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
-    """The same by SDO, for an axis that does not answer SYNC."""
+    """Run the step by SDO for an axis that does not respond to SYNC."""
     drive = exchange.drives[axis]
     try:
         for _ in range(4):

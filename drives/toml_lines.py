@@ -19,7 +19,7 @@ _TOKEN: Final = re.compile(
 
 
 def key_lines(text: str) -> dict[KeyPath, int]:
-    """Line, from 1, of every table, key and element of a TOML text; of a table that is opened twice the first."""
+    """Return the line (from 1) of every table, key and element of a TOML text; the first one of a reopened table."""
     scan = _Scan()
     line = 1
     for match in _TOKEN.finditer(text.replace("\r\n", "\n") + "\n"):
@@ -32,7 +32,7 @@ def key_lines(text: str) -> dict[KeyPath, int]:
 
 @dataclass(slots=True)
 class _Open:
-    """A table or an array that is being read: its path, the key that is being spelled, the element that is next."""
+    """Table or array that is being read: its path, its present key, and the index of its next element."""
 
     kind: str
     path: KeyPath
@@ -42,12 +42,12 @@ class _Open:
 
     @property
     def here(self) -> KeyPath:
-        """Path of the value that comes next."""
+        """Return the path of the next value."""
         return (*self.path, *((self.index,) if self.kind == "array" else self.key))
 
 
 class _Scan:
-    """The place that the tokens so far have led to."""
+    """Scanner state after the tokens read so far."""
 
     def __init__(self) -> None:
         self.lines: dict[KeyPath, int] = {(): 1}
@@ -56,7 +56,7 @@ class _Scan:
         self._counts: dict[KeyPath, int] = {}
 
     def take(self, token: str, line: int) -> None:
-        """One token that is not a comment."""
+        """Process one token that is not a comment."""
         if self._header is not None:
             if token == "\n":
                 self._open(self._header, line)
@@ -109,10 +109,10 @@ class _Scan:
 
 
 def _key_parts(token: str) -> list[str]:
-    """Parts of a key as one token gives it."""
+    """Return the parts of a dotted key token."""
     return [token[1:-1]] if token[0] in "\"'" else [token]
 
 
 def line_of(lines: dict[KeyPath, int], path: KeyPath) -> int:
-    """Line of a key, or of the nearest table above it that the file holds."""
+    """Return the line of a key, or of the nearest parent table that the file contains."""
     return next(lines[path[:length]] for length in range(len(path), -1, -1) if path[:length] in lines)

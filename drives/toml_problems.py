@@ -1,4 +1,4 @@
-"""Describe what a key of a TOML file may hold, and what is wrong with its value."""
+"""Texts of validation errors of TOML files: the allowed form of a key, and the error of its value."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _LIMITS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class FieldPlace:
-    """Where a path leads in a model: as far as the model defines it, the allowed type, and its field."""
+    """Target of a key path in a model: the part of the path that the model defines, the allowed type, and the field."""
 
     path: KeyPath
     kind: Any
@@ -41,7 +41,7 @@ class FieldPlace:
 
 
 def field_at(model: type[BaseModel], path: KeyPath) -> FieldPlace:
-    """Follow a path; what pydantic adds to it, the alternatives of a union, ends it."""
+    """Return the target of a key path; it ends at the union members that pydantic appends."""
     kind: Any = model
     info: FieldInfo | None = None
     for length, part in enumerate(path):
@@ -69,7 +69,7 @@ def _inner_type(kind: Any, part: str | int) -> tuple[Any, FieldInfo | None]:
 
 
 def _alternatives(kind: Any) -> list[Any]:
-    """The kinds that a value may have, without None and without what only bounds it."""
+    """Return the types that a value may have, without None and without constraints."""
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Annotated:
         return _alternatives(arguments[0])
@@ -79,7 +79,7 @@ def _alternatives(kind: Any) -> list[Any]:
 
 
 def written(kind: Any, given: Any = None) -> str:
-    """How a value of a kind is written, with what was given as far as it fits: `{ value = 101, source = "..." }`."""
+    """Return an example in TOML of a value of a type, with the given values: `{ value = 101, source = "..." }`."""
     first = _alternatives(kind)[0]
     origin, arguments = typing.get_origin(first), typing.get_args(first)
     if isinstance(first, type) and issubclass(first, BaseModel):
@@ -109,13 +109,13 @@ def _table(model: type[BaseModel], given: Any) -> str:
 
 
 def _is_short(kind: Any) -> bool:
-    """Whether a kind is a table that is written within braces."""
+    """Return whether a type is written as an inline table."""
     first = _alternatives(kind)[0]
     return isinstance(first, type) and issubclass(first, BaseModel) and len(first.model_fields) <= _SHORT
 
 
 def _is_table(kind: Any) -> bool:
-    """Whether a kind is written under a header of its own."""
+    """Return whether a type is written as a table with its own header."""
     first = _alternatives(kind)[0]
     if typing.get_origin(first) in (tuple, dict):
         return _is_table(typing.get_args(first)[-1 if typing.get_origin(first) is dict else 0])
@@ -123,7 +123,7 @@ def _is_table(kind: Any) -> bool:
 
 
 def _header(path: KeyPath, kind: Any) -> str:
-    """`[[arm.axis]]` of a path."""
+    """Return the table header of a path, e.g. `[[arm.axis]]`."""
     name = ".".join(str(part) for part in path if isinstance(part, str))
     origin = typing.get_origin(_alternatives(kind)[0])
     return f"[[{name}]]" if origin is tuple else f"[{name}.NAME]" if origin is dict else f"[{name}]"
@@ -135,7 +135,7 @@ def _shown(value: Any) -> str:
 
 
 def problem_text(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath, detail: Mapping[str, Any]) -> str:
-    """One problem: the key, what is wrong with it, what to write."""
+    """Return the text of one problem: the key, its error, and what to write."""
     kind = detail["type"]
     if kind == "missing" and isinstance(path[-1], int):
         path = path[:-1]
@@ -166,7 +166,7 @@ def problem_text(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath,
 
 
 def _tail(path: KeyPath) -> KeyPath:
-    """The last key with the indices behind it."""
+    """Return the last key of a path with the indices behind it."""
     start = max((number for number, part in enumerate(path) if isinstance(part, str)), default=0)
     return path[start:]
 
@@ -231,7 +231,7 @@ def _name(kind: Any) -> str:
 
 
 def placeholder(kind: Any, info: FieldInfo | None) -> Any:
-    """Something that fits, to look further: it is never used."""
+    """Return a valid dummy value, inserted only so that further checks can run."""
     first = _alternatives(kind)[0]
     origin, arguments = typing.get_origin(first), typing.get_args(first)
     if isinstance(first, type) and issubclass(first, BaseModel):

@@ -18,7 +18,7 @@ _LONG_KEY: Final = re.compile(rf"(?<![\w\"'.-])(?:[\w\"'-]++[ \t]*+\.[ \t]*+){{{
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """Tables and values of a TOML text.
+    """Parse a TOML text to nested dictionaries.
 
     Raises
     ------
@@ -36,5 +36,5 @@ def parse_toml(text: str) -> dict[str, Any]:
 
 
 def toml_string(text: str) -> str:
-    """A text as a TOML string on one line."""
+    """Return a text as a one-line TOML string."""
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

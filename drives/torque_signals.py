@@ -75,7 +75,7 @@ class TorqueSignalReader:
                 continue
             lists = [getattr(own, role) for role, _ in entries]
             self._plans[drive.node_id] = plan
-            self._handlers[plan.cob_id] = _keeper(plan.layout, lists)
+            self._handlers[plan.cob_id] = _storing_handler(plan.layout, lists)
             self._bus.subscribe(plan.cob_id, self._handlers[plan.cob_id])
 
     def _entries(self, drive: Cia402Drive) -> list[tuple[str, ObjectReference]]:
@@ -115,16 +115,18 @@ class TorqueSignalReader:
 
 
 def current_object(profile: DriveProfile) -> ObjectReference:
-    """Current of a drive: what its profile names, else 0x6078."""
+    """Return the current object of a drive: the one of its profile, else 0x6078."""
     return _CURRENT if profile.current is None else profile.current.object
 
 
 def torque_signal_plan(node_id: int, entries: Sequence[ObjectReference]) -> PdoPlan:
-    """TPDO3 of a node with these objects."""
+    """Return the configuration of TPDO3 of a node with these objects."""
     return PdoPlan("TPDO3", TPDO_COMMUNICATION + 2, TPDO_MAPPING + 2, 0x380 + node_id, tuple(entries))
 
 
-def _keeper(layout: struct.Struct, lists: Sequence[list[int]]) -> Callable[[int, bytes | bytearray, float], None]:
+def _storing_handler(
+    layout: struct.Struct, lists: Sequence[list[int]]
+) -> Callable[[int, bytes | bytearray, float], None]:
     def keep(_can_id: int, data: bytes | bytearray, _time_s: float) -> None:
         if len(data) == layout.size and len(lists[0]) < _MOST:
             for values, value in zip(lists, layout.unpack(data), strict=True):

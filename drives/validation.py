@@ -28,13 +28,13 @@ Model = TypeVar("Model", bound=BaseModel)
 
 
 class Strict(BaseModel):
-    """A table of a file: frozen, no unknown key, no number that is none."""
+    """Base model of a TOML table: frozen, without unknown keys, all numbers finite."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 class Refused(ValueError):  # noqa: N818 - reads as what a validator does
-    """What the validator of a table has found.
+    """Problems that the validator of a table has found.
 
     Parameters
     ----------
@@ -48,14 +48,14 @@ class Refused(ValueError):  # noqa: N818 - reads as what a validator does
 
 
 def refuse(found: Sequence[tuple[KeyPath, str]]) -> None:
-    """Raise what was found, if anything was."""
+    """Raise the problems if there are any."""
     if found:
         raise Refused(*found)
 
 
 @dataclass(frozen=True, slots=True)
 class FileProblem:
-    """One thing that is wrong in a file; `line` from 1, 0 = no line; `what` includes the remedy."""
+    """One problem of a file; `line` counts from 1, 0 = no line; `what` includes the remedy."""
 
     path: KeyPath
     line: int
@@ -63,7 +63,7 @@ class FileProblem:
 
 
 class Unfit(ValueError):  # noqa: N818 - reads as what the file is
-    """A file that cannot be used, with all its problems in the order of their lines."""
+    """A file is not valid; holds all problems in the order of their lines."""
 
     def __init__(self, problems: Sequence[FileProblem]) -> None:
         self.problems = tuple(sorted(problems, key=lambda problem: problem.line))
@@ -94,7 +94,7 @@ class Unfit(ValueError):  # noqa: N818 - reads as what the file is
 
 
 def read_strict(text: str, model: type[Model]) -> Model:
-    """A file of one model from its TOML text.
+    """Parse and validate a TOML text against a model.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def read_strict(text: str, model: type[Model]) -> Model:
 
 
 def fitted(model: type[Model], values: dict[str, Any]) -> Model:
-    """A table from values that were typed, numbers as text too.
+    """Validate a table of typed-in values; numbers may be given as text.
 
     Raises
     ------
@@ -128,12 +128,12 @@ def fitted(model: type[Model], values: dict[str, Any]) -> Model:
 
 
 def _validated(model: type[Model], data: dict[str, Any]) -> Model:
-    """As JSON: there a list may stand for a tuple, and still neither a text nor a truth for a number."""
+    """Validate as JSON, which accepts a list for a tuple but no text or boolean for a number."""
     return model.model_validate_json(json.dumps(data, default=str), strict=True)
 
 
 def not_toml(text: str, error: tomllib.TOMLDecodeError) -> Unfit:
-    """The parser states the line in its message: `(at line 3, column 5)`, `(at end of document)`."""
+    """Return the problem of a text that is not TOML, with the line from the parser's message."""
     message = str(error)
     what, _, at = message.rpartition(" (at ")
     number = at.removeprefix("line ").partition(",")[0]
@@ -164,12 +164,12 @@ def _all(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -
 
 
 def _follows(path: KeyPath, touched: set[KeyPath]) -> bool:
-    """Whether a problem may come from what was put in: there, or of a whole table around it."""
+    """Return whether a problem may be caused by an inserted dummy value."""
     return any(path[: len(each)] == each or each[: len(path)] == path for each in touched)
 
 
 def _problems(model: type[BaseModel], data: dict[str, Any], error: ValidationError) -> Iterator[tuple[KeyPath, str]]:
-    """Path and words of each problem; several kinds that a value may have give one, of the kind that came furthest."""
+    """Return path and text of each problem; for a union, only the problem of the best matching member."""
     seen: set[KeyPath] = set()
     for detail in sorted(error.errors(include_url=False), key=lambda each: -len(each["loc"])):
         cause = detail.get("ctx", {}).get("error")

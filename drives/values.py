@@ -72,7 +72,7 @@ class DriveCommand:
 
 
 class DriveReading(NamedTuple):
-    """What one drive reported for one SYNC, raw and in SI, motor side.
+    """Reading of one drive at one SYNC, raw and in SI, motor side.
 
     A tuple, since one is made per axis and SYNC: it costs a quarter of a frozen dataclass.
 
@@ -104,7 +104,7 @@ class DriveReading(NamedTuple):
 
 
 class InstrumentReading(NamedTuple):
-    """What one measuring device reported for one SYNC.
+    """Reading of one measuring device at one SYNC.
 
     Attributes
     ----------

@@ -29,7 +29,11 @@ def main() -> None:
 @click.option("--fault", type=click.Path(path_type=Path), help="Fault scenario: [[fault]] kind, node, at_sync.")
 @click.option("--truth", type=click.Path(path_type=Path), help="Write the truth here at start.")
 @click.option("--pacing", type=click.Choice(PACINGS), help="Instead of the cell's: by SYNC, or in real time.")
-@click.option("--unbuffered", is_flag=True, help="In real time, take over each target when it arrives.")
+@click.option(
+    "--unbuffered",
+    is_flag=True,
+    help="In real time: apply each target on arrival instead of at the drive's own clock tick.",
+)
 def serve(
     cell: Path,
     bus: str | None,
@@ -62,7 +66,7 @@ def serve(
 @main.command(add_help_option=False, context_settings={"ignore_unknown_options": True})
 @click.argument("options", nargs=-1, type=click.UNPROCESSED)
 def demo(options: tuple[str, ...]) -> None:
-    """Commission a simulated cell that hides something: `servo-sim demo --out FOLDER`."""
+    """Commission a simulated cell with an undeclared effect: `servo-sim demo --out FOLDER`."""
     with _installed():
         from sim.demo import main as run
     run.main(list(options), prog_name="servo-sim demo")
@@ -70,7 +74,7 @@ def demo(options: tuple[str, ...]) -> None:
 
 @contextmanager
 def _installed() -> Generator[None]:
-    """End with what to type where a package of the extra `sim` is not installed."""
+    """Exit with the install command if a package of the extra `sim` is missing."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -34,7 +34,7 @@ MIX = {"clean": 0.52, "two": 0.14, "off": 0.08}
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What was built in: effects as the undeclared-effects file has them, and their strengths (inf for a mistake)."""
+    """Effects built into a blind cell, as in the undeclared-effects file, with their strengths (inf for a mistake)."""
 
     kind: str
     effects: tuple[Effect, ...]
@@ -53,7 +53,7 @@ class BlindCell:
     truth: Truth
 
     def measure(self, visits: Sequence[PlannedVisit], stream: int = 0) -> dict[str, NDArray[Any]]:
-        """Rows of a measured table of the given visits; `stream` makes the noise of later recordings differ."""
+        """Return the measured rows of pose visits; `stream` selects an independent noise sequence per recording."""
         rng = np.random.default_rng([self.seed, 7, stream])
         return measure(self.arm.chain, self.plant, visits, self.arm.loads, self.protocol, rng)
 

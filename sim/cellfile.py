@@ -1,4 +1,4 @@
-"""The cell file and the drive profiles as the simulator needs them.
+"""Reader of cell files and drive profiles for the simulator.
 
 A reader of its own: the simulated drives must not share a formula, nor a mistake, with the master. Only what is needed
 is checked here; the gateway is the strict reader of the same files.
@@ -30,12 +30,12 @@ OPTIONAL_CONSTANTS = ("rotor_inertia_kg_m2", "coulomb_nm", "viscous_nm_s_rad")
 
 
 class CellFileError(ValueError):
-    """A file the simulator cannot use: one paragraph, what, where, what to do."""
+    """A file is not usable for the simulator; the message states the place, the error and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
 class CellBus:
-    """A CAN bus as python-can names it, and the SYNC that runs on it.
+    """CAN bus in the notation of python-can, with SYNC period and pacing.
 
     `pacing` is "lockstep" (simulated time advances with each SYNC) or "real" (by the wall clock).
     """
@@ -50,7 +50,7 @@ class CellBus:
 
 @dataclass(frozen=True, slots=True)
 class AxisSpec:
-    """One axis of the cell file; `profile` is the parsed TOML of its drive profile."""
+    """Axis of the cell file; `profile` is the parsed TOML of its drive profile."""
 
     node_id: int
     profile: Table
@@ -70,7 +70,7 @@ class AxisSpec:
 
 @dataclass(frozen=True, slots=True)
 class ArmSpec:
-    """One arm: its chain, its axes, and its mounting in gravity.
+    """Arm of the cell file: kinematic chain, axes and mounting direction.
 
     `start_rad` is where an arm of a pair grips the part; `assumed_links` = masses and shapes are assumed. `base` (4, 4)
     is the base in the world, `flange` and `fingertip` (4, 4) are both in the frame of the last link [m].
@@ -91,7 +91,7 @@ class ArmSpec:
 
 @dataclass(frozen=True, slots=True)
 class CellSpec:
-    """The whole cell; `pair` is the table of two arms that hold one workpiece."""
+    """Content of a cell file; `pair` is the table of two arms that hold one workpiece."""
 
     name: str
     buses: Mapping[str, CellBus]
@@ -104,7 +104,7 @@ def read_toml(path: Path) -> Table:
 
     Raises
     ------
-    CellFileError : the file cannot be read or is no TOML
+    CellFileError : the file cannot be read or is not TOML
     """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
@@ -216,7 +216,7 @@ def _pose(entry: Table, name: str) -> Array:
 
 
 def _chain(entry: Table, name: str, path: Path) -> SimChain:
-    """Joints and links: of the URDF, or of the Denavit-Hartenberg rows with links of a stated shape."""
+    """Return the kinematic chain from the URDF, or from the Denavit-Hartenberg rows with assumed links."""
     if "robot" not in entry:
         if "dh" not in entry:
             raise CellFileError(f"{path}: arm '{name}' names no robot; give robot = \"FILE.urdf\" or [arm.dh].")
@@ -292,7 +292,7 @@ def read_payloads(path: Path) -> dict[str, Payload]:
             raise CellFileError(f"{where}: mass_kg must be positive, com_m three finite numbers.")
         if label in loads or label == "none":
             raise CellFileError(
-                f"{where}: label '{label}' is taken; every load needs its own, and none is the bare arm."
+                f"{where}: label '{label}' is already used; labels must be unique, and `none` is the unloaded arm."
             )
         loads[label] = Payload(label, mass, com, inertia)
     if not loads:
@@ -301,6 +301,6 @@ def read_payloads(path: Path) -> dict[str, Payload]:
 
 
 def compact_inertia(mass_kg: float) -> Array:
-    """Inertia (3, 3) [kg m2] of a ball of that mass and 2500 kg/m3: what a load has whose shape is not given."""
+    """Return the inertia (3, 3) [kg m2] of a solid sphere of 2500 kg/m3, assumed for a load of unknown shape."""
     radius = (max(mass_kg, 1e-9) / (PAYLOAD_DENSITY_KG_M3 * 4.0 / 3.0 * math.pi)) ** (1.0 / 3.0)
     return np.eye(3) * (0.4 * max(mass_kg, 1e-9) * radius**2)

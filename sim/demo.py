@@ -45,11 +45,13 @@ class Demo:
 @click.command()
 @click.option("--cell", type=click.Path(exists=True, path_type=Path), default=EXAMPLE / "cell.toml")
 @click.option("--payload", type=click.Path(exists=True, path_type=Path), default=EXAMPLE / "payload.toml")
-@click.option("--undeclared", type=click.Path(exists=True, path_type=Path), help="What is hidden [a balancer spring].")
-@click.option("--seed", type=click.IntRange(min=0), help="Draw what is hidden from this seed instead.")
+@click.option(
+    "--undeclared", type=click.Path(exists=True, path_type=Path), help="File of undeclared effects [a balancer spring]."
+)
+@click.option("--seed", type=click.IntRange(min=0), help="Draw the undeclared effects from this seed instead.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out/demo"), show_default=True)
 def main(cell: Path, payload: Path, undeclared: Path | None, seed: int | None, out: Path) -> None:
-    """Commission a simulated cell that hides something, from the first frame to the report."""
+    """Commission a simulated cell with an undeclared effect, from the first frame to the report."""
     if seed is None:
         undeclared = undeclared or EXAMPLE / "undeclared.toml"
     elif undeclared is not None:
@@ -58,7 +60,7 @@ def main(cell: Path, payload: Path, undeclared: Path | None, seed: int | None, o
 
 
 def run(demo: Demo) -> int:
-    """Run both programs; returns the exit code of the gateway."""
+    """Run simulator and gateway; return the exit code of the gateway."""
     demo.out.mkdir(parents=True, exist_ok=True)
     truth, bus, begun = demo.out / "truth.json", free_bus(), time.monotonic()
     options = ServeOptions(
@@ -129,7 +131,7 @@ def _add_truth(path: Path, truth: dict[str, Any]) -> None:
 
 
 def comparison(result: dict[str, Any]) -> list[str]:
-    """Lines of a table: truth, estimate, error, and the error in reported standard deviations."""
+    """Return the lines of a table: truth, estimate, error, and error divided by its standard uncertainty."""
     lines = [f"{'':16}{'truth':>10}{'estimate':>10}{'error':>9}{'std':>8}{'error/std':>11}"]
     known = {load["label"]: load for load in result["truth"]["loads"]}
     for load in result["loads"]:

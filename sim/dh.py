@@ -1,4 +1,4 @@
-"""An arm of Denavit-Hartenberg rows as a chain that can be simulated: joints from the rows, links of a stated shape.
+"""Kinematic chain with assumed link inertias from Denavit-Hartenberg rows.
 
 The rows contain no masses. Each link is assumed to be a solid cylinder from its joint to the next one, thick at the
 base and thin at the hand, as light as the axes can carry.
@@ -63,7 +63,7 @@ def chain_of_rows(table: Mapping[str, Any], name: str, flange_m: Sequence[float]
 
 
 def _standing(rows: Array, convention: str, name: str) -> tuple[list[Array], Array]:
-    """Frames (4, 4) of the links in the base at q = 0, and the joint axes (N, 3) in them."""
+    """Return the link frames (4, 4) in the base at q = 0, and the joint axes (N, 3) in these frames."""
     if convention == "modified":
         return list(_products(_craig(*row) for row in rows)), np.tile([0.0, 0.0, 1.0], (len(rows), 1))
     if convention != "standard":
@@ -85,7 +85,7 @@ def _products(steps: Iterable[Array]) -> Iterator[Array]:
 
 
 def _craig(alpha: float, a: float, d: float, theta: float) -> Array:
-    """Link transform of Craig, Introduction to Robotics, equation 3.6."""
+    """Return the modified Denavit-Hartenberg link transform (Craig, Introduction to Robotics, eq. 3.6)."""
     (ca, sa), (ct, st) = (math.cos(alpha), math.sin(alpha)), (math.cos(theta), math.sin(theta))
     return np.array(
         [[ct, -st, 0, a], [st * ca, ct * ca, -sa, -sa * d], [st * sa, ct * sa, ca, ca * d], [0, 0, 0, 1]], dtype=float
@@ -93,7 +93,7 @@ def _craig(alpha: float, a: float, d: float, theta: float) -> Array:
 
 
 def _paul(alpha: float, a: float, d: float, theta: float) -> Array:
-    """Link transform of Denavit and Hartenberg as Paul writes it, Robot Manipulators, equation 2.32."""
+    """Return the standard Denavit-Hartenberg link transform (Paul, Robot Manipulators, eq. 2.32)."""
     (ca, sa), (ct, st) = (math.cos(alpha), math.sin(alpha)), (math.cos(theta), math.sin(theta))
     return np.array(
         [[ct, -st * ca, st * sa, a * ct], [st, ct * ca, -ct * sa, a * st], [0, sa, ca, d], [0, 0, 0, 1]], dtype=float
@@ -101,7 +101,7 @@ def _paul(alpha: float, a: float, d: float, theta: float) -> Array:
 
 
 def _links(placement: Array, flange_m: Array, torque_nm: Array) -> tuple[SimBody, ...]:
-    """Cylinders from joint to joint, no heavier than the torque limits allow in any posture."""
+    """Return cylindrical links between the joints, light enough for the torque limits in any posture."""
     steps = [*placement[1:, :3, 3], flange_m]
     length = max(sum(float(np.linalg.norm(step)) for step in steps), LEAST_LENGTH_M)
     if not flange_m.any():
@@ -113,7 +113,7 @@ def _links(placement: Array, flange_m: Array, torque_nm: Array) -> tuple[SimBody
 
 
 def _cylinder(step: Array, radius: float) -> SimBody:
-    """Solid cylinder along a step [m] from the origin, no shorter than thick."""
+    """Return a solid cylinder from the origin along a vector [m], at least as long as its diameter."""
     length = max(float(np.linalg.norm(step)), 2.0 * radius)
     along = step / np.linalg.norm(step) if step.any() else np.array([0.0, 0.0, 1.0])
     mass = DENSITY_KG_M3 * math.pi * radius**2 * length
@@ -123,7 +123,7 @@ def _cylinder(step: Array, radius: float) -> SimBody:
 
 
 def _heaviest_share(bodies: Sequence[SimBody], steps: Sequence[Array], torque_nm: Array) -> float:
-    """Largest share of a torque limit that the links can take, all stretched out level behind the joint."""
+    """Return the largest share of a torque limit that the links need, stretched out horizontally from the joint."""
     share = 0.0
     for joint, limit in enumerate(torque_nm):
         moment, way = 0.0, 0.0

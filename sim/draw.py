@@ -1,4 +1,4 @@
-"""Draw an arm from a seed: geometry, true inertials, the URDF its owner has, friction, drives, loads.
+"""Random arms from a seed: geometry, true inertials, a URDF with errors, friction, drives and loads.
 
 Arms from the 10 kg to the 200 kg class, with a spherical wrist or with the offset wrist of light arms. The URDF that is
 handed over carries inertials that are wrong by a few percent, as CAD is.
@@ -29,7 +29,7 @@ LOADED_S = POSES * VISIT_S + CHANGE_S
 
 @dataclass(frozen=True, slots=True)
 class DrawnArm:
-    """One arm: its true parameters, and those stated by its owner.
+    """Random arm: its true parameters, and the parameters stated in its URDF.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def draw_arm(rng: np.random.Generator) -> DrawnArm:
 
 
 def prior_std(chain: SimChain) -> Array:
-    """Standard deviation (24,) of CAD inertials: 5 % of every mass, and of mass x link length for the first moment."""
+    """Return the standard deviation (24,) of CAD inertials: 5 % of each mass, and of mass x length for moments."""
     std = np.zeros(24)
     for link in range(6):
         body = chain.bodies[link]
@@ -149,7 +149,7 @@ def _stated(chain: SimChain, std: Array, rng: np.random.Generator) -> str:
 
 
 def arm_geometry(payload_kg: float, rng: np.random.Generator) -> SimChain:
-    """Chain of an arm for loads up to `payload_kg`, with a spherical wrist or the offset wrist of light arms."""
+    """Return the chain of an arm for loads up to `payload_kg`, with a spherical wrist or an offset wrist."""
     size = (payload_kg / 165.0) ** 0.3
     total = payload_kg * float(rng.uniform(4.0, 7.0))
     spherical = rng.random() < 0.6
@@ -191,7 +191,7 @@ def arm_geometry(payload_kg: float, rng: np.random.Generator) -> SimChain:
 
 
 def draw_load(label: str, payload_kg: float, rng: np.random.Generator) -> Payload:
-    """A load of 30 to 100 % of what the arm may carry, its centre of gravity within the reach of such a tool."""
+    """Draw a load of 30 to 100 % of the arm's capacity, with the centre of gravity of a typical tool."""
     mass = payload_kg * float(rng.uniform(0.3, 1.0))
     reach = 0.25 * (payload_kg / 165.0) ** 0.3
     com = reach * rng.uniform(-1.0, 1.0, 3)
@@ -199,7 +199,7 @@ def draw_load(label: str, payload_kg: float, rng: np.random.Generator) -> Payloa
 
 
 def rated_torque_nm(chain: SimChain, masses: Array, coms: Array, load: Payload, rng: np.random.Generator) -> Array:
-    """Rated torque per axis (N,): the largest static torque over the joint space with the load, and margin."""
+    """Return the rated torque (N,) [Nm]: the largest static torque over the joint space with the load, plus margin."""
     axes = len(masses)
     plant = nominal_plant(masses, coms, np.tile(np.eye(3), (axes, 1, 1)), payload=load)
     q = rng.uniform(chain.lower_rad, chain.upper_rad, (60, axes))
@@ -218,7 +218,7 @@ def choose_poses(arm: DrawnArm, count: int, rng: np.random.Generator) -> Array:
 def informative_poses(
     chain: SimChain, floor_nm: Array, prior_std: Array, count: int, rng: np.random.Generator
 ) -> Array:
-    """Greedy D-optimal poses (count, 6) among random ones, for links known to `prior_std` (24,) at a floor (6,)."""
+    """Return greedy D-optimal poses (count, 6) for links known to `prior_std` (24,) and a noise floor (6,)."""
     q = rng.uniform(0.95 * chain.lower_rad, 0.95 * chain.upper_rad, (80, 6))
     columns = gravity_columns(chain, q, GRAVITY) / floor_nm[:, None]
     scaled = columns * prior_std

@@ -1,4 +1,4 @@
-"""How blind cells draw an effect: its place and shape at random, and a size that is scaled to the strength wanted."""
+"""Random effects of blind cells: joint and shape are drawn; the size is scaled to the required strength."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def _joint(rng: np.random.Generator, first: int = 1, last: int = 6) -> int:
 
 
 def _effort(arm: DrawnArm, joint: int) -> float:
-    """Rated torque of one axis, from the resolution of its reading [Nm]."""
+    """Return the rated torque of one axis, derived from the resolution of its reading [Nm]."""
     return float(arm.protocol.resolution_nm[joint - 1] * 1e3)
 
 

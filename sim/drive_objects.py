@@ -23,7 +23,7 @@ FOLLOWING_WINDOW_RAD = 0.15
 
 
 class DescribedDrive(Protocol):
-    """What the objects of a drive read and write: the functions are named where an object takes them."""
+    """Interface of a drive used by its object dictionary: values read and written by the objects."""
 
     node_id: int
     serial: int
@@ -72,7 +72,7 @@ def _one_of(*allowed: int):
 
 
 def fill(drive: DescribedDrive) -> None:
-    """Register all objects of a drive but those of its PDOs and of the network management."""
+    """Register all objects of a drive except those of PDOs and network management."""
     _device(drive)
     _state_objects(drive)
     _motion_objects(drive)
@@ -81,7 +81,7 @@ def fill(drive: DescribedDrive) -> None:
 
 
 def _temperature(drive: DescribedDrive) -> None:
-    """Where the profile says that the drive has it."""
+    """Register the temperature object if the profile names one."""
     stated = drive.spec.profile.get("temperature")
     if stated is None:
         return

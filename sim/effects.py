@@ -33,7 +33,7 @@ from sim.urdf import MOST_AXES
 
 
 def static_friction(request: Request) -> Transform:
-    """The gear sticks by `bias_nm` against the approach direction, on top of what it has: dry friction at rest."""
+    """Add dry friction at rest: `bias_nm` against the approach direction."""
     axis, bias = request.axis(), request.number("bias_nm")
 
     def apply(plant: Plant) -> Plant:
@@ -47,13 +47,13 @@ def static_friction(request: Request) -> Transform:
 
 
 def load_dependent_friction(request: Request) -> Transform:
-    """Gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
+    """Add gear losses in proportion to the transmitted torque (Hamon, Gautier, Garrec 2010)."""
     axis, nu = request.axis(), request.number("coefficient")
     return lambda plant: replace(plant, load_friction=changed(plant.load_friction, axis, lambda value: value + nu))
 
 
 def velocity_friction(request: Request) -> Transform:
-    """Coulomb and viscous friction in motion."""
+    """Add Coulomb and viscous friction in motion."""
     axis = request.axis()
     coulomb, viscous = request.number("coulomb_nm", 0.0), request.number("viscous_nm_s_rad", 0.0)
     return lambda plant: replace(
@@ -67,7 +67,7 @@ def velocity_friction(request: Request) -> Transform:
 
 
 def base_tilt(request: Request) -> Transform:
-    """The base is turned by the rotation vector (tilt_x, tilt_y, 0); gravity turns back in the base's frame."""
+    """Tilt the base by the rotation vector (tilt_x, tilt_y, 0), which rotates gravity in the base frame."""
     vector = np.array([request.number("tilt_x_rad", 0.0), request.number("tilt_y_rad", 0.0), 0.0])
 
     def apply(plant: Plant) -> Plant:
@@ -85,7 +85,7 @@ def joint_zero_offset(request: Request) -> Transform:
 
 
 def joint_elasticity(request: Request) -> Transform:
-    """The gear winds up under the torque it transmits."""
+    """Add gear elasticity: the gear twists under the transmitted torque."""
     axis, compliance = request.axis(), request.number("compliance_rad_nm")
     return lambda plant: replace(
         plant, compliance_rad_nm=changed(plant.compliance_rad_nm, axis, lambda value: value + compliance)
@@ -126,7 +126,7 @@ def balancer_spring(request: Request) -> Transform:
 
 
 def cable_torque(request: Request) -> Transform:
-    """A dress pack wound up by one wrist axis: `-stiffness (q - neutral)`, or its sine with `shape = "harmonic"`."""
+    """Add the torque of a dress pack on one wrist axis: `-stiffness (q - neutral)`, or its sine ("harmonic")."""
     axis, stiffness = request.axis(), request.number("stiffness_nm_rad")
     neutral, harmonic = request.number("neutral_rad", 0.0), request.parameters.get("shape", "linear") == "harmonic"
 
@@ -156,7 +156,7 @@ def link_mass(request: Request) -> Transform:
 
 
 def payload_shift(request: Request) -> Transform:
-    """The load's centre of gravity jumps by `shift_m` at `time_s` (or drifts there over `duration_s`)."""
+    """Shift the load's centre of gravity by `shift_m` at `time_s`, or gradually over `duration_s`."""
     shift = request.vector("shift_m", (0.0, 0.0, 0.0))
     start, duration = request.number("time_s"), request.number("duration_s", 0.0)
 
@@ -191,7 +191,7 @@ LIBRARY: dict[str, Callable[[Request], Transform]] = {
 
 
 def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | None = None) -> Transform:
-    """The function that builds one effect into a plant.
+    """Return the function that applies one effect to a plant.
 
     Parameters
     ----------
@@ -222,12 +222,12 @@ def effect_from_dict(effect: Mapping[str, object], jacobian: PointJacobian | Non
     build = LIBRARY.get(name) or OFF_LIBRARY.get(name)
     if build is None:
         known = ", ".join([*LIBRARY, *OFF_LIBRARY, *OFF_LIBRARY_WITH_GEOMETRY])
-        raise EffectError(f"unknown effect {name!r}; known are {known}")
+        raise EffectError(f"unknown effect {name!r} (allowed: {known})")
     return _within(request, build(request))
 
 
 def _within(request: Request, transform: Transform) -> Transform:
-    """The same, refused by an arm that has not such a joint."""
+    """Wrap an effect so that it is refused for an arm without the named joints."""
 
     def apply(plant: Plant) -> Plant:
         if max(request.joints, default=1) > plant.axes:
@@ -240,7 +240,7 @@ def _within(request: Request, transform: Transform) -> Transform:
 def apply_effects(
     plant: Plant, effects: Sequence[Mapping[str, object]], jacobian: PointJacobian | None = None
 ) -> Plant:
-    """Build effects into a plant, in the order given; drifts last, because they scale what is there by then."""
+    """Apply effects to a plant in order; drifts last, because they scale the values set by the others."""
     for effect in sorted(effects, key=lambda effect: effect.get("name") == "thermal_drift"):
         plant = effect_from_dict(effect, jacobian)(plant)
     return plant

@@ -1,4 +1,4 @@
-"""PyBullet without what it writes to the program's own output."""
+"""PyBullet physics engine, with its console output suppressed."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ NUDGES, NUDGE = 12, 1e-11
 
 @contextmanager
 def unsaid_if_raised() -> Generator[None]:
-    """Keep back what the engine prints in the block, and drop it where the block raises."""
+    """Buffer the engine's console output during the block, and discard it if the block raises."""
     kept = os.dup(1)
     with tempfile.TemporaryFile() as said:
         os.dup2(said.fileno(), 1)
@@ -47,7 +47,7 @@ def unsaid_if_raised() -> Generator[None]:
 
 
 def load_arm(text: str, client: int) -> int:
-    """Body of an arm of a URDF, bolted down, without any damping; inertias as the file has them."""
+    """Load an arm from a URDF with fixed base, without damping and with the inertias of the file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "arm.urdf"
         path.write_text(text, encoding="utf-8")
@@ -59,7 +59,7 @@ def load_arm(text: str, client: int) -> int:
 
 
 def usable(body: int, q_rad: list[float], client: int) -> bool:
-    """Whether the engine can do inverse dynamics with an arm; what it prints if not is dropped."""
+    """Return whether the engine can compute inverse dynamics of an arm; its console output is discarded."""
     try:
         with unsaid_if_raised():
             bullet.calculateMassMatrix(body, q_rad, physicsClientId=client)

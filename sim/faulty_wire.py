@@ -1,4 +1,4 @@
-"""An adapter that loses, delays, repeats and invents frames between the simulated drives and their bus.
+"""CAN adapter with fault injection: loses, delays, repeats and generates frames between the drives and their bus.
 
 It replaces the drives' python-can bus: their frames pass `send` and `recv`. Time is counted in SYNC frames; only
 delayed answers are delayed in seconds. Faults inside a drive are passed to the drive.
@@ -66,7 +66,7 @@ class FaultyWire:
     # -- scenario ----------------------------------------------------------------------------------------------------
 
     def arm(self, fault: Fault) -> None:
-        """Let a fault happen; one whose SYNC has passed begins now."""
+        """Schedule a fault; if its SYNC has passed, it starts now."""
         with self._lock:
             fault = replace(fault, at_sync=max(fault.at_sync, self.sync))
             armed = Armed(fault, fault.count, random.Random(fault.seed))
@@ -75,7 +75,7 @@ class FaultyWire:
                 self._start(armed)
 
     def arm_in(self, fault: Fault, syncs: int) -> Fault:
-        """Let a fault happen after so many more SYNCs."""
+        """Schedule a fault a number of SYNCs from now."""
         with self._lock:
             later = replace(fault, at_sync=self.sync + max(syncs, 1))
             self.arm(later)
@@ -116,7 +116,7 @@ class FaultyWire:
                 self._put(frame)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Next frame that reaches the drives; delayed frames are sent when they are due."""
+        """Return the next frame for the drives; delayed frames are sent when they are due."""
         end = None if timeout is None else time.monotonic() + timeout
         while True:
             self._flush()
@@ -158,7 +158,7 @@ class FaultyWire:
                 self._put(self._due.pop(0)[1])
 
     def later(self, frame: can.Message, delay_s: float) -> None:
-        """Send the frame after a real time."""
+        """Send the frame after a delay in real time."""
         self._at(frame, time.monotonic() + delay_s)
 
     def _at(self, frame: can.Message, due_s: float) -> None:
@@ -183,7 +183,7 @@ class FaultyWire:
 
     @property
     def answers_per_sync(self) -> int:
-        """TPDOs that answered the last SYNC."""
+        """Return the number of TPDOs that followed the last SYNC."""
         return self._answers[1]
 
     # -- towards the drives ------------------------------------------------------------------------------------------

@@ -23,7 +23,7 @@ CRAWL_RAD_S = 2e-4
 
 
 class JointFriction:
-    """Losses of one joint and whether it is stuck.
+    """Friction of one joint, with its stick-slip state.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class JointFriction:
         self._middle, self._spread = 1.0, 0.0
 
     def set_efficiency(self, efficiency: float) -> None:
-        """Take over a gear efficiency in (0, 1]."""
+        """Set a gear efficiency in (0, 1]."""
         self._middle = 0.5 * (1.0 / efficiency + efficiency)
         self._spread = 0.5 * (1.0 / efficiency - efficiency)
 

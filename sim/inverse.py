@@ -1,4 +1,4 @@
-"""Torque that the joints of a moving arm need: rigid bodies alone, by PyBullet's inverse dynamics."""
+"""Rigid-body inverse dynamics of an arm by PyBullet."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class InverseDynamics:
         raise UrdfError("PyBullet refuses the inertias of the arm")
 
     def torque_nm(self, q_rad: Array, qd_rad_s: Array, qdd_rad_s2: Array) -> Array:
-        """Torque (n, N) of the joints for states (n, N): gravity, inertia, Coriolis; no rotors, no friction."""
+        """Return joint torques (n, N) [Nm] for states (n, N): gravity, inertia, Coriolis; no rotors, no friction."""
         states = zip(q_rad.tolist(), qd_rad_s.tolist(), qdd_rad_s2.tolist(), strict=True)
         body, client, torque = self._body, self._client, bullet.calculateInverseDynamics
         return np.array([torque(body, q, qd, qdd, physicsClientId=client) for q, qd, qdd in states])
@@ -49,7 +49,7 @@ class InverseDynamics:
             self._client = -1
 
     def __enter__(self) -> InverseDynamics:
-        """Nothing more is needed."""
+        """Return this object as context manager."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:

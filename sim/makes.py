@@ -22,13 +22,13 @@ RESOLUTION = 131072
 
 
 def as_its_make_counts(name: str, axis: AxisSpec, units: DriveUnits) -> DriveUnits:
-    """Units of a drive by its make, where that is known; else as they are."""
+    """Return the scaling of a known make of drive, else the given scaling."""
     make = MAKES.get(name)
     return units if make is None else make(axis, units)
 
 
 def _permille_of_torque(units: DriveUnits, shown: int, nm_per_bit: float) -> DriveUnits:
-    """A drive whose 0x6077, 0x6071 and 0x60B2 are per mille of a 0x6076 that it shows."""
+    """Return the scaling of a drive whose 0x6077, 0x6071 and 0x60B2 are per mille of its 0x6076."""
     bits = 1000.0 / (shown * nm_per_bit)
     return replace(
         units,
@@ -110,7 +110,7 @@ SUPPORTED_MODES = {"pilz-prbt": 0x43}
 
 
 def as_made(profile: Mapping[str, Any]) -> Quirks:
-    """In what a new drive of a profile differs from one that has everything."""
+    """Return the quirks that a drive of a profile has by design, such as objects without data."""
     name = str(profile.get("name"))
     modes = SUPPORTED_MODES.get(name)
     return Quirks(without_data=LACKING.get(name, frozenset()), values={} if modes is None else {(0x6502, 0): modes})

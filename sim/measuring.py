@@ -1,4 +1,4 @@
-"""A simulated CANopen measuring device: written from CiA 301 and CiA 404, speaking on the wire.
+"""Simulated CANopen measuring device after CiA 301 and CiA 404, which exchanges CAN frames with the master.
 
 Process values stand at one object, a channel per subindex, with unit (0x6131, coded as CiA 303-2 says), decimal digits
 (0x6132) and status (0x6150: bit 0 not valid, bit 1 above, bit 2 below the measuring range). They are sampled at the
@@ -103,7 +103,7 @@ class FakeMeasuringDevice:
                 store.live((site.status_index, sub), "u8", lambda channel=channel: self._status[channel])
 
     def _preset(self) -> None:
-        """Power-on maps: nothing is sent until a master has switched a TPDO on."""
+        """Set the default PDO mapping, with all TPDOs invalid until a master enables one."""
         for n, tpdo in enumerate(self.tpdos):
             tpdo.cob_id = (0x180 + 0x100 * n + self.node_id) | DISABLED
             tpdo.preset([(self.site.index, self.site.subindices[0])], 255)
@@ -114,7 +114,7 @@ class FakeMeasuringDevice:
             self._sync_count = 0
 
     def sync(self) -> None:
-        """SYNC: sample, then send what is mapped to it."""
+        """Process a SYNC: sample the channels, then send the synchronous TPDOs."""
         if self.node.state != OPERATIONAL or self.node.unpowered:
             return
         self._sync_count += 1
@@ -134,12 +134,12 @@ class FakeMeasuringDevice:
             self._status[channel] = (NOT_VALID if out or not known else 0) | out
 
     def transmit(self, tpdo: Pdo) -> None:
-        """Put one TPDO on the bus."""
+        """Send one TPDO."""
         self._send(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
 
 
 def _unit(lsb_m: float) -> tuple[int, int] | None:
-    """Unit code and decimal digits of a power of ten; a device with another resolution states none."""
+    """Return unit code and decimal digits of a resolution that is a power of ten; None for any other."""
     exponent = round(math.log10(lsb_m))
     if not math.isclose(10.0**exponent, lsb_m, rel_tol=1e-9) or exponent > 0:
         return None

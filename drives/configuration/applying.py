@@ -149,7 +149,7 @@ def require_at_rest(accesses: Sequence[ObjectAccess]) -> None:
         check_at_rest(access)
 
 
-def write_all(work: Sequence[NodeWrites], tell: Callable[[int, Step], None] = lambda _node, _step: None) -> None:
+def write_all(work: Sequence[NodeWrites], notify: Callable[[int, Step], None] = lambda _node, _step: None) -> None:
     """Write to several drives; at the first failure everything that was written is put back.
 
     The drives are taken to PRE-OPERATIONAL, where records of PDOs may be written. Once all is written, the values are
@@ -175,7 +175,7 @@ def write_all(work: Sequence[NodeWrites], tell: Callable[[int, Step], None] = la
             for step in each.steps:
                 old.setdefault((step.index, step.subindex), held[step.index, step.subindex])
                 access.write_step(step)
-                tell(access.node_id, step)
+                notify(access.node_id, step)
     except BaseException as error:
         left = [name for access, old, noted in reversed(done) for name in access.undo(old, noted)]
         error.add_note(

@@ -212,8 +212,8 @@ def read_dcf(path: Path, node_id: int) -> NodeConfiguration:
     values = _values(sheet, node_id, "value", problems)
     problems += [what for _, _, what in beyond_limits(sheet, values, node_id)]
     if problems:
-        told = [f"{path}: {problem}" for problem in problems[:_MOST]]
-        raise ConfigurationFileError.of(told, advice="correct the file, or dump it again")
+        texts = [f"{path}: {problem}" for problem in problems[:_MOST]]
+        raise ConfigurationFileError.of(texts, advice="correct the file, or dump it again")
     if not values:
         what = f"{path}: no object has a value (ParameterValue): there is nothing to compare or to write"
         raise ConfigurationFileError(what, advice=_WRONG_FILE)

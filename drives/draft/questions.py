@@ -18,15 +18,15 @@ COUNTS: Final = ((0x608F, 1), (0x608F, 2))
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """One question.
+    """Question to the engineer about a constant that the EDS does not determine.
 
     Attributes
     ----------
     key : str
-        Of the answer file.
+        Key in the answer file.
     asks : str
     ways : tuple of str
-        How to find out.
+        Methods to find the answer.
     """
 
     key: str

@@ -196,12 +196,12 @@ def _rated(device: Device, answers: ProfileAnswers, source: str) -> list[str]:
 
 def _velocity(device: Device, answers: ProfileAnswers) -> str:
     kind = device.type_of(0x606C)
-    told = velocity_unit_rad_s(device)
+    unit = velocity_unit_rad_s(device)
     if answers.velocity_unit_rad_s is not None:
-        told = answers.velocity_unit_rad_s, answers.velocity_source or "assumed, answered without a source"
-    if kind is None or told is None:
+        unit = answers.velocity_unit_rad_s, answers.velocity_source or "assumed, answered without a source"
+    if kind is None or unit is None:
         return "# No [velocity]: the unit of 0x606C is not known.\n"
-    lines = ("[velocity]", f"object = {_object((0x606C, 0), kind)}", f"unit_rad_s = {_constant(*told)}")
+    lines = ("[velocity]", f"object = {_object((0x606C, 0), kind)}", f"unit_rad_s = {_constant(*unit)}")
     return "\n".join(lines) + "\n"
 
 
@@ -220,9 +220,9 @@ def _counts(device: Device, answers: ProfileAnswers) -> tuple[str, ...]:
     if answers.counts_per_revolution is not None:
         source = answers.position_source or answers.torque_source or "assumed, answered without a source"
         return (f"counts_per_revolution = {_constant(answers.counts_per_revolution, source)}",)
-    whole, per = device.type_of(*COUNTS[0]), device.type_of(*COUNTS[1])
-    if whole is not None:
-        named = f"object = {_object(COUNTS[0], whole)}" + ("" if per is None else f", per = {_object(COUNTS[1], per)}")
+    counts, per = device.type_of(*COUNTS[0]), device.type_of(*COUNTS[1])
+    if counts is not None:
+        named = f"object = {_object(COUNTS[0], counts)}" + ("" if per is None else f", per = {_object(COUNTS[1], per)}")
         note = "# Read from the drive each time; `check` fails where 0x6091 or 0x6092 scale the position once more."
         return note, f"counts_per_revolution = {{ {named} }}"
     return (f"counts_per_revolution = {_constant(COUNTS_ASSUMED, 'assumed, not answered: counts_per_revolution')}",)

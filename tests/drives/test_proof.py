@@ -264,9 +264,7 @@ def test_an_axis_that_was_tried_is_held_by_its_drive_again(group, slaves):
         group.hold()
 
 
-@pytest.mark.parametrize(
-    ("broken", "says"), [("fault", "cannot hold its axis again"), ("switched on", "is not enabled")]
-)
+@pytest.mark.parametrize(("broken", "says"), [("fault", "cannot be enabled again"), ("switched on", "is not enabled")])
 def test_a_drive_that_does_not_hold_its_axis_again_stops_all(group, slaves, broken, says):
     slaves[1].moves_in = {"switched on": [-300] * 10}
     plain = slaves[1]._control
