@@ -296,7 +296,7 @@ RESULTS: list[tuple[str, Sequence[str], int, str, Make]] = [
         "a load that was refused",
         EXPORT,
         6,
-        "no mass to hand over: its rows contra",
+        "no mass to export: its rows contra",
         result(mass_kg=None, refused="its rows contra"),
     ),
     ("a load of 0 kg", EXPORT, 6, "a mass of 0 kg: no load weighs that", result(mass_kg=0.0)),

@@ -1,1 +1,1 @@
-"""What leaves the house: results and controller formats."""
+"""Result files and their exports: values of a result, certificates, controller formats, acceptance."""

@@ -34,7 +34,7 @@ QUANTITIES: Final = {"mass": "kg", "reach": "m", "moment": "Nm"}
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Expected mass [kg] of a load, and its tolerance [kg]."""
+    """Expected mass [kg] of a load, with its tolerance [kg]."""
 
     label: str
     mass_kg: float
@@ -43,7 +43,7 @@ class Expected:
 
 @dataclass(frozen=True, slots=True)
 class Rating:
-    """A rating of the arm: `what` is a key of `QUANTITIES`, `most` the number in its unit, `source` its origin."""
+    """Rated limit of the arm: `what` is a key of `QUANTITIES`, `most` the limit in its unit, `source` its origin."""
 
     what: str
     most: float
@@ -51,7 +51,7 @@ class Rating:
 
 
 def parse_expected(text: str) -> Expected:
-    """`LABEL=MASS,TOLERANCE` as a value.
+    """Parse the option value `LABEL=MASS,TOLERANCE`.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def parse_expected(text: str) -> Expected:
 
 
 def check_expected(expected: Sequence[Expected], labels: Iterable[str]) -> None:
-    """Check that every expectation names an estimated load, and each load at most once.
+    """Check that every expected mass is of an estimated load, and that each load has at most one.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def check_expected(expected: Sequence[Expected], labels: Iterable[str]) -> None:
 
 
 def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rating]) -> Result:
-    """Add to a result the comparison of its loads with the expected masses and the ratings, with its findings.
+    """Return the result with the comparison of its loads with expected masses and ratings, and the findings.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def accepted(result: Result, expected: Sequence[Expected], ratings: Sequence[Rat
 
 
 def outcome_of(off: float, half: float, allowed: float) -> Outcome:
-    """Outcome for a deviation `off` with half interval `half`, where `allowed` is the tolerance."""
+    """Return the outcome of a deviation `off` with 95 % half width `half` for the tolerance `allowed`."""
     if off + half <= allowed:
         return PASS
     return FAIL if off - half > allowed else CANNOT_TELL
@@ -138,7 +138,9 @@ def _as_rated(load: LoadResult, rated: Rating, value: float, std: float) -> Acce
 
 
 def _quantity(result: Result, load: LoadResult, what: str) -> tuple[float, float]:
-    """Value and standard deviation of a rated quantity; NaN where the centre is not known in the flange frame."""
+    """Return value and standard deviation of a rated quantity; NaN if the centre of gravity in the flange frame is
+    unknown.
+    """
     if what == "mass":
         return load.mass_kg, load.mass_std_kg
     spread = None if result.data is None else result.data.flange.get(load.label)
@@ -157,42 +159,42 @@ def _quantity(result: Result, load: LoadResult, what: str) -> tuple[float, float
 
 
 def _std(slope: Floats, covariance: Floats) -> float:
-    """Standard deviation of a quantity with gradient `slope` (4,) and covariance (4, 4)."""
+    """Return the standard deviation of a quantity with gradient `slope` (4,) and covariance (4, 4)."""
     return float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
 
 
 def asked_for(row: Acceptance) -> str:
-    """Text of the allowed value."""
+    """Return the text of the allowed value."""
     if math.isfinite(row.most):
         return f"at most {significant(row.most, 6)} {row.unit} ({row.source})"
     return f"{significant(row.expected, 6)} {row.unit}, tolerance {significant(row.tolerance, 6)} {row.unit}"
 
 
 def measured(row: Acceptance) -> str:
-    """Text of the measured value with its interval."""
+    """Return the text of the measured value with its interval."""
     if not math.isfinite(row.value):
         return "unknown"
     return f"{interval_text(row.value, row.half_width)} {row.unit}"
 
 
 def acceptance_findings(rows: Iterable[Acceptance]) -> tuple[Finding, ...]:
-    """A failing finding for every row that did not pass."""
+    """Return a failing finding for every comparison that did not pass."""
     return tuple(_finding(row) for row in rows if row.outcome != PASS)
 
 
 def _finding(row: Acceptance) -> Finding:
     said = f"{row.what} {measured(row)} ({SAID}), allowed: {asked_for(row)}: {IN_WORDS[row.outcome]}"
     if row.outcome == FAIL:
-        advice = "see what hangs there and how it is fastened; nothing is the matter with the data"
+        advice = "check the mounted load and its fastening; the data are valid"
     elif not math.isfinite(row.value):
         advice = "the data give no such number: see what is said of this load, and measure what `next` names"
     else:
-        advice = "measure more poses, or know the torque constants better: the interval is too wide for an answer"
+        advice = "the interval is too wide for a decision: measure more poses, or calibrate the torque constants"
     return Finding("fail", f"load {row.load}", said, advice)
 
 
 def no_body(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
-    """A failing finding for every load with a negative mass whose whole interval is below 0."""
+    """Return a failing finding for every load whose mass is significantly negative."""
     return tuple(
         Finding(
             "fail",
@@ -206,7 +208,7 @@ def no_body(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
 
 
 def not_hung(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
-    """A failing finding for every load whose mass interval holds 0: it was announced, is it mounted?"""
+    """Return a failing finding for every load whose mass interval contains 0: it may not be mounted."""
     return tuple(
         Finding(
             "fail",
@@ -220,6 +222,6 @@ def not_hung(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
 
 
 def open_findings(result: Result) -> frozenset[Finding]:
-    """Failing findings that report missing information, not an error: shown in amber, not in red."""
+    """Return the failing findings caused by missing information, not by an error; pages show them in amber."""
     doubts = (row for row in result.acceptance if row.outcome == CANNOT_TELL)
     return frozenset((*not_hung(result.loads), *acceptance_findings(doubts)))

@@ -1,4 +1,4 @@
-"""The content of a load certificate: values with expanded uncertainty, budget by source, traceability, equipment.
+"""Content of a load certificate: values with expanded uncertainty, uncertainty budget, traceability, equipment.
 
 Expanded uncertainty U = k u (JCGM 100, 6.2): u is the standard deviation of the result file, k the two-sided 95 %
 quantile of the normal distribution; a standard deviation from few readings is already widened by Student's quantile.
@@ -28,7 +28,7 @@ EVALUATIONS: Final[Mapping[str, tuple[str, str]]] = {
     "friction": ("friction", "B"),
     "drift": ("drift of the torque readings", "B"),
     "zeros": ("zero errors of the joints", "B"),
-    "cable": ("hose or cable of the load, and friction that it makes uneven", "B"),
+    "cable": ("hose or cable of the load, and direction-dependent friction caused by it", "B"),
     "noise": ("noise", "A"),
 }
 #: What the provenance of a torque constant from `calibrate` starts with: date, load, mass.
@@ -48,7 +48,7 @@ class CertifiedQuantity:
 
 @dataclass(frozen=True, slots=True)
 class BudgetLine:
-    """One source of the uncertainty of a mass: standard uncertainty [kg], share of the variance, type A or B."""
+    """One uncertainty source of a mass: standard uncertainty [kg], share of the variance, evaluation type A or B."""
 
     source: str
     evaluation: str
@@ -58,7 +58,7 @@ class BudgetLine:
 
 @dataclass(frozen=True, slots=True)
 class CertifiedLoad:
-    """One load; `refused` says why nothing is certified, empty where something is."""
+    """Certified values of one load; `refused` is the reason if nothing is certified."""
 
     label: str
     frame: str
@@ -70,7 +70,7 @@ class CertifiedLoad:
 
 @dataclass(frozen=True, slots=True)
 class Traceability:
-    """Whether torque constants were measured with a weighed mass, and the statement on it."""
+    """Whether the torque constants were measured with a weighed mass, and a statement on it."""
 
     is_traceable: bool
     statement: str
@@ -78,7 +78,7 @@ class Traceability:
 
 @dataclass(frozen=True, slots=True)
 class Certificate:
-    """What a certificate states of a result; `temperatures` are axis, lowest and highest [deg C]."""
+    """Content of a certificate; `temperatures` are axis, lowest and highest temperature [deg C]."""
 
     loads: tuple[CertifiedLoad, ...]
     traceability: Traceability
@@ -86,12 +86,12 @@ class Certificate:
 
     @property
     def refused(self) -> tuple[CertifiedLoad, ...]:
-        """Loads of which nothing is certified."""
+        """Return the loads without certified values."""
         return tuple(load for load in self.loads if load.refused)
 
 
 def certificate(result: Result, label: str | None = None) -> Certificate:
-    """Return what can be certified of a result, of one load or of all."""
+    """Return the certificate of a result, for one load or for all."""
     loads = [load for load in result.loads if label in (None, load.label)]
     recorded = () if result.data is None else result.data.temperature_c
     temperatures = [(f"J{joint}", low, high) for joint, (low, high) in enumerate(recorded, 1) if math.isfinite(low)]
@@ -123,7 +123,7 @@ def traceability(result: Result) -> Traceability:
 
 
 def _measured(constants: Any) -> str | None:
-    """Date, load and mass of the calibration of an axis; None where it has none."""
+    """Return date, load and mass of the calibration of an axis; None if it was not calibrated."""
     if not isinstance(constants, Mapping):
         return None
     scale = constants.get("torque_scale")
@@ -151,7 +151,9 @@ def _load(result: Result, load: LoadResult) -> CertifiedLoad:
 
 
 def _inertia(load: LoadResult) -> Iterator[CertifiedQuantity]:
-    """The six moments about the centre of gravity, axes of the last link, where motion determined them."""
+    """Return the six moments of inertia about the centre of gravity, axes of the last link, if motion determined
+    them.
+    """
     if load.inertia_kg_m2 is None:
         return
     stds = load.inertia_std_kg_m2 or (math.nan,) * len(INERTIA_PARTS)
@@ -160,7 +162,7 @@ def _inertia(load: LoadResult) -> Iterator[CertifiedQuantity]:
 
 
 def _quantity(name: str, unit: str, value: float, std: float) -> CertifiedQuantity:
-    """A value is certified only with an uncertainty."""
+    """Return a certified quantity; a value without uncertainty is not certified."""
     known = math.isfinite(value) and math.isfinite(std)
     return CertifiedQuantity(name, unit, value if known else math.nan, COVERAGE_FACTOR * std if known else math.nan)
 

@@ -49,13 +49,13 @@ EXAMPLE: Final = "such as mass=2%,com=5mm,constant=3%,friction=20%"
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """Allowed change of a quantity: a number in its unit, or a share of the value before."""
+    """Allowed change of a quantity: absolute in its unit, or relative to the value before."""
 
     value: float
     is_share: bool
 
     def of(self, before: float) -> float:
-        """In the unit of the quantity."""
+        """Return the tolerance in the unit of the quantity."""
         return self.value * abs(before) if self.is_share else self.value
 
 
@@ -89,13 +89,13 @@ class ComparedQuantity:
 
     @property
     def difference(self) -> float:
-        """After less before."""
+        """Value after minus value before."""
         return self.after - self.before
 
 
 @dataclass(frozen=True, slots=True)
 class ResultComparison:
-    """All compared quantities, the verdict, and remarks on what only one of the results holds."""
+    """Compared quantities, verdict, and remarks on quantities that only one result contains."""
 
     robot: str
     before: str
@@ -106,7 +106,7 @@ class ResultComparison:
     remarks: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
-        """Plain values; NaN becomes None."""
+        """Return plain values; NaN becomes None."""
         rows = [asdict(each) | {"difference": each.difference} for each in self.quantities]
         about = {"robot": self.robot, "before": self.before, "after": self.after, "created": list(self.created)}
         told = {"verdict": self.verdict, "quantities": rows, "remarks": list(self.remarks)}
@@ -114,7 +114,7 @@ class ResultComparison:
 
 
 def parse_tolerance(text: str) -> dict[str, Tolerance]:
-    """Read `mass=2%,com=5mm,...`; 5% alone is the share of everything that has one.
+    """Parse `mass=2%,com=5mm,...`; a bare `5%` applies to all quantities that allow a relative tolerance.
 
     Raises
     ------
@@ -141,7 +141,7 @@ def parse_tolerance(text: str) -> dict[str, Tolerance]:
 def compare(
     before: Result, after: Result, names: tuple[str, str], tolerance: Mapping[str, Tolerance]
 ) -> ResultComparison:
-    """Compare two results.
+    """Compare two results of one robot.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def compare(
     if same:
         remarks.append("both files are the same result")
     if None not in created and str(created[0]) > str(created[1]):
-        remarks.append(f"{names[0]} was made after {names[1]}: are the two exchanged?")
+        remarks.append(f"{names[0]} is newer than {names[1]}: check the order of the two files")
     return ResultComparison(before.robot, *names, (created[0], created[1]), rows, _verdict(rows), tuple(remarks))
 
 
@@ -203,7 +203,7 @@ def _held(quantities: Mapping[tuple[str, str], _Quantity]) -> str:
 
 
 def _quantities(result: Result) -> dict[tuple[str, str], _Quantity]:
-    """Quantities of a result that can be compared and have a value, by place and name."""
+    """Return the quantities of a result that have a value, by place and name."""
     found = dict(_loads(result.loads)) | dict(_constants(result)) | dict(_friction(result))
     return {key: each for key, each in found.items() if math.isfinite(each.value)}
 
@@ -218,7 +218,7 @@ def _loads(loads: Sequence[LoadResult]) -> Iterator[tuple[tuple[str, str], _Quan
 
 
 def _constants(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
-    """True torque constants: the stated one times the scale that was found, over the gain 1 + g of the readings."""
+    """Return the true torque constants: stated constant times identified scale, over the gain 1 + g of the readings."""
     gain = result.nuisance.get("gain")
     for joint in range(1, len(result.noise_floor_nm) + 1):
         found = _scale(result.effects, joint)
@@ -240,7 +240,9 @@ def _constants(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
 
 
 def _scale(effects: Sequence[EffectResult], joint: int) -> tuple[float, float] | None:
-    """Identified scale of a torque constant and its standard deviation: of the joint first, else the common one."""
+    """Return the identified scale of a torque constant with its standard deviation: of the joint, else the common
+    one.
+    """
     for joints in ((joint,), ()):
         for effect in effects:
             scale = effect.parameters.get("scale")
@@ -251,7 +253,7 @@ def _scale(effects: Sequence[EffectResult], joint: int) -> tuple[float, float] |
 
 
 def _friction(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
-    """Bands at rest (half the difference of both approach directions), Coulomb and viscous friction in motion."""
+    """Return friction bands at rest (half-difference of the approach directions), Coulomb and viscous friction."""
     for joint, band in enumerate(result.friction_band_nm, start=1):
         yield (f"J{joint}", "friction band"), _Quantity(band, _band_std(result, joint), "Nm", "friction")
     for axis in result.motion:
@@ -262,7 +264,7 @@ def _friction(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
 
 
 def _band_std(result: Result, joint: int) -> float:
-    """Standard deviation of the median of the bands of all visits; NaN where the result does not hold them."""
+    """Return the standard deviation of the median friction band; NaN if the result lacks the visits."""
     rows = [] if result.rows is None else [row[joint - 1] for row in result.rows.band_nm if joint <= len(row)]
     bands = np.array([band for band in rows if math.isfinite(band)])
     return _OF_A_MEDIAN * float(bands.std(ddof=1)) / math.sqrt(len(bands)) if len(bands) > 2 else math.nan
@@ -286,7 +288,7 @@ def _compared(
 
 
 def _verdict(rows: Sequence[ComparedQuantity]) -> Outcome:
-    """Changed where one is; unchanged where all that have an uncertainty are."""
+    """Return `changed` if any quantity changed, `unchanged` if all with an uncertainty are unchanged."""
     outcomes = {row.outcome for row in rows if math.isfinite(row.half_width)}
     if CHANGED in outcomes:
         return CHANGED
@@ -294,7 +296,7 @@ def _verdict(rows: Sequence[ComparedQuantity]) -> Outcome:
 
 
 def sentence(found: ResultComparison) -> str:
-    """The verdict in one sentence."""
+    """Return the verdict as one sentence."""
     changed = [row for row in found.quantities if row.outcome == CHANGED]
     if changed:
         first = max(changed, key=lambda row: abs(row.difference) / max(row.half_width, 1e-12))

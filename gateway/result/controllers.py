@@ -24,20 +24,20 @@ NO_PRODUCT = 1e-3
 
 
 def _assumed(mark: str, loads: Sequence[ExportLoad], short: str = "") -> list[str]:
-    """A comment line on where the flange comes from; a warning where it is assumed."""
+    """Return a comment line on the origin of the flange frame; a warning if it is assumed."""
     sources = [load for load in loads if load.flange_source is not None]
     if not sources:
         return []
     if any(load.flange_is_assumed for load in sources):
-        warning = "WARNING: the turn of the flange is assumed, X, Y, Z may be exchanged: check it before use"
+        warning = "WARNING: the orientation of the flange is assumed, X, Y, Z may be exchanged: check it before use"
         return [short or f"{mark} {warning} ({sources[0].flange_source})"]
     return [] if short else [f"{mark} flange in the last link: {sources[0].flange_source}"]
 
 
 def to_abb(loads: Sequence[ExportLoad], robot: str) -> str:
-    """RAPID `loaddata`: [mass kg, cog mm, axes of moment, ix, iy, iz kg m2]; all inertia 0 is a point mass there.
+    """Return RAPID `loaddata`: [mass kg, cog mm, axes of moment, ix, iy, iz kg m2]; zero inertia is a point mass.
 
-    The axes of moment are the principal axes, a quaternion in the wrist's frame, with their origin in cog.
+    The axes of moment are the principal axes, a quaternion in the wrist frame, with their origin in cog.
     """
     lines = [f"! loads identified on {robot}; frame: wrist (tool0)", *_assumed("!", loads)]
     for load in loads:
@@ -58,9 +58,9 @@ def to_abb(loads: Sequence[ExportLoad], robot: str) -> str:
 
 
 def to_kuka(loads: Sequence[ExportLoad], robot: str) -> str:
-    """KRL `LOAD_DATA[n]`: mass kg, CM in mm and degrees in the flange frame, J kg m2.
+    """Return KRL `LOAD_DATA[n]`: mass kg, CM in mm and degrees in the flange frame, J kg m2.
 
-    A, B, C turn the flange's axes into the principal axes of inertia, about z, the new y, the new x.
+    A, B, C rotate the flange axes into the principal axes of inertia: about z, the new y, the new x.
     """
     head = f"; loads identified on {robot}; frame: flange; copy to $CONFIG.DAT under the tool number used"
     lines = [head, *_assumed(";", loads)]
@@ -85,9 +85,9 @@ def to_kuka(loads: Sequence[ExportLoad], robot: str) -> str:
 
 
 def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
-    """URScript `set_target_payload(m, cog, inertia)`: kg, m, kg m2 about cog with the axes of the tool flange.
+    """Return URScript `set_target_payload(m, cog, inertia)`: kg, m, kg m2 about cog with the axes of the tool flange.
 
-    An inertia that is left out is taken as zero by the controller.
+    The controller takes an omitted inertia as zero.
     """
     lines = [f"# loads identified on {robot}; frame: tool flange", *_assumed("#", loads)]
     for load in loads:
@@ -106,7 +106,7 @@ def to_ur(loads: Sequence[ExportLoad], robot: str) -> str:
 
 
 def _moments(load: ExportLoad) -> tuple[Numbers, str]:
-    """Moments about the axes of the frame where a controller takes no others, and what is left out by that."""
+    """Return moments of inertia about the axes of the frame, and a note on omitted products of inertia."""
     if load.inertia_kg_m2 is None:
         return (0.0, 0.0, 0.0), ""
     moments, products = load.inertia_kg_m2[:3], load.inertia_kg_m2[3:]
@@ -116,11 +116,11 @@ def _moments(load: ExportLoad) -> tuple[Numbers, str]:
 
 
 def to_fanuc(loads: Sequence[ExportLoad], robot: str) -> str:
-    """TP program (ASCII, .LS) that fills payload schedules from 1 on: mass kg, centre of gravity cm from the faceplate.
+    """Return a TP program (.LS) that sets payload schedules from 1: mass kg, centre of gravity cm from the faceplate.
 
-    Inertia is in kgf cm s2 about axes through the centre of gravity, parallel to the faceplate's; 0 where it was not
-    measured. The program holds no motion; `PAYLOAD[n]` selects a schedule. Negative constants stand in brackets, a
-    remark has at most 32 characters.
+    Inertia is in kgf cm s2 about axes through the centre of gravity, parallel to the faceplate; 0 if not measured.
+    The program contains no motion; `PAYLOAD[n]` selects a schedule. Negative constants are in brackets; a remark has
+    at most 32 characters.
     """
     lines = [f"!{_remark(f'loads of {robot}')}", "!kg, cm from faceplate, kgf cm s2"]
     lines += [f"!{_remark(line)}" for line in _assumed("", loads, "faceplate turn is ASSUMED, check")]
@@ -142,7 +142,7 @@ def to_fanuc(loads: Sequence[ExportLoad], robot: str) -> str:
 
 
 def _short_inertia(load: ExportLoad, left: str) -> str:
-    """What a remark has room for."""
+    """Return the note on the inertia, short enough for a remark."""
     if load.inertia_kg_m2 is None:
         return "inertia not measured: 0" if load.inertia_note == INERTIA_NOTE else "inertia not known: 0"
     return "inertia without its products" if left else "inertia about the gravity centre"
@@ -159,11 +159,12 @@ def _short_accuracy(load: ExportLoad) -> str:
 
 
 def to_yaskawa(loads: Sequence[ExportLoad], robot: str) -> str:
-    """Smart Pendant preset file (.yps) with a tool per load: weight kg, com mm from the mounting plate, moi kg m2.
+    """Return a Smart Pendant preset file (.yps), one tool per load: weight kg, com mm from the mounting plate, moi kg
+    m2.
 
-    The pendant pre-fills a new tool's settings; the person there confirms them. The tool's own weight is not in it: the
-    controller's "tool" is everything on the flange, which is what was identified. moi are the moments about axes
-    through com, parallel to the plate's; 0 where they were not measured. offset is left to the pendant's default.
+    The pendant pre-fills a new tool; the operator confirms it. The controller's "tool" is everything on the flange,
+    as identified. moi are the moments about axes through com, parallel to the plate; 0 if not measured. The offset
+    keeps the pendant's default.
     """
     lines = [
         f"// loads identified on {robot}; frame: tool mounting plate",

@@ -1,8 +1,8 @@
-"""The load certificate as XML: Digital Calibration Certificate 3.3.0 of PTB, quantities in D-SI.
+"""Load certificate as XML: Digital Calibration Certificate 3.3.0 of PTB, quantities in D-SI.
 
-Namespaces https://ptb.de/dcc and https://ptb.de/si; documentation https://ptb.de/dcc/v3.3.0/. What the schema asks for
-and nobody has stated (laboratory, customer, place) is written as "not stated", the country as ZZ (ISO 3166-1: reserved
-for users). The file is not signed: a signature is added by whoever is responsible for it.
+Namespaces https://ptb.de/dcc and https://ptb.de/si; documentation https://ptb.de/dcc/v3.3.0/. Required entries that
+were not stated (laboratory, customer, place) are written as "not stated", the country as ZZ (ISO 3166-1: reserved for
+users). The file is not signed; the responsible laboratory adds a signature.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ _PACKAGES: Final = ("gateway", "drives")
 
 
 def certificate_xml(result: Result, label: str | None, issued: date) -> str:
-    """Text of the certificate of one load, or of all loads, of a result.
+    """Return the XML certificate of one load, or of all loads, of a result.
 
-    A load that was refused stands in it as refused, without a value.
+    A refused load is listed without a value, with the reason.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def certificate_xml(result: Result, label: str | None, issued: date) -> str:
 
 
 def software_sha256() -> str:
-    """Checksum of the program: of the sorted names and contents of its files."""
+    """Return the checksum of the program: SHA-256 of the sorted names and contents of its files."""
     digest = hashlib.sha256()
     for package in _PACKAGES:
         for name, file in sorted(_files(files(package), package)):
@@ -104,7 +104,7 @@ def _add(parent: Element, name: str, text: str | None = None, **attributes: str)
 
 
 def _text(parent: Element, name: str, text: str) -> Element:
-    """An element whose content is text in one language."""
+    """Return an element with text in one language."""
     element = _add(parent, name)
     _add(element, "content", text, lang=_LANGUAGE)
     return element
@@ -142,7 +142,7 @@ def _administrative(ring: Element, stated: Certificate, data: Drawn, about: tupl
 
 
 def _days(data: Drawn, issued: date) -> tuple[str, str]:
-    """First and last day of measuring, as far as it is recorded: of the analysis, else of the issue."""
+    """Return first and last day of the measurement if recorded, otherwise of the analysis or of the issue."""
     made = [source.created for source in data.sources if source.created]
     days = sorted(found[0] for text in made or [data.created or ""] if (found := _DAY.match(text)))
     return (days[0], days[-1]) if days else (issued.isoformat(), issued.isoformat())
@@ -154,7 +154,7 @@ def _contact(contact: Element, name: str) -> None:
 
 
 def _identify(parent: Element, entries: Iterable[tuple[str, str, str]]) -> None:
-    """Identifications of (name, value, issuer)."""
+    """Return identification elements of (name, value, issuer)."""
     for name, value, issuer in entries:
         identification = _add(parent, "identification")
         _add(identification, "issuer", issuer)
@@ -271,7 +271,7 @@ def _budget(parent: Element, load: CertifiedLoad) -> None:
 
 
 def _real(quantity: Element, unit: str, value: float, expanded: float | None = None) -> None:
-    """A D-SI number; with its expanded uncertainty where there is one."""
+    """Return a D-SI number, with its expanded uncertainty if known."""
     real = SubElement(quantity, f"{{{DSI}}}real")
     _leaves(real, {"value": repr(value), "unit": UNITS[unit]})
     if expanded is None:
@@ -294,7 +294,7 @@ def _leaves(parent: Element, values: Mapping[str, str]) -> None:
 
 
 def _meta(parent: Element, data: Drawn) -> None:
-    """Checksums of the data files."""
+    """Return the checksums of the data files."""
     sources = [source for source in data.sources if source.sha256]
     if not sources:
         return

@@ -1,4 +1,4 @@
-"""Where two result files differ: of the same measurement, computed again."""
+"""Differences between two result files of the same data, one stored and one recomputed (`replay`)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OF_TODAY: Final = "calibration"
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One value: where it is in the file, as stored, as computed again; None where there is none."""
+    """One differing value: key path, stored value, recomputed value; None if missing."""
 
     where: str
     stored: Any

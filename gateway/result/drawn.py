@@ -1,6 +1,6 @@
-"""Data of the report's figures and headings: the object `data` of the result file.
+"""Data of the report's figures and headings: object `data` of the result file.
 
-Every key may be absent; what is absent is left out of the page.
+Every key is optional; the page omits missing parts.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ FRESH = "fresh"
 
 @dataclass(frozen=True, slots=True)
 class DrawnSource:
-    """A file that was read: `kind` in words, how many rows or visits it gave, how the recording ended, its checksum."""
+    """Input file: kind, number of samples or visits, exit status of the recording, checksum."""
 
     file: str
     kind: str
@@ -30,7 +30,7 @@ class DrawnSource:
 
 @dataclass(frozen=True, slots=True)
 class DrawnPose:
-    """The arm in one pose: `points_m` from base to flange (k, 3) and the load's `com_m`, base frame [m].
+    """Arm posture in one pose: `points_m` from base to flange (k, 3) and the load's `com_m`, base frame [m].
 
     `pose` is negative for an instant of a moving run; `role` is a value of `Drawn.role`.
     """
@@ -46,7 +46,7 @@ class DrawnPose:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """One effect on `joint` over what it depends on: the curve `x`, `y` with its 95 % band, and what was measured."""
+    """One effect on `joint` over its independent variable: curve `x`, `y` with 95 % band, and measured points."""
 
     name: str
     joint: int | None = None
@@ -61,14 +61,14 @@ class Curve:
     points_y: Numbers = ()
 
     def __post_init__(self) -> None:
-        """Refuse a curve whose lists differ in length."""
+        """Check that the lists of a curve have equal lengths."""
         check_lengths(x=self.x, y=self.y, low=self.low, high=self.high)
         check_lengths(points_x=self.points_x, points_y=self.points_y)
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Uncertainty of a load in the frame of the flange; `correlation` (4, 4) of [mass, x, y, z]."""
+    """Uncertainty of a load in the flange frame; `correlation` (4, 4) of [mass, x, y, z]."""
 
     com_std_m: Vector
     correlation: Matrix
@@ -76,14 +76,14 @@ class Spread:
 
 @dataclass(frozen=True, slots=True)
 class Drawn:
-    """What is drawn.
+    """Data of all figures of a report.
 
-    `model_before_nm` (n, axes): what the model said of each row before the effects were added; `band_model_nm` and
-    `band_model_before_nm`: of half the difference of the two sides of a visit (`band_nm` of the rows is what was
-    measured of it). `role` is one word per row: "fit", "held out" or "fresh". `bus`: a line of counters per recorded
-    arm, named in words. `drives`: that answered when it was recorded. `flange`: by the label of the load;
-    `flange_source`: where the cell file has the flange from.
-    `temperature_c` (axes, 2): lowest and highest temperature of motor or drive while measuring, NaN where unknown.
+    `model_before_nm` (n, axes): modelled torque before the effects were added. `band_model_nm` and
+    `band_model_before_nm`: modelled half-difference of the two approach directions of a visit (measured: `band_nm` of
+    the samples). `role`: "fit", "held out" or "fresh" per sample. `bus`: a line of counters per recorded arm.
+    `drives`: drives that answered during the recording. `flange`: by label of the load; `flange_source`: origin of
+    the flange frame of the cell file. `temperature_c` (axes, 2): lowest and highest temperature of motor or drive,
+    NaN if unknown.
     """
 
     created: str | None = field(default=None, metadata=SILENT)

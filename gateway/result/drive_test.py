@@ -64,7 +64,7 @@ class TimingFigure:
 
 @dataclass(frozen=True, slots=True)
 class DriveTestReport:
-    """Everything that was found about one drive; `identity` has plain values, None where the drive lacks an object."""
+    """Results of one drive; `identity` has plain values, None where the drive lacks an object."""
 
     axis: str
     node: int
@@ -75,7 +75,7 @@ class DriveTestReport:
 
     @property
     def failed(self) -> bool:
-        """Whether a clause failed or something was found."""
+        """Return whether a clause failed or a finding exists."""
         return bool(self.findings) or any(clause.result == "fail" for clause in self.clauses)
 
     def count(self, result: Outcome) -> int:

@@ -1,8 +1,8 @@
-"""Export of identified loads as URDF, JSON and in the syntax of robot controllers.
+"""Export identified loads as URDF, JSON and in the syntax of robot controllers.
 
-Each format is a pure function from loads (SI, flange frame) to text. The inertia tensor, determined by motion alone, is
-written as each controller takes it. Where it was not measured, the controller's own "point mass" or "zero" is written
-and the text says so. A quantity that the data could not identify is refused, never filled in.
+Each format is a pure function from loads (SI, flange frame) to text. The inertia tensor is identifiable only from
+motion; if it was not measured, the controller's own "point mass" or "zero" is written with a comment. A load with a
+quantity that is not identifiable is refused.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def export(result: Result, fmt: str, label: str | None = None) -> str:
-    """Text of the identified load(s) in the syntax of `fmt`.
+    """Return the identified loads in the syntax of `fmt`.
 
     Parameters
     ----------
@@ -66,12 +66,14 @@ def _chosen(result: Result, label: str | None) -> list[LoadResult]:
             raise ConfigError(f"load '{label}' is not in the result; it holds: {known}")
         return loads
     if not result.loads:
-        raise DataUnusable("the result holds no load; estimate one first (servo-gateway estimate DATA --json OUT.json)")
+        raise DataUnusable(
+            "the result contains no load; estimate one first (servo-gateway estimate DATA --json OUT.json)"
+        )
     return [load for load in result.loads if math.isfinite(load.mass_kg)] or list(result.loads)
 
 
 def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
-    """Link and fixed joint per load below the frame that it is given in; without inertia where it is not known."""
+    """Return a link and a fixed joint per load, below its frame; without inertia if unknown."""
     parts = [
         '<?xml version="1.0"?>',
         f"<!-- loads identified on {_comment(robot)} -->",
@@ -79,7 +81,7 @@ def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
     ]
     for frame in dict.fromkeys(load.frame for load in loads):
         parts += [
-            f"  <!-- {_comment(frame)}: give this link and the parents below the name that it has in your robot -->",
+            f"  <!-- {_comment(frame)}: rename this link, here and as parent below, to the name in your robot -->",
             f"  <link name={quoteattr(frame)}/>",
         ]
     for load in loads:
@@ -106,7 +108,7 @@ def to_urdf(loads: Sequence[ExportLoad], robot: str) -> str:
 
 def _urdf_inertia(load: ExportLoad) -> str:
     if load.inertia_kg_m2 is None:
-        return "<!-- add <inertia> from CAD, which readers of URDF ask for: zero would be wrong -->"
+        return "<!-- add <inertia> from CAD: URDF requires it, and zero is wrong -->"
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
     told = (f'{name}="{number_text(value, 6)}"' for name, value in zip(names, load.inertia_kg_m2, strict=True))
     return f"<inertia {' '.join(told)}/>"
@@ -117,7 +119,7 @@ def _comment(text: str) -> str:
 
 
 def to_json(loads: Sequence[ExportLoad], robot: str) -> str:
-    """Mass, centre of gravity and inertia in SI, the frame named; an inertia that is not known is `null`."""
+    """Return mass, centre of gravity and inertia in SI with their frame; an unknown inertia is `null`."""
     from gateway.result.values import json_text
 
     handed = []

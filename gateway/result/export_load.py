@@ -1,4 +1,4 @@
-"""A load of a result for export: complete, plausible and in one frame, else refused."""
+"""Load of a result for export: complete, plausible and in one frame; otherwise refused with the reason."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ INERTIA_NOTE = "inertia not measured (no motion reveals it at rest)"
 
 @dataclass(frozen=True, slots=True)
 class ExportLoad:
-    """One load that is complete enough for export.
+    """One load with all values that an export requires.
 
     Parameters
     ----------
@@ -68,37 +68,37 @@ class ExportLoad:
 
     @property
     def frame_note(self) -> str:
-        """The frame that the centre of gravity is in, and where the flange comes from."""
+        """Frame of the centre of gravity, and origin of the flange frame."""
         return self.frame if self.flange_source is None else f"{self.frame} ({self.flange_source})"
 
     @property
     def flange_is_assumed(self) -> bool:
-        """Whether place or turn of the flange was assumed."""
+        """Return whether position or orientation of the flange was assumed."""
         return is_assumed(self.flange_source or "")
 
     @property
     def tensor_kg_m2(self) -> Floats | None:
-        """The inertia (3, 3)."""
+        """Inertia tensor (3, 3)."""
         return None if self.inertia_kg_m2 is None else tensor_of(self.inertia_kg_m2)
 
     @property
     def heading(self) -> str:
-        """The label, for a remark that may lose characters; the unique name where that would hide which load it is."""
+        """Label for a remark with a reduced character set; the unique name where the label would be ambiguous."""
         return self.label if self.name == identifier(self.label) else self.name
 
 
 def complete(load: LoadResult, frames: Sequence[str], drawn: Drawn | None) -> ExportLoad:
-    """A load in the first of the frames that it is given in.
+    """Return a load in the first of `frames` in which it is known.
 
     Raises
     ------
     ConfigError
         The flange is needed and not given.
     DataUnusable
-        No mass, no complete centre of gravity, or what no load has.
+        No mass, no complete centre of gravity, or an implausible value.
     """
     if not math.isfinite(load.mass_kg):
-        raise DataUnusable(f"load '{load.label}' has no mass to hand over: {load.refused or _unidentifiable(load)}")
+        raise DataUnusable(f"load '{load.label}' has no mass to export: {load.refused or _unidentifiable(load)}")
     if load.com_flange_m is not None and "flange" in frames:
         in_flange = None if drawn is None else drawn.flange.get(load.label)
         source = None if drawn is None or drawn.flange_source is None else one_line(drawn.flange_source)
@@ -107,7 +107,7 @@ def complete(load: LoadResult, frames: Sequence[str], drawn: Drawn | None) -> Ex
     if "link_6" in frames and load.com_m is not None:
         return _checked(load, load.com_m, load.com_std_m, one_line(load.frame))
     if load.com_m is None or not all(map(math.isfinite, load.com_m)):
-        raise DataUnusable(f"load '{load.label}' has no centre of gravity to hand over: {_unidentifiable(load)}")
+        raise DataUnusable(f"load '{load.label}' has no centre of gravity to export: {_unidentifiable(load)}")
     raise ConfigError(
         f"load '{load.label}': the controller wants the centre of gravity in the flange frame, and the flange is not "
         "given; add flange_xyz_m and flange_rpy_rad (flange in link_6) to the cell file, estimate again with --cell"
@@ -141,7 +141,7 @@ def _checked(load: LoadResult, com: Vector, std: Vector | None, frame: str) -> E
 
 
 def _inertia(load: LoadResult, in_frame: Numbers | None) -> tuple[Numbers | None, str]:
-    """Inertia in the exported frame, and a note on its accuracy."""
+    """Return the inertia in the exported frame, and a note on its accuracy."""
     if load.inertia_kg_m2 is None:
         return None, INERTIA_NOTE
     if not all(map(math.isfinite, load.inertia_kg_m2)):
@@ -149,7 +149,7 @@ def _inertia(load: LoadResult, in_frame: Numbers | None) -> tuple[Numbers | None
     if in_frame is None:
         return None, "inertia not in the frame of the flange: estimate again with --cell"
     if not has_a_body(tensor_of(in_frame)):
-        return None, "inertia left out: no body has the one in the result"
+        return None, "inertia omitted: the result is not that of a rigid body"
     most = max(map(half_width, load.inertia_std_kg_m2 or (math.nan,)))
     known = f" +- {most:.3g} kg m2 at most ({SAID})" if math.isfinite(most) else ""
     return in_frame, f"inertia about the centre of gravity{known}"
@@ -160,21 +160,21 @@ def _unidentifiable(load: LoadResult) -> str:
 
 
 def number_text(value: float, digits: int) -> str:
-    """A number with so many decimals; zero without a sign."""
+    """Return a number with `digits` decimals; zero without a sign."""
     text = f"{value:.{digits}f}"
     return text.lstrip("-") if float(text) == 0 else text
 
 
 def identifier(label: str, width: int = NAME_WIDTH) -> str:
-    """A label as a name of a controller's language; different labels may have the same one: see `unique_names`."""
+    """Return a label as an identifier of a controller language; see `unique_names` for equal ones."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", label)
     return (name if name[:1].isalpha() else f"load_{name}")[:width]
 
 
 def unique_names(labels: Sequence[str], width: int = NAME_WIDTH) -> dict[str, str]:
-    """Names in a controller's language by label, no two of them equal, upper and lower case alike.
+    """Return identifiers by label, unique without regard to upper and lower case.
 
-    Labels that share an identifier get a digest of the label behind it, so that a name does not depend on the order.
+    Labels with equal identifiers get a digest of the label appended, so that a name does not depend on the order.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def unique_names(labels: Sequence[str], width: int = NAME_WIDTH) -> dict[str, st
 
 
 def accuracy(load: ExportLoad) -> str:
-    """Text of mass and centre of gravity with their intervals."""
+    """Return mass and centre of gravity with their intervals as text."""
     mass = f"{load.mass_kg:.3f} kg"
     if math.isfinite(load.mass_std_kg):
         mass += f" +- {half_width(load.mass_std_kg):.3f} kg"

@@ -1,4 +1,4 @@
-"""A finding: what a check of drives, of data or of this computer reports. Nothing numerical is loaded for it."""
+"""Finding of a check of drives, data or this computer. No numerical library is imported."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Severity = Literal["ok", "info", "warn", "fail"]
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """A fact to report about one place, such as `J2 node 2:6077:00 (torque)`.
+    """Reported fact about one place, such as `J2 node 2:6077:00 (torque)`.
 
-    `advice` says what to do and is empty where nothing is to be done. `check` is the name of the test that reports it,
-    for programs: it stays when the text changes.
+    `advice` states what to do and is empty if no action is required. `check` is the stable name of the check, for
+    programs.
     """
 
     severity: Severity

@@ -1,6 +1,6 @@
-"""Files of a fleet analysis: a line per robot, and per robot its trends, loads and curves.
+"""Files of a fleet analysis: one line per robot, and per robot its trends, loads and curves.
 
-NaN, null in the file, is unknown. Times are UTC. Joints count from 1; joint 0 is the load.
+NaN is null in the file and means unknown. Times are UTC. Joints count from 1; joint 0 is the load.
 """
 
 from __future__ import annotations
@@ -46,16 +46,16 @@ class Tracked:
 
     @property
     def key(self) -> str:
-        """Name of the column."""
+        """Column name."""
         return self.stem + self.suffix
 
     @property
     def std_key(self) -> str:
-        """Name of the column of its standard deviation."""
+        """Column name of its standard deviation."""
         return f"{self.stem}_std{self.suffix}"
 
     def flat(self, joint: int) -> tuple[str, str]:
-        """Names of the columns of one axis in a table of summaries: value and standard deviation."""
+        """Return the column names of one axis in a table of summaries: value and standard deviation."""
         return f"{self.stem}{joint}{self.suffix}", f"{self.stem}{joint}_std{self.suffix}"
 
 
@@ -76,33 +76,33 @@ STATES: Final[tuple[State, ...]] = ("visit", "not seen", "cannot tell", "healthy
 
 
 def quantity(key: str) -> Tracked:
-    """The quantity of that key.
+    """Return the tracked quantity of a key.
 
     Raises
     ------
     KeyError
-        There is none.
+        The key is unknown.
     """
     return {each.key: each for each in (*QUANTITIES, MASS)}[key]
 
 
 @dataclass(frozen=True, slots=True)
 class FleetTrend:
-    """Change of one quantity of one axis, or of the mass of one load, over the months.
+    """Trend over the months of one quantity of one axis, or of the mass of one load.
 
     Attributes
     ----------
     quantity : key of a `Tracked`
     joint : from 1; 0 = the load
     program : label of the load, where it is one
-    checks : that the trend was read from
+    checks : number of checks in the trend
     level : at the mean temperature and load, when the first check was made
     drift_per_year, drift_std_per_year : in the quantity's unit
     sigmas : significance of the drift, signed: square root of twice the log-likelihood ratio with and without drift
     needed_sigmas : detection threshold of `sigmas`
     found_on : day on which the drift was first detected
     detectable_per_year : drift that would be detected today with a probability of 95 %
-    per_k, per_kg : by temperature and by load, NaN where neither changed
+    per_k, per_kg : dependence on temperature and load, NaN where it did not vary
     """
 
     quantity: str
@@ -122,17 +122,17 @@ class FleetTrend:
 
     @property
     def share_per_year(self) -> float:
-        """Drift as a share: of the level, or by itself where the quantity is a ratio."""
+        """Drift relative to the level; the drift itself where the quantity is a ratio."""
         return self.drift_per_year / self._scale
 
     @property
     def share_std_per_year(self) -> float:
-        """Standard deviation of that share."""
+        """Standard deviation of the relative drift."""
         return self.drift_std_per_year / self._scale
 
     @property
     def detectable_share(self) -> float:
-        """Yearly share that would be detected today."""
+        """Relative drift per year that would be detected today with a probability of 95 %."""
         return self.detectable_per_year / self._scale
 
     @property
@@ -142,7 +142,7 @@ class FleetTrend:
 
 @dataclass(frozen=True, slots=True)
 class ProgramLoad:
-    """The load of one program: what it weighed first and last, and whether it is still the load that was verified."""
+    """Load of one program: first and last identified mass, and whether it is still the verified load."""
 
     program: str
     checks: int
@@ -157,7 +157,7 @@ class ProgramLoad:
 
 @dataclass(frozen=True, slots=True)
 class TrendCurve:
-    """Data of a trend figure: days since the first check, values, and the line with its 95 % band."""
+    """Data of a trend figure: days since the first check, values, and the fitted line with its 95 % band."""
 
     quantity: str
     joint: int
@@ -170,16 +170,16 @@ class TrendCurve:
     high: Numbers
 
     def __post_init__(self) -> None:
-        """Refuse lists of different length."""
+        """Check that the lists have equal lengths."""
         check_lengths(day=self.day, value=self.value)
         check_lengths(line_day=self.line_day, line=self.line, low=self.low, high=self.high)
 
 
 @dataclass(frozen=True, slots=True)
 class RobotLine:
-    """A robot in the list of the fleet; `why` says what asks for the state, most urgent first.
+    """A robot in the list of the fleet; `why` lists the reasons for its state, most urgent first.
 
-    `gain_per_year`, `gain_std_per_year`: drift of the gain of axis `gain_joint`, the one that is surest to drift.
+    `gain_per_year`, `gain_std_per_year`: gain drift of axis `gain_joint`, the axis with the most significant drift.
     """
 
     robot: str
@@ -199,7 +199,7 @@ class RobotLine:
 
 @dataclass(frozen=True, slots=True)
 class RobotHealth:
-    """The analysis of one robot."""
+    """Analysis of one robot."""
 
     line: RobotLine
     as_of: str
@@ -216,7 +216,7 @@ class RobotHealth:
 
 @dataclass(frozen=True, slots=True)
 class FleetHealth:
-    """All robots, the most urgent service visit first."""
+    """Analysis of all robots, the most urgent service visit first."""
 
     as_of: str
     software: str
@@ -229,12 +229,12 @@ class FleetHealth:
     sha256: str | None = field(default=None, metadata=SILENT)
 
     def count(self, state: State) -> int:
-        """Robots in that state."""
+        """Return the number of robots in a state."""
         return sum(line.state == state for line in self.robots)
 
 
 def read_fleet(path: Path) -> FleetHealth:
-    """The analysis of a fleet, from disk.
+    """Read the analysis of a fleet from disk.
 
     Raises
     ------
@@ -247,12 +247,12 @@ def read_fleet(path: Path) -> FleetHealth:
     found = decoded(FleetHealth, data, str(path))
     for line in found.robots:
         if not re.fullmatch(r"[\w-]+", line.robot):
-            raise InputError(f"{path}: '{one_line(line.robot)}' is no name of a robot: write it {AGAIN}")
+            raise InputError(f"{path}: '{one_line(line.robot)}' is not a name of a robot: write it {AGAIN}")
     return found
 
 
 def read_robot(path: Path) -> RobotHealth:
-    """The analysis of one robot, from disk; errors as `read_fleet`."""
+    """Read the analysis of one robot from disk; errors as in `read_fleet`."""
     data = json_object(text_of(path, f"write it {AGAIN}"), str(path))
     check_kind(data, SCHEMA, ROBOT_KIND, str(path))
     refuse_edited(data, str(path), AGAIN)

@@ -1,7 +1,7 @@
-"""Result of `follow`: following error of a path under each setting, and the data of its figures.
+"""Result of `follow`: following error of a path for each feedforward setting, and the data of its figures.
 
-Lists per axis have one number per axis; NaN, null in the file, is unknown. Settings are named `OFF`, `MAXIMUM` and
-`IDENTIFIED`.
+Lists per axis have one number per axis; NaN is null in the file and means unknown. The settings are `OFF`, `MAXIMUM`
+and `IDENTIFIED`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ OFF, MAXIMUM, IDENTIFIED = "off", "maximum", "identified"
 
 @dataclass(frozen=True, slots=True)
 class FollowedPath:
-    """The path that was driven, and the file it came from."""
+    """Path that was driven, and its file."""
 
     name: str
     file: str
@@ -42,7 +42,7 @@ class FollowedPath:
 
 @dataclass(frozen=True, slots=True)
 class FedLoad:
-    """The load that the offsets were computed for: in `frame`, inertia (3, 3) about the centre of gravity."""
+    """Load of the feedforward torque: in `frame`, inertia (3, 3) about the centre of gravity."""
 
     label: str
     mass_kg: Number
@@ -56,10 +56,9 @@ class FedLoad:
 
 @dataclass(frozen=True, slots=True)
 class FollowedSetting:
-    """One pass: `load` is None without feedforward.
+    """One pass of the path; `load` is None without feedforward.
 
-    Per axis: peak and RMS following error, the delay of the axis (NaN where it was not moved), and its overshoot at
-    rest points.
+    Per axis: peak and RMS following error, delay of the axis (NaN if not moved), and overshoot at rest points.
     """
 
     name: str
@@ -72,7 +71,7 @@ class FollowedSetting:
 
 @dataclass(frozen=True, slots=True)
 class PeakRatio:
-    """Peak error of each fed setting over that without feedforward; of the identified load over the maximum one."""
+    """Peak error with each feedforward setting over that without; of the identified load over the maximum load."""
 
     peak_over_off: Mapping[str, Numbers]
     peak_over_maximum: Numbers | None
@@ -80,9 +79,10 @@ class PeakRatio:
 
 @dataclass(frozen=True, slots=True)
 class FedTrend:
-    """Load from the torque beside the load that was fed forward: its mass is (1 + `scale`) times the entered one.
+    """Load estimated from the torque during the pass, relative to the feedforward load: mass = (1 + `scale`) ×
+    entered.
 
-    `mass_kg`, `com_m` in link_6: what the torque asks for with the first moment left free. `rms_nm`: what is left.
+    `mass_kg`, `com_m` in link_6: estimate with free first moment. `rms_nm`: remaining residual.
     """
 
     scale: Number
@@ -96,9 +96,9 @@ class FedTrend:
 
 @dataclass(frozen=True, slots=True)
 class AxisSources:
-    """Where each term of an axis comes from, in words; `missing` are the terms that are left out.
+    """Source of each term of an axis, as text; `missing` are the omitted terms.
 
-    `notes`: what was identified and is not used, or differs from what the cell says.
+    `notes`: identified quantities that are not used, or differ from the cell file.
     """
 
     gear_losses: str
@@ -112,7 +112,7 @@ class AxisSources:
 
 @dataclass(frozen=True, slots=True)
 class FedModel:
-    """What the offsets hold: where the links come from, and the terms of each axis."""
+    """Model of the feedforward torque: source of the link parameters, and the terms of each axis."""
 
     links: str
     axes: tuple[AxisSources, ...]
@@ -120,7 +120,7 @@ class FedModel:
 
 @dataclass(frozen=True, slots=True)
 class ComputingTime:
-    """Time that both offsets of all axes took per SYNC [s]."""
+    """Computing time of the torque and velocity offsets of all axes per SYNC [s]."""
 
     median: float
     p99: float
@@ -136,14 +136,14 @@ class ErrorCurve:
     error_rad: Matrix
 
     def __post_init__(self) -> None:
-        """Refuse curves that are not as long as their times."""
+        """Check that the curves are as long as their times."""
         for curve in self.error_rad:
             check_lengths(time_s=self.time_s, error_rad=curve)
 
 
 @dataclass(frozen=True, slots=True)
 class TorqueCurve:
-    """Motor torque of an axis (from 1) over time, as measured and as fed."""
+    """Motor torque of an axis (from 1) over time, measured and feedforward."""
 
     axis: int
     time_s: Numbers
@@ -151,26 +151,26 @@ class TorqueCurve:
     offset_nm: Numbers
 
     def __post_init__(self) -> None:
-        """Refuse curves of different length."""
+        """Check that the curves have equal lengths."""
         check_lengths(time_s=self.time_s, measured_nm=self.measured_nm, offset_nm=self.offset_nm)
 
 
 @dataclass(frozen=True, slots=True)
 class TrendCloud:
-    """Torque residual of an axis (from 1) over the torque of the load as fed."""
+    """Torque residual of an axis (from 1) over its feedforward torque of the load."""
 
     axis: int
     load_nm: Numbers
     residual_nm: Numbers
 
     def __post_init__(self) -> None:
-        """Refuse lists of different length."""
+        """Check that the lists have equal lengths."""
         check_lengths(load_nm=self.load_nm, residual_nm=self.residual_nm)
 
 
 @dataclass(frozen=True, slots=True)
 class FollowSeries:
-    """What is drawn: errors by setting; torque and trend of the axes on which the load weighs most."""
+    """Data of the figures: errors by setting; torque and trend of the axes with the largest load torque."""
 
     error: Mapping[str, ErrorCurve]
     torque: tuple[TorqueCurve, ...] = ()
@@ -179,7 +179,7 @@ class FollowSeries:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FollowResult:
-    """The whole file. `trend` is None where the path tells too little, `computing_s` where nothing was fed."""
+    """Content of the file. `trend` is None if the path cannot determine it, `computing_s` without feedforward."""
 
     schema: int = SCHEMA
     kind: str = KIND
@@ -198,12 +198,12 @@ class FollowResult:
     series: FollowSeries = field(default_factory=lambda: FollowSeries({}))
 
     def setting(self, name: str) -> FollowedSetting | None:
-        """The pass under a setting, None where there was none."""
+        """Return the pass with a setting, None if it was not driven."""
         return next((setting for setting in self.settings if setting.name == name), None)
 
 
 def follow_from_json(text: str, where: str) -> FollowResult:
-    """Read what `follow --json` wrote.
+    """Parse the text of a `follow --json` file.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def follow_from_json(text: str, where: str) -> FollowResult:
 
 
 def read_follow(path: Path) -> FollowResult:
-    """Read the file that `follow --json` wrote.
+    """Read a `follow --json` file.
 
     Raises
     ------

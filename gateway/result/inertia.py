@@ -1,4 +1,4 @@
-"""Inertia of a load: six moments about the centre of gravity, principal axes, and the angles that controllers take."""
+"""Inertia of a load: six moments about the centre of gravity, principal axes, and orientation angles of controllers."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ ROUNDED = 1e-6
 
 
 def tensor_of(moments: Sequence[float]) -> Floats:
-    """Tensor (3, 3) of six moments, in the order of a result."""
+    """Return the tensor (3, 3) of six moments, in the order of a result."""
     tensor = np.zeros((3, 3))
     tensor[ROW, COLUMN] = tensor[COLUMN, ROW] = moments
     return tensor
 
 
 def moments_of(tensor: Floats) -> tuple[float, ...]:
-    """Six moments of a tensor (3, 3), in the order of a result."""
+    """Return the six moments of a tensor (3, 3), in the order of a result."""
     return tuple(tensor[ROW, COLUMN].tolist())
 
 
 def has_a_body(tensor: Floats) -> bool:
-    """Whether a body can have an inertia (3, 3): no principal moment is negative, or above the sum of the others."""
+    """Return whether an inertia (3, 3) is physical: principal moments not negative and within the triangle
+    inequality.
+    """
     if not np.isfinite(tensor).all():
         return False
     least, middle, largest = np.linalg.eigvalsh(tensor).tolist()
@@ -38,7 +40,7 @@ def has_a_body(tensor: Floats) -> bool:
 
 
 def principal_axes(tensor: Floats) -> tuple[Floats, Floats]:
-    """Principal moments (3,) and axes, the columns of a rotation (3, 3) that is as small as the choice of names allows.
+    """Return principal moments (3,) and axes (columns of a rotation (3, 3)), ordered for the smallest rotation.
 
     `tensor` = axes diag(moments) axes'.
     """
@@ -52,7 +54,9 @@ def principal_axes(tensor: Floats) -> tuple[Floats, Floats]:
 
 
 def zyx_degrees(turn: Floats) -> tuple[float, float, float]:
-    """Angles [deg] A about z, B about the new y, C about the new x of a rotation (3, 3): turn = Rz(A) Ry(B) Rx(C)."""
+    """Return the angles [deg] A about z, B about the new y, C about the new x of a rotation (3, 3): Rz(A) Ry(B)
+    Rx(C).
+    """
     across = math.hypot(turn[0, 0], turn[1, 0])
     if across < 1e-9:
         return 0.0, math.degrees(math.atan2(-turn[2, 0], across)), math.degrees(math.atan2(-turn[1, 2], turn[1, 1]))
@@ -64,7 +68,7 @@ def zyx_degrees(turn: Floats) -> tuple[float, float, float]:
 
 
 def quaternion(turn: Floats) -> tuple[float, float, float, float]:
-    """Unit quaternion (w, x, y, z), w not negative, of a rotation (3, 3)."""
+    """Return the unit quaternion (w, x, y, z), w not negative, of a rotation (3, 3)."""
     products = np.array(
         [
             [turn[0, 0] - turn[1, 1] - turn[2, 2], 0.0, 0.0, 0.0],

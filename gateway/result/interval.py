@@ -1,7 +1,8 @@
-"""The 95 % interval: every plus-minus in outputs is its half width.
+"""Half widths of 95 % intervals, used for every plus-minus in outputs.
 
-Files hold standard deviations. Where the noise was estimated from few readings they are already widened by the ratio of
-Student's quantile to the normal one, so that `TWO_SIDED_95` standard deviations cover the true value in 95 %.
+Files contain standard deviations. If the noise was estimated from few readings, these are already widened by the
+ratio of Student's quantile to the normal one. Therefore `TWO_SIDED_95` standard deviations cover the true value in 95
+%.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ PLUS_MINUS: Final = "\N{PLUS-MINUS SIGN}"
 
 
 def half_width(std: float) -> float:
-    """Half width of the 95 % interval of a quantity with this standard deviation; NaN where that is unknown."""
+    """Return the half width of the 95 % interval for a standard deviation; NaN if it is unknown."""
     return TWO_SIDED_95 * std
 
 
 def holds_zero(value: float, std: float) -> bool:
-    """Whether the interval of a quantity holds 0; one that is not known, or known exactly, does not."""
+    """Return whether the interval of a quantity contains 0; False if its uncertainty is unknown or zero."""
     return math.isfinite(value) and math.isfinite(std) and std > 0 and abs(value) <= half_width(std)

@@ -1,7 +1,7 @@
-"""Acceptance as a JUnit file, which every build server reads.
+"""Acceptance as a JUnit file for build servers.
 
-A test case per load that was announced (is it mounted?), per expectation and rating, and per further failing finding; a
-load that fails and one of which the data cannot tell are both failures, of different `type`.
+One test case per declared load (is it mounted?), per expectation and rating, and per further failing finding. A
+failed load and an undecided one are both failures, with different `type`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _NO_TIME: Final = "0.000"
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """One test case: `kind` and `why` of its failure, both empty where it passed."""
+    """One test case: `kind` and `why` of its failure, both empty if it passed."""
 
     group: str
     name: str
@@ -34,7 +34,7 @@ class Case:
 
 
 def cases(result: Result) -> tuple[Case, ...]:
-    """All test cases of a result."""
+    """Return all test cases of a result."""
     return tuple(_cases(result))
 
 
@@ -44,7 +44,7 @@ def _cases(result: Result) -> Iterator[Case]:
         doubts = not_hung([load])
         told.update(doubts)
         found = f"{with_interval(load.mass_kg, load.mass_std_kg)} kg ({SAID})"
-        yield _case(f"load {load.label}", f"was hung: {found}", "not hung", doubts)
+        yield _case(f"load {load.label}", f"mass differs from zero: {found}", "not hung", doubts)
     for row in result.acceptance:
         failed = acceptance_findings([row])
         told.update(failed)
@@ -62,7 +62,7 @@ def _case(group: str, name: str, kind: str, failed: tuple[Finding, ...]) -> Case
 
 
 def junit(result: Result, moment: datetime) -> str:
-    """Text of the JUnit file.
+    """Return the text of the JUnit file of a result.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def junit(result: Result, moment: datetime) -> str:
 
 
 def junit_of(about: str, found: Sequence[Case], moment: datetime) -> str:
-    """Text of a JUnit file with these test cases.
+    """Return the text of a JUnit file with test cases.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Names that results and their formats go by; nothing numerical is loaded for them."""
+"""Names in results and their formats. No numerical library is imported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Numbers with their uncertainty as text: the same on the page, at the terminal and in findings."""
+"""Text of numbers with their uncertainty, equal on pages, in the terminal and in findings."""
 
 from __future__ import annotations
 
@@ -45,19 +45,19 @@ def _beside(found: re.Match[str]) -> str:
 
 
 def known(value: float | None) -> bool:
-    """Whether the value is a finite number."""
+    """Return whether a value is a finite number."""
     return value is not None and math.isfinite(value)
 
 
 def decimals(uncertainty: float) -> int:
-    """Decimals that show two significant digits of an uncertainty."""
+    """Return the number of decimals that shows two significant digits of an uncertainty."""
     if not uncertainty > 0 or not math.isfinite(uncertainty):
         return 2
     return max(0, 1 - math.floor(math.log10(uncertainty)))
 
 
 def plain(value: float | None, digits: int = 2) -> str:
-    """Text with fixed decimals and a typographic minus sign; a dash where the value is unknown."""
+    """Return text with fixed decimals and a typographic minus sign; a dash if the value is unknown."""
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
     text = f"{value:.{digits}f}"
@@ -65,7 +65,7 @@ def plain(value: float | None, digits: int = 2) -> str:
 
 
 def significant(value: float | None, digits: int = 3) -> str:
-    """A number with significant digits, written out; as a power of ten where it is very large or small."""
+    """Return a number with significant digits in full; as a power of ten if very large or small."""
     if value is None or not math.isfinite(value):
         return "\N{EN DASH}"
     mantissa, power = f"{value:.{digits - 1}e}".split("e")
@@ -81,14 +81,14 @@ def _without_zeros(text: str) -> str:
 
 
 def rounded(value: float) -> str:
-    """A number with three significant digits, none behind the third decimal and no exponent; a dash where unknown."""
+    """Return a number with three significant digits, at most three decimals, no exponent; a dash if unknown."""
     if not math.isfinite(value) or value == 0:
         return plain(value, 0)
     return plain(value, max(0, min(3, 2 - math.floor(math.log10(abs(value))))))
 
 
 def plus_minus(value: float, half_width: float) -> tuple[str, str]:
-    """Value and half width of its interval, by two digits of the half width; an empty one where it is unknown."""
+    """Return value and half width of its interval, rounded to two digits of the half width; an empty one if unknown."""
     if not known(value):
         return "unknown", ""
     if not known(half_width):
@@ -99,13 +99,13 @@ def plus_minus(value: float, half_width: float) -> tuple[str, str]:
 
 
 def interval_text(value: float, half: float) -> str:
-    """Value and half width of its interval in one text; the value alone where no interval is known."""
+    """Return value and half width of its interval in one text; the value alone if the interval is unknown."""
     shown, width = plus_minus(value, half)
     return f"{shown} {PLUS_MINUS} {width}" if width else shown
 
 
 def with_interval(value: float, std: float, factor: float = 1.0) -> str:
-    """Value and half width of its 95 % interval in one text, both times `factor`.
+    """Return value and half width of its 95 % interval in one text, both times `factor`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The identified load as values of LoadType of OPC 40010-1 (OPC UA for Robotics), for the server of the robot.
+"""Identified load as LoadType values of OPC 40010-1 (OPC UA for Robotics), for the OPC UA server of the robot.
 
 OPC 40010-1 7.23.2: Mass (AnalogUnitType, EngineeringUnits mandatory), CenterOfMass (3DFrameType: X, Y, Z of the centre
 in the coordinate system of the mounting point, the flange; A, B, C the orientation of the principal axes of inertia in
@@ -32,7 +32,7 @@ _UNITS: Final = {
 
 
 def unit(name: str) -> dict[str, Any]:
-    """EUInformation of a unit; its UnitId is the common code, letter by letter as bytes of one number."""
+    """Return the EUInformation of a unit; its UnitId is the common code, its characters as bytes of one number."""
     code, shown, called = _UNITS[name]
     number = 0
     for letter in code:
@@ -41,7 +41,7 @@ def unit(name: str) -> dict[str, Any]:
 
 
 def to_opc40010(loads: Sequence[ExportLoad], robot: str) -> str:
-    """JSON text: a LoadType per load; an inertia that is not known is left out, which the standard allows."""
+    """Return JSON text with a LoadType per load; an unknown inertia is omitted, as the standard allows."""
     from gateway.result.values import json_text
 
     return json_text({"NamespaceUri": NAMESPACE, "Robot": robot, "Loads": [_load(load) for load in loads]})

@@ -19,7 +19,7 @@ PROGRAM = "servo-gateway"
 
 @dataclass(frozen=True, slots=True)
 class DriveOrigin:
-    """Identity that a drive reported; None where it lacks the object."""
+    """Identity reported by a drive; None where it lacks the object."""
 
     joint: int
     node_id: int
@@ -33,7 +33,7 @@ class DriveOrigin:
 
 @dataclass(frozen=True, slots=True)
 class FileOrigin:
-    """A file that was read, and the checksum of its bytes."""
+    """Input file and the checksum of its content."""
 
     file: str
     sha256: str
@@ -41,7 +41,7 @@ class FileOrigin:
 
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """Time, program, drives and files of a result; the operator where one was named."""
+    """Time, program, drives and files of a result, and the operator if named."""
 
     created: str
     software: str
@@ -51,17 +51,17 @@ class Origin:
 
 
 def software() -> str:
-    """This program and its version."""
+    """Return the name and version of this program."""
     return f"{PROGRAM} {__version__}"
 
 
 def in_words(moment: datetime) -> str:
-    """Text of a time (UTC), as the pages show it."""
+    """Return the text of a time (UTC), as on the pages."""
     return moment.strftime("%Y-%m-%d %H:%M UTC")
 
 
 def file_sha256(path: Path) -> str:
-    """Checksum of a file's bytes.
+    """Return the SHA-256 checksum of a file.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def file_sha256(path: Path) -> str:
 
 
 def files_of(paths: Iterable[Path]) -> tuple[FileOrigin, ...]:
-    """Files with their checksums.
+    """Return files with their checksums.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def files_of(paths: Iterable[Path]) -> tuple[FileOrigin, ...]:
 
 
 def drives_of(identities: Sequence[Mapping[str, Any]]) -> tuple[DriveOrigin, ...]:
-    """Drives of a recording, one per axis; a value of an unexpected type is left out."""
+    """Return the drives of a recording, one per axis; a value of an unexpected type is omitted."""
     found: list[DriveOrigin] = []
     for joint, said in enumerate(identities, start=1):
         found.append(

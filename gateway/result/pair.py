@@ -1,6 +1,6 @@
-"""What two arms leave on disk: runs for the report, taught points, functions, and what `learn` and `teach` tell.
+"""Files of a pair of arms: runs for the report, taught points, transform functions, output of `learn` and `teach`.
 
-NaN, null in the file, is unknown. Ways run along the path of the master's gripper.
+NaN is null in the file and means unknown. Path positions `s_m` are measured along the path of the master's gripper.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ FRAMES = {"from": "gripper of the master (E1)", "to": "gripper of the slave (E2)
 
 def _plausible(value: float) -> float:
     if abs(value) > LARGEST:
-        raise ValueError(f"{value:g} is no number of a run")
+        raise ValueError(f"{value:g} is not a finite number below {LARGEST:g}")
     return value
 
 
@@ -74,9 +74,9 @@ class CycleSummary:
     Attributes
     ----------
     cycle : number, from 1
-    complete : every command was run, with every epoch complete
+    complete : every command was executed, with every SYNC answered
     learned : whether the second function was rebuilt from it
-    reason : why not, "" where there is nothing to say
+    reason : why not, or ""
     function : "first" or "second", what the slave followed
     knots : of that function
     force_n, moment_nm : largest internal force and moment as estimated, NaN where no force is measured
@@ -104,7 +104,7 @@ class CycleSummary:
 
 @dataclass(frozen=True, slots=True)
 class Skew:
-    """By how much the slave's SYNC comes after the master's [s]; `p99` and `max` of its size."""
+    """Delay of the slave's SYNC behind the master's [s]; `p99` and `max` of its absolute value."""
 
     median: float
     p99: float
@@ -113,7 +113,7 @@ class Skew:
 
 @dataclass(frozen=True, slots=True)
 class LinkStatistics:
-    """SYNCs, incomplete and late epochs of the master's and the slave's bus; `skew_s` by the clock alone."""
+    """SYNCs, incomplete and delayed ones of the master's and the slave's bus; `skew_s` in real time only."""
 
     pacing: Literal["real", "lockstep"]
     cycles: tuple[int, int]
@@ -159,7 +159,7 @@ class PairRunResult:
     evaluation_s: Number = NAN
 
     def __post_init__(self) -> None:
-        """Refuse a run that cannot be drawn."""
+        """Check that the run can be drawn."""
         if bool(self.last_n) == bool(self.last_m):
             raise ValueError("either last_n or last_m is needed")
         if len(self.x_m) != len(self.s_m):
@@ -214,7 +214,7 @@ class TaughtPathFile:
 
 @dataclass(frozen=True, slots=True)
 class FunctionKnot:
-    """A knot of a function: relation of the grippers at a way."""
+    """Knot of a transform function: relation of the grippers at a path position."""
 
     s_m: _Known
     position_m: Vector
@@ -254,7 +254,7 @@ class StoredFunction:
 
 @dataclass(frozen=True, slots=True)
 class LearningSwitch:
-    """Whether learning is switched off."""
+    """State of learning: switched off or not."""
 
     frozen: bool = False
 
@@ -264,7 +264,7 @@ class LearningSwitch:
 
 @dataclass(frozen=True, slots=True)
 class FunctionOrigin:
-    """A stored function in short."""
+    """Summary of a stored function."""
 
     points: int
     learn_source: str
@@ -276,7 +276,7 @@ class FunctionOrigin:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LearnStatus:
-    """What `learn --json` tells: None where no function of a stage is stored."""
+    """Output of `learn --json`; None where no function of a stage is stored."""
 
     schema: int = SCHEMA
     learning: Literal["on", "off"]
@@ -285,7 +285,7 @@ class LearnStatus:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TeachResult:
-    """What `teach --json` tells."""
+    """Output of `teach --json`."""
 
     schema: int = SCHEMA
     points: tuple[TaughtPoint, ...]

@@ -1,8 +1,7 @@
-"""The result file: what an estimation or a diagnosis hands over, as frozen values and as JSON.
+"""Result file of an estimation or diagnosis: immutable values, read from and written as JSON.
 
-What the data cannot give is never filled in: NaN, null in the file. Joints count from 1. Frame `link_6` is the frame of
-the sixth link of the robot model: the last one, of an arm of six axes. Keys that a newer writer added are kept in
-`Result.extra` and written back.
+A quantity that the data do not determine is NaN, null in the file. Joints count from 1. Frame `link_6` is the frame
+of the last link of a six-axis robot model. Keys of newer versions are kept in `Result.extra` and written back.
 """
 
 from __future__ import annotations
@@ -52,10 +51,12 @@ class LoadResult:
     """One load on the flange.
 
     `com_m`, `com_std_m` [m] in `frame`, that of the last link; `correlation` of [mass, x, y, z]; `per_pose_mass_kg`
-    keyed by the pose number; `budget` the share of the mass's variance by source, `constants`, `links`, `friction` and
-    `noise`, sum 1. `inertia_kg_m2` [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity, axes of `frame`; null
-    and named in `unidentifiable` where nothing moved; `inertia_flange_kg_m2` the same with the axes of the flange. A
-    refused load keeps NaN everywhere and says why in `refused`.
+    keyed by the pose number; `budget` is the share of the mass's variance by source, `constants`, `links`, `friction`
+    and `noise`, sum 1.
+
+    `inertia_kg_m2` [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity, axes of `frame`; null and listed in
+    `unidentifiable` without motion; `inertia_flange_kg_m2` has the axes of the flange. A refused load has NaN values
+    and the reason in `refused`.
     """
 
     label: str
@@ -77,7 +78,7 @@ class LoadResult:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Why an effect is believed; `holdout_rms_ratio` = after / before on data that no fit has seen."""
+    """Evidence for an effect; `holdout_rms_ratio` = residual after / before on data not used in the fit."""
 
     holdout_rms_ratio: Number = NAN
     p_value: Number = NAN
@@ -87,7 +88,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class EffectResult:
-    """An effect the model lacked: name, joints from 1 ([] for base and load), parameters with their std."""
+    """Identified effect: name, joints from 1 ([] for base and load), parameters with standard deviations."""
 
     name: str
     joints: tuple[int, ...] = ()
@@ -98,7 +99,7 @@ class EffectResult:
 
 @dataclass(frozen=True, slots=True)
 class FitSummary:
-    """Residual RMS per axis [Nm] of one model, in the fit and held out, with the loads that model gives."""
+    """Residual RMS per axis [Nm] of one model, in the fit and on held-out data, with the loads of that model."""
 
     rms_nm: Numbers = UNKNOWN_SIX
     holdout_rms_nm: Numbers = UNKNOWN_SIX
@@ -107,7 +108,7 @@ class FitSummary:
 
 @dataclass(frozen=True, slots=True)
 class Rejected:
-    """A candidate that did not earn its place."""
+    """Candidate effect that did not improve the model sufficiently."""
 
     name: str
     joints: tuple[int, ...] = ()
@@ -116,7 +117,7 @@ class Rejected:
 
 @dataclass(frozen=True, slots=True)
 class NuisanceResult:
-    """What every arm has, one number an axis, with its standard deviation: `gain`, `bias_nm`, `load_friction`."""
+    """Nuisance parameter, one number per axis with its standard deviation: `gain`, `bias_nm`, `load_friction`."""
 
     value: Numbers = ()
     std: Numbers = ()
@@ -124,9 +125,9 @@ class NuisanceResult:
 
 @dataclass(frozen=True, slots=True)
 class SetAside:
-    """A visit or a period that was found gross on one axis, and is in no fit: by how many bands it lies off.
+    """Sample rejected as an outlier on one axis, with its deviation in friction bands.
 
-    `pose` at rest, `from_s` and `to_s` in motion; `joint` from 1; `reason` in words.
+    `pose` at rest, `from_s` and `to_s` in motion; `joint` from 1; `reason` as text.
     """
 
     run: str
@@ -141,7 +142,9 @@ class SetAside:
 
 @dataclass(frozen=True, slots=True)
 class NextMeasurement:
-    """What to measure next; `reduction` = expected std afterwards over std now, where that is the purpose."""
+    """Next measurement; `reduction` = expected standard deviation after it over the present one, if that is its
+    purpose.
+    """
 
     what: str
     poses_rad: Matrix = ()
@@ -151,10 +154,10 @@ class NextMeasurement:
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """A load held against what it was said to be, or against the rating of the arm.
+    """Comparison of a load with its expected mass, or with the rating of the arm.
 
-    `what` is `mass`, or `rated mass`, `rated reach`, `rated moment`; `value` in `unit` with `half_width`, that of its
-    95 % interval. An expectation has `expected` and `tolerance`, a rating has `most`.
+    `what` is `mass`, or `rated mass`, `rated reach`, `rated moment`; `value` in `unit` with `half_width` of its 95 %
+    interval. An expectation has `expected` and `tolerance`, a rating has `most`.
     """
 
     load: str
@@ -171,7 +174,7 @@ class Acceptance:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """An estimated quantity beside the loads: link parameters, friction, offsets."""
+    """Estimated quantity other than a load: link parameters, friction, offsets."""
 
     name: str
     value: Number
@@ -181,7 +184,7 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """What was measured and what the model says, a row per visit (or per instant): figures are drawn from this.
+    """Measured and modelled torques, one row per visit or instant: data of the figures.
 
     `tau_nm`, `model_nm`, `band_nm`, `std_nm` (n, N) joint side [Nm]; `direction` (n, N) is 0 for a two-sided visit.
     """
@@ -198,7 +201,7 @@ class Rows:
     std_nm: Matrix = ()
 
     def __post_init__(self) -> None:
-        """Refuse tables that are not of one length and width."""
+        """Check that the tables have equal shapes."""
         check_lengths(**{item.name: getattr(self, item.name) for item in dataclasses.fields(self)})
         tables = (self.q_rad, self.direction, self.tau_nm, self.model_nm, self.band_nm, self.std_nm)
         if len({len(row) for table in tables for row in table}) > 1:
@@ -207,13 +210,14 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Bare:
-    """Base gravity parameters of the bare arm: what a later identification subtracts.
+    """Base gravity parameters of the unloaded arm, subtracted by a later load identification.
 
     `columns` are indices into the columns [m, hx, hy, hz] of links 1 to N; `value` [kg or kg m] belongs to them,
-    `covariance` has the squared units; `combination` (rank, 4 N) says which link parameters each of them lumps.
-    `offset_nm` is the torque of each axis that does not turn with gravity, NaN where it was not estimated. `gain` is
-    that of the torque of each axis, NaN where not measured; `gain_covariance` belongs to `value`, `gain` and, in newer
-    files, `offset_nm` together.
+    `covariance` has the squared units. `combination` (rank, 4 N) gives the link parameters in each base parameter.
+
+    `offset_nm` is the torque of each axis that does not depend on gravity, NaN if not estimated. `gain` is the torque
+    gain of each axis, NaN if not measured. `gain_covariance` is of `value`, `gain` and, in newer files, `offset_nm`
+    together.
     """
 
     robot: str
@@ -230,12 +234,12 @@ class Bare:
 
 @dataclass(frozen=True, slots=True)
 class AxisMotion:
-    """What motion tells of one axis, at the gear output; NaN where it does not.
+    """Parameters of one axis identified from motion, at the gear output; NaN if not determined.
 
-    Friction is (coulomb_nm + load_friction |tau| + (breakaway_nm - coulomb_nm) exp(-(qd / stribeck_rad_s)^2)) sign(qd)
-    + viscous_nm_s_rad qd; `stribeck_rad_s` is NaN where no Stribeck curve shows, and that term is not there then.
-    `load_friction` is that of the torque's mean size: it may grow with another power. `delay_s` is by how much the
-    torque that is reported lags behind the position. `speed_rad_s` is the fastest that the axis was driven at.
+    Friction is (coulomb_nm + load_friction |tau| + (breakaway_nm - coulomb_nm) exp(-(qd / stribeck_rad_s)^2))
+    sign(qd) + viscous_nm_s_rad qd. Without an identifiable Stribeck curve, `stribeck_rad_s` is NaN and that term is
+    absent. `load_friction` holds at the mean torque; it may increase with another power. `delay_s` is the delay of
+    the reported torque behind the position, `speed_rad_s` the highest speed driven.
     """
 
     joint: int
@@ -257,9 +261,9 @@ class AxisMotion:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """The whole result file. `loads` is the final answer and equals `after.loads`.
+    """Content of the result file. `loads` is the final answer and equals `after.loads`.
 
-    `sha256` is what the file said that this was read from; what is written carries its own.
+    `sha256` is the checksum of the file that was read; a written file gets its own.
     """
 
     robot: str
@@ -291,12 +295,12 @@ class Result:
 
     @property
     def failed(self) -> bool:
-        """Whether a failing finding stands."""
+        """Return whether the result has a failing finding."""
         return any(finding.severity == "fail" for finding in self.findings)
 
 
 def to_dict(result: Result) -> dict[str, Any]:
-    """Plain dictionaries, lists and numbers of a result, with their checksum; NaN and infinity become None."""
+    """Return a result as plain dictionaries, lists and numbers, with checksum; NaN and infinity become None."""
     plain = plain_values(result)
     extra = plain.pop("extra", {})
     plain = {"schema": plain.pop("schema")} | plain | {key: value for key, value in extra.items() if key not in plain}
@@ -304,12 +308,12 @@ def to_dict(result: Result) -> dict[str, Any]:
 
 
 def to_json(result: Result) -> str:
-    """JSON text of a result, one value list per line where that is readable."""
+    """Return the JSON text of a result, one list of values per line where readable."""
     return json.dumps(to_dict(result), indent=1, allow_nan=False) + "\n"
 
 
 def from_json(text: str, where: str = "result") -> Result:
-    """Read a result file.
+    """Parse the JSON text of a result file.
 
     Parameters
     ----------
@@ -337,7 +341,7 @@ def _from_object(data: dict[str, Any], where: str) -> Result:
 
 
 def read_result(path: Path) -> Result:
-    """A result from disk, as it was written.
+    """Read a result file and check that it was not edited.
 
     Raises
     ------
@@ -351,7 +355,7 @@ def read_result(path: Path) -> Result:
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON schema of the result file."""
+    """Return the JSON schema of the result file."""
     schema = schema_of(Result)
     schema["properties"].pop("extra")
     return schema

@@ -1,7 +1,7 @@
 """Checksum of a result file, so that an edited number is not exported to a controller.
 
-`sha256` is that of the sorted compact JSON (keys in order, no blanks, ASCII) of everything else in the file. `truth` is
-left out, since a simulator adds it afterwards. It protects against accidental edits, not against forgery.
+`sha256` is that of the sorted compact JSON (keys in order, no blanks, ASCII) of all other values in the file. `truth`
+is excluded, since a simulator adds it afterwards. The checksum detects accidental edits, not forgery.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ UNSEALED: Final = (KEY, "truth")
 
 
 def checksum(plain: Mapping[str, Any]) -> str:
-    """Checksum (64 hexadecimal digits) of plain values; those of `UNSEALED` do not count.
+    """Return the checksum (64 hexadecimal digits) of plain values, without the keys in `UNSEALED`.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def checksum(plain: Mapping[str, Any]) -> str:
 
 
 def sealed(plain: Mapping[str, Any]) -> dict[str, Any]:
-    """The same values with their checksum, which comes last."""
+    """Return the values with their checksum as last key."""
     return {key: value for key, value in plain.items() if key != KEY} | {KEY: checksum(plain)}
 
 
@@ -41,19 +41,19 @@ FROM_DATA: Final = "from the data (servo-gateway estimate DATA --json OUT.json)"
 
 
 def refuse_edited(plain: Mapping[str, Any], where: str, again: str = FROM_DATA) -> None:
-    """Refuse a file that was edited since it was written; one without a checksum, of an older version, is accepted.
+    """Raise an error if a file was edited since it was written; an older file without checksum is accepted.
 
     `again` is the source, or the command, that writes the file again.
 
     Raises
     ------
     InputError
-        The checksum is that of other values.
+        The checksum differs from that of the values.
     """
     if KEY not in plain:
         return
     if plain[KEY] != checksum(plain):
         raise InputError(
-            f"{where}: was edited: its {KEY} is that of other values, so nobody has measured what it says; write it"
+            f"{where}: was edited: its {KEY} differs from that of its values. Use the original, or write it"
             f" again {again}"
         )

@@ -1,7 +1,6 @@
-"""JSON files of the program: unknown numbers, plain values, and refusals that name the key.
+"""JSON files of the program: conversion of values, and errors that name the key.
 
-NaN stands for "unknown" inside and is null in the file. A field that is marked `SILENT` is left out of the file where
-it says nothing, rather than written as null, as an empty text or as an empty list.
+NaN means "unknown" and is null in the file. A field marked `SILENT` is omitted from the file if it is empty.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ Matrix = tuple[Numbers, ...]
 
 
 def three(values: Numbers) -> Numbers:
-    """Return the values, which must be three numbers (else ValueError)."""
+    """Return the values if they are three numbers; raise ValueError otherwise."""
     if len(values) != 3:
         raise ValueError(f"three numbers are needed, got {len(values)}")
     return values
@@ -71,12 +70,12 @@ def check_lengths(**lists: Sequence[object]) -> None:
 
 
 def numbers(values: ArrayLike) -> Numbers:
-    """Plain numbers of an array of shape (n,)."""
+    """Return the plain numbers of an array of shape (n,)."""
     return tuple(np.asarray(values, dtype=float).tolist())
 
 
 def matrix(values: ArrayLike) -> Matrix:
-    """Plain rows of an array of shape (n, m)."""
+    """Return the plain rows of an array of shape (n, m)."""
     return tuple(tuple(row) for row in np.asarray(values, dtype=float).tolist())
 
 
@@ -84,7 +83,7 @@ def matrix(values: ArrayLike) -> Matrix:
 
 
 def plain_values(value: Any) -> Any:
-    """Plain values that JSON can hold: dataclasses as dictionaries, arrays as lists, NaN and infinity as None."""
+    """Return plain values for JSON: dataclasses as dictionaries, arrays as lists, NaN and infinity as None."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         items = ((item, plain_values(getattr(value, item.name))) for item in dataclasses.fields(value))
         return {
@@ -104,12 +103,12 @@ def plain_values(value: Any) -> Any:
 
 
 def json_text(value: Any) -> str:
-    """JSON text of a model, a line per value."""
+    """Return the JSON text of a model, one value per line."""
     return json.dumps(plain_values(value), indent=1, allow_nan=False) + "\n"
 
 
 def schema_of(model: type) -> dict[str, Any]:
-    """JSON schema of a model's file."""
+    """Return the JSON schema of a model's file."""
     schema = plain_values(_adapter(model).json_schema())
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
@@ -118,7 +117,7 @@ def schema_of(model: type) -> dict[str, Any]:
 
 
 def text_of(path: Path, advice: str) -> str:
-    """Text of a file.
+    """Return the text of a file.
 
     Raises
     ------
@@ -132,26 +131,26 @@ def text_of(path: Path, advice: str) -> str:
 
 
 def json_object(text: str, where: str) -> dict[str, Any]:
-    """The one object of a JSON text.
+    """Parse a JSON text that must be one object.
 
     Raises
     ------
     InputError
-        Not JSON, or no object.
+        Not JSON, or not an object.
     """
     try:
         data = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(f"{where}:{error.lineno}: not valid JSON: {error.msg}") from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"{where}: holds a number or a nesting that no such file has: {error}") from error
+        raise InputError(f"{where}: contains a number or a nesting that is too large: {error}") from error
     if not isinstance(data, dict):
         raise InputError(f"{where}: one JSON object is expected, this is {_kind_of(data)}")
     return data
 
 
 def check_kind(data: Mapping[str, Any], schema: int, kind: str | None, where: str) -> None:
-    """Refuse a file of another version or, where `kind` is given, of another kind.
+    """Raise an error if a file has another version or, where `kind` is given, another kind.
 
     Raises
     ------
@@ -159,13 +158,13 @@ def check_kind(data: Mapping[str, Any], schema: int, kind: str | None, where: st
         Says which is expected.
     """
     if kind is not None and data.get("kind") != kind:
-        raise InputError(f"{where}: is no file of kind '{kind}'")
+        raise InputError(f"{where}: is not a file of kind '{kind}'")
     if data.get("schema") != schema:
         raise InputError(f"{where}: schema: this version reads schema {schema}, the file says {data.get('schema')!r}")
 
 
 def decoded(model: type[Model], data: Mapping[str, Any], where: str) -> Model:
-    """A model from plain values; keys that it does not know are left out.
+    """Return a model from plain values; unknown keys are ignored.
 
     Raises
     ------
@@ -185,7 +184,7 @@ def _adapter(model: type[Model]) -> TypeAdapter[Model]:
 
 
 def _path(place: tuple[int | str, ...]) -> str:
-    """`loads[0].mass_kg: ` of a place in the file."""
+    """Return the key path, such as `loads[0].mass_kg: `."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place).lstrip(".")
     return f"{text}: " if text else ""
 
@@ -213,5 +212,5 @@ def _in_words(problem: ErrorDetails) -> str:
 
 
 def _kind_of(value: Any) -> str:
-    """A value in words, for messages."""
+    """Return the name of the type of a value, for messages."""
     return "null" if value is None else f"{type(value).__name__} {value!r}"[:80]

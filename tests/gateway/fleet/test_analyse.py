@@ -191,7 +191,7 @@ def test_a_robot_of_a_store_cannot_name_a_file_elsewhere(store: Store, tmp_path:
     data = json.loads((store.analysis / "fleet.json").read_text())
     data["robots"][0]["robot"] = "../../outside"
     (store.analysis / "fleet.json").write_text(json.dumps(sealed(data)))
-    with pytest.raises(InputError, match=r"'\.\./\.\./outside' is no name of a robot"):
+    with pytest.raises(InputError, match=r"'\.\./\.\./outside' is not a name of a robot"):
         read_fleet(store.analysis / "fleet.json")
 
 

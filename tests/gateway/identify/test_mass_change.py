@@ -59,7 +59,7 @@ def test_a_change_of_mass_is_refused_by_every_command(tmp_path, what, command):
     assert re.search(reason, load["refused"]), load["refused"]
     exported = CliRunner().invoke(main, ["export", str(tmp_path / "r.json"), "--format", "json"])
     assert exported.exit_code == 6
-    assert "has no mass to hand over" in exported.stderr
+    assert "has no mass to export" in exported.stderr
 
 
 NOT_CHANGED = {

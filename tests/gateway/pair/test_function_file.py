@@ -61,7 +61,7 @@ def damaged(change: dict[str, object]) -> str:
     [
         ("{", "not valid JSON"),
         ("[]", "one JSON object is expected"),
-        (damaged({"kind": "x"}), "is no file of kind 'servo-gateway transform function'"),
+        (damaged({"kind": "x"}), "is not a file of kind 'servo-gateway transform function'"),
         (damaged({"schema": 2}), "schema: this version reads schema 1, the file says 2"),
         (damaged({"units": {"s_m": "mm"}}), "units"),
         (damaged({"stage": "third"}), "stage"),

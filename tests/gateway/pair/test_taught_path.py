@@ -71,5 +71,5 @@ def test_text_that_is_none_is_refused(tmp_path: Path) -> None:
     (tmp_path / "points.json").write_bytes(b"\xff")
     with pytest.raises(InputError, match="cannot be read"):
         read_taught_path(tmp_path / "points.json", "ab", "cd")
-    with pytest.raises(InputError, match="a nesting that no such file has"):
+    with pytest.raises(InputError, match="a nesting that is too large"):
         taught_path_from_json("[" * 100_000, "p.json")

@@ -85,7 +85,7 @@ def changed(**changes: object) -> dict[str, Any]:
     [
         (without("robot"), "robot: the key is missing"),
         (without("path", "duration_s"), "path.duration_s: the key is missing"),
-        (without("kind"), "is no file of kind 'follow'"),
+        (without("kind"), "is not a file of kind 'follow'"),
         (changed(schema=2), "this version reads schema 1"),
         (changed(left_out_syncs="two"), "left_out_syncs: expected an integer"),
         (
