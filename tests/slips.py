@@ -305,7 +305,7 @@ RESULTS: list[tuple[str, Sequence[str], int, str, Make]] = [
     ("a centre of two numbers", EXPORT, 3, "three numbers are needed, got 2", result(com_m=[0, 0])),
     ("that was edited", EXPORT, 3, "was edited: its sha256", result({"sha256": "0" * 64})),
     ("that was edited, in a report", REPORT, 3, "was edited: its sha256", result({"sha256": "0" * 64})),
-    ("two loads of one name", EXPORT, 6, "cannot be told apart by name", loads(("a", 2.0), ("a", 3.0))),
+    ("two loads of one name", EXPORT, 6, "get equal names in the file", loads(("a", 2.0), ("a", 3.0))),
     ("of another robot beside it", COMPARE, 3, "only results of one arm are compared", and_another(robot="other")),
     ("of nothing beside it", COMPARE, 3, "hold no quantity in common", and_another(loads=[])),
     (

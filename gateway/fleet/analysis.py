@@ -1,4 +1,4 @@
-"""Analyse a fleet: estimate recordings again, compute trends and states, robot by robot, each stored at once."""
+"""Analyse a fleet: repeat the estimation of recordings, compute trends and states per robot, and store each at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of checks: of a recording, of a result, and of a recording that is estimated again."""
+"""Rows of the fleet store, one per check: from a recording, a result, or a repeated estimation."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from gateway.result.result import LoadResult, NuisanceResult, Outcome, Result, r
 from gateway.result.values import plain_values
 
 Row = dict[str, Any]
-#: Before this no recording was made: a clock that was never set.
+#: Earliest plausible recording time; an earlier one shows a clock that was never set.
 EARLIEST: Final = datetime(2000, 1, 1, tzinfo=UTC)
 #: By how much the clock of a robot may be ahead of the clock here [s].
 AHEAD_S: Final = 86400.0
@@ -36,12 +36,12 @@ _UNMOVED: Final = 0.02
 
 
 def rows_of_recording(path: Path, now: datetime) -> list[Row]:
-    """Return a row per arm of a recording, without numbers until it is estimated.
+    """Return one row per arm of a recording, without estimates.
 
     Raises
     ------
     InputError
-        It cannot be used, or does not state its time.
+        The recording is unusable, or does not state its time.
     """
     recording = read(path)
     at = _when(recording.created, str(path))
@@ -64,7 +64,7 @@ def rows_of_recording(path: Path, now: datetime) -> list[Row]:
 
 
 def rows_of_result(path: Path, now: datetime) -> list[Row]:
-    """The row of a result.
+    """Return the row of a result file.
 
     Raises
     ------
@@ -97,7 +97,7 @@ def rows_of_result(path: Path, now: datetime) -> list[Row]:
 
 
 def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
-    """Estimate a recording again, a row per arm; where that fails the row has no numbers and states why.
+    """Repeat the estimation of a recording and return one row per arm; a failure is stored as its reason.
 
     Raises
     ------
@@ -138,7 +138,8 @@ def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
     ----------
     result : Result
     gain_std : sequence of N floats, optional
-        How well the torque constants were known before, relative: a gain that is known no better was not measured.
+        Relative standard deviation of the torque constants before the estimation; with the same one, a gain
+        was not measured.
     """
     axes = len(result.friction_band_nm)
     gain, bias = _measured(result.nuisance.get("gain"), gain_std), result.nuisance.get("bias_nm")
@@ -166,9 +167,7 @@ def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
 
 
 def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> NuisanceResult | None:
-    """Return the gains without those that only repeat the assumption: without load torque a gain is not
-    identifiable.
-    """
+    """Return the gains that the data determine; a gain is identifiable only with load torque."""
     if gain is None or not gain.value:
         return gain
     value, std = np.array(gain.value), np.array(gain.std)
@@ -182,9 +181,9 @@ def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> 
 def clock_fault(at: datetime, now: datetime) -> str | None:
     """Return why a time is implausible; None where it is plausible."""
     if at < EARLIEST:
-        return f"its time is {at:%Y-%m-%d}: a clock that was never set"
+        return f"its time is {at:%Y-%m-%d}: the clock was never set"
     if (at - now).total_seconds() > AHEAD_S:
-        return f"its time is {at:%Y-%m-%d %H:%M}, which is still to come"
+        return f"its time is {at:%Y-%m-%d %H:%M}, in the future"
     return None
 
 
@@ -193,7 +192,7 @@ def _when(text: str, where: str) -> datetime:
         return moment(text)
     except ValueError as error:
         raise InputError(
-            f"{where}: '{text}' is no time at which it could have been recorded; record it again"
+            f"{where}: '{text}' is not a plausible recording time; set the clock and record again"
         ) from error
 
 
@@ -238,7 +237,7 @@ def _load(load: LoadResult, outcome: Outcome | None) -> Row:
 
 
 def _outcome(result: Result, label: str) -> Outcome | None:
-    """Return the outcome of the load check; the worst of several."""
+    """Return the outcome of the load check; the worst one of several loads."""
     said = [each.outcome for each in result.acceptance if each.load == label]
     for worst in ("fail", "cannot tell", "pass"):
         if worst in said:

@@ -18,12 +18,12 @@ IDENTITY: Final = ("sha256", "line", "kind", "software")
 
 
 def axis_columns() -> tuple[str, ...]:
-    """Columns that hold one number per axis."""
+    """Return the columns that contain one number per axis."""
     return (*(name for each in QUANTITIES for name in (each.key, each.std_key)), TEMPERATURE)
 
 
 def columns() -> Any:
-    """The schema of a file, with its version."""
+    """Return the Arrow schema of a file, with its version."""
     pa = library("pyarrow")
     floats = pa.list_(pa.float64())
     load = pa.struct(

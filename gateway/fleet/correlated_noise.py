@@ -20,7 +20,7 @@ Ints = NDArray[np.int_]
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Correlated noise: its variance over that of the white noise of one check, and its time constant [a]."""
+    """Correlated noise: variance relative to the white noise of one check, and time constant [a]."""
 
     ratio: float
     time_a: float
@@ -41,7 +41,7 @@ SHAPES: tuple[Shape, ...] = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sums:
-    """What is needed of the checks up to a day, for G shapes and M series with q - 1 columns and the values last.
+    """Whitened sums over the checks up to a day, for G shapes and M series with q - 1 columns and the values last.
 
     Attributes
     ----------
@@ -56,16 +56,16 @@ class Sums:
 
 
 def sums(time_a: Floats, columns: Floats, relative_std: Floats, looks: Ints) -> list[Sums]:
-    """Whitened sums at every look.
+    """Return the whitened sums at every look.
 
     Parameters
     ----------
     time_a : array of shape (n,)
-        Years, not falling.
+        Years, in ascending order.
     columns : array of shape (n, M, q)
-        Columns of the regression and the values last; a NaN anywhere = no check.
+        Columns of the regression, and the values last; NaN = no check.
     relative_std : array of shape (n, M)
-        Standard deviation of the noise of every check over that of a typical one.
+        Standard deviation of the noise of every check, relative to a typical check.
     looks : array of shape (k,)
         Number of checks, at least 1, after which the sums are returned.
     """
@@ -103,14 +103,14 @@ def sums(time_a: Floats, columns: Floats, relative_std: Floats, looks: Ints) -> 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedLines:
-    """Straight lines for G shapes and M series with p columns.
+    """Fitted lines for G shapes and M series with p columns.
 
     Attributes
     ----------
     value : (G, M, p)
-    covariance : (G, M, p, p), with the noise as read from the series
+    covariance : (G, M, p, p), with the noise estimated from the series
     square : (G, M) variance of the noise of one check
-    freedom : (M,) checks beyond the columns; below 1 nothing is determined
+    freedom : (M,) checks minus columns; below 1 the line is not determined
     log_likelihood : (G, M) of the shape, restricted
     """
 
@@ -122,7 +122,7 @@ class FittedLines:
 
 
 def lines(of: Sums, active: NDArray[np.bool_]) -> FittedLines:
-    """Solve; a column that is not active is left out.
+    """Return the fitted lines; inactive columns are omitted.
 
     Parameters
     ----------

@@ -66,7 +66,7 @@ def sigmas(of: FittedLines, log_prior: Floats, tolerance: Floats) -> Floats:
 
 
 def detectable(std: Floats, tolerance: Floats, needed: float) -> Floats:
-    """Return the drift a year (M,) that is detected with 95 % for this standard deviation; NaN where that is NaN."""
+    """Return the yearly drift (M,) detected with a probability of 95 % for a standard deviation; NaN for NaN."""
     drifts = _DRIFTS[:, None] * tolerance
     known = np.where(std > 0.0, np.maximum(std, 1e-6 * tolerance), 1.0)
     low, high = np.zeros_like(known), 1e3 * known + 1e3 * tolerance
@@ -79,19 +79,21 @@ def detectable(std: Floats, tolerance: Floats, needed: float) -> Floats:
 
 
 def log_seen(of: FittedLines, tolerance: Floats) -> Floats:
-    """Logarithm of the likelihood (G, M) of every shape, drift or not: none as likely as any."""
+    """Return the log likelihood (G, M) of every shape, drift and no drift being equally probable."""
     return np.logaddexp(*_none_and_some(of, tolerance)) + np.log(0.5)
 
 
 def _none_and_some(of: FittedLines, tolerance: Floats) -> tuple[Floats, Floats]:
-    """Logarithms of the likelihood (G, M) of every shape without a drift, and with one of any of the sizes."""
+    """Return the log likelihoods (G, M) of every shape without drift, and with the mixture of drifts."""
     drifts = _DRIFTS[:, None] * tolerance
     some = _log_likelihood(of, drifts) + np.log(_SHARES)[:, None, None]
     return _log_likelihood(of, np.zeros((1, len(tolerance))))[0], np.logaddexp.reduce(some, axis=0)
 
 
 def _log_likelihood(of: FittedLines, drifts: Floats) -> Floats:
-    """Of given drifts (K, M), for every shape (K, G, M); level, temperature, load and noise integrated out."""
+    """Return the log likelihood (K, G, M) of drifts (K, M) for every shape; level, temperature, load and noise
+    integrated out.
+    """
     known = np.maximum(of.freedom, 1.0)
     variance = np.maximum(of.covariance[:, :, DRIFT, DRIFT], 1e-300)
     away = (of.value[:, :, DRIFT] - drifts[:, None, :]) ** 2 / variance
@@ -108,7 +110,7 @@ def weights(of: FittedLines, log_prior: Floats) -> Floats:
 
 
 def mixed(of: FittedLines, weight: Floats) -> tuple[Floats, Floats]:
-    """Mean (M, p) and covariance (M, p, p) over the shapes."""
+    """Return mean (M, p) and covariance (M, p, p) over the shapes."""
     mean = (weight[..., None] * of.value).sum(axis=0)
     away = of.value - mean
     widened = of.covariance * (np.maximum(of.freedom, 3.0) / (np.maximum(of.freedom, 3.0) - 2.0))[:, None, None]

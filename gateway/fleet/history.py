@@ -28,15 +28,15 @@ _MAD: Final = 0.6745
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CheckSeries:
-    """M series of n checks of one robot.
+    """Values of M quantities in n checks of one robot.
 
     Attributes
     ----------
-    quantities, joints, programs : of every series
+    quantities, joints, programs : quantity, joint and load label of every series
     time_a : (n,) years since the first check
     value, std : (n, M); NaN = not measured
-    temperature_c, load_kg : (n, M); 0 throughout where not known
-    set_aside : (M,) gross checks
+    temperature_c, load_kg : (n, M) minus the mean; all 0 where unknown
+    set_aside : (M,) number of rejected outliers
     """
 
     quantities: tuple[Tracked, ...]
@@ -52,7 +52,7 @@ class CheckSeries:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """Rows of a robot that are used, and remarks on the others."""
+    """Rows of a robot that are used, and remarks on the excluded ones."""
 
     rows: Any
     series: CheckSeries
@@ -61,17 +61,19 @@ class History:
 
 
 def history(rows: Any) -> History:
-    """Series of the rows of one robot, sorted by time.
+    """Return the rows of one robot sorted by time.
 
-    A repeated estimate replaces the recording and its result; of a resumed recording the longest is used; rows with an
-    implausible time are excluded.
+    A repeated estimate replaces the recording and its result. Of a resumed recording the longest version is used.
+    Rows with an implausible time are excluded.
     """
     pa = library("pyarrow")
     remarks: list[str] = []
     keep, odd = _kept(rows)
     faults = sum(said is not None for said, use in zip(rows["clock"].to_pylist(), keep, strict=True) if use)
     if faults:
-        remarks.append(f"{faults} checks have a time that cannot be, and are in no trend: set the clock of the robot")
+        remarks.append(
+            f"{faults} checks have an implausible time and are excluded from trends: set the clock of the robot"
+        )
     remarks += odd
     good = [use and said is None for use, said in zip(keep, rows["clock"].to_pylist(), strict=True)]
     used = rows.filter(pa.array(good, pa.bool_()))
@@ -85,7 +87,7 @@ def _names() -> list[str]:
 
 
 def _kept(rows: Any) -> tuple[list[bool], list[str]]:
-    """Return which rows are used (n,), and remarks on the others."""
+    """Return which rows are used (n,), and remarks on the excluded ones."""
     kind, recordings = rows["kind"].to_pylist(), rows["recordings"].to_pylist()
     time, duration = rows["time_utc"].to_pylist(), rows["duration_s"].to_pylist()
     software = rows["software"].to_pylist()
@@ -106,7 +108,7 @@ def _kept(rows: Any) -> tuple[list[bool], list[str]]:
     keep = [use and (kind[row] not in (RECORDING, ESTIMATE) or row in chosen) for row, use in enumerate(keep)]
     spans = [(time[row].timestamp(), duration[row] or 0.0) for row in sorted(chosen, key=lambda row: time[row])]
     across = sum(start + length > after for (start, length), (after, _) in zip(spans, spans[1:], strict=False))
-    odd = [f"{across} recordings run into the next one: the clock went back; look at their times"] if across else []
+    odd = [f"{across} recordings overlap the next one: the clock was set back; check their times"] if across else []
     return keep, odd
 
 
@@ -161,7 +163,7 @@ def _centred(values: Floats, of: Floats) -> Floats:
 
 
 def _load_kg(rows: Any) -> Floats:
-    """Mean mass (n,) of the loads of every check; none = 0, one that is not known = NaN."""
+    """Return the mean load mass (n,) of every check; no load = 0, unknown = NaN."""
     out = np.zeros(rows.num_rows)
     for row, loads in enumerate(rows["loads"].to_pylist()):
         masses = [np.nan if each["mass_kg"] is None else each["mass_kg"] for each in loads or ()]
@@ -170,7 +172,7 @@ def _load_kg(rows: Any) -> Floats:
 
 
 def program_masses(rows: Any) -> dict[str, tuple[Floats, Floats]]:
-    """Of every program mass and standard deviation (n,) [kg], NaN where it was not there."""
+    """Return mass and standard deviation (n,) [kg] by program; NaN in checks without it."""
     found: dict[str, tuple[Floats, Floats]] = {}
     for row, loads in enumerate(rows["loads"].to_pylist()):
         for each in loads or ():

@@ -16,7 +16,7 @@ _CODE = 8
 
 @dataclass(frozen=True, slots=True)
 class RobotName:
-    """A robot: another drive on an axis is another robot, since its constants may differ."""
+    """Identity of a robot, including drive serial numbers: with another drive its constants may differ."""
 
     cell: str
     arm: str
@@ -24,7 +24,7 @@ class RobotName:
 
     @property
     def key(self) -> str:
-        """Return a readable and unique name for folders and pages."""
+        """Readable and unique name for folders and pages."""
         told = json.dumps([self.cell, self.arm, list(self.serial_numbers)])
         code = hashlib.sha256(told.encode()).hexdigest()[:_CODE]
         return f"{_plain(self.cell)}-{_plain(self.arm)}-{code}"
@@ -35,18 +35,18 @@ def _plain(text: str) -> str:
 
 
 def robot_name(cell: str, arm: str, serial_numbers: Sequence[int | None]) -> RobotName:
-    """Return the robot; drives without serial number (0 counts as none) are not distinguished."""
+    """Return the identity of a robot; drives without serial number (0 counts as none) are not distinguished."""
     told = tuple(number or None for number in serial_numbers)
     return RobotName(cell, arm, told if any(told) else ())
 
 
 def moment(text: str) -> datetime:
-    """A time of a file, in UTC; one without zone is UTC.
+    """Return a time of a file in UTC; a time without zone is UTC.
 
     Raises
     ------
     ValueError
-        It is no time.
+        The text is not a time.
     """
     plain = text.strip().removesuffix(" UTC")
     at = datetime.fromisoformat(plain)

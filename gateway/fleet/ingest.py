@@ -25,9 +25,9 @@ _HELD_OF_TABLES: Final = 100_000
 
 @dataclass(frozen=True, slots=True)
 class Ingested:
-    """Result: `added` rows, `known` rows already stored, `refused` messages, `clock` remarks.
+    """Result of adding files: `added` rows, `known` rows already stored, `refused` messages, `clock` remarks.
 
-    Rows that a file of the store cannot take are neither; `refused` names that file.
+    Rows rejected by an unreadable file of the store are not counted; `refused` names that file.
     """
 
     files: int
@@ -40,7 +40,7 @@ class Ingested:
 def ingest(
     store: Store, paths: Iterable[Path], now: datetime, tell: Callable[[str], None] = lambda _: None
 ) -> Ingested:
-    """Add recordings (.h5), results (.json) and tables of summaries (.csv, .parquet); folders with all they hold.
+    """Add recordings (.h5), results (.json) and summary tables (.csv, .parquet), or folders of them.
 
     Parameters
     ----------
@@ -85,8 +85,8 @@ def ingest(
         if held:
             put()
     clock = [
-        f"{where}: {count} {'check has' if count == 1 else 'checks have'} a time that cannot be ({why}); kept, and in"
-        " no trend: set the clock of the robot"
+        f"{where}: {count} {'check has' if count == 1 else 'checks have'} an implausible time ({why}); stored, but"
+        " excluded from trends: set the clock of the robot"
         for where, (count, why) in faults.items()
     ]
     return Ingested(files, added, known, tuple(dict.fromkeys(refused)), tuple(clock))
@@ -114,9 +114,7 @@ def _blocks(store: Store, path: Path, now: datetime) -> Iterator[Any]:
     elif path.suffix.lower() in SUFFIXES:
         yield from summary_blocks(path, now)
     else:
-        raise InputError(
-            f"{path}: no recording (.h5), no result (.json) and no table of summaries ({', '.join(SUFFIXES)})"
-        )
+        raise InputError(f"{path}: not a recording (.h5), result (.json) or table of summaries ({', '.join(SUFFIXES)})")
 
 
 def _table(rows: list[Row]) -> Any:
@@ -127,7 +125,7 @@ def _table(rows: list[Row]) -> Any:
 
 
 def _keep(store: Store, path: Path, row: Row) -> None:
-    """Copy the recording to the store, from which it is estimated again."""
+    """Copy a recording to the store for repeated estimation."""
     place = store.place_of_recording(row["robot"], row["month"], row["sha256"])
     if place.exists():
         return

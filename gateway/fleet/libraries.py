@@ -8,5 +8,5 @@ from gateway.data.extras import needed
 
 
 def library(name: str) -> Any:
-    """A module of the extra `fleet`; `ConfigError` where it is not installed."""
+    """Import a module of the extra `fleet`; raise `ConfigError` if it is not installed."""
     return needed(name, "a fleet", "fleet")

@@ -18,7 +18,7 @@ MEANS: Final = (*(each.key for each in QUANTITIES), TEMPERATURE)
 
 
 def month_columns() -> Any:
-    """The schema of the file."""
+    """Return the Arrow schema of the monthly summary."""
     pa = library("pyarrow")
     told = [
         ("robot", pa.string()),
@@ -36,7 +36,7 @@ def month_columns() -> Any:
 
 
 def months_of(places: Sequence[tuple[str, str]], parts: Sequence[Any]) -> list[dict[str, Any]]:
-    """Rows of robots and months.
+    """Return the summary rows of robots and months.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def months_of(places: Sequence[tuple[str, str]], parts: Sequence[Any]) -> list[d
 
 
 def by_axis(column: Any) -> np.ndarray:
-    """Numbers (n, N) of a column of lists, NaN where there is none; rows of fewer axes are filled with NaN."""
+    """Return a column of lists as numbers (n, N), NaN where missing; shorter rows are filled with NaN."""
     flat = column.combine_chunks()
     lengths = np.diff(flat.offsets.to_numpy()) if len(flat) else np.zeros(0, dtype=int)
     lengths = np.where(np.asarray(flat.is_valid()), lengths, 0)
@@ -83,7 +83,7 @@ def by_axis(column: Any) -> np.ndarray:
 
 
 def _means(column: Any, starts: np.ndarray) -> list[list[float | None]]:
-    """Means per axis of the rows from each start to the next one; axes without measurement are null."""
+    """Return the means per axis of the rows from each start to the next; null for axes without measurement."""
     values = by_axis(column)
     if not values.shape[1]:
         return [[] for _ in starts[1:]]
@@ -97,7 +97,7 @@ def _means(column: Any, starts: np.ndarray) -> list[list[float | None]]:
 
 
 def with_months(path: Path, rows: Sequence[dict[str, Any]]) -> None:
-    """Replace the rows of the same robot and month.
+    """Return the summary with the rows of the same robot and month replaced.
 
     Raises
     ------

@@ -31,7 +31,7 @@ _FAILING: Final = 100.0
 
 @dataclass(frozen=True, slots=True)
 class Reason:
-    """A message, the resulting state and its weight."""
+    """Reason for a state: message, resulting state and weight."""
 
     state: State
     urgency: float
@@ -58,7 +58,7 @@ def judged(
             *_drifting(trends),
             *_changed(loads),
             *silent,
-            *_untold(history, trends),
+            *_undetectable(history, trends),
         ],
         key=lambda reason: (_ORDER[reason.state], -reason.urgency),
     )
@@ -88,7 +88,7 @@ def _gain_detectable(trend: FleetTrend) -> bool:
 
 
 def _sureness(trend: FleetTrend) -> tuple[float, float]:
-    """Return the significance of a drift; where the checks contradict any drift, its distance from zero."""
+    """Return the significance of a drift; for inconsistent checks, drift over its standard deviation."""
     return abs(trend.sigmas), abs(trend.drift_per_year) / (trend.drift_std_per_year or math.inf)
 
 
@@ -100,7 +100,7 @@ def _last_seen(rows: Any) -> datetime | None:
 
 
 def _failing(rows: Any) -> Iterator[Reason]:
-    """Findings of the last check that fail."""
+    """Return a reason for each failing finding of the last check."""
     if rows.num_rows:
         for said in rows["failing"][rows.num_rows - 1].as_py() or ():
             yield Reason("visit", _FAILING, f"the last check fails: {said}")
@@ -112,17 +112,17 @@ def _drifting(trends: Sequence[FleetTrend]) -> Iterator[Reason]:
         share = abs(trend.share_per_year) / kind.tolerance
         if trend.found_on is None or not share >= _WORTH or math.isnan(trend.share_per_year):
             continue
-        yield Reason("visit", share, f"{where_of(trend)}: {kind.words} drifts by {drift_in_words(trend)} a year, told"
-                     f" since {trend.found_on}")  # fmt: skip
+        yield Reason("visit", share, f"{where_of(trend)}: {kind.words} drifts by {drift_in_words(trend)} a year,"
+                     f" detected on {trend.found_on}")  # fmt: skip
 
 
 def where_of(trend: FleetTrend) -> str:
-    """Return the text of the axis or load of a trend."""
+    """Return the name of the axis or load of a trend."""
     return f"load '{trend.program}'" if trend.quantity == MASS.key else f"J{trend.joint}"
 
 
 def drift_in_words(trend: FleetTrend) -> str:
-    """Drift with its 95 % interval: as a share, or in its unit."""
+    """Return the drift with its 95 % interval as text: relative, or in its unit."""
     kind = quantity(trend.quantity)
     if kind.relative or not kind.unit:
         return f"{plain(100 * trend.share_per_year, 1)} ± {plain(100 * half_width(trend.share_std_per_year), 1)} %"
@@ -141,14 +141,14 @@ def _changed(loads: Sequence[ProgramLoad]) -> Iterator[Reason]:
 
 def _silent(last: datetime | None, as_of: datetime, silent_days: float) -> Iterator[Reason]:
     if last is None:
-        yield Reason("not seen", _FAILING, "no check whose time can be")
+        yield Reason("not seen", _FAILING, "no check with a plausible time: set the clock of the robot")
         return
     days = (as_of - last).total_seconds() / 86400.0
     if days > silent_days:
         yield Reason("not seen", days / silent_days, f"not seen since {last:%Y-%m-%d}, {days:.0f} days")
 
 
-def _untold(history: History, trends: Sequence[FleetTrend]) -> Iterator[Reason]:
+def _undetectable(history: History, trends: Sequence[FleetTrend]) -> Iterator[Reason]:
     """Return the axes whose gain drift is not yet detectable, or whose gain is not measured."""
     gains = {trend.joint: trend for trend in trends if trend.quantity == GAIN.key}
     missing = [f"J{joint}" for joint in range(1, history.axes + 1) if joint not in gains]
@@ -181,7 +181,7 @@ def _nearest(trends: Sequence[FleetTrend]) -> float:
 
 
 def program_loads(rows: Any, as_of: datetime, silent_days: float) -> tuple[ProgramLoad, ...]:
-    """The load of every program, and whether it is verified."""
+    """Return the load of every program, and whether it is verified."""
     outcomes = _outcomes(rows)
     return tuple(
         _program(program, rows, mass, std, outcomes.get(program), (as_of, silent_days))
@@ -222,11 +222,11 @@ def _verified(mass: np.ndarray, std: np.ndarray, ends: tuple[int, int], said: Ou
         return "cannot tell", "identified once, without a value to compare with"
     change, half = float(mass[last] - mass[first]), half_width(float(np.hypot(std[first], std[last])))
     allowed = _SAME_MASS * abs(float(mass[first]))
-    told = f"{plain(mass[last], 2)} kg, first {plain(mass[first], 2)} kg"
+    masses = f"{plain(mass[last], 2)} kg, first {plain(mass[first], 2)} kg"
     if not math.isfinite(half):
-        return "cannot tell", f"{told}, with no standard deviation"
+        return "cannot tell", f"{masses}, without standard deviation: cannot be compared"
     if abs(change) + half <= allowed:
-        return "pass", f"{told}: the same"
+        return "pass", f"{masses}: unchanged"
     if abs(change) - half > allowed:
-        return "fail", f"{told}: another load"
-    return "cannot tell", f"{told}: ± {plain(half, 2)} kg does not decide whether it is the same"
+        return "fail", f"{masses}: another load"
+    return "cannot tell", f"{masses}: ± {plain(half, 2)} kg does not decide whether it is the same"

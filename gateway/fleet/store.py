@@ -38,7 +38,7 @@ _WRITING: Final[dict[str, Any]] = {"compression": "snappy", "use_dictionary": Fa
 
 @dataclass(frozen=True, slots=True)
 class AddedRows:
-    """Result: number of `new` rows, and `left_out` rows of unreadable files listed in `refused`."""
+    """Number of `new` rows, and number `left_out` of rows for unreadable files, which `refused` lists."""
 
     new: int
     left_out: int
@@ -53,7 +53,7 @@ class Store:
 
     @property
     def months(self) -> Path:
-        """File with a row per robot and month."""
+        """Path of the file with a row per robot and month."""
         return self.path / "months.parquet"
 
     @property
@@ -62,15 +62,15 @@ class Store:
         return self.path / "analysis"
 
     def robots(self) -> list[str]:
-        """Robots that any check is of."""
+        """Return the robots with at least one check."""
         return sorted(folder.name.partition("=")[2] for folder in (self.path / "checks").glob("robot=*"))
 
     def files(self, robot: str) -> list[Path]:
-        """Files of one robot, by month."""
+        """Return the files of one robot, by month."""
         return sorted((self.path / "checks" / f"robot={robot}").glob(f"month=*/{CHECKS}"))
 
     def recordings(self) -> Iterator[tuple[str, Path]]:
-        """Robot and path of every recording, one after another."""
+        """Yield robot and path of every recording."""
         for folder in sorted((self.path / "recordings").glob("robot=*")):
             for file in sorted(folder.glob("month=*/*.h5")):
                 yield folder.name.partition("=")[2], file
@@ -80,11 +80,11 @@ class Store:
         return self.path / "recordings" / f"robot={robot}" / f"month={month}" / f"{sha256}.h5"
 
     def place(self, robot: str, month: str) -> Path:
-        """File of one robot and month."""
+        """Return the path of the file of one robot and month."""
         return self.path / "checks" / f"robot={robot}" / f"month={month}" / CHECKS
 
     def read(self, robot: str) -> Any:
-        """Rows of one robot, all months, as an Arrow table in the order of time.
+        """Return the rows of one robot, all months, as an Arrow table in time order.
 
         Raises
         ------
@@ -110,7 +110,7 @@ class Store:
     def add(self, table: Any) -> AddedRows:
         """Add rows to the files of their robots and months; the caller holds `writing`.
 
-        A file that is there and cannot be read is left as it is, and the rows of the others are added.
+        An unreadable file is left unchanged, and the rows for other files are added.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class Store:
 
 
 def read_file(path: Path) -> Any:
-    """Rows of one file.
+    """Return the rows of one file.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def read_file(path: Path) -> Any:
     except (OSError, pa.ArrowException) as error:
         words = " ".join(str(error).split())[:160]
         raise InputError(
-            f"{path}: cannot be read as Parquet ({words}); take it out of the store and ingest its sources again"
+            f"{path}: cannot be read as Parquet ({words}); remove it from the store and ingest its sources again"
         ) from error
     said = (table.schema.metadata or {}).get(SCHEMA_KEY)
     if said != str(SCHEMA).encode() or table.schema.names != columns().names:
@@ -182,11 +182,11 @@ def open_store(path: Path) -> Store:
     Raises
     ------
     InputError
-        It is none, or one of another schema.
+        It is not a store, or has another schema.
     """
     mark = path / MARK
     if not mark.is_file():
-        raise InputError(f"{path}: is no store of a fleet; make one with servo-gateway fleet ingest {path} FILE...")
+        raise InputError(f"{path}: not a fleet store; create one with servo-gateway fleet ingest {path} FILE...")
     data = json_object(text_of(mark, "ingest into another folder"), str(mark))
     check_kind(data, SCHEMA, FLEET_KIND, str(mark))
     return Store(path)
@@ -198,13 +198,13 @@ def open_or_make(path: Path) -> Store:
     Raises
     ------
     InputError
-        It holds other things.
+        The folder contains other files.
     """
     if (path / MARK).is_file():
         return open_store(path)
     try:
         if path.exists() and (not path.is_dir() or any(path.iterdir())):
-            raise InputError(f"{path}: is no store of a fleet and not empty; name a new folder")
+            raise InputError(f"{path}: not a fleet store, and not empty; name a new folder")
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     replace_file(path / MARK, json.dumps({"kind": FLEET_KIND, "schema": SCHEMA}) + "\n")
@@ -212,7 +212,7 @@ def open_or_make(path: Path) -> Store:
 
 
 def _by_place(table: Any) -> Iterator[tuple[str, str, Any]]:
-    """Robot, month and rows, a place at a time."""
+    """Yield robot, month and their rows."""
     table = table.sort_by([("robot", "ascending"), ("month", "ascending"), ("time_utc", "ascending")]).combine_chunks()
     robots, months = table["robot"].to_pylist(), table["month"].to_pylist()
     rows = table.select(columns().names).cast(columns())
@@ -224,7 +224,7 @@ def _by_place(table: Any) -> Iterator[tuple[str, str, Any]]:
 
 
 def _unknown(rows: Any, known: Any) -> Any:
-    """Rows that are not held yet."""
+    """Return the rows that are not yet stored."""
     held = set(zip(*(known[name].to_pylist() for name in IDENTITY), strict=True))
     new = [key not in held for key in zip(*(rows[name].to_pylist() for name in IDENTITY), strict=True)]
     return rows if all(new) else rows.filter(library("pyarrow").array(new))

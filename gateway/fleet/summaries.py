@@ -36,11 +36,11 @@ _LONGEST_HEADER: Final = 1 << 16
 _UNPACKED_RATIO: Final = 100
 _TEXTS: Final = ("cell", "arm", "software", "load", "outcome", "time_utc")
 _OUTCOMES: Final = ("pass", "fail", "cannot tell")
-WENT_BACK: Final = "the clock went back: it follows a later one of the same robot"
+WENT_BACK: Final = "the clock was set back: an earlier row of the same robot has a later time"
 
 
 def summary_blocks(path: Path, now: datetime) -> Iterator[Any]:
-    """Rows of a table of summaries as those of the store, with `robot` and `month`, a block at a time.
+    """Yield the rows of a table of summaries in blocks, as rows of the store with `robot` and `month`.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def summary_blocks(path: Path, now: datetime) -> Iterator[Any]:
 
 
 def _parquet(path: Path, stream: IO[bytes], size_bytes: int) -> tuple[int, Iterator[Any]]:
-    """Number of axes, and the rows a block at a time; texts stay in dictionaries until their length is known."""
+    """Return the number of axes, and an iterator over blocks of rows; texts stay dictionary-encoded until checked."""
     pa, parquet = library("pyarrow"), library("pyarrow.parquet")
     axes, wanted = _axes(parquet.ParquetFile(stream).schema_arrow.names, str(path))
     file = parquet.ParquetFile(stream, read_dictionary=[name for name in wanted if name in _TEXTS])
@@ -79,14 +79,14 @@ def _parquet(path: Path, stream: IO[bytes], size_bytes: int) -> tuple[int, Itera
     unpacked = sum(about.row_group(group).total_byte_size for group in range(about.num_row_groups))
     if about.num_rows > size_bytes or unpacked > _UNPACKED_RATIO * size_bytes + _BLOCK:
         raise InputError(
-            f"{path}: {size_bytes} bytes claim {about.num_rows} rows and {unpacked / 1e6:.0f} MB: no table of summaries"
-            " packs like that"
+            f"{path}: {size_bytes} bytes claim {about.num_rows} rows and {unpacked / 1e6:.0f} MB: implausible"
+            " compression for a table of summaries; write it again"
         )
     return axes, (_plain(path, batch) for batch in file.iter_batches(_ROWS, columns=wanted, use_threads=False))
 
 
 def _plain(path: Path, batch: Any) -> Any:
-    """A block with its dictionaries written out."""
+    """Return a block with its dictionaries decoded."""
     pa, pc = library("pyarrow"), library("pyarrow.compute")
     columns = []
     for name, column in zip(batch.schema.names, batch.columns, strict=True):
@@ -99,7 +99,7 @@ def _plain(path: Path, batch: Any) -> Any:
 
 
 def _csv(path: Path, stream: IO[bytes], size_bytes: int) -> tuple[int, Iterator[Any]]:
-    """Number of axes, and the rows a block at a time."""
+    """Return the number of axes, and an iterator over blocks of rows."""
     del size_bytes
     pa, csv = library("pyarrow"), library("pyarrow.csv")
     names = stream.readline(_LONGEST_HEADER).decode("utf-8").strip().split(",")
@@ -116,12 +116,12 @@ def _csv(path: Path, stream: IO[bytes], size_bytes: int) -> tuple[int, Iterator[
 
 
 def _axes(names: Sequence[str], where: str) -> tuple[int, list[str]]:
-    """Number of axes that the columns are of, and the columns that are read; one that is not known is refused."""
+    """Return the number of axes and the columns to read; raise an error for an unknown column."""
     if len(set(names)) != len(names):
         raise InputError(f"{where}:1: a column occurs twice")
     for needed in ("cell", "time_utc"):
         if needed not in names:
-            raise InputError(f"{where}:1: column '{needed}' is missing; a table of summaries has it")
+            raise InputError(f"{where}:1: column '{needed}' is missing; a table of summaries needs it")
     axes = max((int(found[1]) for name in names if (found := re.match(r"[a-z_]+?(\d+)(_|$)", name))), default=0)
     if not FEWEST_AXES <= axes <= MOST_AXES:
         raise InputError(f"{where}:1: columns of {axes} axes; {FEWEST_AXES} to {MOST_AXES} are handled")
@@ -186,7 +186,7 @@ def _text(block: Any, name: str, default: str) -> Any:
 
 
 def _number(block: Any, name: str) -> np.ndarray:
-    """A column of finite numbers (n,), NaN where it is empty or not there."""
+    """Return a column of finite numbers (n,), NaN where it is empty or absent."""
     if name not in block.schema.names:
         return np.full(block.num_rows, np.nan)
     values = block[name].combine_chunks().to_numpy(zero_copy_only=False).astype(float)
@@ -194,7 +194,7 @@ def _number(block: Any, name: str) -> np.ndarray:
 
 
 def _lists(block: Any, names: Sequence[str]) -> Any:
-    """A list per row of several columns, null where none of them is there."""
+    """Return a list per row from several columns, null where all are absent."""
     pa = library("pyarrow")
     count = block.num_rows
     if not any(name in block.schema.names for name in names):
@@ -205,7 +205,7 @@ def _lists(block: Any, names: Sequence[str]) -> Any:
 
 
 def _times(column: Any, where: str, first_line: int) -> np.ndarray:
-    """Times (n,) in UTC [us]."""
+    """Return the times (n,) in UTC [us]."""
     pa, pc = library("pyarrow"), library("pyarrow.compute")
     column = column.combine_chunks()
     if column.null_count:
@@ -222,12 +222,12 @@ def _times(column: Any, where: str, first_line: int) -> np.ndarray:
 
 
 def _robots(block: Any, axes: int, where: str, first_line: int) -> tuple[Any, list[Any]]:
-    """Of every row which robot it is of (n,), and the robots."""
+    """Return the index of the robot of every row (n,), and the robots."""
     pc, pa = library("pyarrow.compute"), library("pyarrow")
     cell, arm = block["cell"].combine_chunks(), _text(block, "arm", "main")
     if cell.null_count:
         row = int(np.argmax(np.asarray(cell.is_null())))
-        raise InputError(f"{where}:{first_line + row}: cell is empty: which robot is it?")
+        raise InputError(f"{where}:{first_line + row}: cell is empty: write the cell name of the robot")
     names = [name for name in (f"serial{joint}" for joint in range(1, axes + 1)) if name in block.schema.names]
     serials = [pc.fill_null(block[name].combine_chunks().cast(pa.int64()), 0) for name in names]
     key = pc.binary_join_element_wise(cell, arm, *(serial.cast(pa.string()) for serial in serials), "\x1f")
@@ -256,12 +256,12 @@ def _clock(times: np.ndarray, which: np.ndarray, keys: Sequence[str], clock: tup
         before = np.maximum.accumulate(np.concatenate([[seen.get(key, -1)], own]))
         seen[key] = int(before[-1])
         wrong[rows[possible[rows] & (at[rows] < before[:-1])]] = WENT_BACK
-    wrong[~possible] = "its time cannot be: a clock that was never set, or is ahead"
+    wrong[~possible] = "implausible time: the clock was never set, or is ahead"
     return library("pyarrow").array(wrong, library("pyarrow").string())
 
 
 def _loads(block: Any, where: str, first_line: int) -> Any:
-    """One load a row, or none."""
+    """Return one load per row, or none."""
     pa = library("pyarrow")
     count, kind = block.num_rows, columns().field("loads").type
     if "load" not in block.schema.names:

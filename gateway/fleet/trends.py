@@ -1,4 +1,4 @@
-"""Trends of a robot: slope of every quantity over the months, and the day of the first detection of a drift."""
+"""Trends of a robot: yearly drift of every quantity, and the day on which a drift was first detected."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ _PRIOR_SERIES: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class NoiseShapes:
-    """Log frequency of each shape of correlated noise in the fleet, by quantity."""
+    """Log frequency of each shape of correlated noise within the fleet, by quantity."""
 
     log_share: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     def of(self, series: CheckSeries) -> Floats:
-        """Logarithm of the share (G, M) of every shape for every series."""
+        """Return the log frequency (G, M) of every shape for every series."""
         even = (-float(np.log(len(SHAPES))),) * len(SHAPES)
         rows = [self.log_share.get(each.key, even) for each in series.quantities]
         return np.array(rows).reshape(-1, len(SHAPES)).T
@@ -56,7 +56,7 @@ class NoiseShapes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Look:
-    """The lines as they were after so many checks."""
+    """Fitted lines after a number of checks."""
 
     checks: int
     day: float
@@ -64,7 +64,7 @@ class Look:
 
 
 def looks_of(series: CheckSeries) -> list[Look]:
-    """Lines at every look, the first after four weeks, the last after the last check."""
+    """Return the fitted lines at every look: the first after four weeks, the last after the last check."""
     count = len(series.time_a)
     if not count or not series.quantities:
         return []
@@ -77,7 +77,7 @@ def looks_of(series: CheckSeries) -> list[Look]:
 
 
 def active_columns(series: CheckSeries) -> Flags:
-    """Columns (M, 4) that are there: level, drift, temperature, load."""
+    """Return the active columns (M, 4): level, drift, temperature, load."""
     changed = [_changes(series.value, table) for table in (series.temperature_c, series.load_kg)]
     always = np.ones(len(series.quantities), dtype=bool)
     return np.stack([always, always, *changed], axis=1)
@@ -92,14 +92,14 @@ def _changes(value: Floats, table: Floats) -> Flags:
 
 
 def _columns(series: CheckSeries) -> Floats:
-    """(n, M, 5): level, drift, temperature, load and the value, scaled so that the coefficients are of order one."""
+    """Return the regression columns (n, M, 5): level, drift, temperature, load and value, scaled to order one."""
     shape = series.value.shape
     time = np.broadcast_to(series.time_a[:, None], shape)
     return np.stack([np.ones(shape), time, series.temperature_c, series.load_kg, series.value], axis=2)
 
 
 def _relative_std(series: CheckSeries) -> Floats:
-    """Standard deviation of every check over the median one (n, M); 1 where it is not stated."""
+    """Return the standard deviation of every check over the median one (n, M); 1 if unknown."""
     known = np.isfinite(series.std) & (series.std > 0.0) & np.isfinite(series.value)
     usual = np.array(
         [np.median(column[flags]) if flags.any() else 1.0 for column, flags in zip(series.std.T, known.T, strict=True)]
@@ -112,7 +112,7 @@ def _relative_std(series: CheckSeries) -> Floats:
 
 
 def seen_likelihoods(series: CheckSeries) -> dict[str, list[Floats]]:
-    """By quantity the log likelihood (G,) of every shape, a series each that is long enough."""
+    """Return the log likelihoods (G,) of every shape, by quantity, for each series that is long enough."""
     looks = looks_of(series)
     if not looks:
         return {}
@@ -126,7 +126,7 @@ def seen_likelihoods(series: CheckSeries) -> dict[str, list[Floats]]:
 
 
 def _tolerance(series: CheckSeries, line: FittedLines) -> Floats:
-    """Drift a year (M,) that is tolerated, in the units of the series; what one check scatters where none is named."""
+    """Return the tolerated yearly drift (M,), in the units of the series; by default the scatter of one check."""
     relative = np.array([each.relative for each in series.quantities])
     named = np.array([each.tolerance for each in series.quantities])
     named = named * np.where(relative, np.abs(line.value[0, :, LEVEL]), 1.0)
@@ -155,7 +155,7 @@ def noise_shapes_of(seen: Sequence[Mapping[str, Sequence[Floats]]]) -> NoiseShap
 def trends_of(
     series: CheckSeries, noise_shapes: NoiseShapes, first: datetime
 ) -> tuple[tuple[FleetTrend, ...], tuple[TrendCurve, ...]]:
-    """Trend and curve of every series.
+    """Return trend and curve of every series.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ def _trend(series: CheckSeries, index: int, line: tuple[Floats, Floats], active:
 
 
 def _curve(series: CheckSeries, index: int, mean: Floats, covariance: Floats) -> TrendCurve:
-    """Checks as they would read at the mean temperature and load, means of neighbours; the line and its 95 % band."""
+    """Return the checks corrected to mean temperature and load, averaged in groups, with the line and its 95 % band."""
     value = series.value[:, index]
     moved = mean[PER_K] * series.temperature_c[:, index] + mean[PER_KG] * series.load_kg[:, index]
     use = np.isfinite(value) & np.isfinite(moved)

@@ -1,7 +1,7 @@
-"""Distribute work over processes by Dask, on this computer or on a cluster.
+"""Distribute work over processes with Dask, on this computer or on a cluster.
 
-Only so much work is handed out as is being done, so that memory does not grow with the number of tasks. What a worker
-was at when it was killed is done again by another one.
+The number of submitted tasks is limited, so that memory does not grow with their number. A task of a killed worker is
+repeated by another one.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _AHEAD: Final = 2
 
 
 class Certificates(NamedTuple):
-    """PEM files for TLS: of the authority, the certificate of this program, its key."""
+    """PEM files for TLS: certificate authority, certificate and key of this program."""
 
     authority: Path
     certificate: Path
@@ -33,7 +33,7 @@ class Certificates(NamedTuple):
 
 
 class Spreading(Protocol):
-    """Does a function of many items; gives each with what came of it, a `GatewayError` included, in any order."""
+    """Applies a function to many items and yields each with its result or `GatewayError`, in any order."""
 
     def __call__(
         self, function: Callable[[Item], Done], items: Iterable[Item]
@@ -41,7 +41,7 @@ class Spreading(Protocol):
 
 
 def one_by_one(function: Callable[[Item], Done], items: Iterable[Item]) -> Iterator[tuple[Item, Done | GatewayError]]:
-    """In this process."""
+    """Apply the function in this process."""
     for item in items:
         yield item, _guarded(function, item)
 
@@ -50,7 +50,7 @@ def one_by_one(function: Callable[[Item], Done], items: Iterable[Item]) -> Itera
 def workers(
     scheduler: str | None, count: int | None = None, security: Certificates | None = None
 ) -> Generator[Spreading]:
-    """Workers of a cluster, or of this machine where no scheduler is named.
+    """Provide the workers of a cluster, or of this computer if no scheduler is named.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def _security(files: Certificates) -> Any:
 
 
 def _reach(scheduler: str) -> None:
-    """Refuse a scheduler that does not accept a connection in time.
+    """Raise an error if the scheduler does not accept a connection in time.
 
     Raises
     ------
@@ -132,13 +132,13 @@ def _reach(scheduler: str) -> None:
 
 def _no_answer(scheduler: str) -> str:
     return (
-        f"--scheduler {scheduler}: no scheduler answers there; start one (dask scheduler), or omit --scheduler to work"
+        f"--scheduler {scheduler}: no scheduler responds; start one (dask scheduler), or omit --scheduler to work"
         " on this machine"
     )
 
 
 class _Dask:
-    """Tasks by a client."""
+    """Tasks submitted through a Dask client."""
 
     def __init__(self, client: Any, where: str) -> None:
         self._client = client
@@ -147,12 +147,12 @@ class _Dask:
     def __call__(
         self, function: Callable[[Item], Done], items: Iterable[Item]
     ) -> Iterator[tuple[Item, Done | GatewayError]]:
-        """As `Spreading` says.
+        """Apply a function to many items, as `Spreading`.
 
         Raises
         ------
         ConfigError
-            The scheduler went away, or there is no worker; what was given is done.
+            The scheduler stopped, or there is no worker; yielded items are complete.
         """
         waiting = iter(items)
         threads = sum(self._client.nthreads().values())
@@ -182,15 +182,15 @@ class _Dask:
         if future.status == "error":
             error = future.exception()
             if isinstance(error, library("distributed").KilledWorker):
-                return GatewayError("every worker that tried it was killed; give the workers more memory")
+                return GatewayError("every worker that executed it was killed; give the workers more memory")
             raise error
         raise ConfigError(
-            f"{self._where}: the scheduler went away; what was done is kept: run the same command again for the rest"
+            f"{self._where}: the scheduler connection was lost; run the command again: completed results are stored"
         )
 
 
 def _guarded(function: Callable[[Item], Done], item: Item) -> Done | GatewayError:
-    """An error of the data is an answer; anything else is a defect."""
+    """Return an error of the data as a result; other exceptions are defects and propagate."""
     try:
         return function(item)
     except GatewayError as error:
@@ -198,5 +198,5 @@ def _guarded(function: Callable[[Item], Done], item: Item) -> Done | GatewayErro
 
 
 def _processors() -> int:
-    """Processors that this process may use; all of them where the system does not say (macOS, Windows)."""
+    """Return the number of processors available to this process; all where the system does not report it."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -200,7 +200,7 @@ def no_body(loads: Iterable[LoadResult]) -> tuple[Finding, ...]:
             "fail",
             f"load {load.label}",
             f"the mass comes out as {with_interval(load.mass_kg, load.mass_std_kg)} kg, which no body has",
-            "check units (radians), signs and torque constants, and whether the bare arm was bare and the load hung",
+            "check units (radians), signs and torque constants, and that the load was mounted in its own run only",
         )
         for load in loads
         if load.mass_kg < 0 and not holds_zero(load.mass_kg, load.mass_std_kg)

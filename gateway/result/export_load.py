@@ -189,7 +189,7 @@ def unique_names(labels: Sequence[str], width: int = NAME_WIDTH) -> dict[str, st
     }
     if not len({name.casefold() for name in names.values()}) == len(set(map(one_line, labels))) == len(labels):
         raise DataUnusable(
-            f"the loads {', '.join(labels)} cannot be told apart by name in the file of a controller: give each load a"
+            f"the loads {', '.join(labels)} get equal names in the file of a controller: give each load a"
             " label of its own and measure or import it again"
         )
     return names

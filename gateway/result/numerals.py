@@ -24,7 +24,7 @@ _ANGLE: Final = re.compile(
     rf"(?:\[(?P<list>{_VALUE}(?:, {_VALUE})*)\]|(?:(?P<low>{_VALUE}) to )?(?P<value>{_VALUE}))"
     r" (?P<unit>m?rad)(?P<per>/s[23]?)?(?![\w/(])(?! \()"
 )
-#: Beyond two turns a number is no joint angle [rad].
+#: Largest number taken for a joint angle [rad]: two turns.
 _FARTHEST_RAD: Final = 4 * math.pi
 
 

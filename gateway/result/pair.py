@@ -130,12 +130,12 @@ class PairRunResult:
     ----------
     name, text : embodiment, and the same in words
     speed : speed setting
-    s_m, x_m : way and position of the master's gripper in the world, per command
+    s_m, x_m : path position and position of the master's gripper in the world, per command
     first_n, last_n : force along the line between the grippers in the first and the last cycle
     first_size_n, last_size_n : size of the whole force, which the limit is on; absent in runs of before
     first_half_n, last_half_n : half the width of its 95 % interval
     first_m, last_m : in their place where a gap is kept: the distance that is furthest off, by how much
-    knots_s_m : ways of the function's knots
+    knots_s_m : path positions of the function's knots
     learning_s, evaluation_s : longest learning step, mean evaluation of the controller
     """
 
@@ -178,7 +178,7 @@ class TaughtPoint:
     Attributes
     ----------
     command : of the path, from 1
-    s_m : way
+    s_m : path position
     relation : (4, 4), gripper 2 in gripper 1 by the adjusted commands
     correction_m, correction_rad : of the slave at this point, its base
     force_n, moment_nm : of every sweep, the last one below the set value
@@ -199,8 +199,8 @@ class TaughtPathFile:
 
     Attributes
     ----------
-    servo_law_s : T and tau of `e + tau e' = T u'`, by which each joint of both arms followed its set points, null =
-        unknown; empty = not told
+    servo_law_s : T and tau of `e + tau e' = T u'`, by which each joint of both arms followed its setpoints, null =
+        unknown; empty = not stated
     """
 
     kind: str = POINTS_KIND
@@ -259,7 +259,7 @@ class LearningSwitch:
     frozen: bool = False
 
 
-# -- what is told ------------------------------------------------------------------------------------------------------
+# -- output of the commands ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

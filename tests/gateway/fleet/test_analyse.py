@@ -87,7 +87,7 @@ def test_check_that_says_fail_asks_for_a_visit(store: Store, tmp_path: Path) -> 
 def test_checks_of_a_wrong_clock_alone_are_not_seen(store: Store, tmp_path: Path) -> None:
     rows = [row | {"time_utc": "1970-01-01T00:00:00"} for row in checks("a", days=range(3))]
     (only,) = analysed(store, tmp_path, rows).robots
-    assert (only.state, only.why[0]) == ("not seen", "no check whose time can be")
+    assert (only.state, only.why[0]) == ("not seen", "no check with a plausible time: set the clock of the robot")
 
 
 def test_store_of_two_schemas_names_the_file_and_judges_the_others(store: Store, tmp_path: Path) -> None:

@@ -137,7 +137,7 @@ def test_a_clock_set_back_is_reported_and_nothing_is_lost(store: Store, tmp_path
     done = ingest(store, [write_table(tmp_path / "a.csv", rows)], NOW)
     assert done.added == 5
     assert len(done.clock) == 1
-    assert "1 check has a time that cannot be (the clock went back" in done.clock[0]
+    assert "1 check has an implausible time (the clock was set back" in done.clock[0]
     (robot,) = store.robots()
     held = store.read(robot)
     wrong = [said is not None for said in held["clock"].to_pylist()]
@@ -154,7 +154,7 @@ def test_recordings_of_a_clock_that_went_back_run_into_each_other(store: Store, 
     assert ingest(store, paths, NOW).added == 2
     (robot,) = store.robots()
     assert history(store.read(robot)).remarks == (
-        "1 recordings run into the next one: the clock went back; look at their times",
+        "1 recordings overlap the next one: the clock was set back; check their times",
     )
     assert len(list(store.recordings())) == 2
 
@@ -206,7 +206,7 @@ def test_folder_of_other_things_is_no_store(tmp_path: Path) -> None:
     (tmp_path / "letter.txt").write_text("dear")
     with pytest.raises(InputError, match="not empty"):
         open_or_make(tmp_path)
-    with pytest.raises(InputError, match="is no store of a fleet"):
+    with pytest.raises(InputError, match="not a fleet store"):
         open_store(tmp_path)
 
 

@@ -66,7 +66,7 @@ def test_scheduler_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
-    with pytest.raises(ConfigError, match=f"--scheduler {address}: no scheduler answers there"), workers(address):
+    with pytest.raises(ConfigError, match=f"--scheduler {address}: no scheduler responds"), workers(address):
         pass
 
 
@@ -133,7 +133,10 @@ if __name__ == "__main__":
 @pytest.mark.parametrize(
     ("cluster", "said"),
     [
-        ("worker", "True .*: the scheduler went away; what was done is kept: run the same command again for the rest"),
+        (
+            "worker",
+            "True .*: the scheduler connection was lost; run the command again: completed results are stored",
+        ),
         ("nobody", r"False .*: has no worker; start one \(dask worker ADDRESS\)"),
     ],
 )
