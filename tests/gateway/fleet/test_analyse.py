@@ -217,7 +217,7 @@ def test_commands_name_what_cannot_be_used(tmp_path: Path) -> None:
     done = run("fleet", "ingest", tmp_path / "store", tmp_path / "half.h5", table)
     assert done.exit_code == 3
     assert "3 checks added" in " ".join(done.output.split())
-    lines = [text for text in done.output.splitlines() if "half.h5" in text or "clock went back" in text]
+    lines = [text for text in done.output.splitlines() if "half.h5" in text or "clock was set back" in text]
     assert len(lines) == 2
     assert run("fleet", "analyse", tmp_path / "nothing").exit_code == 3
     assert run("fleet", "report", tmp_path / "store").exit_code == 3
