@@ -108,7 +108,7 @@ TABLES: list[tuple[str, Sequence[str], int, str, Make]] = [
     ("one posture", BOTH, 6, "measured in one posture: .*add at least one posture", measured(where("pose", "1"))),
     ("a time that is none", BOTH, 3, r"t\.csv:5: time_s: 'nan' is not a finite", measured(at(3, "time_s", "nan"))),
     ("a label that controls a terminal", BOTH, 3, r"t\.csv:4: load: .*printable", measured(at(2, "load", "a\x1b[31m"))),
-    ("mounted late", BOTH, 7, CONTRADICT, measured(loaded=[None] * 3 + [LOAD] * 5)),
+    ("mounted with delay", BOTH, 7, CONTRADICT, measured(loaded=[None] * 3 + [LOAD] * 5)),
     ("taken off early", BOTH, 7, CONTRADICT, measured(loaded=[LOAD] * 5 + [None] * 3)),
     (
         "two loads of one label",

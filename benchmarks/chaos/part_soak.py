@@ -131,7 +131,7 @@ def _swing_once(served: Drives, until_s: float, swung: Swung, on_progress: Calla
             finally:
                 swung.overruns += group.statistics.overruns
     except MasterStalled:
-        swung.stops.append("held up")
+        swung.stops.append("stalled")
         swung.incomplete_s.append(time.monotonic())
     except DriveError as error:
         swung.stops.append(str(error))

@@ -64,7 +64,7 @@ def figures(answers: Sequence[dict]) -> Figures:
 
 def _of_condition(name: str, variant: str, answers: Sequence[dict]) -> Figures:
     of, loads = f"{name} ({variant})", given_loads(answers)
-    out = {f"{of}: silent": share([is_unreported(a) for a in answers], UNREPORTED)}
+    out = {f"{of}: unreported": share([is_unreported(a) for a in answers], UNREPORTED)}
     if loads and not CONDITIONS[name].open:
         out[f"{of}: 95 % of mass hold"] = share([load["holds"] for load in loads], HOLD)
     if CONDITIONS[name].clean:
@@ -79,8 +79,18 @@ def _of_condition(name: str, variant: str, answers: Sequence[dict]) -> Figures:
 
 def condition_table(answers: Sequence[dict]) -> Table:
     """One row a condition: cells, unreported errors, intervals, detection, refusals, error and stated std."""
-    heads = ("cells", "silent", "warned", "refused", "mass holds", "centre holds", "mean error", "rms", "median std")
-    table = Table("condition", "variant", *heads, "s", title="silent: off by 3 stated std, no warning, no refusal")
+    heads = (
+        "cells",
+        "unreported",
+        "warned",
+        "refused",
+        "mass holds",
+        "centre holds",
+        "mean error",
+        "rms",
+        "median std",
+    )
+    table = Table("condition", "variant", *heads, "s", title="unreported: off by 3 stated std, no warning, no refusal")
     for name, variant in dict.fromkeys((a["condition"], a["variant"]) for a in answers):
         these = [a for a in answers if (a["condition"], a["variant"]) == (name, variant)]
         loads = given_loads(these)

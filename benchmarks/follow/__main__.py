@@ -148,7 +148,7 @@ def _loads(results: dict[str, list[FollowResult]], wrong: list[FollowResult]) ->
 def _with_wrong_efficiency(place: rig.Place, handle: Any) -> dict[str, dict]:
     """The same with gear efficiencies in the cell file that are five points below what the gears do."""
     pattern = r"gear_efficiency = \{ value = 0\.8(\d?)"
-    cell = place.changed_cell("told", pattern, r"gear_efficiency = { value = 0.75")
+    cell = place.changed_cell("restated", pattern, r"gear_efficiency = { value = 0.75")
     request = FollowRequest(place.path, place.result)
     command = rig.peaks(rig.followed(handle, cell, request, "maximum", "identified"))
     right = rig.peaks(rig.followed(handle, place.cell, request, "velocity alone", "identified"))

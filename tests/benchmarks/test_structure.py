@@ -55,7 +55,7 @@ def test_import_of_a_higher_layer_is_found() -> None:
 def test_modules_of_a_folder_are_read_with_their_imports(tmp_path: Path) -> None:
     for name, text in {
         "drives/a.py": "class Thing:\n    pass\n",
-        "gateway/b.py": "def late():\n    from drives import a\n",
+        "gateway/b.py": "def later():\n    from drives import a\n",
         "sim/c/__init__.py": "from drives.a import Thing\nclass Thing:\n    pass\nclass _Own:\n    pass\n",
     }.items():
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)

@@ -554,7 +554,7 @@ def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(gro
     assert {slave.state for slave in slaves if slave.node_id != 5} == {"switch on disabled"}
 
 
-# -- whatever goes wrong while disabling -------------------------------------------------------------------------------
+# -- failures while disabling --------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("bad"), KeyError("x")])

@@ -89,7 +89,7 @@ def test_an_unreported_error_is_far_off_without_a_message():
 def test_figures_of_a_condition():
     warning = ["warn", "some check", "J2", "text"]
     found = figures([answer(0.5), answer(2.5), answer(3.5), answer(3.5, warning)])
-    assert found["clean (floor): silent"]["value"] == pytest.approx(0.25)
+    assert found["clean (floor): unreported"]["value"] == pytest.approx(0.25)
     assert found["clean (floor): 95 % of mass hold"]["value"] == pytest.approx(0.25)
     assert found["clean (floor): warned"]["met"] is False
     assert condition_table([answer(0.5)]).row_count == 1

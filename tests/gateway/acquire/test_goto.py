@@ -106,7 +106,7 @@ def test_a_posture_where_the_arm_may_not_stand_is_refused_with_what_it_would_tou
         destination(config, workspace, posture)
 
 
-# ------------------------------------------------------------------------------------------------------------- ways
+# ------------------------------------------------------------------------------------------------------------- paths
 
 
 def test_a_free_path_is_straight(opened, fake, workspace):

@@ -23,7 +23,11 @@ def mounted(*parts):
 
 BARE, LOADED = mounted((POSES, None)), mounted((POSES, LOAD))
 CHANGED = {
-    "mounted late": (BARE, mounted((4, None), (8, LOAD)), r"0\S* kg up to pose 4, (4\.9|5\.0)\d? kg from pose 5 on"),
+    "mounted with delay": (
+        BARE,
+        mounted((4, None), (8, LOAD)),
+        r"0\S* kg up to pose 4, (4\.9|5\.0)\d? kg from pose 5 on",
+    ),
     "taken off early": (BARE, mounted((8, LOAD), (4, None)), r"(4\.9|5\.0)\d? kg up to pose 8, \S+ kg from pose 9 on"),
     "two loads of one label": (BARE, mounted((6, LOAD), (6, HEAVIER)), r"up to pose 6, 7\.\d+ kg from pose 7 on"),
     "taken off during the unloaded run": (
@@ -86,7 +90,7 @@ def test_the_unloaded_run_alone_and_a_known_load_are_judged_too(tmp_path, comman
     reference = ("--known", "ref=5,0.02,0.03,0.11")
     for loads, known, code in (
         ([("none", CHANGED["mounted during the unloaded run"][0])], (), 6),
-        ([("none", BARE), ("tool", LOADED), ("ref", CHANGED["mounted late"][1])], reference, 7),
+        ([("none", BARE), ("tool", LOADED), ("ref", CHANGED["mounted with delay"][1])], reference, 7),
     ):
         (tmp_path / "t.csv").write_text(table_text(1, loads))
         options = ("--robot", str(tmp_path / "robot.urdf"), "--inertials", "prior:0.05", *known)

@@ -288,7 +288,7 @@ def test_summary_reports_what_was_estimated(path: PairPath, bare: PairCalibratio
     assert inverse(FIXED)[0, 3] == -0.4
 
 
-# -- force that is known once a way is over ----------------------------------------------------------------------------
+# -- force that is known once a path is over ---------------------------------------------------------------------------
 
 
 def known(path: PairPath, wrench: np.ndarray, std_n: float = 1.0) -> InternalForce:

@@ -168,7 +168,7 @@ def test_recordings_of_other_drives_are_refused(cell_at, record):
     cell = cell_at("own")
     first = record(cell, "first.h5", (11, 12, 13, 14, 15, 16))
     second = record(cell, "second.h5", (11, 12, 99, 14, 15, 16), load="load")
-    without_torque = record(cell, "silent.h5", (None, 0, None, None, None, None), load="other")
+    without_torque = record(cell, "no-torque.h5", (None, 0, None, None, None, None), load="other")
     collect_inputs(ModelRequest(), [first, without_torque])
     with pytest.raises(InputError, match=r"second.h5: J3 .* serial number 99, in first.h5 it was 13"):
         collect_inputs(ModelRequest(), [first, second])

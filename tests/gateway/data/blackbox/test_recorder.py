@@ -42,13 +42,13 @@ from types import SimpleNamespace
 from gateway.data.blackbox.recorder import BoxRecorder
 from gateway.data.blackbox.part import BoxHeader
 
-keeper = BoxRecorder(BoxHeader(Path(sys.argv[1]), (("main", 2),), "cell", "now", "test"))
-keeper.wait_until_kept()
+box = BoxRecorder(BoxHeader(Path(sys.argv[1]), (("main", 2),), "cell", "now", "test"))
+box.wait_until_kept()
 frame = SimpleNamespace(arbitration_id=0x181, data=b"12345", is_extended_id=False, is_remote_frame=False,
                         is_error_frame=False)
 for sync in range(10**6):
-    keeper.row(time.time(), sync)[:] = sync
-    keeper.frame(frame, True)
+    box.row(time.time(), sync)[:] = sync
+    box.frame(frame, True)
     print(time.time(), flush=True)
     time.sleep(0.01)
 """
