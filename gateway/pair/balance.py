@@ -151,7 +151,7 @@ class ForceBalance:
         )
 
     def _certain_force(self, wrench: Floats) -> Floats:
-        """Force and moment (6,), each less what joints that have not turned yet may feign of it."""
+        """Return force and moment (6,), each reduced by the part that friction of joints at rest may cause."""
         certain = wrench.copy()
         for part in (slice(0, 3), slice(3, 6)):
             size = float(np.linalg.norm(wrench[part]))
@@ -222,11 +222,11 @@ class ForceBalance:
         return left, columns, hidden
 
     def _hidden(self, turned: Floats) -> Floats:
-        """Torque (..., J) by which dry friction may be off [Nm], standard deviation."""
+        """Return the standard deviation (..., J) of the dry friction torque [Nm]."""
         return np.hypot(TURNING_SHARE * self._coulomb_nm, self._open(turned))
 
     def _open(self, turned: Floats) -> Floats:
-        """Return the same for friction of unknown direction, where a joint has not moved yet or has just reversed."""
+        """Return the friction torque's standard deviation for unknown direction (joint at rest or reversed)."""
         return EITHER_SHARE * self._coulomb_nm * np.sqrt(1.0 - turned**2)
 
     def _solved(self, at: int, left: Floats, unsure: Floats) -> tuple[Floats, Floats, Floats]:
@@ -242,7 +242,7 @@ class ForceBalance:
 
 
 def _filled(values: Floats) -> Floats:
-    """Rows (M, n) that are missing, from their neighbours."""
+    """Return rows (M, n) with missing ones interpolated from their neighbours."""
     there = np.flatnonzero(~np.isnan(values).any(axis=1))
     every = np.arange(len(values))
     return np.stack([np.interp(every, there, column[there]) for column in values.T], axis=1)

@@ -54,13 +54,13 @@ class PairCalibration:
             value = np.asarray(getattr(self, name), dtype=float)
             proper = value.shape == (4, 4) and np.isfinite(value).all()
             if not proper or np.abs(value[:3, :3].T @ value[:3, :3] - np.eye(3)).max() > 1e-6:
-                raise ConfigError(f"pair calibration: {name} is no pose (4, 4)")
+                raise ConfigError(f"pair calibration: {name} is not a pose (4, 4)")
         if not (self.part_mass_kg >= 0.0 and self.loop_time_s > 0.0):
             raise ConfigError("pair calibration: part mass must not be negative, loop time must be positive")
 
     @property
     def bases(self) -> Bases:
-        """Both bases."""
+        """Return both bases in the world."""
         return Bases(self.w_t_b1, self.w_t_b2)
 
 
@@ -110,5 +110,5 @@ class PathWrenches:
 
 
 def calibration_of(w_t_b1: Floats, w_t_b2: Floats, part_t_e1: Floats) -> PairCalibration:
-    """Calibration of a cell whose stiffness, loop time and part mass are not known better than typical."""
+    """Return the calibration of a cell with typical values of stiffness, loop time and part mass."""
     return PairCalibration(w_t_b1, w_t_b2, inverse(part_t_e1))

@@ -63,12 +63,12 @@ class GearChain:
         self.joints_rad_nm = np.zeros(joints)
 
     def move(self, wrench: Floats) -> Floats:
-        """What the slave's hand has to move (M, 6) [m, rad] for wrenches (M, 6) at its fingertip, base axes."""
+        """Return the slave hand's displacement (M, 6) [m, rad] for wrenches (M, 6) at its fingertip, base axes."""
         along = np.einsum("nij,ni->nj", self._displacements, wrench) * self.joints_rad_nm
         return wrench * self._plain + np.einsum("nij,nj->ni", self._displacements, along)
 
     def take(self, command: Floats, wrench: Floats) -> None:
-        """Take in a cycle.
+        """Update the compliance from a completed cycle.
 
         Parameters
         ----------

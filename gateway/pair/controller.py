@@ -1,4 +1,4 @@
-"""The pair, one control cycle at a time: forces in, commands of both grippers out. No clock, no I/O.
+"""Coordination controller of the pair: computes both gripper commands per control cycle from forces, without I/O.
 
 Per command `m` the slave's command is the master's through the function of arc length, `B2_T_E2 = inv(W_T_B2) W_T_B1
 command T(s[m])` (CN104379308 eq. (4)), plus the corrections of the yielding hands. Function and corrections change only
@@ -36,7 +36,7 @@ GAP_LEAD = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ControllerState:
-    """What the controller holds between two cycles."""
+    """State of the controller between two cycles."""
 
     cycle: int
     frozen: bool
@@ -49,7 +49,7 @@ class ControllerState:
 
 
 class PairController:
-    """Runs one embodiment on one path.
+    """Coordination controller of one embodiment on one path.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ class PairController:
         self._cycle, self._frozen, self._running = 0, False, False
 
     def start_cycle(self, begun: Floats | None = None) -> None:
-        """Begin a cycle at rest at the start: reset the corrections, exchange the function if it is due.
+        """Begin a cycle at rest at the start: reset the corrections, use the newly learned function if it is ready.
 
         Parameters
         ----------
@@ -148,7 +148,7 @@ class PairController:
         wrench_2: Floats | None,
         measured: tuple[Floats, Floats] | None = None,
     ) -> tuple[Floats, Floats]:
-        """Commands of both grippers for command `m`.
+        """Return the commands of both grippers for command `m`.
 
         Parameters
         ----------
@@ -193,7 +193,7 @@ class PairController:
         return master, slave
 
     def _yield(self, arm: int, m: int, wrench: Floats | None) -> Floats:
-        """Correction of a hand after one more cycle; without a force it stays as it is."""
+        """Return the correction of a hand after one more cycle; unchanged without a force measurement."""
         admittance = self._hands[arm]
         if admittance is None:
             return self._corrections[m, arm]
@@ -213,7 +213,7 @@ class PairController:
         return correction_between(slave, plain)
 
     def end_cycle(self, complete: bool, internal_force: InternalForce | None = None) -> CycleSummary:
-        """Finish a cycle; learns from it if it was complete and learning is on.
+        """Finish a cycle, and learn from it if it was complete and learning is on.
 
         Parameters
         ----------
@@ -273,7 +273,7 @@ class PairController:
         if rule.source != "command" and np.isnan(self._measured).any():
             return "present positions are missing"
         if internal_force is not None and internal_force.pulled:
-            return "the torques of both arms do not fit together: something beside the part pulled at them"
+            return "the torques of both arms are inconsistent: an external force other than the part's acted on them"
         return ""
 
     def _to_learn(self) -> Floats:
@@ -317,30 +317,30 @@ class PairController:
         return taught / (taught + variance)
 
     def freeze(self) -> None:
-        """Learning off: functions stay as they are, to the last bit."""
+        """Switch learning off; the functions stay unchanged."""
         self._frozen = True
 
     def resume(self) -> None:
-        """Learning on again."""
+        """Switch learning on again."""
         self._frozen = False
 
     def reset(self) -> None:
-        """Forget all that was learned; from the next cycle on the first function is used."""
+        """Delete the learned functions; the next cycle uses the first function."""
         if self._learning is not None:
             self._learning.reset()
 
     @property
     def function(self) -> TransformFunction:
-        """The function of the next cycle."""
+        """Return the function of the next cycle."""
         return self._first if self._learning is None else self._learning.in_use
 
     @property
     def needs_measured(self) -> bool:
-        """Whether `step` must be given the present poses."""
+        """Return whether `step` requires the present poses."""
         return self._config.learning is not None and self._config.learning.source != "command"
 
     def state(self) -> ControllerState:
-        """What is held between two cycles."""
+        """Return the state between two cycles."""
         learning = self._learning
         return ControllerState(
             cycle=self._cycle,

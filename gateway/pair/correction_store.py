@@ -12,7 +12,7 @@ ARMS = 2
 
 
 class CorrectionStore:
-    """Up to R cycles of corrections (M, 2, 6) `[m, rad]`, oldest dropped first.
+    """Store of the corrections (M, 2, 6) `[m, rad]` of the last R cycles.
 
     Parameters
     ----------
@@ -35,12 +35,12 @@ class CorrectionStore:
 
     @property
     def full(self) -> bool:
-        """Whether R cycles are stored."""
+        """Return whether R cycles are stored."""
         return len(self._kept) == self._cycles
 
     @property
     def corrections(self) -> Floats:
-        """Stored corrections (n, M, 2, 6), oldest first."""
+        """Return the stored corrections (n, M, 2, 6), oldest first."""
         return np.array(self._kept).reshape(len(self._kept), self._commands, ARMS, 6)
 
     def add(self, corrections: ArrayLike) -> None:
@@ -53,11 +53,11 @@ class CorrectionStore:
         self._kept = [*self._kept, values][-self._cycles :]
 
     def clear(self) -> None:
-        """Forget all cycles: after a block has been learned its errors no longer exist."""
+        """Delete all cycles, because the errors of a learned block no longer exist."""
         self._kept = []
 
     def rereference(self, change: ArrayLike) -> None:
-        """Subtract from the stored corrections what the commands have since taken over.
+        """Subtract the learned change of the commands from the stored corrections.
 
         Parameters
         ----------

@@ -27,7 +27,7 @@ class Deviation(Protocol):
     gaps_m: Floats
 
     def listen(self, samples: Samples) -> None:
-        """Take one cycle at standstill, before the trajectory begins."""
+        """Process one cycle at standstill, before the trajectory begins."""
         ...
 
     def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
@@ -51,7 +51,7 @@ class Deviation(Protocol):
 
 
 class DeviationFromForce:
-    """Wrenches of both hands from the torques of both arms, and a limit for the force inside the part.
+    """Wrenches of both hands from the joint torques of both arms, with a limit of the internal force.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ class DeviationFromForce:
         )
 
     def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
-        """Both wrenches (6,) [N, Nm], base axes."""
+        """Return both wrenches (6,) [N, Nm], base axes."""
         return self._balance.inputs(m) or (None, None)
 
     def size_n(self, m: int) -> float:
@@ -148,7 +148,7 @@ class DeviationFromForce:
 
 
 class DeviationFromDistance:
-    """What the slave's fingertip still has to move, from distance sensors; their limits are watched by the motion.
+    """Remaining displacement of the slave's fingertip from distance sensors; the motion monitors their limits.
 
     Parameters
     ----------
@@ -165,10 +165,10 @@ class DeviationFromDistance:
         self._watch, self._slave = watch, slave
 
     def listen(self, samples: Samples) -> None:
-        """Nothing to do: the watch takes every cycle."""
+        """Do nothing: the gap monitor processes every cycle."""
 
     def inputs(self, m: int) -> tuple[Floats | None, Floats | None]:
-        """None, and the move (6,) [m, rad] in the slave's base axes; None too where the last SYNC had no value."""
+        """Return None and the displacement (6,) [m, rad] in the slave's base axes; None without a valid distance."""
         readings = self._watch.readings_m
         if readings is None:
             return None, None
@@ -179,7 +179,7 @@ class DeviationFromDistance:
         return 0.0
 
     def doubtful(self, m: int) -> bool:
-        """Never: a distance is what it is, at rest too."""
+        """Return False: distances are not affected by friction."""
         return False
 
     def take(self, m: int, samples: Samples, rate: float = 1.0) -> str:

@@ -1,4 +1,4 @@
-"""Distance sensors in place of force: two hands that keep a gap without touching (CN104379308 embodiment 5).
+"""Coordination by distance sensors: two hands keep a gap without contact (CN104379308 embodiment 5).
 
 Sensors on one gripper measure the distance to planes on the other one. Their readings give the displacement of the
 slave's fingertip from the demanded relation, in as many components as the sensors determine; only the selected ones are
@@ -24,7 +24,7 @@ LEAST_SINGULAR = 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DistanceSensors:
-    """Sensors on one gripper and the planes on the other one that they look at.
+    """Distance sensors on one gripper, and the planes on the other gripper to which they measure.
 
     Attributes
     ----------
@@ -53,12 +53,12 @@ class DistanceSensors:
                 raise ConfigError(f"distance sensors: {name} needs unit vectors")
 
     def readings(self, e1_t_e2: ArrayLike) -> Floats:
-        """Distances (n,) [m] along the beams at a relation (4, 4)."""
+        """Return the distances (n,) [m] along the beams at a relation (4, 4)."""
         origin, beam, point, normal = self._in_gripper_1(np.asarray(e1_t_e2, dtype=float))
         return np.sum(normal * (point - origin), axis=1) / np.sum(normal * beam, axis=1)
 
     def sensitivity(self, e1_t_e2: ArrayLike) -> Floats:
-        """Change (n, 6) of the readings per displacement `[m; rad]` of fingertip 2, axes of gripper 1."""
+        """Return the change (n, 6) of the readings per displacement `[m; rad]` of fingertip 2, axes of gripper 1."""
         relation = np.asarray(e1_t_e2, dtype=float)
         origin, beam, _, normal = self._in_gripper_1(relation)
         facing = np.sum(normal * beam, axis=1, keepdims=True)
@@ -67,7 +67,7 @@ class DistanceSensors:
         return away * np.concatenate([normal, np.cross(spot, normal)], axis=1)
 
     def _in_gripper_1(self, relation: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Origin, beam, point and normal (n, 3), all in the frame of gripper 1."""
+        """Return origin, beam, point and normal (n, 3), all in the frame of gripper 1."""
         turn, shift, there = relation[:3, :3].T, relation[:3, 3], self.on_master[:, None]
         return (
             np.where(there, self.origin_m, self.origin_m @ turn + shift),
@@ -122,15 +122,15 @@ class DistanceEstimator:
 
     @property
     def demanded_m(self) -> Floats:
-        """Demanded distances (n,) [m]."""
+        """Return the demanded distances (n,) [m]."""
         return self._demanded.copy()
 
     def error(self, readings_m: ArrayLike) -> Floats:
-        """Move (6,) `[m; rad]` that brings the selected components home, axes of gripper 1; zero for the others."""
+        """Return the displacement (6,) `[m; rad]` that nulls the selected components, axes of gripper 1; else zero."""
         return -self._solve @ (np.asarray(readings_m, dtype=float) - self._demanded)
 
     def error_in_base(self, readings_m: ArrayLike, slave_command: ArrayLike) -> Floats:
-        """The same (6,) in axes of the slave's base, near a slave command (4, 4)."""
+        """Return the displacement (6,) in axes of the slave's base, near a slave command (4, 4)."""
         turn = np.asarray(slave_command, dtype=float)[:3, :3] @ self._wanted[:3, :3].T
         error = self.error(readings_m)
         return np.concatenate([turn @ error[:3], turn @ error[3:]])

@@ -93,5 +93,5 @@ EMBODIMENTS: Mapping[str, Embodiment] = {row.name: row for row in _ROWS}
 
 
 def with_gains(embodiment: Embodiment, gains: Gains) -> Embodiment:
-    """Return the same row with another impedance."""
+    """Return a copy of the embodiment with another impedance."""
     return replace(embodiment, gains=gains)

@@ -25,7 +25,7 @@ def dead_band(value: ArrayLike, band: ArrayLike) -> Floats:
 
 
 def to_centre(w_r_b: ArrayLike, lever_m: ArrayLike) -> Floats:
-    """Matrices (..., 6, 6) that turn a wrench at a fingertip, base axes, into one about the part's centre, world axes.
+    """Return matrices (..., 6, 6) that map a wrench at a fingertip, base axes, to the part's centre, world axes.
 
     Parameters
     ----------
@@ -42,11 +42,11 @@ def to_centre(w_r_b: ArrayLike, lever_m: ArrayLike) -> Floats:
 
 
 def split(first: ArrayLike, second: ArrayLike) -> tuple[Floats, Floats]:
-    """External and internal wrench (..., 6) of both grippers' wrenches about the part's centre, world axes."""
+    """Split both grippers' wrenches into external and internal wrench (..., 6), about the part's centre, world axes."""
     one, two = np.asarray(first, dtype=float), np.asarray(second, dtype=float)
     return one + two, 0.5 * (two - one)
 
 
 def share_of_part(part_mass_kg: float, acceleration_m_s2: ArrayLike, gravity_m_s2: ArrayLike = GRAVITY_M_S2) -> Floats:
-    """Force (..., 3) [N] by which half the part acts on its gripper, `m (g - a)/2`, world axes."""
+    """Return the force (..., 3) [N] of half the part on its gripper, `m (g - a)/2`, world axes."""
     return 0.5 * part_mass_kg * (np.asarray(gravity_m_s2, dtype=float) - np.asarray(acceleration_m_s2, dtype=float))

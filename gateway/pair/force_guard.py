@@ -12,7 +12,7 @@ CALM_SHARE, SUDDEN_S = 0.4, 0.1
 #: Drives take over a setpoint about half a period after its SYNC. One delayed by more than this share of a period may
 #: miss that: joints jerk, each with the lag of its servo, and what that does to the force is over after so long [s].
 DELAYED_SHARE, DELAY_MEMORY_S = 0.4, 0.2
-DELAY_TEXT = "a SYNC shortly before was"
+DELAY_TEXT = "a SYNC shortly before was delayed by"
 
 
 class ForceGuard:
@@ -36,7 +36,7 @@ class ForceGuard:
         self.tripped = False
 
     def step(self, force_n: float) -> bool:
-        """Look at one cycle's internal force [N]; True from the moment both arms must stop. Not a number stops too."""
+        """Check the internal force [N] of one cycle; return True from when both arms must stop. NaN stops too."""
         self._above = 0 if force_n <= self.threshold_n else self._above + 1
         self.tripped = self.tripped or self._above > self._allowed
         return self.tripped
@@ -54,7 +54,7 @@ def cause_of(force_n: Floats, threshold_n: float, dt_s: float, delay_s: float = 
     """
     if delay_s > DELAYED_SHARE * dt_s:
         return (
-            f"{DELAY_TEXT} {1e3 * delay_s:.1f} ms late, of {1e3 * dt_s:g} ms, and drives may have missed a setpoint:"
+            f"{DELAY_TEXT} {1e3 * delay_s:.1f} ms at a period of {1e3 * dt_s:g} ms, drives may miss a setpoint:"
             " end other work on this computer, give it a real-time scheduler, or raise sync_period_s"
         )
     calm = np.flatnonzero(force_n < CALM_SHARE * threshold_n)

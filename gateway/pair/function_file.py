@@ -15,7 +15,7 @@ from gateway.result.values import check_kind, decoded, json_object, matrix, numb
 
 
 def stored_function(function: TransformFunction, **origin: Any) -> StoredFunction:
-    """A function with its origin: the other fields of `StoredFunction`."""
+    """Build a stored function from a transform function and its origin, the other fields of `StoredFunction`."""
     knots = zip(function.s_m, function.position_m, function.rotation, strict=True)
     return StoredFunction(
         knots=tuple(FunctionKnot(float(way), numbers(place), matrix(turn)) for way, place, turn in knots), **origin
@@ -23,7 +23,7 @@ def stored_function(function: TransformFunction, **origin: Any) -> StoredFunctio
 
 
 def transform_of(stored: StoredFunction) -> TransformFunction:
-    """The function itself.
+    """Return the transform function of a stored function.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def from_json(text: str, where: str) -> StoredFunction:
     Raises
     ------
     InputError
-        Not such a file, a key missing or of the wrong kind, knots out of order, matrices that are no rotations.
+        Not such a file, a key missing or of the wrong type, knots out of order, or invalid rotation matrices.
     """
     data = json_object(text, where)
     check_kind(data, SCHEMA, FUNCTION_KIND, where)

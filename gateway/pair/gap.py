@@ -35,13 +35,13 @@ class GapLayout:
 
     @property
     def limit_m(self) -> float:
-        """How far a distance may be off the demanded one at least before both arms are stopped."""
+        """Return the smallest deviation of a distance from the demanded one that stops both arms [m]."""
         low, high = self.config.range_m
         return min(min(one.gap_m - low, high - one.gap_m) for one in self.config.channel)
 
 
 def gap_layout(config: DistanceConfig, arm: int, wanted: Floats) -> GapLayout:
-    """Sensors of a cell file, each a demanded gap from its plane at the demanded relation (4, 4).
+    """Return the sensors of a cell file, each at its demanded gap at the demanded relation (4, 4).
 
     Raises
     ------
@@ -133,7 +133,9 @@ class SensorCheck:
         worst = int(np.argmax(np.abs(moved - expected)))
         if best is not None and rests[best] < float(np.linalg.norm(np.delete(moved - expected, worst))):
             one, other = (number[i] for i in best)
-            why = f"sensors {one} and {other} are swapped: each moves as the other one should; exchange their channels"
+            why = (
+                f"sensors {one} and {other} are swapped: each changes as expected of the other; exchange their channels"
+            )
         else:
             why = (
                 f"sensor {number[worst]} moved by {1e3 * moved[worst]:.2f} mm where the hand motion gives"
@@ -150,7 +152,7 @@ def _exchanged(values: Floats, swap: tuple[int, int]) -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class GapTrouble:
-    """Why both arms must stop; `urgent` where the hands may touch before a stop along the path has ended."""
+    """Reason to stop both arms; `urgent` if the hands may touch before a stop along the path has ended."""
 
     why: str
     urgent: bool
@@ -174,7 +176,7 @@ class GapWatch:
         self._missing = 0
 
     def take(self, samples: tuple[ArmSample, ...]) -> GapTrouble | None:
-        """Take in what both arms' buses brought at a SYNC; why both arms must stop, None = they need not."""
+        """Process the samples of both buses at a SYNC; return why both arms must stop, None = continue."""
         config = self.layout.config
         reading = samples[self.layout.arm].instruments[0]
         self.readings_m = None

@@ -24,7 +24,7 @@ LEAST_MARGIN = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Gains:
-    """Impedance, the same along x, y, z: force part and moment part.
+    """Impedance parameters, each equal along x, y, z: translational and rotational value.
 
     `damping` [N s/m, Nm s/rad], `stiffness` [N/m, Nm/rad], `inertia` [kg, kg m2]. Stiffness 0 is pure integral action:
     the correction continues until the force is zero.
@@ -42,7 +42,7 @@ class Gains:
             raise ConfigError(f"impedance: damping must be positive, got {self.damping}")
 
     def doubled(self) -> Gains:
-        """For two arms that both close the same gap: twice damping, stiffness and inertia."""
+        """Return twice damping, stiffness and inertia, for two arms that both close the same gap."""
         twice = [(2.0 * pair[0], 2.0 * pair[1]) for pair in (self.damping, self.stiffness, self.inertia)]
         return Gains(*twice)
 
@@ -70,17 +70,17 @@ class Admittance:
         self.reset()
 
     def reset(self) -> None:
-        """Back to no correction, at rest."""
+        """Reset the correction to zero, at rest."""
         self._x = np.zeros(6)
         self._v = np.zeros(6)
 
     @property
     def correction(self) -> Floats:
-        """Present correction (6,) [m, rad]."""
+        """Return the present correction (6,) [m, rad]."""
         return self._x.copy()
 
     def step(self, wrench: ArrayLike) -> Floats:
-        """Correction (6,) [m, rad] after one more cycle under a wrench (6,) [N, Nm]."""
+        """Advance by one cycle under a wrench (6,) [N, Nm] and return the correction (6,) [m, rad]."""
         if self._massless:
             self._x = self._keep * self._x + self._gain * np.asarray(wrench)
             return self._x
@@ -91,7 +91,7 @@ class Admittance:
 
 
 def mobility(gains: Gains, levers_m: Sequence[ArrayLike]) -> Floats:
-    """How fast (6, 6) the gap at fingertip 2 closes per wrench there, by all yielding hands together.
+    """Return the velocity (6, 6) of gap closure at fingertip 2 per wrench there, of all yielding hands together.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def mobility(gains: Gains, levers_m: Sequence[ArrayLike]) -> Floats:
 def stability_margin(
     gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float, levers_m: Sequence[ArrayLike] = (np.zeros(3),)
 ) -> float:
-    """How many times the damping is above the one at which the loop starts to oscillate.
+    """Return the ratio of the damping to the value at which the loop starts to oscillate.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def stability_margin(
 def refuse_unstable(
     gains: Gains, chain_stiffness: ArrayLike, loop_time_s: float, levers_m: Sequence[ArrayLike] = (np.zeros(3),)
 ) -> float:
-    """Margin of stability of a configuration that may be used.
+    """Return the stability margin of a configuration; refuse an unstable one.
 
     Raises
     ------

@@ -31,12 +31,12 @@ class InternalForce:
 
     @property
     def size_std_n(self) -> Floats:
-        """Standard deviation (M,) of the force's size, along its own direction [N]."""
+        """Return the standard deviation (M,) of the force's magnitude, along its own direction [N]."""
         force = self.wrench[:, :3]
         along = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-9)
         return np.sqrt(np.einsum("ni,nij,nj->n", along, self.covariance[:, :3, :3], along))
 
     @property
     def std(self) -> Floats:
-        """Standard deviation (M, 6) of each component."""
+        """Return the standard deviation (M, 6) of each component."""
         return np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2))

@@ -55,11 +55,11 @@ class ForwardChain:
 
     @property
     def axes(self) -> int:
-        """How many axes the arm has."""
+        """Return the number of axes."""
         return len(self.axis)
 
     def poses(self, q_rad: ArrayLike) -> tuple[Floats, Floats]:
-        """Gripper poses (n, 4, 4) in the base and geometric Jacobians (n, 6, N) `[m; rad]` of joints (n, N) [rad]."""
+        """Return gripper poses (n, 4, 4) in the base and Jacobians (n, 6, N) `[m; rad]` of joints (n, N) [rad]."""
         q = np.asarray(q_rad, dtype=float)
         links = np.zeros((len(q), self.axes, 4, 4))
         turn = np.sin(q)[..., None, None] * self.sine + (1.0 - np.cos(q))[..., None, None] * self.versine
@@ -177,12 +177,12 @@ def turns_at(chain: ForwardChain, q_rad: Floats, twists: Floats) -> Floats:
 
 
 def smallest_singular(chain: ForwardChain, q_rad: ArrayLike) -> Floats:
-    """Smallest singular value (n,) of the Jacobian at postures (n, N) [rad]."""
+    """Return the smallest singular value (n,) of the Jacobian at postures (n, N) [rad]."""
     return np.asarray(np.linalg.svd(chain.poses(q_rad)[1], compute_uv=False)[:, -1], dtype=float)
 
 
 def joint_angles(robot: Robot | ForwardChain, target: ArrayLike, seed_rad: ArrayLike) -> Floats:
-    """Joint positions (N,) [rad] for one gripper pose (4, 4) in the base, from a seed (N,).
+    """Return joint positions (N,) [rad] for one gripper pose (4, 4) in the base, from a seed (N,).
 
     Raises
     ------
@@ -198,7 +198,7 @@ def joint_angles(robot: Robot | ForwardChain, target: ArrayLike, seed_rad: Array
 
 
 def path_joint_angles(robot: Robot | ForwardChain, targets: ArrayLike, seed_rad: ArrayLike) -> tuple[Floats, Floats]:
-    """Joint positions (M, N) [rad] along a path of gripper poses (M, 4, 4), and the smallest singular value (M,).
+    """Return joint positions (M, N) [rad] along gripper poses (M, 4, 4), and the smallest singular value (M,).
 
     Raises
     ------

@@ -54,7 +54,7 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """Result of a learning step; `change` is that of the function at its knots."""
+    """Result of a learning step; `change` is the change of the function at its knots."""
 
     updated: bool
     knots: int
@@ -92,7 +92,7 @@ class IterativeLearning:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all that was learned."""
+        """Delete the learned function and all stored cycles."""
         self.second: TransformFunction | None = None
         self.master_offset = np.zeros((len(self._path), 6))
         self._store.clear()
@@ -107,12 +107,12 @@ class IterativeLearning:
 
     @property
     def in_use(self) -> TransformFunction:
-        """The function of the next cycle."""
+        """Return the function of the next cycle."""
         return self.second if self.second is not None and self._in_use else self.first
 
     @property
     def points(self) -> np.ndarray:
-        """Indices of the learning points."""
+        """Return the indices of the learning points."""
         return self._points.copy()
 
     def learn(self, cycle: Cycle) -> Learned:

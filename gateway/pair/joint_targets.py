@@ -50,8 +50,8 @@ class JointFollower:
         away = correction_between(command, self.poses[m])
         if np.abs(away).max() > LARGEST_OFFSET:
             raise PlanRefused(
-                f"arm '{self.arm.config.name}', command {m + 1}: it lies {1e3 * np.abs(away).max():.0f} mm or mrad off"
-                " the nominal path; the function or a correction has run away"
+                f"arm '{self.arm.config.name}', command {m + 1}: it is {1e3 * np.abs(away).max():.0f} mm or mrad off"
+                " the nominal path; the function or a correction diverges: teach again"
             )
         q = self.q_rad[m] + self._inverse[m] @ away
         rest = correction_between(command, self.arm.chain.poses(q[None])[0][0])

@@ -38,7 +38,7 @@ Combination = Literal["any", "all", "sum"]
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """One condition.
+    """Condition by which a command is chosen as a learning point.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Record:
 
 
 def score(selection: Selection, record: Record, path: PairPath) -> Floats:
-    """Score (M,) of every command; 1 and more makes a candidate."""
+    """Return the score (M,) of every command; commands with 1 or more are candidates."""
     each = np.array([_value(feature, record, path) / feature.threshold for feature in selection.features])
     if selection.combination == "any":
         return each.max(axis=0)
@@ -220,7 +220,7 @@ def _value(feature: Feature, record: Record, path: PairPath) -> Floats:
 
 
 def _of_command(feature: Feature, path: PairPath) -> Floats:
-    """Features that the command alone decides."""
+    """Return the features that depend on the commands only."""
     place = path.commands[:, :3, 3]
     if feature.kind == "position":
         inside = [np.all((place >= lower) & (place <= upper), axis=1) for lower, upper in feature.boxes]

@@ -1,4 +1,4 @@
-"""From the corrections of running cycles to the next transform function (CN104379308 embodiments 2, 6, 7 and 8).
+"""Compute the next transform function from the corrections of past cycles (CN104379308 embodiments 2, 6, 7 and 8).
 
 All is computed for every command at once, `T''[m] = inv(W_T_B1 B1_T''_E1) W_T_B2 B2_T''_E2` with commands and
 representative corrections (eqs. (25) to (27)); the learning points are then taken from it.
@@ -44,27 +44,27 @@ class Forgetting:
 
     def __post_init__(self) -> None:
         if not (0.0 <= self.gamma < 1.0 and self.phi > 0.0) or not np.isfinite(self.psi_s):
-            raise ConfigError(f"forgetting: gamma must lie in [0, 1), phi above 0, got {self.gamma} and {self.phi}")
+            raise ConfigError(f"forgetting: gamma must be in [0, 1), phi above 0, got {self.gamma} and {self.phi}")
         if self.psi_s == 0.0 and not self.converges(1.0):
             raise ConfigError(f"forgetting: |1 - gamma - phi| = {abs(1 - self.gamma - self.phi):.3g} does not converge")
 
     def converges(self, trial_gain: float) -> bool:
-        """Whether trials converge when each removes the share `trial_gain` of the error (psi = 0)."""
+        """Return whether trials converge when each removes the share `trial_gain` of the error (psi = 0)."""
         return abs(1.0 - self.gamma - trial_gain * self.phi) < 1.0
 
     def bias(self, trial_gain: float) -> float:
-        """Share of the offset from the first function that is never learned."""
+        """Return the share of the offset from the first function that is never learned."""
         return self.gamma / (self.gamma + trial_gain * self.phi)
 
     def update(self, present: Floats, change: Floats, change_before: Floats, cycle_s: float) -> Floats:
-        """Next coordinates (..., 6) from present ones, proposed change and the one before it, all (..., 6)."""
+        """Return the next coordinates from the present ones, the proposed change and the previous one, all (..., 6)."""
         rate = (change - change_before) / cycle_s
         return (1.0 - self.gamma) * present + self.phi * change + self.psi_s * rate
 
 
 @dataclass(frozen=True, slots=True)
 class LearningRule:
-    """How functions are learned on the run.
+    """Parameters of learning during cycles.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ def at_points(relations: Floats, s_m: Floats, points: np.ndarray) -> TransformFu
 
 
 def largest_change(after: Floats, before: Floats) -> tuple[float, float]:
-    """Largest move [m] and turn [rad] between two sets of relations (n, 4, 4)."""
+    """Return the largest displacement [m] and rotation [rad] between two sets of relations (n, 4, 4)."""
     difference = local(after, before)
     return (
         float(np.linalg.norm(difference[:, :3], axis=1).max()),

@@ -18,7 +18,7 @@ from gateway.result.pair import LinkStatistics, Skew
 
 
 class PairLink:
-    """Both arms.
+    """Both arms of a pair, connected to their buses.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ class PairLink:
         self.opened, self.together = opened, together
 
     def station(self, cell: PairCell, options: MoveOptions) -> Station:
-        """What the motion loop works with."""
+        """Return the interface of both arms for the motion loop."""
         return Station(
             arms=self.together,
             workspaces=tuple(each.workspace for each in self.opened),
@@ -40,7 +40,7 @@ class PairLink:
         )
 
     def statistics(self) -> LinkStatistics:
-        """What both buses have counted so far."""
+        """Return the counters of both buses so far."""
         first, second = (each.group.statistics for each in self.opened)
         return LinkStatistics(
             pacing="real" if self.together.real else "lockstep",

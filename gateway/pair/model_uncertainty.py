@@ -47,7 +47,7 @@ class UncertaintyColumns:
     rotor_kg_m2: Floats
 
     def of(self, turned: Floats, speed_rad_s: Floats, acceleration_rad_s2: Floats) -> Floats:
-        """All columns (M, J, K) of a motion (M, J)."""
+        """Return all columns (M, J, K) of a motion (M, J)."""
         joints = len(self.coulomb_nm)
         every = np.arange(joints)
         out = np.zeros((*turned.shape, constants_of(joints)))
@@ -58,7 +58,7 @@ class UncertaintyColumns:
         return out
 
     def torque(self, m: int, by: Floats, turned: Floats, speed_rad_s: Floats, acceleration_rad_s2: Floats) -> Floats:
-        """Torque (J,) of the constants `by` (K,) at row m."""
+        """Return the torque (J,) caused by deviations `by` (K,) of the constants at row m."""
         joints = len(turned)
         return (
             self.coulomb_nm * turned * by[:joints]
@@ -69,7 +69,7 @@ class UncertaintyColumns:
 
 
 def constants_of(joints: int) -> int:
-    """How many constants K two arms of J joints together and their part have."""
+    """Return the number K of constants of two arms with J joints in total and their part."""
     return (OF_MOTION + OF_PATH) * joints + OF_PART
 
 

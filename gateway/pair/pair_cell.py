@@ -72,17 +72,17 @@ class PairArm:
 
     @property
     def axes(self) -> int:
-        """How many axes the arm has."""
+        """Return the number of axes."""
         return self.robot.axes
 
     @property
     def torque_limit_nm(self) -> Floats:
-        """Largest torque (N,) of the axes [Nm]."""
+        """Return the torque limits (N,) of the axes [Nm]."""
         return np.array([axis.torque_limit_nm for axis in self.config.axis])
 
     @property
     def start_rad(self) -> Floats:
-        """Joint angles (N,) at which the part is gripped [rad]."""
+        """Return the joint angles (N,) at which the part is gripped [rad]."""
         return start_of(self.config)
 
     @property
@@ -101,18 +101,18 @@ class PairArm:
         )
 
     def model_torque(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> Floats:
-        """Actuator torque (n, N) [Nm] of a free motion, rotors included, friction not."""
+        """Return the actuator torque (n, N) [Nm] of a free motion, with rotors, without friction."""
         rows = regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, self.config.gravity_m_s2)
         return rows @ self.links + self.rotor_kg_m2 * qdd_rad_s2
 
     def link_torques(self, q_rad: Floats, qd_rad_s: Floats, qdd_rad_s2: Floats) -> list[Floats]:
-        """Torque (n, N) [Nm] of each of the N links alone, rotors not included."""
+        """Return the torque (n, N) [Nm] of each of the N links alone, without rotors."""
         rows = regressor(self.robot, q_rad, qd_rad_s, qdd_rad_s2, self.config.gravity_m_s2)
         each = [slice(10 * link, 10 * link + 10) for link in range(self.axes)]
         return [rows[:, :, link] @ self.links[link] for link in each]
 
     def mass_matrix(self, q_rad: Floats) -> Floats:
-        """Inertia (n, N, N) [kg m2] that the motors turn, rotors included."""
+        """Return the mass matrix (n, N, N) [kg m2], rotors included."""
         still = np.zeros_like(q_rad)
         at_rest = self.model_torque(q_rad, still, still)
         columns = [self.model_torque(q_rad, still, still + unit) - at_rest for unit in np.eye(self.axes)]
@@ -121,7 +121,7 @@ class PairArm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairCell:
-    """A cell with a pair.
+    """Cell with a pair of arms: configuration, robots and path.
 
     Attributes
     ----------
@@ -160,11 +160,11 @@ class PairCell:
         return nominal_relation(first.part_from_tip, second.part_from_tip)
 
     def path(self, speed: float | None = None) -> PairPath:
-        """Commands of the master at a speed setting (the cell's if none is given)."""
+        """Return the master's commands at a speed setting (by default the cell's)."""
         return self.program.at_speed(speed or self.config.speed, self.sync_period_s)
 
     def nominal_slave(self, path: PairPath) -> Floats:
-        """Commands (M, 4, 4) of the slave by the nominal relation."""
+        """Return the slave's commands (M, 4, 4) by the nominal relation."""
         first, second = self.arms
         return slave_command(first.world_from_base, path.commands, second.world_from_base, self.nominal_relation)
 

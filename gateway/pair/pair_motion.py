@@ -69,7 +69,7 @@ class PairStopped(PlanRefused):
 
 @dataclass(frozen=True, slots=True)
 class PairMotionOptions:
-    """How a pair is moved.
+    """Options of the motion of a pair.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ def calibration_of(cell: PairCell) -> PairCalibration:
 
 
 class PairMotion:
-    """Moves both arms of a pair.
+    """Motion of both arms of a pair along prepared trajectories.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ class PairMotion:
 
     @property
     def q_rad(self) -> Pair:
-        """Last targets (N,) of each arm."""
+        """Return the last targets (N,) of each arm [rad]."""
         first, second = self.stream.q_rad
         return first, second
 
@@ -333,7 +333,7 @@ class PairMotion:
         return tuple(each.at(target) for each, target in zip(self._friction, q, strict=True))
 
     def see(self, samples: Samples) -> None:
-        """Take a SYNC whenever the arms are powered, also during the approach to the start."""
+        """Process the samples of a SYNC whenever the arms are powered, also during the approach to the start."""
         self.samples = samples
         self.following.take(np.concatenate(self.q_rad), np.concatenate([sample.q_rad for sample in samples]))
         if not all(sample.complete for sample in samples):
@@ -343,7 +343,7 @@ class PairMotion:
             self.ask(trouble.why, StopKind.QUICK_STOP if trouble.urgent else StopKind.ALONG_PATH)
 
     def ask(self, why: str, kind: StopKind = StopKind.ALONG_PATH) -> None:
-        """Have both arms stopped."""
+        """Request a stop of both arms."""
         self._desk.ask(PairStopped(why), kind)
 
 

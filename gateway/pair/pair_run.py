@@ -1,4 +1,4 @@
-"""One embodiment on one path, cycle after cycle, over two buses.
+"""Repeated cycles of one embodiment on one path, over two buses.
 
 A cycle carries the part along the path and back, and both directions learn separately. A trajectory with an incomplete
 epoch or a stop is not used for learning.
@@ -56,17 +56,17 @@ class PairCycle:
 
 
 def reversed_path(path: PairPath) -> PairPath:
-    """The same path from its end to its start."""
+    """Return the path from its end to its start."""
     return replace(path, commands=path.commands[::-1].copy(), s_m=path.length_m - path.s_m[::-1])
 
 
 def reversed_function(function: TransformFunction, length_m: float) -> TransformFunction:
-    """Return the same relation by the arc length from the end."""
+    """Return the function of the arc length from the path's end."""
     return function_of_knots(length_m - function.s_m[::-1], function.knots[::-1])
 
 
 class PairRun:
-    """Runs one embodiment.
+    """Runner of one embodiment with forward and return cycles.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ class PairRun:
 
     @property
     def delay(self) -> int:
-        """How many commands the arms are behind."""
+        """Return by how many commands the arms lag."""
         return self._trajectory.balance.delay
 
     @property

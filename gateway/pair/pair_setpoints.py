@@ -51,16 +51,16 @@ class MovedPair(Protocol):
         ...
 
     def see(self, samples: tuple[ArmSample, ...]) -> None:
-        """Take in a SYNC."""
+        """Process the samples of a SYNC."""
         ...
 
     def ask(self, why: str, kind: StopKind = StopKind.ALONG_PATH) -> None:
-        """Have both arms stopped."""
+        """Request a stop of both arms."""
         ...
 
 
 class WatchedMotion(MotionSetpoints):
-    """Prepared motions of both arms on which the gap is watched, and what else has to be."""
+    """Prepared motions of both arms with monitoring of the gap and of a further condition."""
 
     def __init__(self, motion: MovedPair, began: Pair, motions: Sequence[Motion], watch: Watch | None = None) -> None:
         super().__init__(began, motions)
@@ -160,7 +160,7 @@ class Along:
         return q
 
     def ahead(self, at: float, rate: float) -> None:
-        """None: the commander answers what has not been measured yet."""
+        """Return None: future setpoints depend on measurements that are not available yet."""
 
     def offsets(self) -> PerArm | None:
         """As `SetpointSource.offsets`."""

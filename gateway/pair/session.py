@@ -33,7 +33,7 @@ RUNNABLE = tuple(name for name, row in EMBODIMENTS.items() if row.first != "exac
 
 @dataclass(frozen=True, slots=True)
 class PairRunRequest:
-    """What to run: embodiment by name, and how many cycles."""
+    """Embodiment by name, and number of cycles to run."""
 
     embodiment: str
     cycles: int
@@ -51,7 +51,7 @@ def cell_gains(cell: PairCell) -> Gains:
 
 
 def embodiment_of(cell: PairCell, name: str) -> Embodiment:
-    """A row of the table with the cell's impedance.
+    """Return an embodiment by name, with the cell's impedance.
 
     Raises
     ------
@@ -191,7 +191,7 @@ def function_back(store: PairStore, row: Embodiment) -> TransformFunction | None
 def _from_one_relation(
     cell: PairCell, store: PairStore, row: Embodiment, speed: float
 ) -> tuple[TransformFunction, str]:
-    """The grasps' relation, or what this embodiment has learned from it."""
+    """Return the relation of the grasps, or the function that this embodiment has learned from it."""
     second = None if row.learning is None else store.load("second")
     if second is not None and second.embodiment == row.name:
         return transform_of(second), f"learned by {second.embodiment} {second.date}"
@@ -199,7 +199,7 @@ def _from_one_relation(
 
 
 def one_relation(cell: PairCell, row: Embodiment, speed: float) -> TransformFunction:
-    """The grasps' relation all along the path, with the learning points of a row that learns from there."""
+    """Return the constant relation of the grasps, with knots at the learning points if the embodiment learns."""
     function = constant_function(cell.nominal_relation)
     if row.learning is None:
         return function
@@ -208,7 +208,7 @@ def one_relation(cell: PairCell, row: Embodiment, speed: float) -> TransformFunc
 
 
 def speed_table(store: PairStore, first: TransformFunction) -> SpeedTable:
-    """Functions of all speeds that were learned, 0 being the taught one."""
+    """Return the learned functions of all speeds; speed 0 is the taught function."""
     functions = {0.0: first}
     for path in sorted(store.folder.glob("speed-*.json")):
         stored = read_stored(path)

@@ -21,7 +21,7 @@ LARGEST_SHARE = 1.3
 
 
 class ExtrapolationWarning(UserWarning):
-    """A speed setting outside the stored ones."""
+    """Warning about a speed setting outside the stored ones."""
 
 
 class SpeedTable:

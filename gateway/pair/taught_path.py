@@ -21,7 +21,7 @@ AFRESH = "teach again without --resume"
 def taught_point(
     index: int, s_m: float, relation: Floats, correction: Floats, forces: tuple[ArrayLike, ArrayLike]
 ) -> TaughtPoint:
-    """A point from arrays.
+    """Build a taught point from arrays.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ class TaughtPath:
         return function_of_knots([point.s_m for point in ordered], np.array([point.relation for point in ordered]))
 
     def to_json(self) -> str:
-        """Text of the file."""
+        """Return the JSON text of the file."""
         rows = [] if self.laws_s is None else self.laws_s.tolist()
         laws = tuple(None if math.isnan(lag_s) else (lag_s, tau_s) for lag_s, tau_s in rows)
         points = tuple(self.points)

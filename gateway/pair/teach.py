@@ -31,7 +31,7 @@ LARGEST_STEP = (1.5e-3, 8e-3)
 
 @dataclass(frozen=True, slots=True)
 class TeachRule:
-    """How a point is taught.
+    """Parameters of teaching a point.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class _Yielding:
         self._last: tuple[Floats, Floats] | None = None
 
     def step(self, wrench: Floats) -> Floats:
-        """Change (6,) [m, rad] of the correction for a wrench (6,) [N, Nm] at the hand."""
+        """Return the change (6,) [m, rad] of the correction for a wrench (6,) [N, Nm] at the hand."""
         if self._last is not None:
             before, moved = self._last
             fallen = before - wrench
@@ -90,7 +90,7 @@ class _Yielding:
 
 
 class Teacher:
-    """Teaches the points of a path.
+    """Teaching procedure for the points of a path.
 
     Parameters
     ----------

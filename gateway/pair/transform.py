@@ -1,7 +1,7 @@
 """Poses as 4 x 4 matrices, rotations as axis and angle, and the one rule by which a correction enters a pose.
 
 A correction is a 6-vector `[dP (3) m; log dR (3) rad]` in the axes of the frame that the pose is given in:
-`P'' = P + dP`, `R'' = dR R` (CN104379308 eqs. (21) to (26)). It is no product of poses, which would turn P about the
+`P'' = P + dP`, `R'' = dR R` (CN104379308 eqs. (21) to (26)). It is not a product of poses, which would turn P about the
 frame's origin as well. All functions take stacks: leading dimensions are kept.
 """
 

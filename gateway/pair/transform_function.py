@@ -115,12 +115,12 @@ def sampled(function: TransformFunction, s_m: ArrayLike) -> TransformFunction:
 
 
 def closed(function: TransformFunction, end_m: float) -> TransformFunction:
-    """For a path that ends where it starts: the first knot once more at its end [m].
+    """Close the function of a path that ends where it starts: repeat the first knot at the path's end [m].
 
     Raises
     ------
     InputError
-        The end does not lie behind the last knot.
+        The end is not beyond the last knot.
     """
     s_m = np.append(function.s_m, end_m + function.s_m[0])
     knots = function.knots
