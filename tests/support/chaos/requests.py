@@ -79,7 +79,7 @@ def requests(number: int, seed: int, step: Callable[[], None] = lambda: None) ->
     for name, act in ACTS.items():
         with _rig(loaded) as (opened, slaves):
             act(opened, MoveOptions())
-            lengths[name] = len(slaves[0].told)
+            lengths[name] = len(slaves[0].commands)
     for index in range(number):
         name = list(ACTS)[index % len(ACTS)]
         sync, kind = rng.randrange(1, lengths[name] - 1), rng.choice(list(StopKind))
