@@ -262,7 +262,7 @@ TABLES = [
     ("a word for a number", table(ROW.replace("12.5", "much")), r"t\.csv:2: tau2_nm: 'much' is not a finite number"),
     ("an empty cell", table(ROW.replace("12.5", "")), r"t\.csv:2: tau2_nm: is empty; .*correct or remove"),
     ("degrees", table(ROW, ROW.replace("none,1,0.1", "none,2,90")), r"t\.csv:3: q1_rad = 90 .*degrees; write 1.5708"),
-    ("an unknown column", table(header=HEADER.replace("tau2_nm", "torque")), r"t\.csv:1: unknown column 'torque'; own"),
+    ("an unknown column", table(header=HEADER.replace("tau2_nm", "torque")), r"t\.csv:1: unknown column 'torque';"),
     ("a column twice", table(header=HEADER.replace("q2_rad", "q1_rad")), r"t\.csv:1: column 'q1_rad' is given twice"),
     ("a missing column", table(header=HEADER.replace("q2_rad", "x_q")), r"t\.csv:1: column 'q2_rad' is missing"),
     ("no torque", table(header=HEADER.replace("tau2_nm", "x_tau")), r"t\.csv:1: no torque or current column"),
