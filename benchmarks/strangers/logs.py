@@ -219,7 +219,7 @@ def spoil(layout: Layout, rng: np.random.Generator) -> None:
     layout.odd.append(f"SPOILT: {kind}")
     if kind in ("nan", "empty", "text"):
         layout.rows[row][angle] = {"nan": "nan", "empty": "", "text": "n/a"}[kind]
-        layout.refused = rf":{line}: .*leave the row out by \[rows\]"
+        layout.refused = rf":{line}: .*exclude the row with \[rows\]"
     elif kind == "time back":
         layout.rows[row][stamp] = layout.rows[row - 2][stamp]
         layout.refused = rf":{line}: .*time (goes back|stands still).*cut the log there"

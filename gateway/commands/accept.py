@@ -180,7 +180,7 @@ def _measured(job: _Job, how: MeasuringOptions) -> Path:
     first = "" if context.stop_proof(job.arm).exists() else " At first its drives lose the heartbeat on purpose."
     how.moving.ask(
         f"Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Arm '{job.arm.name}' of cell "
-        f"'{job.loaded.cell.name}' will move.{first} Is the load mounted, and is nobody near the arm?"
+        f"'{job.loaded.cell.name}' will move.{first} Is the load mounted, and is the area around the arm clear?"
     )
     recording = how.recording(_RECORDING, context.loaded)
     opening = open_arm(context.loaded, context.override(job.arm, None), job.arm.name)

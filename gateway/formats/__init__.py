@@ -1,1 +1,1 @@
-"""Recordings in the formats of other programs, and tables from what other programs logged."""
+"""Export of recordings to open formats, and import of tables from logs of other programs."""

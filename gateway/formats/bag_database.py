@@ -1,8 +1,8 @@
 """Messages of a ROS 2 bag in SQLite, read from the tables alone and within the size of the file.
 
-A database of unknown origin can compute instead of store: a view or a virtual table named `messages` may give rows
-without end. Only real tables are read, in the order in which they are stored (nothing is sorted into temporary files),
-no more bytes than the file has, and the engine is stopped after a time that depends on the size of the file.
+A database of unknown origin can compute instead of store: a view or virtual table named `messages` may yield rows
+without end. Therefore only real tables are read, in storage order (no temporary sorting). At most as many bytes as
+the file contains are accepted. The time limit depends on the size of the file.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SLOWEST_BYTES_S: Final = 2_000_000.0
 
 
 class BagDatabase:
-    """An open bag.
+    """Open bag database.
 
     Parameters
     ----------
@@ -51,15 +51,15 @@ class BagDatabase:
             query = "SELECT rootpage FROM sqlite_master WHERE type = 'table' AND name = ?"
             # a view or a virtual table has no page of its own
             if not any(page for (page,) in file.execute(query, (name,))):
-                raise InputError(f"{path}: is no bag: '{name}' is not a table of the file; record the bag again")
+                raise InputError(f"{path}: is not a bag: '{name}' is not a table of the file; record the bag again")
 
     def topics(self) -> dict[str, tuple[int, str, str]]:
-        """Key, type and serialization by name of the topic."""
+        """Return key, type and serialization by topic name."""
         found = self._rows("SELECT id, name, type, serialization_format FROM topics", ())
         return {name: (key, kind, form) for key, name, kind, form in found}
 
     def messages(self, key: int) -> Iterator[tuple[int, bytes]]:
-        """Time of logging [ns] and content of each message of a topic."""
+        """Yield the log time [ns] and content of each message of a topic."""
         for log_ns, content in self._rows(
             "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY rowid", (key,)
         ):
@@ -71,7 +71,9 @@ class BagDatabase:
             for row in self._file.execute(query, values):
                 read_bytes += sum(len(cell) for cell in row if isinstance(cell, str | bytes)) + len(row)
                 if read_bytes > self._size_bytes:
-                    raise InputError(f"{self._path}: gives more bytes than the file has: it is damaged, or no bag")
+                    raise InputError(
+                        f"{self._path}: yields more bytes than the file contains: damaged or not a bag; record again"
+                    )
                 yield row
         except sqlite3.OperationalError:
             if self._raised is not None:
@@ -79,10 +81,12 @@ class BagDatabase:
             raise
 
     def _look(self) -> int:
-        """Called by the engine, also where it computes without giving a row; a signal is raised in here."""
+        """Check the time limit; called by SQLite also during queries without rows, so that signals are handled."""
         try:
             if time.monotonic() > self._until_s:
-                raise InputError(f"{self._path}: takes too long for a bag of its size: it is damaged, or no bag")
+                raise InputError(
+                    f"{self._path}: takes too long for a bag of its size: it is damaged, or not a bag; record it again"
+                )
         except BaseException as error:
             self._raised = error
             return 1
@@ -90,5 +94,5 @@ class BagDatabase:
 
 
 def open_bag(path: Path) -> closing[sqlite3.Connection]:
-    """A bag, opened for reading alone; to be closed by `with`."""
+    """Open a bag read-only, as a context manager."""
     return closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True))

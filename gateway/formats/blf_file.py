@@ -1,4 +1,4 @@
-"""BLF, as CANalyzer opens it: the frames of the trace that lies beside a recording, never others."""
+"""BLF for CANalyzer: the frames of the trace file stored beside a recording."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def blf_of(recording: Path) -> tuple[bytes, int]:
     traces = [path for suffix in SUFFIXES if (path := recording.with_suffix(suffix)).is_file()]
     if not traces:
         raise InputError(
-            f"{recording}: no frame trace lies beside it ({', '.join(recording.stem + suffix for suffix in SUFFIXES)});"
+            f"{recording}: no frame trace is beside it ({', '.join(recording.stem + suffix for suffix in SUFFIXES)});"
             f" a recording holds no frames: record with --trace {recording.with_suffix(SUFFIXES[0])}"
         )
     try:

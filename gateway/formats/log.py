@@ -1,4 +1,4 @@
-"""Columns of a log of another program, with the line of each row."""
+"""Columns of a log of another program, with the line number of each row."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Log:
     ----------
     file : str
     columns : dict of str to array of shape (n,)
-        Floats, or text as it stands there.
+        Floats, or text as in the file.
     line : int array of shape (n,)
         Line, or number of the message, from 1.
     row_word : str
@@ -39,7 +39,7 @@ class Log:
     decimal, thousands : str, str or None
         Decimal mark of the text columns, and mark between thousands.
     units : dict of str to (int, str)
-        Line and text of what a row below the header says of a column.
+        Line and text of the unit row below the header, by column.
     header_line : int
     """
 
@@ -53,16 +53,16 @@ class Log:
     header_line: int = 1
 
     def where(self, row: int) -> str:
-        """`file:line` of a row."""
+        """Return `file:line` of a row."""
         return f"{self.file}:{self.row_word}{self.line[row]}"
 
     def take(self, rows: np.ndarray) -> Log:
-        """The rows of a mask (n,)."""
+        """Return the rows of a mask (n,)."""
         columns = {name: values[rows] for name, values in self.columns.items()}
         return replace(self, columns=columns, line=self.line[rows])
 
     def text(self, name: str) -> np.ndarray:
-        """A column as it stands there.
+        """Return a text column as in the file.
 
         Raises
         ------
@@ -78,12 +78,12 @@ class Log:
         return self.columns[name]
 
     def numbers(self, name: str) -> np.ndarray:
-        """A column of finite numbers (n,).
+        """Return a column of finite numbers (n,).
 
         Raises
         ------
         InputError
-            It is missing, or a cell is empty or no finite number.
+            It is missing, or a cell is empty or not a finite number.
         """
         cells = self.text(name)
         values = (
@@ -96,12 +96,12 @@ class Log:
             row = int(np.argmax(bad))
             told = "is empty" if cells[row] == "" else f"'{str(cells[row])[:40]}' is not a finite number"
             raise InputError(
-                f"{self.where(row)}: {name}: {told}; nothing is filled in: leave the row out by [rows] of the map"
+                f"{self.where(row)}: {name}: {told}; nothing is filled in: exclude the row with [rows] of the map"
             )
         return values.astype(float)
 
     def times(self, name: str) -> np.ndarray | None:
-        """A column of ISO 8601 times, or times of a day, in s (n,); None where its first cell is not one.
+        """Return a column of ISO 8601 times, or times of day, in s (n,); None if its first cell is not a time.
 
         Raises
         ------
@@ -114,12 +114,14 @@ class Log:
         found = [seconds_of(cell) for cell in cells.tolist()]
         if None in found:
             row = found.index(None)
-            raise InputError(f"{self.where(row)}: {name}: '{str(cells[row])[:40]}' is no time like those above it")
+            raise InputError(
+                f"{self.where(row)}: {name}: '{str(cells[row])[:40]}' is not a time in the format of the rows above"
+            )
         return np.array(found, dtype=float)
 
 
 def number_of(cell: str, decimal: str, thousands: str | None = None) -> float:
-    """A cell as a number, NaN where it is none."""
+    """Return a cell as a number, NaN if it is not a number."""
     text = cell.strip()
     if thousands is not None:
         for like in _SPELLINGS.get(thousands, ()):
@@ -138,7 +140,9 @@ def number_of(cell: str, decimal: str, thousands: str | None = None) -> float:
 
 
 def seconds_of(cell: str) -> float | None:
-    """Seconds of an ISO 8601 time (since 1970, UTC where it names no zone) or of a time of the day; None = no time."""
+    """Return the seconds of an ISO 8601 time (since 1970, UTC without zone) or of a time of day; None if it is
+    neither.
+    """
     found = _TIME.fullmatch(cell.strip())
     if found is None:
         return None

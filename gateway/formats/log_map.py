@@ -1,4 +1,4 @@
-"""Map of a log: assigns its columns to the measured table, with unit and sign."""
+"""Map of a log: assigns its columns to the columns of the measured table, with unit and sign."""
 
 from __future__ import annotations
 
@@ -26,12 +26,13 @@ _BEHIND_A_GEAR = ("angle", "speed", "acceleration")
 
 
 class LogFormat(Strict):
-    """How the log is written."""
+    """Text format of the log."""
 
     separator: Literal[",", ";", " ", "\t"] | None = Field(
-        default=None, description="of a text log; a blank: any number of them; found by the names if left out"
+        default=None,
+        description="of a text log; a blank: one or more blanks; detected from the column names if omitted",
     )
-    decimal: Literal[".", ","] | None = Field(default=None, description="of a text log; found if left out")
+    decimal: Literal[".", ","] | None = Field(default=None, description="of a text log; detected if omitted")
     thousands: Literal[",", ".", " ", "'"] | None = Field(default=None, description="mark between thousands")
     encoding: Literal["utf-8", "latin-1", "utf-16"] = Field(
         default="utf-8", description="of a text log without a byte order mark"
@@ -41,20 +42,20 @@ class LogFormat(Strict):
 
 
 class LogTime(Strict):
-    """The log's time."""
+    """Time column of the log."""
 
     column: Name = Field(default="stamp", description="column of a text log; `stamp` or `log_time` of a bag")
     unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of that column")
     base: Literal["first", "as logged"] = Field(
-        default="first", description="the first row of the log is at zero, or not"
+        default="first", description="whether the first row of the log is time zero"
     )
 
 
 class LogLoad(Strict):
-    """What was on the flange."""
+    """Load on the flange."""
 
-    label: str | None = Field(default=None, description="under all rows")
-    column: Name | None = Field(default=None, description="column of a text log that holds the label")
+    label: str | None = Field(default=None, description="of all rows")
+    column: Name | None = Field(default=None, description="column of a text log with the label")
 
     @model_validator(mode="after")
     def _one_of_them(self) -> LogLoad:
@@ -66,34 +67,34 @@ class LogLoad(Strict):
 
 
 class LogRows(Strict):
-    """Which rows are kept."""
+    """Selection of rows."""
 
-    from_s: Finite | None = Field(default=None, description="first time that is kept")
-    to_s: Finite | None = Field(default=None, description="last time that is kept")
-    every: int = Field(default=1, ge=1, description="of a motion: one row in so many")
-    column: Name | None = Field(default=None, description="column that says which rows are kept")
-    equals: tuple[Finite, ...] = Field(default=(), description="its values there")
+    from_s: Finite | None = Field(default=None, description="time of the first row to keep")
+    to_s: Finite | None = Field(default=None, description="time of the last row to keep")
+    every: int = Field(default=1, ge=1, description="of a motion: keep every n-th row")
+    column: Name | None = Field(default=None, description="column that selects the rows to keep")
+    equals: tuple[Finite, ...] = Field(default=(), description="values of that column to keep")
 
     @model_validator(mode="after")
     def _both_or_none(self) -> LogRows:
         if (self.column is None) == bool(self.equals):
-            raise ValueError("rows: column and equals go together")
+            raise ValueError("rows: give both column and equals, or neither")
         return self
 
 
 class LogColumn(Strict):
-    """A column of the log, or one an axis: `{}` stands for the joint's name or number."""
+    """Column of the log, or one per axis: `{}` stands for the joint's name or number."""
 
     log: Name = Field(description="in the log; `position/{}`, `velocity/{}`, `effort/{}` of a bag")
     table: Name = Field(description="in the measured table: q{}_rad, qd{}_rad_s, tau{}_nm, taum{}_nm, i{}_a ..")
     unit: Name = Field(description="of the log's column; 1 of a bare number")
-    sign: Signs = Field(default=1, description="1 or -1, or one an axis")
-    offset: Numbers = Field(default=0.0, description="added at the end, in the table's unit; or one an axis")
-    gear_ratio: Numbers | None = Field(default=None, description="the log's angle is the motor's: divided by this")
+    sign: Signs = Field(default=1, description="1 or -1, or one per axis")
+    offset: Numbers = Field(default=0.0, description="added last, in the table's unit; or one per axis")
+    gear_ratio: Numbers | None = Field(default=None, description="the log has motor angles: divided by this ratio")
     counts_per_revolution: Positive | tuple[Positive, ...] | None = Field(default=None, description="of unit counts")
     rated: Positive | tuple[Positive, ...] | None = Field(default=None, description="of unit % and permille: Nm or A")
     first: Literal[0, 1] = Field(default=1, description="number of the first axis in the log")
-    optional: bool = Field(default=False, description="left out where the log does not hold it")
+    optional: bool = Field(default=False, description="omitted if the log does not contain it")
 
     @model_validator(mode="after")
     def _fits(self) -> LogColumn:
@@ -102,7 +103,7 @@ class LogColumn(Strict):
         if kind is None:
             known = ", ".join(KIND_OF)
             raise Refused(
-                (("table",), f"'{self.table}' is no column of the measured table; write one of {known}, x_..")
+                (("table",), f"'{self.table}' is not a column of the measured table; write one of {known}, x_..")
             )
         if self.unit not in UNITS[kind]:
             known = ", ".join(UNITS[kind])
@@ -110,36 +111,36 @@ class LogColumn(Strict):
         for key in ("counts_per_revolution", "rated"):
             if (NEEDS.get(self.unit) == key) != (getattr(self, key) is not None):
                 found.append(
-                    (("unit",), f"unit '{self.unit}' and {key} do not go together: give it with its unit alone")
+                    (("unit",), f"unit '{self.unit}' and {key} cannot be combined: give the key with its own unit only")
                 )
         if self.gear_ratio is not None and (kind not in _BEHIND_A_GEAR or not np.all(self.gear_ratio)):
-            found.append((("gear_ratio",), "gear_ratio is of angles, speeds and accelerations, and never 0"))
+            found.append((("gear_ratio",), "gear_ratio applies to angles, speeds and accelerations, and must not be 0"))
         if ("{}" in self.log) != ("{}" in self.table):
-            found.append((("log",), "'{}', which stands for the axis, belongs into both of log and table, or none"))
+            found.append((("log",), "'{}', which stands for the axis, must be in both log and table, or in neither"))
         refuse(found)
         return self
 
 
 class LogMotion(Strict):
-    """The arm moves: speeds and accelerations that the log does not hold come from its positions."""
+    """Moving log: speeds and accelerations missing in the log are computed from its positions."""
 
-    cutoff_hz: Positive = Field(description="low pass without phase on the positions, half the power there")
+    cutoff_hz: Positive = Field(description="cutoff of the zero-phase low pass on the positions (half power)")
 
 
 class LogRest(Strict):
-    """The arm stands at poses: one row a stretch of standing, the mean over it."""
+    """Log of rest poses: one row per rest interval, the mean over it."""
 
-    within_rad: Positive = Field(default=0.001, description="no joint moves more while it stands")
-    seconds: Positive = Field(default=0.5, description="shortest time that it stands")
+    within_rad: Positive = Field(default=0.001, description="largest motion of a joint within a rest interval")
+    seconds: Positive = Field(default=0.5, description="shortest rest interval")
     settle_s: Annotated[float, Field(ge=0, allow_inf_nan=False)] = Field(
-        default=0.1, description="left out at the beginning and at the end of each stretch"
+        default=0.1, description="omitted at the beginning and at the end of each rest interval"
     )
-    same_pose_rad: Positive = Field(default=0.02, description="no joint further away: the same pose again")
+    same_pose_rad: Positive = Field(default=0.02, description="largest joint difference within one pose")
     first_pose: int = Field(default=1, ge=1, description="number of the first pose")
 
 
 class LogMap(Strict):
-    """How the columns of a log become a measured table."""
+    """Conversion of the columns of a log to a measured table."""
 
     axes: int = Field(ge=FEWEST_AXES, le=MOST_AXES, description="of the arm")
     joints: tuple[Name, ...] | None = Field(default=None, description="names of the joints in the log, in order")
@@ -171,7 +172,7 @@ class LogMap(Strict):
             found.append(
                 (
                     (),
-                    "say what the arm does: [rest], or [motion] cutoff_hz, or columns for qd{}_rad_s and qdd{}_rad_s2",
+                    "state the motion: [rest], or [motion] cutoff_hz, or columns for qd{}_rad_s and qdd{}_rad_s2",
                 )
             )
         refuse(found)
@@ -189,7 +190,7 @@ class LogMap(Strict):
         return found
 
     def needed(self) -> tuple[set[str], set[str]]:
-        """Columns that a log has to hold: those that are read as text, those that are numbers or times."""
+        """Return the columns that a log must contain: those read as text, and those read as numbers or times."""
         texts = {name for name in (self.load.column,) if name is not None}
         numbers = {name for name in (self.time.column, self.rows.column) if name is not None}
         for column in self.column:
@@ -198,7 +199,7 @@ class LogMap(Strict):
         return texts, numbers
 
     def names(self, column: LogColumn) -> list[tuple[str, str, int]]:
-        """Name in the log, name in the table, and axis from 0 of each column that a rule stands for."""
+        """Return name in the log, name in the table, and axis from 0 of each column of a rule."""
         if "{}" not in column.table:
             return [(column.log, column.table, 0)]
         called = self.joints or tuple(str(axis + column.first) for axis in range(self.axes))
@@ -209,12 +210,12 @@ class LogMap(Strict):
 
 
 def ready_maps() -> dict[str, Any]:
-    """Maps that come with the package, by name."""
+    """Return the maps included in the package, by name."""
     return {Path(file.name).stem: file for file in files("gateway.formats").joinpath("maps").iterdir()}
 
 
 def read_map(path: Path, changes: Mapping[str, Any] | None = None) -> LogMap:
-    """Read a map, or one of the ready ones by its name.
+    """Read a map from a file, or an included one by name.
 
     Parameters
     ----------
@@ -242,5 +243,5 @@ def read_map(path: Path, changes: Mapping[str, Any] | None = None) -> LogMap:
 
 
 def map_schema() -> dict[str, Any]:
-    """JSON schema of the map."""
+    """Return the JSON schema of the map."""
     return LogMap.model_json_schema()

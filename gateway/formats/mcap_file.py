@@ -1,7 +1,7 @@
-"""MCAP, as PlotJuggler and Foxglove open it: two channels an arm.
+"""MCAP for PlotJuggler and Foxglove: two channels per arm.
 
-`/NAME/joint_states` is what every ROS 2 tool draws without being told anything (`sensor_msgs/msg/JointState`);
-`/NAME/samples` is JSON and holds everything, raw words and labels too, which that message has no place for.
+`/NAME/joint_states` is displayed by every ROS 2 tool without configuration (`sensor_msgs/msg/JointState`).
+`/NAME/samples` is JSON with all quantities, including raw words and labels, which that message cannot contain.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ _NS: Final = 1_000_000_000
 
 
 def to_mcap(samples: Samples) -> bytes:
-    """Content of an MCAP file.
+    """Return the content of an MCAP file.
 
-    Messages are stamped with the recording's own time, which begins at zero when the bus is opened. Floats in the JSON
-    read back to the last bit; a NaN is null there.
+    Messages have the time of the recording, which starts at zero when the bus is opened. Floats in the JSON read back
+    exactly; NaN is null.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def _efforts(arm: ArmSamples, row: int) -> np.ndarray:
 
 
 def _messages(arm: ArmSamples) -> Iterator[dict[str, Any]]:
-    """One object a sample: a name is left out where the sample has no such quantity, null is a NaN or no word."""
+    """Yield one object per sample: absent quantities are omitted; null is NaN or a missing word."""
     columns = {name: _cells(measurand) for name, measurand in arm.measurands.items()}
     there = {name: measurand.there for name, measurand in arm.measurands.items()}
     for row in range(len(arm)):
@@ -123,7 +123,8 @@ def _property(measurand: Measurand, axes: int) -> dict[str, Any]:
 def joint_state_cdr(
     stamp_ns: int, frame: str, position_rad: np.ndarray, effort_nm: Sequence[float] | np.ndarray
 ) -> bytes:
-    """A `JointState` in CDR, little endian (OMG DDSI-RTPS 2.3, 10.2); speeds are left out: they are not measured.
+    """Return a `JointState` in CDR, little endian (OMG DDSI-RTPS 2.3, 10.2); speeds are omitted, as they are not
+    measured.
 
     Parameters
     ----------
@@ -148,7 +149,7 @@ def joint_state_cdr(
 
 
 def _put_count(out: bytearray, count: int) -> None:
-    """A length, at a multiple of its size."""
+    """Append a length, aligned to its size."""
     out.extend(b"\0" * (-len(out) % 4))
     out.extend(struct.pack("<I", count))
 

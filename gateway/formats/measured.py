@@ -1,4 +1,4 @@
-"""A measured table from another program's log, by a map."""
+"""Import of a measured table from the log of another program, with a map of its columns."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _RATES: Final = ("qd{}_rad_s", "qdd{}_rad_s2")
 
 @dataclass(frozen=True, slots=True)
 class Imported:
-    """Text of a measured table, its number of rows, and remarks."""
+    """Text of an imported table, number of rows, and remarks."""
 
     text: str
     rows: int
@@ -52,7 +52,7 @@ class Imported:
 
 
 def table_from_log(path: Path, given: LogMap) -> Imported:
-    """Measured table that a map makes of a log.
+    """Convert a log to a measured table, with a map.
 
     Parameters
     ----------
@@ -73,8 +73,8 @@ def table_from_log(path: Path, given: LogMap) -> Imported:
         found = standing(time_s, _joined(values, given.axes), labels, given.rest)
         if not found:
             raise InputError(
-                f"{path}: the arm nowhere stands for {given.rest.seconds:g} s within {given.rest.within_rad:g} rad; see"
-                " [rest] of the map"
+                f"{path}: the arm is never at rest for {given.rest.seconds:g} s within {given.rest.within_rad:g} rad;"
+                " see [rest] of the map"
             )
         return _imported(_at_rest(found, time_s, labels, values))
     motion = _derived(log, given, time_s, values)
@@ -91,7 +91,7 @@ def table_from_log(path: Path, given: LogMap) -> Imported:
 
 
 def preview_of(path: Path, given: LogMap) -> tuple[list[PreviewColumn], list[str]]:
-    """What a log holds by a map, column by column, and what is to be said of it as a whole; raises as above."""
+    """Return a preview of the columns of a log with a map, and general remarks; errors as in `table_from_log`."""
     log, time_s, labels, values = _kept_rows(path, given)
     sources = {
         target: f"{source} [{column.unit}]" for column in given.column for source, target, _ in given.names(column)
@@ -100,17 +100,17 @@ def preview_of(path: Path, given: LogMap) -> tuple[list[PreviewColumn], list[str
     motion = _derived(log, given, time_s, values)
     remarks = [f"{len(time_s)} rows, {time_s[-1] - time_s[0]:.6g} s, load {', '.join(sorted(set(map(str, labels))))}"]
     if given.load.column is None and given.load.label == BARE_LABEL:
-        remarks.append("no load is named: every row is of the bare arm; name it under [load], or by --load")
+        remarks.append("no load is named: every row is of the unloaded arm; name the load under [load], or with --load")
     if log.units:
         line, _ = next(iter(log.units.values()))
-        remarks.append(f"line {line} holds units, and is left out")
+        remarks.append(f"line {line} contains units and is omitted")
     if motion is not None:
         remarks.append(_clock_remark(motion))
     return list(preview(time_s, values, sources)), remarks
 
 
 def _kept_rows(path: Path, given: LogMap) -> tuple[Log, Floats, NDArray[np.object_], dict[str, Floats]]:
-    """Rows that the map keeps: the log, times, labels, and columns of the table."""
+    """Return the rows that the map keeps: log, times, labels, and columns of the table."""
     log = _opened(path, given)
     time_s = _times(log, given)
     kept = _kept(log, given, time_s)
@@ -126,7 +126,7 @@ def _opened(path: Path, given: LogMap) -> Log:
         return read_text_log(path, given.log, *given.needed())
     if given.joints is None:
         raise InputError(
-            f"{path}: a bag tells of joints by name: write joints = [..] into the map, in the arm's order, or --joints"
+            f"{path}: a bag identifies joints by name: write joints = [..] in the map, in the arm's order, or --joints"
         )
     return read_bag(path, given.log.topic, given.joints)
 
@@ -169,7 +169,7 @@ def _labels(log: Log, given: LogMap) -> NDArray[np.object_]:
 
 
 def _values(log: Log, given: LogMap) -> dict[str, Floats]:
-    """Columns of the table by name, in its units."""
+    """Return the columns of the table by name, in its units."""
     found: dict[str, Floats] = {}
     for column in given.column:
         for source, target, axis in given.names(column):
@@ -184,7 +184,7 @@ def _values(log: Log, given: LogMap) -> dict[str, Floats]:
 
 
 def _refuse_unit(log: Log, name: str, unit: str) -> None:
-    """Refuse a unit of the map that is another one than the row below the header, or the name, says."""
+    """Raise an error if a unit of the map differs from the unit row below the header, or from the column name."""
     line, told = log.units.get(name, (log.header_line, ""))
     if not told and (found := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)):
         told = found[1]
@@ -269,7 +269,7 @@ def _clock_remark(motion: SmoothedMotion) -> str:
 def _at_rest(
     found: list[Stretch], time_s: Floats, labels: NDArray[np.object_], values: dict[str, Floats]
 ) -> dict[str, list[object]]:
-    """One row a stretch: means, spreads, how many rows they are of."""
+    """Return one row per rest interval: means, standard deviations, and number of averaged rows."""
     columns: dict[str, list[object]] = {
         "load": [labels[each.rows.start] for each in found],
         "pose": [each.pose for each in found],
@@ -290,7 +290,7 @@ def _at_rest(
 
 
 def _whole(name: str, values: Floats) -> list[object]:
-    """Numbers that count something are written without a point."""
+    """Return counts as integers, without a decimal point."""
     whole = name in ("pose", "n") or name.startswith("dir")
     return [int(value) if whole and value == int(value) else value for value in values.tolist()]
 

@@ -1,4 +1,4 @@
-"""ASAM MDF 4, as CANape and asammdf open it: a group an arm; cell, robot and profiles attached."""
+"""ASAM MDF 4 for CANape and asammdf: one group per arm; cell, robot and profiles attached."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from gateway.result.origin import software
 
 
 def to_mf4(samples: Samples) -> bytes:
-    """Content of an MF4 file.
+    """Return the content of an MF4 file.
 
-    The time of every group is the recording's own, which begins at zero when the bus is opened. A value that is not
-    there is marked by its invalidation bit; a NaN that was recorded stays a valid NaN.
+    The time of every group is that of the recording, which starts at zero when the bus is opened. A missing value has
+    its invalidation bit set; a recorded NaN is a valid NaN.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def _begun(created: str) -> datetime:
 
 
 def _texts(samples: Samples) -> dict[str, str]:
-    """Files that are attached, by name."""
+    """Return the attached files, by name."""
     about = dict(samples.about)
     texts = {"cell.toml": about.pop("cell", ""), "robot.urdf": about.pop("robot", "")}
     profiles = json.loads(about.pop("profiles", "{}"))
@@ -76,7 +76,7 @@ def _signals(asammdf: Any, arm: ArmSamples) -> Iterator[Any]:
 
 
 def _stored(values: np.ndarray) -> np.ndarray:
-    """Text as bytes of UTF-8, truth as 0 and 1."""
+    """Return text as UTF-8 bytes, booleans as 0 and 1."""
     if values.dtype.kind == "O":
         return np.array([str(text).encode() for text in values.tolist()], dtype=np.bytes_)
     return values.astype(np.uint8) if values.dtype.kind == "b" else values

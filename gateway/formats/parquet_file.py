@@ -1,4 +1,6 @@
-"""Parquet: one row a sample, a column a quantity and axis; units with the fields, cell and profiles with the file."""
+"""Parquet: one row per sample, one column per quantity and axis; units as field metadata, cell and profiles as file
+metadata.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +14,10 @@ from gateway.formats.samples import ArmSamples, Measurand, Samples
 
 
 def to_parquet(samples: Samples) -> bytes:
-    """Content of a Parquet file.
+    """Return the content of a Parquet file.
 
-    What is not there is null; a NaN that was recorded stays a NaN. Arms follow one another, told apart by `arm`; one of
-    fewer axes leaves the columns of the others null.
+    Missing values are null; a recorded NaN is NaN. The rows of all arms follow one another, with the column `arm`.
+    The columns of axes that an arm lacks are null.
 
     Raises
     ------

@@ -21,7 +21,7 @@ _LARGEST_NM: Final = 1e5
 
 @dataclass(frozen=True, slots=True)
 class PreviewColumn:
-    """A column of the table: where it comes from, its first values, its range, and what looks wrong."""
+    """Column of the preview: source, first values, range, and suspected error."""
 
     name: str
     source: str
@@ -32,7 +32,7 @@ class PreviewColumn:
 
 
 def preview(time_s: Floats, values: Mapping[str, Floats], sources: Mapping[str, str]) -> Iterator[PreviewColumn]:
-    """Describe columns (n,) of a table that are still in the order of the log.
+    """Describe columns (n,) of a table, in the row order of the log.
 
     Parameters
     ----------
@@ -54,15 +54,15 @@ def _odd(name: str, cells: Floats, time_s: Floats, values: Mapping[str, Floats])
     if len(cells) > 1 and not np.ptp(cells) and (cells[0] or name.startswith(("tau", "i"))):
         yield "never changes"
     if name.startswith("q") and name.endswith("_rad") and np.abs(cells).max() > 2 * math.pi:
-        yield "turns by more than a revolution: is the angle the motor's (gear_ratio), or in another unit?"
+        yield "range above one revolution: is it a motor angle (set gear_ratio), or in another unit?"
     if name.endswith("_nm") and np.abs(cells).max() > _LARGEST_NM:
-        yield f"beyond {_LARGEST_NM:g} Nm: is it in mNm?"
+        yield f"beyond {_LARGEST_NM:g} Nm: is the unit mNm?"
     if name.startswith("qd") and name.endswith("_rad_s"):
         yield from _against_angle(cells, values.get(f"q{name[2:-6]}_rad"), time_s)
 
 
 def _against_angle(speed: Floats, angle: Floats | None, time_s: Floats) -> Iterator[str]:
-    """Say how a speed disagrees with the change of its angle."""
+    """Return how a speed disagrees with the change of its angle; empty if it agrees."""
     if angle is None or len(time_s) < SHOWN or np.ptp(time_s) <= 0:
         return
     travelled = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))])

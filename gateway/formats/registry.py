@@ -1,4 +1,4 @@
-"""Open formats by name."""
+"""Registry of the open formats, by name."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FRAMES: Final = "blf"
 
 @dataclass(frozen=True, slots=True)
 class ExportFile:
-    """Content of a file, and of how many of what."""
+    """Content of an exported file, and the number of exported items."""
 
     content: bytes
     count: int
@@ -30,7 +30,7 @@ class ExportFile:
 
 
 def exported(path: Path, fmt: str, arm_name: str | None, label: str | None) -> ExportFile:
-    """A recording in an open format.
+    """Export a recording in an open format.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def exported(path: Path, fmt: str, arm_name: str | None, label: str | None) -> E
     """
     if fmt == FRAMES:
         if arm_name or label:
-            raise InputError(f"{path}: frames are of a whole run: --format {FRAMES} takes neither --arm nor --load")
+            raise InputError(f"{path}: frames are of the complete run: omit --arm and --load with --format {FRAMES}")
         return ExportFile(*blf_of(path), "frames")
     samples = read_samples(path, arm_name, label)
     return ExportFile(FORMATS[fmt](samples), len(samples), "samples")

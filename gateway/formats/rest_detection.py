@@ -15,7 +15,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Rows while the arm stands, the pose's number, sign of each joint's last motion (N,); 0 = not seen to move."""
+    """Rest interval: rows, pose number, sign of each joint's last motion (N,); 0 = unknown."""
 
     rows: slice
     pose: int
@@ -23,14 +23,14 @@ class Stretch:
 
 
 def standing(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[Stretch]:
-    """Stretches in which no joint moves, under one load each.
+    """Return the intervals in which no joint moves, each with one load.
 
     Parameters
     ----------
     time_s : array of shape (n,)
     q_rad : array of shape (n, N)
     labels : array of shape (n,)
-        What is on the flange.
+        Label of the load.
     rest : LogRest
     """
     found: list[Stretch] = []
@@ -49,7 +49,7 @@ def standing(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: L
 
 
 def _windows(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[tuple[int, int]]:
-    """First row and the one behind the last of each stretch."""
+    """Yield the first row and the row after the last of each rest interval."""
     if len(time_s) < 2:
         return []
     width = max(2, round(rest.seconds / float(np.median(np.diff(time_s)))) + 1)

@@ -31,10 +31,10 @@ _Raw = tuple[int, bytes]
 
 
 def read_bag(path: Path, topic: str, joints: Sequence[str]) -> Log:
-    """The messages of one topic that tell of an arm's joints.
+    """Read the messages of one topic that contain the joints of an arm.
 
-    Columns are `stamp` and `log_time` [s] from the first message on, and `position/NAME`, `velocity/NAME`,
-    `effort/NAME` as far as the messages tell them. A message that names none of the joints is of another device.
+    Columns are `stamp` and `log_time` [s] from the first message, and `position/NAME`, `velocity/NAME`, `effort/NAME`
+    where the messages contain them. A message without any of the joints is ignored, as it is of another device.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def _told(path: Path, number: int, values: Sequence[float], at: int, what: str) 
 
 
 def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
-    """Time of logging [ns] and decoded message, in the order of the file."""
+    """Yield log time [ns] and decoded message, in file order."""
     decoder: Any = needed("mcap_ros2.decoder", "a ROS 2 bag", "formats").DecoderFactory()
     records: Any = needed("mcap.records", "a ROS 2 bag", "formats")
     try:
@@ -117,7 +117,7 @@ def _messages(path: Path, topic: str) -> Iterator[tuple[int, Any]]:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # the libraries report damage by many kinds of exception
         words = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(f"{path}: is damaged, or no bag ({words})") from error
+        raise InputError(f"{path}: is damaged, or not a bag ({words})") from error
 
 
 def _of_mcap(path: Path, topic: str) -> Iterator[_Raw]:
@@ -141,7 +141,7 @@ def _of_mcap(path: Path, topic: str) -> Iterator[_Raw]:
 
 
 def _records(path: Path, stream: IO[bytes]) -> Iterator[Any]:
-    """Records of an MCAP file in their order; a chunk is unpacked only as far as a bag of that size may reach."""
+    """Yield the records of an MCAP file in order; the decompressed size of a chunk is limited."""
     library: Any = needed("mcap.stream_reader", "MCAP", "formats")
     records: Any = needed("mcap.records", "MCAP", "formats")
     size_bytes = regular_size(path)
@@ -187,4 +187,4 @@ def _refuse_type(path: Path, topic: str, kind: str, form: str) -> None:
 def _refuse_without(path: Path, topic: str, topics: dict[str, str]) -> None:
     if topic not in topics:
         held = ", ".join(f"{name} ({kind})" for name, kind in topics.items()) or "no message"
-        raise InputError(f"{path}: holds no topic '{topic}' but {held}; see topic under [log] of the map")
+        raise InputError(f"{path}: contains no topic '{topic}' but {held}; see topic under [log] of the map")

@@ -32,9 +32,9 @@ class Measurand:
     name : str
         As in the recording.
     unit, remark : str
-        Of the recording's unit, what stands before and behind its first comma.
+        The recording's unit text, before and after its first comma.
     values : array of shape (n,) or (n, N)
-        As stored; 0, NaN or an empty text where it is not there.
+        As stored; 0, NaN or an empty text where absent.
     present : bool array of the shape of `values`
         False where the visit has no such quantity, or the drive sent no such word.
     """
@@ -47,11 +47,11 @@ class Measurand:
 
     @property
     def there(self) -> np.ndarray:
-        """Whether a sample has it at all (n,)."""
+        """Return whether each sample has the quantity (n,)."""
         return np.atleast_1d(self.present if self.present.ndim == 1 else self.present.any(axis=1))
 
     def columns(self) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-        """Name, values (n,) and presence (n,): one column, or one an axis."""
+        """Return name, values (n,) and presence (n,) of each column: one, or one per axis."""
         if self.values.ndim == 1:
             yield self.name, self.values, self.present
             return
@@ -61,7 +61,7 @@ class Measurand:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSamples:
-    """Samples of one arm in the order of measuring.
+    """Samples of one arm in measurement order.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class ArmSamples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """Every sample of a recording; `about` are its attributes: cell, profiles, robot, how it ended."""
+    """All samples of a recording; `about` are its attributes: cell, profiles, robot, exit status."""
 
     about: dict[str, str]
     arms: tuple[ArmSamples, ...]
@@ -96,13 +96,13 @@ class Samples:
 
 
 def column_name(name: str, axis: int) -> str:
-    """Name of the column of one axis, from 1: `q_rad` is `q1_rad`, `statusword` is `statusword1`."""
+    """Return the column name of an axis, from 1: `q_rad` becomes `q1_rad`, `statusword` becomes `statusword1`."""
     head, _, unit = name.rpartition("_")
     return f"{head}{axis}_{unit}" if head else f"{name}{axis}"
 
 
 def read_samples(path: Path, arm_name: str | None = None, label: str | None = None) -> Samples:
-    """Every sample of a recording, or of one arm, under one load.
+    """Return all samples of a recording, or of one arm or one load.
 
     Raises
     ------
@@ -126,10 +126,12 @@ def read_samples(path: Path, arm_name: str | None = None, label: str | None = No
 def _refuse_unknown(recording: Recording, arm_name: str | None, label: str | None) -> None:
     names = [arm.name for arm in recording.arms]
     if arm_name not in (None, *names):
-        raise InputError(f"{recording.path}: holds the arms {', '.join(names) or 'none'}: name one of them by --arm")
+        raise InputError(
+            f"{recording.path}: contains the arms {', '.join(names) or 'none'}: name one of them with --arm"
+        )
     if label not in (None, *recording.loads):
         held = ", ".join(recording.loads) or "no sample yet"
-        raise InputError(f"{recording.path}: load '{label}' is not in it; it holds {held}")
+        raise InputError(f"{recording.path}: load '{label}' is not in the recording; it contains {held}")
 
 
 def _config_axes(recording: Recording, name: str) -> tuple[Any, ...]:
@@ -152,7 +154,7 @@ def _arm(place: Hdf5Group, name: str, axes: int, label: str | None) -> ArmSample
 
 
 def _group(kind: str, number: int, place: Hdf5Group, axes: int) -> dict[str, Measurand]:
-    """Quantities of one visit or period: its datasets, and its attributes once a sample."""
+    """Return the quantities of one visit or period: its datasets, and its attributes repeated per sample."""
     found: dict[str, Measurand] = {}
     for name in place.names():
         values = place.columns(name, axes)
@@ -176,7 +178,7 @@ def _repeated(name: str, value: Any, samples: int, axes: int) -> Measurand:
 
 
 def _joined(groups: list[dict[str, Measurand]]) -> dict[str, Measurand]:
-    """Groups one after the other; what only some of them have is absent in the others."""
+    """Concatenate groups; a quantity that a group lacks is absent in its samples."""
     if not groups:
         return _nothing()
     names = dict.fromkeys(name for part in groups for name in part)
@@ -206,7 +208,7 @@ def _blank(kind: np.dtype[Any]) -> Any:
 
 
 def _nothing() -> dict[str, Measurand]:
-    """What every arm has, without a sample."""
+    """Return the quantities that every arm has, without samples."""
     empty = {
         "group": ("", np.zeros(0, dtype=object)),
         "number": ("", np.zeros(0, dtype=np.int64)),

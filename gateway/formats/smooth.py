@@ -1,10 +1,10 @@
-"""Clock of a log, and speeds and accelerations of its positions.
+"""Clock of a log, and speeds and accelerations from its positions.
 
-A logger samples at a constant rate, but time stamps are delayed by computer load, and some samples are lost.
-Differences of positions over such stamps are wrong by stamp over step, and a digital filter assumes even steps anyway.
-So a straight clock t = start + step * k is fitted to the stamps, the positions are filtered and differentiated on its
-grid, and the scatter of the stamps around it is returned. Where the data are smoother over the stamps than over the
-clock, the arm was sampled at the stamped times, and the positions are interpolated from these.
+A logger samples at a constant rate, but its time stamps have jitter, and samples are lost. Differences over such
+stamps have relative errors of jitter over step, and a digital filter requires even steps. Therefore a straight clock
+t = start + step * k is fitted to the stamps. The positions are filtered and differentiated on its grid. If the data
+are smoother over the stamps than over the clock, the arm was sampled at the stamped times, and the positions are
+interpolated.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ _SMOOTHER = 0.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clock:
-    """A straight clock through time stamps.
+    """Straight clock fitted to time stamps.
 
     Attributes
     ----------
     index : int array of shape (n,)
-        Number of each sample, from 0; a number that is left out was lost.
+        Number of each sample, from 0; missing numbers are lost samples.
     start_s, step_s : float
     jitter_s : array of shape (n,)
         Stamp minus clock.
@@ -43,12 +43,12 @@ class Clock:
 
     @property
     def time_s(self) -> Floats:
-        """Time of each sample (n,)."""
+        """Return the time of each sample (n,)."""
         return self.start_s + self.step_s * self.index.astype(float)
 
     @property
     def lost(self) -> int:
-        """Samples that are missing between the first and the last."""
+        """Number of samples lost between the first and the last."""
         return int(self.index[-1]) + 1 - len(self.index)
 
 
@@ -68,7 +68,7 @@ def clock_of(stamp_s: Floats) -> Clock:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SmoothedMotion:
-    """Time (n,), speeds and accelerations (n, N) of logged positions, and the clock that was found."""
+    """Time (n,), speeds and accelerations (n, N) of logged positions, and the fitted clock."""
 
     time_s: Floats
     qd_rad_s: Floats
@@ -77,7 +77,7 @@ class SmoothedMotion:
 
 
 def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> SmoothedMotion:
-    """Speeds and accelerations of positions (n, N) that were logged at nearly even steps.
+    """Compute speeds and accelerations of positions (n, N) logged at nearly even steps.
 
     Parameters
     ----------
@@ -98,26 +98,26 @@ def motion_of(stamp_s: Floats, q_rad: Floats, cutoff_hz: float) -> SmoothedMotio
 
 
 def _at(time_s: Floats, values: Floats, wanted_s: Floats) -> Floats:
-    """Cubic spline through values (n, N), at other times."""
+    """Interpolate values (n, N) at other times by a cubic spline."""
     return np.asarray(make_interp_spline(time_s, values, k=3)(wanted_s), dtype=float)
 
 
 def _roughness(values: Floats) -> float:
-    """Size of what is left of evenly spaced values (n, N) after a cubic through four neighbours."""
+    """Return the residual size of evenly spaced values (n, N) after a cubic through four neighbours."""
     return float(np.sqrt((np.diff(values, 4, axis=0) ** 2).sum()))
 
 
 def rates(time_s: Floats, q_rad: Floats, cutoff_hz: float) -> tuple[Floats, Floats]:
-    """Speeds and accelerations (n, N) of positions (n, N) at even steps.
+    """Compute speeds and accelerations (n, N) of positions (n, N) at even steps.
 
-    A second-order low pass, run forwards and backwards for zero phase; half the power at the cutoff.
+    Uses a second-order low pass forwards and backwards (zero phase), half power at the cutoff.
 
     Parameters
     ----------
     time_s : array of shape (n,)
     q_rad : array of shape (n, N)
     cutoff_hz : float
-        At or beyond half the sampling rate the positions are taken as they are.
+        At or above half the sampling rate the positions are not filtered.
     """
     nyquist_hz = 0.5 / float(np.median(np.diff(time_s)))
     # power behind both runs, with x the cutoff over the corner: 1 / (1 + x^4)^2 = 1/2

@@ -1,7 +1,7 @@
-"""Logs as text, however they are laid out: the header is the line that holds the names of the map.
+"""Text logs of any layout: the header is the line that contains the column names of the map.
 
-Found by that: separator, lines above the header, decimal mark, encodings with a byte order mark. Left out: comments, a
-row of units below the header, separators at the end of a line. The map says what is ambiguous.
+Detected: separator, lines above the header, decimal mark, encoding with a byte order mark. Ignored: comments, a unit
+row below the header, separators at the end of a line. Ambiguous settings are keys of the map.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _Rows = list[tuple[int, list[str]]]
 
 
 def read_text_log(path: Path, form: LogFormat, texts: Collection[str], numbers: Collection[str]) -> Log:
-    """Read a log as text; cells stay text until they are asked for.
+    """Read a text log; cells remain text until they are used.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ def read_text_log(path: Path, form: LogFormat, texts: Collection[str], numbers: 
     Raises
     ------
     InputError
-        It cannot be read, has no header or no row, a name stands twice, or a row is of another length.
+        It cannot be read, has no header or no row, a duplicate name, or a row of another length.
     """
     lines = [(number, line) for number, line in enumerate(_lines(path, form), start=1) if number > form.skip_lines]
     lines = [(number, line) for number, line in lines if line.strip(" \t\r\n,;")]
     if not lines:
-        raise InputError(f"{path}:1: the file holds no header line; see skip_lines under [log] of the map")
+        raise InputError(f"{path}:1: the file contains no header line; see skip_lines under [log] of the map")
     separator, at, header = _header(lines, form, {*texts, *numbers})
     twice = next((name for index, name in enumerate(header) if name and name in header[:index]), None)
     if twice is not None:
@@ -116,9 +116,9 @@ def _cells(line: str, separator: str) -> list[str]:
 
 
 def _header(lines: list[tuple[int, str]], form: LogFormat, wanted: set[str]) -> tuple[str, int, list[str]]:
-    """Separator, place among the lines, and names: the first line with all that is wanted, else with most of it.
+    """Return separator, line index and names of the header: the first line with all required names, else with most.
 
-    Where no line holds any of it, it is the first one that is no comment.
+    Without any required name it is the first line that is not a comment.
     """
     separators = (form.separator,) if form.separator else SEPARATORS
     first = next((at for at, (_, line) in enumerate(lines) if not _COMMENT.match(line)), 0)
@@ -137,14 +137,14 @@ def _header(lines: list[tuple[int, str]], form: LogFormat, wanted: set[str]) -> 
 
 
 def _without_end(names: list[str]) -> list[str]:
-    """Names without empty ones at the end, which come of a separator there."""
+    """Return the names without empty ones at the end, caused by a trailing separator."""
     while len(names) > 1 and not names[-1]:
         names = names[:-1]
     return names
 
 
 def _units_rows(body: _Rows, asked: list[int]) -> tuple[_Rows, _Rows]:
-    """Rows below the header in which no cell of the columns that are asked for is a number or a time, and the rest."""
+    """Separate unit rows below the header, in which no required cell is a number or a time, from the data rows."""
     count = 0
     for _, cells in body[:_MOST_UNITS_ROWS]:
         told = [cells[index] for index in asked if index < len(cells) and cells[index]]
@@ -155,7 +155,7 @@ def _units_rows(body: _Rows, asked: list[int]) -> tuple[_Rows, _Rows]:
 
 
 def _of_length(path: Path, number: int, cells: list[str], like: tuple[int, str]) -> list[str]:
-    """A row without the empty cells behind its last column."""
+    """Return a row without the empty cells after its last column."""
     length, separator = like
     if len(cells) > length and not any(cells[length:]):
         return cells[:length]
@@ -166,7 +166,7 @@ def _of_length(path: Path, number: int, cells: list[str], like: tuple[int, str])
 
 
 def _marks(path: Path, body: _Rows, asked: list[int], separator: str, form: LogFormat) -> tuple[str, str | None]:
-    """Decimal mark, and the mark between thousands."""
+    """Return the decimal mark and the thousands separator."""
     if form.decimal is not None or separator == "," or form.thousands is not None:
         return form.decimal or ("," if form.thousands == "." else "."), form.thousands
     looked_at = [(number, cells[index]) for number, cells in body[:_ROWS_LOOKED_AT] for index in asked]

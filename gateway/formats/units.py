@@ -64,13 +64,13 @@ KIND_OF: Final[Mapping[str, str]] = {
 
 
 def pattern_of(column: str) -> str:
-    """`tau2_nm` as `tau{}_nm`; any other name as it is."""
+    """Return the column pattern of a name: `tau2_nm` becomes `tau{}_nm`; other names are unchanged."""
     axis = AXIS_OF.get(column)
     return column if axis is None else next(each for each in PATTERNS if each.format(axis) == column)
 
 
 def kind_of(column: str) -> str | None:
-    """What a column of the table measures; None = it is no column that a log can give."""
+    """Return the quantity of a table column; None if a log cannot provide that column."""
     return "number" if column.startswith("x_") else KIND_OF.get(pattern_of(column))
 
 
@@ -91,7 +91,7 @@ _BY_LOWER: Final = {
 
 
 def unit_named(text: str) -> str | None:
-    """The unit that a text in a log names; None = none that is known."""
+    """Return the unit that a text in a log names; None if unknown."""
     plain = re.sub(r"[\s\[\]()]", "", text)
     if len(plain) == 1 and plain not in ("%", "\N{DEGREE SIGN}"):
         return plain if plain in (*_BY_LOWER.values(),) else None

@@ -269,7 +269,7 @@ def test_frames_are_not_made_up(tmp_path, monkeypatch):
     assert (done.exit_code, "run.blf: holds no frame" in done.stderr) == (3, True), done.output
     trace_beside(path)
     done = CliRunner().invoke(main, [*arguments, "--load", "none"])
-    assert (done.exit_code, "frames are of a whole run" in done.stderr) == (3, True), done.output
+    assert (done.exit_code, "frames are of the complete run" in done.stderr) == (3, True), done.output
     assert not (tmp_path / "x.blf").exists()
 
 
@@ -304,8 +304,8 @@ def test_only_one_arm_and_one_load(tmp_path):
     ("arguments", "code", "says"),
     [
         (("--format", "mcap"), 2, "--format mcap is a binary format: give a file with -o"),
-        (("--format", "mcap", "-o", "x", "--arm", "left"), 3, "holds the arms four: name one of them by --arm"),
-        (("--format", "parquet", "-o", "x", "--load", "b"), 3, "load 'b' is not in it; it holds none, tool ä"),
+        (("--format", "mcap", "-o", "x", "--arm", "left"), 3, "contains the arms four: name one of them with --arm"),
+        (("--format", "parquet", "-o", "x", "--load", "b"), 3, "load 'b' is not in the recording; it contains none"),
     ],
 )
 def test_what_cannot_leave_is_said(tmp_path, monkeypatch, arguments, code, says):

@@ -241,8 +241,8 @@ def test_a_preview_shows_rows_units_and_ranges_and_writes_nothing(tmp_path):
     ("change", "says"),
     [
         (lambda cells: [*cells[:3], "5.0", cells[4]], "never changes"),
-        (lambda cells: [cells[0], str(20 * float(cells[1])), *cells[2:]], "turns by more than a revolution"),
-        (lambda cells: [*cells[:3], str(1e3 * float(cells[3])), cells[4]], "is it in mNm?"),
+        (lambda cells: [cells[0], str(20 * float(cells[1])), *cells[2:]], "range above one revolution"),
+        (lambda cells: [*cells[:3], str(1e3 * float(cells[3])), cells[4]], "is the unit mNm?"),
     ],
 )
 def test_a_preview_says_what_looks_wrong(tmp_path, change, says):
@@ -261,4 +261,4 @@ def test_a_preview_holds_speeds_against_angles(tmp_path, factor, says):
 
 
 def test_a_preview_says_that_no_load_is_named(tmp_path):
-    assert "every row is of the bare arm" in previewed(tmp_path, text(), MAP.replace('[load]\nlabel = "a"\n', ""))
+    assert "every row is of the unloaded arm" in previewed(tmp_path, text(), MAP.replace('[load]\nlabel = "a"\n', ""))

@@ -265,7 +265,7 @@ def test_a_bag_is_read_from_its_tables_alone(tmp_path, sql):
     began_s = time.process_time()
     done, out = imported(tmp_path, path.read_bytes(), ROS, path.name)
     assert (done.exit_code, out.exists()) == (3, False), done.output
-    assert "no bag" in done.stderr
+    assert "not a bag" in done.stderr
     assert time.process_time() - began_s < 2.0
 
 
@@ -298,7 +298,7 @@ def test_a_bag_that_computes_on_and_on_is_stopped(tmp_path, monkeypatch, reason)
 
 def test_a_bag_gives_no_more_than_its_file_has(tmp_path):
     path = bag(tmp_path / "bag.db3")
-    with bag_database.open_bag(path) as file, pytest.raises(InputError, match="more bytes than the file has"):
+    with bag_database.open_bag(path) as file, pytest.raises(InputError, match="more bytes than the file contains"):
         list(BagDatabase(path, file)._rows(f"{ENDLESS} FROM n", ()))
 
 
@@ -340,19 +340,19 @@ def test_bags_that_cannot_be_used(tmp_path, suffix):
         return " ".join(done.stderr.split())
 
     path = bag(tmp_path / f"bag{suffix}", topic="/other")
-    assert "holds no topic '/joint_states' but" in said(path)
+    assert "contains no topic '/joint_states' but" in said(path)
     assert "/other (sensor_msgs/msg/JointState)" in said(path)
     path.unlink()
     path = bag(tmp_path / f"bag{suffix}")
-    assert "write joints = [..] into the map" in said(path, ROS.replace('joints = ["base", "arm"]\n', ""))
+    assert "write joints = [..] in the map" in said(path, ROS.replace('joints = ["base", "arm"]\n', ""))
     assert "names the joints one, two" in said(path, ROS.replace('"base", "arm"', '"one", "two"'))
     assert f"bag{suffix}:message 1: names arm, base, and not joint 'x'" in said(
         path, ROS.replace('"base", "arm"', '"base", "x"')
     )
     path.write_bytes(path.read_bytes()[:700])
-    assert "is damaged, or no bag" in said(path)
+    assert "is damaged, or not a bag" in said(path)
     path.write_bytes(b"nothing")
-    assert "is damaged, or no bag" in said(path)
+    assert "is damaged, or not a bag" in said(path)
     path.unlink()
     arm_states = [(number, message) for number, message in states() if "finger" not in message["name"]]
     arm_states[50] = (50, arm_states[50][1] | {"effort": [1.0, math.nan]})
@@ -390,13 +390,13 @@ SPEEDS = '[[column]]\nlog = "actual_qd_{}"\ntable = "qd{}_rad_s"\nunit = "rad/s"
     [
         ("actual_q_{}", "actual_p_{}", "log.csv:1: column 'actual_p_0', which the map names, is missing"),
         ('"rad"', '"turns"', "map.toml line 11: unit 'turns' is not one of angle: write rad, mrad, deg"),
-        ('"A"', '"permille"', "map.toml line 26: unit 'permille' and rated do not go together"),
-        ('"q{}_rad"', '"angle{}"', "map.toml line 10: 'angle{}' is no column of the measured table"),
+        ('"A"', '"permille"', "map.toml line 26: unit 'permille' and rated cannot be combined"),
+        ('"q{}_rad"', '"angle{}"', "map.toml line 10: 'angle{}' is not a column of the measured table"),
         ("[1, -1, 1, 1, 1, 1]", "[1, -1]", "map.toml line 28: sign: 2 values for 6 axes"),
         ("axes = 6", "axes = 6\ncolour = 1", "map.toml line 2: colour: unknown key"),
-        (SPEEDS, "", "map.toml line 1: say what the arm does: [rest], or [motion]"),
+        (SPEEDS, "", "map.toml line 1: state the motion: [rest], or [motion]"),
         ("[load]", "[rows]\nfrom_s = 5.0\n[load]", "[rows] of the map keeps none of the log's 5 rows"),
-        ("[load]", "[rest]\n[load]", "the arm nowhere stands for 0.5 s"),
+        ("[load]", "[rest]\n[load]", "the arm is never at rest for 0.5 s"),
         (SPEEDS, "[motion]\ncutoff_hz = 10\n", "5 rows are too few for the speeds of [motion]: 20 at least"),
         ('"gripper"', '"empty"', "map.toml line 7: load 'empty' denotes the unloaded arm"),
         ("axes = 6", "axes = ", "map.toml line 1"),
