@@ -1,4 +1,4 @@
-"""What a simulated drive does with its axis in each CiA 402 state and mode: reference, brake, ramps, monitoring.
+"""Motion control of a simulated drive by CiA 402 state and mode: reference, brake, ramps, monitoring.
 
 The reference advances once per stretch of simulated time (one SYNC in lockstep); the servo loop moves it evenly over
 the milliseconds of that stretch, which is the linear interpolation of cyclic synchronous position. In real time, a
@@ -37,7 +37,7 @@ MISSED_UNTIL_REST = 2
 
 
 class MovingDrive(Protocol):
-    """What the motion of a drive is made of."""
+    """Interface of a drive used by its motion control."""
 
     spec: AxisSpec
     store: ObjectStore
@@ -47,27 +47,27 @@ class MovingDrive(Protocol):
     error_code: int
 
     def target_rad(self) -> float:
-        """Target position at the gear output, inside the software limits."""
+        """Return the target position at the gear output, clipped to the software limits [rad]."""
         ...
 
     def demanded_nm(self) -> float:
-        """Torque feedforward, in CST the whole demand, gear output side."""
+        """Return the torque feedforward at the gear output; in CST this is the whole demand [Nm]."""
         ...
 
     def joint_speed(self, word: int) -> float:
-        """Magnitude at the gear output [rad/s] of a speed word."""
+        """Convert an unsigned velocity value to a joint speed [rad/s]."""
         ...
 
     def joint_ramp(self, word: int) -> float:
-        """Magnitude at the gear output [rad/s2] of an acceleration word."""
+        """Convert an unsigned acceleration value to a joint acceleration [rad/s2]."""
         ...
 
     def following_error_counts(self) -> int:
-        """0x60F4."""
+        """Return the following error actual value (0x60F4)."""
         ...
 
     def raise_fault(self, code: int) -> None:
-        """EMCY, then the fault reaction."""
+        """Send an EMCY, then start the fault reaction."""
 
 
 class DriveMotion:
@@ -150,18 +150,18 @@ class DriveMotion:
             axis.lock()
 
     def mode_changed(self) -> None:
-        """A mode written while enabled starts from the present reference."""
+        """Apply a new mode; if enabled, it starts from the present reference."""
         self._pp_goal = None
         self.feed_torque()
 
     def feed_torque(self) -> None:
-        """Hand torque offset or torque demand to the loop."""
+        """Apply the torque offset or torque demand to the servo loop."""
         drive = self._drive
         drive.axis.servo.offset_nm = drive.demanded_nm()
         drive.axis.servo.torque_only = drive.mode == CST and drive.automaton.state is PdsState.OPERATION_ENABLED
 
     def _handshake(self) -> None:
-        """Profile position: a rising bit 4 takes the set-point, bit 12 acknowledges until bit 4 falls."""
+        """Process the profile position handshake: rising bit 4 accepts the setpoint, bit 12 acknowledges it."""
         drive = self._drive
         if drive.mode != PP:
             return
@@ -228,7 +228,7 @@ class DriveMotion:
         return travel / seconds
 
     def target_set(self) -> None:
-        """A target position came: it is to be reached within the interpolation period (0x60C2)."""
+        """Process a new target position, to be reached within the interpolation period (0x60C2)."""
         if self.buffered:
             if self._missed > MISSED_UNTIL_REST and self._waiting_rad is None:  # the clock is unused: set it
                 self._left_s = 0.5 * self.period_s()
@@ -237,7 +237,7 @@ class DriveMotion:
             self._left_s = self.period_s()
 
     def period_s(self) -> float:
-        """Interpolation period (0x60C2)."""
+        """Return the interpolation period (0x60C2) [s]."""
         store = self._drive.store
         return store.number((0x60C2, 1)) * 10.0 ** store.number((0x60C2, 2))
 
@@ -274,7 +274,7 @@ class DriveMotion:
         self._left_s = period_s * (1.0 - min(max(CLOCK_PULL * behind, -CLOCK_DRAW), CLOCK_DRAW))
 
     def _track(self, seconds: float) -> float:
-        """Cyclic synchronous position: the remaining movement, evenly over the remaining period."""
+        """Return the movement in CSP: the remaining distance, evenly over the remaining period."""
         drive = self._drive
         if self.buffered:
             travel = self._by_own_clock(seconds)
@@ -297,7 +297,7 @@ class DriveMotion:
         return self._wobbled - before
 
     def _profile(self, seconds: float) -> float:
-        """Profile position: trapezoid of 0x6081, 0x6083, 0x6084."""
+        """Return the movement in profile position mode: trapezoid of 0x6081, 0x6083, 0x6084."""
         drive = self._drive
         goal = drive.axis.servo.reference_rad if self._pp_goal is None else self._pp_goal
         way = goal - drive.axis.servo.reference_rad
@@ -334,7 +334,7 @@ class DriveMotion:
     # --------------------------------------------------------------------------------------------------- monitoring
 
     def supervise(self, time_s: float) -> None:
-        """Following error, target reached."""
+        """Monitor the following error and the target reached condition."""
         self._time_s = time_s
         drive = self._drive
         if not drive.axis.fed or drive.mode == CST:
@@ -354,7 +354,7 @@ class DriveMotion:
             self._reached_since = None
 
     def status_bits(self) -> int:
-        """Bits 10 to 13 of the statusword."""
+        """Return bits 10 to 13 of the statusword."""
         drive = self._drive
         bits = 0
         if drive.automaton.state is PdsState.OPERATION_ENABLED:

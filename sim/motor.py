@@ -1,4 +1,4 @@
-"""One motor behind its gear: rotor, encoder, brake; it hands its torque to the link through a stiff coupling."""
+"""Motor with gear, rotor, encoder and brake; its torque acts on the link through a stiff coupling."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class MotorAxis:
         self.winding_c: Callable[[], float] = lambda: math.nan
 
     def tick(self, q_rad: float, torque: float) -> None:
-        """One millisecond, while the coupling transmits a torque [Nm] to the link."""
+        """Advance by one millisecond, while the coupling transmits a torque [Nm] to the link."""
         omega = self.omega_rad_s
         self.torque_nm = torque
         self.position_rad = position = q_rad + self.compliance_rad_nm * torque - self.shift_rad
@@ -92,7 +92,7 @@ class MotorAxis:
 
     @property
     def falls(self) -> bool:
-        """The brake was to hold the axis and does not."""
+        """Return whether the axis falls although its brake is closed."""
         return self._down != 0.0 and self.fall_rad_s2 > 0.0
 
     def release(self) -> None:

@@ -28,7 +28,7 @@ MAX_OUTSTANDING = 4096
 
 
 class QuietMulticastBus:
-    """What a server of simulated drives needs of a bus: `send`, `recv`, `shutdown`.
+    """Multicast CAN bus for a server of simulated drives, with `send`, `recv` and `shutdown` only.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class QuietMulticastBus:
                 return message
 
     def fileno(self) -> int:
-        """What may be waited for beside other buses."""
+        """Return the socket's file descriptor, for `select` over several buses."""
         return self._socket.fileno()
 
     def shutdown(self) -> None:
@@ -111,7 +111,7 @@ def _received_s(notes: list[tuple[int, int, bytes]]) -> float:
 
 
 def _decoded(data: bytes) -> can.Message | None:
-    """A frame, or None if the datagram is none (anybody may send to a multicast group)."""
+    """Return the CAN frame of a datagram, or None if it holds none (any computer can send to a multicast group)."""
     try:
         return unpack_message(data)
     except Exception:

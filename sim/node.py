@@ -1,4 +1,4 @@
-"""CANopen slave of a simulated drive: canopen's `LocalNode` with what it lacks (CiA 301).
+"""CANopen slave of a simulated drive after CiA 301, an extension of canopen's `LocalNode`.
 
 Kept from the library: SDO segmentation, EMCY framing, association with a network. Own: access to the object store,
 refusal of requests that make no sense, NMT slave with boot-up, heartbeat producer and consumer without threads.
@@ -42,7 +42,7 @@ class SlaveSdoServer(SdoServer):
         self.refuse: SdoFilter = lambda _index, _subindex: None
 
     def on_request(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """Answer one frame of a client."""
+        """Process one request frame of an SDO client."""
         if len(data) != 8 or self._node.unpowered or self._node.state in (STOPPED, INITIALISING):
             return
         kind = data[0] & 0xE0
@@ -60,7 +60,7 @@ class SlaveSdoServer(SdoServer):
         super().on_request(can_id, data, timestamp)
 
     def segmented_upload(self, command: int) -> None:
-        """Next segment; a wrong toggle bit ends the transfer."""
+        """Send the next segment; a wrong toggle bit aborts the transfer."""
         if command & 0x10 != self._toggle:
             raise SdoAbortedError(TOGGLE)
         super().segmented_upload(command)
@@ -73,7 +73,7 @@ class SlaveSdoServer(SdoServer):
         super().abort(abort_code)
 
     def request_aborted(self, data: bytearray) -> None:
-        """The client gave up."""
+        """Process an abort by the client."""
         self._transfer = ""
         super().request_aborted(data)
 
@@ -82,16 +82,16 @@ class SlaveNmt(NmtSlave):
     """NMT slave: commands act on the drive, the heartbeat is sent by the time base."""
 
     def on_command(self, can_id: int, data: bytearray, timestamp: float) -> None:
-        """NMT frame of the master."""
+        """Process an NMT frame of the master."""
         if len(data) >= 2 and data[1] in (0, self.id):
             self._local_node.nmt_command(data[0])
 
     def start_heartbeat(self, heartbeat_time_ms: int) -> None:
-        """No thread: see `SlaveNode.keep_time`."""
+        """Do nothing: `SlaveNode.keep_time` sends the heartbeat without a thread."""
 
 
 class SlaveNode(canopen.LocalNode):
-    """One CANopen device.
+    """CANopen slave device.
 
     Attributes
     ----------
@@ -156,17 +156,17 @@ class SlaveNode(canopen.LocalNode):
         self._history.clear()
 
     def get_data(self, index: int, subindex: int, check_readable: bool = False) -> bytes:
-        """Upload: from the object store."""
+        """Read an object from the object store for an upload."""
         return self.store.read(index, subindex)
 
     def set_data(self, index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
-        """Download: into the object store."""
+        """Write an object to the object store for a download."""
         self.store.write(index, subindex, bytes(data))
 
     # ----------------------------------------------------------------------------------------------------------- NMT
 
     def boot(self) -> None:
-        """Power-up or reset: boot-up message, then pre-operational."""
+        """Send the boot-up message after power-up or reset, and enter PRE-OPERATIONAL."""
         self.error_register = 0
         self._watched_s.clear()
         self._beat_s.clear()
@@ -174,7 +174,7 @@ class SlaveNode(canopen.LocalNode):
         self.enter(PRE_OPERATIONAL)
 
     def nmt_command(self, command: int) -> None:
-        """NMT command of the master."""
+        """Execute an NMT command of the master."""
         if self.unpowered:
             return
         if command in (RESET_NODE, RESET_COMMUNICATION):
@@ -185,7 +185,7 @@ class SlaveNode(canopen.LocalNode):
             self.enter(_COMMANDS[command])
 
     def enter(self, state: int) -> None:
-        """Go to an NMT state."""
+        """Enter an NMT state."""
         old, self.state = self.state, state
         if old != state:
             self._beat_s.clear()  # the next heartbeat is due at once
@@ -230,6 +230,6 @@ class SlaveNode(canopen.LocalNode):
             self.send(cob_id & 0x7FF, struct.pack("<HB5s", code, register, b""))
 
     def send(self, cob_id: int, data: bytes) -> None:
-        """Put a frame on the bus, if the device has power."""
+        """Send a frame if the device has power."""
         if not self.unpowered:
             self.network.send_message(cob_id, data)

@@ -1,4 +1,4 @@
-"""Object dictionary of a simulated drive: what stands behind every index and subindex (CiA 301, 7.4).
+"""Object dictionary of a simulated drive: access functions and values of every index and subindex (CiA 301, 7.4).
 
 An entry is a pair of functions. Reads and writes by SDO and by PDO go through the same entry, so that a mapped object
 and an uploaded one can never differ.
@@ -54,7 +54,7 @@ NO_DATA = 0x08000024
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """One object: its type, how it is read, how it is written (None = read only), whether a PDO may hold it."""
+    """Object dictionary entry: data type, read and write function (None = read only), whether PDO-mappable."""
 
     type: str
     get: Getter
@@ -63,24 +63,24 @@ class Entry:
 
     @property
     def size_bytes(self) -> int:
-        """Length on the wire; 0 for strings."""
+        """Return the length of the value [bytes]; 0 for strings."""
         return 0 if self.type == "str" else struct.calcsize(STRUCT_CODES[self.type])
 
 
 class ObjectStore:
-    """All entries of one drive, and the plain values behind most of them."""
+    """Object dictionary entries of one drive, and the stored values of most of them."""
 
     def __init__(self) -> None:
         self.entries: dict[Address, Entry] = {}
         self.values: dict[Address, Value] = {}
 
     def constant(self, address: Address, type_: str, value: Value) -> None:
-        """An object that never changes."""
+        """Add an object with a constant value."""
         self.values[address] = value
         self.entries[address] = Entry(type_, lambda: self.values[address])
 
     def parameter(self, address: Address, type_: str, value: int, check: Setter | None = None) -> None:
-        """An object the master may write; `check` may refuse by raising SdoAbortedError, or act on the value."""
+        """Add a writable object; `check` may refuse a value by SdoAbortedError, or act on it."""
         self.values[address] = value
 
         def assign(new: int) -> None:
@@ -91,12 +91,12 @@ class ObjectStore:
         self.entries[address] = Entry(type_, lambda: self.values[address], assign, mappable=True)
 
     def live(self, address: Address, type_: str, get: Callable[[], int], set_: Setter | None = None) -> None:
-        """An object computed when it is read; the value is limited to what its type holds."""
+        """Add an object computed at each read; the value is limited to the range of its type."""
         low, high = LIMITS[type_]
         self.entries[address] = Entry(type_, lambda: min(max(get(), low), high), set_, mappable=True)
 
     def number(self, address: Address) -> int:
-        """Plain value of a numeric object."""
+        """Return the stored value of a numeric object."""
         return int(self.values[address])
 
     def find(self, index: int, subindex: int) -> Entry:
@@ -113,7 +113,7 @@ class ObjectStore:
         return entry
 
     def read(self, index: int, subindex: int) -> bytes:
-        """Bytes of an object as an upload gives them."""
+        """Return the bytes of an object for an upload."""
         entry = self.find(index, subindex)
         value = entry.get()
         if isinstance(value, str):
@@ -121,7 +121,7 @@ class ObjectStore:
         return struct.pack("<" + STRUCT_CODES[entry.type], value)
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
-        """Take the bytes of a download.
+        """Write the bytes of a download to an object.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class ObjectStore:
         entry.set(struct.unpack("<" + STRUCT_CODES[entry.type], data)[0])
 
     def dictionary(self) -> ObjectDictionary:
-        """The same objects as a canopen object dictionary."""
+        """Return the entries as a canopen object dictionary."""
         table = ObjectDictionary()
         indices = sorted({index for index, _ in self.entries})
         for index in indices:

@@ -23,7 +23,7 @@ _ELASTIC_STEPS = 12
 
 @dataclass(frozen=True, slots=True)
 class PlannedVisit:
-    """One rest pose to be visited from both sides.
+    """Rest pose to be approached from both directions.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class PlannedVisit:
 
 @dataclass(frozen=True, slots=True)
 class Protocol:
-    """How a visit is measured.
+    """Measurement procedure of a pose visit.
 
     Attributes
     ----------
@@ -143,7 +143,7 @@ def transmitted(chain: SimChain, plant: Plant, q_enc_rad: Array, time_s: float) 
 
 
 def reading(plant: Plant, q_enc_rad: Array, motor_nm: Array) -> Array:
-    """What the drives report (N,) of the true motor torques (N,), both joint side; no noise."""
+    """Return what the drives report (N,) of the true motor torques (N,), both joint side; no noise."""
     seen = plant.current_factor * motor_nm / plant.torque_constant_scale + plant.reading_offset_nm
     if plant.reading_ripple is not None:
         seen = seen + plant.reading_ripple(q_enc_rad, motor_nm)

@@ -1,4 +1,4 @@
-"""Process data objects of a simulated drive: communication and mapping as the master wrote them (CiA 301, 7.5).
+"""PDOs of a simulated drive with the communication and mapping parameters that the master wrote (CiA 301, 7.5).
 
 Nothing is assumed about a map: what is packed into a TPDO and taken out of an RPDO follows from 0x1A00 and 0x1600 as
 stored, and both may be changed only while the PDO is switched off.
@@ -56,21 +56,21 @@ class Pdo:
 
     @property
     def enabled(self) -> bool:
-        """Whether the PDO exists on the bus."""
+        """Return whether the PDO is valid (bit 31 of the COB-ID is 0)."""
         return not self.cob_id & DISABLED
 
     @property
     def frame_id(self) -> int:
-        """CAN identifier."""
+        """Return the CAN identifier."""
         return self.cob_id & 0x7FF
 
     @property
     def addresses(self) -> list[tuple[int, int]]:
-        """Mapped objects in order."""
+        """Return the addresses of the mapped objects in order."""
         return [(value >> 16, value >> 8 & 0xFF) for value in self._map[: self._count]]
 
     def preset(self, addresses: list[tuple[int, int]], transmission: int) -> None:
-        """Power-on map."""
+        """Set the default mapping."""
         self._map = [self._entry_value(address) for address in addresses]
         self._count, self.transmission = len(addresses), transmission
         self.refresh()
@@ -161,7 +161,7 @@ class Pdo:
         self.on_change()
 
     def pack(self) -> bytes:
-        """Data of one transmission."""
+        """Return the data bytes of one transmission."""
         return self.packing.pack(*[get() for get in self.getters])
 
     def unpack(self, data: bytes) -> None:
@@ -174,7 +174,7 @@ class Pdo:
 
 
 def due(pdo: Pdo, sync_count: int) -> bool:
-    """Whether a synchronous TPDO is sent with this SYNC, counted from 1."""
+    """Return whether a synchronous TPDO is sent after this SYNC, counted from 1."""
     return pdo.enabled and 1 <= pdo.transmission <= 240 and sync_count % pdo.transmission == 0
 
 

@@ -272,7 +272,7 @@ class ArmWorld:
     def reading_nm(self) -> Array:
         """One reading of the motor torques, shape (N,), gear output side [Nm]: `r` of `sim.plant`.
 
-        The mean over the stretch of time that was stepped last, as a drive shows it that averages between set points:
+        The mean over the stretch of time that was stepped last, as a drive reports it that averages between setpoints:
         its speed feedforward makes the torque a saw tooth in step with them.
         """
         now = self._now
@@ -286,7 +286,7 @@ class ArmWorld:
         return shown + live * now.reading_noise_nm * self._noise.standard_normal(len(shown))
 
     def close(self) -> None:
-        """Give the physics engine back."""
+        """Release the physics engine."""
         if self._client >= 0:
             bullet.disconnect(physicsClientId=self._client)
             self._client = -1

@@ -160,7 +160,7 @@ class Plant:
 
     @property
     def axes(self) -> int:
-        """How many axes the arm has."""
+        """Return the number of axes."""
         return len(self.link_mass_kg)
 
     def at(self, time_s: float) -> Plant:
@@ -183,7 +183,7 @@ class Plant:
         return replace(self, **changes)  # type: ignore[arg-type]
 
     def with_payload(self, payload: Payload) -> Plant:
-        """The same plant with another load on the flange."""
+        """Return a copy of the plant with another load on the flange."""
         return replace(self, payload=payload)
 
 

@@ -20,7 +20,7 @@ AMBIENT_C = 25.0
 
 
 def torque_constant_scale(request: Request) -> Transform:
-    """The motor gives `scale` times the torque per ampere that is stored; without joints all do."""
+    """Scale the torque constant: the motor produces `scale` times the stated torque per ampere; no joints = all."""
     scale = request.number("scale")
     if scale <= 0:
         raise EffectError(f"effect {request.name}: scale must be positive, got {scale}")
@@ -31,7 +31,7 @@ def torque_constant_scale(request: Request) -> Transform:
 
 
 def torque_offset(request: Request) -> Transform:
-    """The current sensor of one drive reads a constant too much."""
+    """Add a constant offset to the current reading of one drive."""
     axis, offset = request.axis(), request.number("offset_nm")
     return lambda plant: replace(
         plant, reading_offset_nm=changed(plant.reading_offset_nm, axis, lambda value: value + offset)
@@ -39,7 +39,7 @@ def torque_offset(request: Request) -> Transform:
 
 
 def thermal_drift(request: Request) -> Transform:
-    """Reading (or friction) changes with motor temperature (`per_k`) or with time (`per_s`) since the start."""
+    """Add drift of reading or friction with motor temperature (`per_k`) or with time since the start (`per_s`)."""
     axis = request.axis()
     per_k, per_s = request.number("per_k", 0.0), request.number("per_s", 0.0)
     on_friction = request.parameters.get("on", "torque_constant") == "friction"
@@ -72,7 +72,7 @@ def warm_up(time_s: float, axes: int = 6) -> Array:
 
 
 def torque_ripple(request: Request) -> Transform:
-    """The reading of one axis swings `per_revolution` times per turn of the joint."""
+    """Add a torque ripple to the reading of one axis, with `per_revolution` periods per joint revolution."""
     axis, amplitude = request.axis(), request.number("amplitude_nm")
     periods, phase = request.number("per_revolution"), request.number("phase_rad", 0.0)
 
@@ -103,13 +103,13 @@ def axis_coupling(request: Request) -> Transform:
 
 
 def sign_reversed(request: Request) -> Transform:
-    """The drive reports the torque of one axis with the wrong sign."""
+    """Reverse the sign of the reported torque of one axis."""
     axis = request.axis()
     return lambda plant: replace(plant, torque_sign=changed(plant.torque_sign, axis, lambda value: -value))
 
 
 def axes_swapped(request: Request) -> Transform:
-    """The drives of two axes are bolted to each other's joint."""
+    """Swap the drives of two axes."""
     if len(request.joints) != 2:
         raise EffectError(f"effect {request.name} needs two joints, got {list(request.joints)}")
     first, second = (joint - 1 for joint in request.joints)

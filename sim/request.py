@@ -1,4 +1,4 @@
-"""One undeclared effect as its file gives it, and how effects of the same kind add up in a plant."""
+"""Undeclared effect as stated in its file, and addition of effects of the same kind in a plant."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PointJacobian = Callable[[Array, int, Array], tuple[Array, Array]]
 
 
 class EffectError(ValueError):
-    """An effect of the undeclared-effects file that cannot be built."""
+    """An effect of the undeclared-effects file is not valid."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +36,14 @@ class Request:
     parameters: Mapping[str, object]
 
     def number(self, key: str, default: float | None = None) -> float:
-        """Value of one parameter, or its default; without default it must be given."""
+        """Return one numeric parameter or its default; without a default it is required."""
         value = self.parameters.get(key, default)
         if not isinstance(value, (int, float)) or isinstance(value, bool) or not math.isfinite(value):
             raise EffectError(f"effect {self.name}: parameter {key} must be a finite number, got {value!r}")
         return float(value)
 
     def vector(self, key: str, default: Sequence[float]) -> Array:
-        """Value of one parameter of three numbers, or its default."""
+        """Return a parameter of three numbers, or its default."""
         value = np.atleast_1d(np.asarray(self.parameters.get(key, default), dtype=float))
         if value.shape == (1,):
             value = np.array([value[0], 0.0, 0.0])
@@ -52,7 +52,7 @@ class Request:
         return value
 
     def axis(self) -> int:
-        """The one joint of the effect, counted from 0."""
+        """Return the index (from 0) of the effect's only joint."""
         if len(self.joints) != 1:
             raise EffectError(f"effect {self.name} acts on one joint, got joints = {list(self.joints)}")
         return self.joints[0] - 1

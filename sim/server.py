@@ -84,13 +84,13 @@ class ArmUnit:
             drive.reading_nm = reading[joint]
 
     def sync(self) -> None:
-        """A SYNC came: take the setpoints, send what is mapped to it."""
+        """Process a SYNC: apply the setpoints, then send the synchronous TPDOs."""
         self._measure()
         for drive in self.drives:
             drive.sync()
 
     def advance(self, seconds: float) -> None:
-        """Let simulated time pass; fractions of a millisecond are kept for the next call."""
+        """Advance simulated time; a fraction of a millisecond is carried over to the next call."""
         self._rest_s += seconds
         ticks = int(self._rest_s / TICK_S + 1e-6)
         if ticks <= 0:
@@ -144,11 +144,11 @@ class BusServer:
 
     @property
     def nodes(self) -> list[SlaveNode]:
-        """All devices."""
+        """Return all devices of the bus."""
         return [device.node for device in (*self.drives, *self.instruments)]
 
     def drive(self, node_id: int) -> FakeDrive:
-        """The drive with a node id."""
+        """Return the drive with a node id."""
         return next(drive for drive in self.drives if drive.node_id == node_id)
 
     def _reroute(self) -> None:
@@ -162,7 +162,7 @@ class BusServer:
     # ----------------------------------------------------------------------------------------------------- the loop
 
     def later(self, job: Callable[[], None]) -> None:
-        """Have the serving thread do something between two frames."""
+        """Schedule a call in the serving thread between two frames."""
         self._jobs.append(job)
 
     def mount(self, arm: ArmUnit, payload: Payload) -> None:
@@ -177,7 +177,7 @@ class BusServer:
         done.wait(10.0)
 
     def stop(self) -> None:
-        """End `run` soon."""
+        """Request the end of `run`."""
         self._stop.set()
 
     def run(self) -> None:
@@ -196,21 +196,21 @@ class BusServer:
 
     @property
     def by_the_clock(self) -> bool:
-        """Whether simulated time follows the wall clock."""
+        """Return whether simulated time follows the wall clock."""
         return self._real
 
     @property
     def step_s(self) -> float:
-        """Longest time that frames are waited for before something else is looked after."""
+        """Return the longest wait for frames before periodic work [s]."""
         return min(arm.real_step_s for arm in self.arms) if self._real else IDLE_S
 
     @property
     def stopped(self) -> bool:
-        """Whether `stop` was called."""
+        """Return whether `stop` was called."""
         return self._stop.is_set()
 
     def boot(self) -> None:
-        """All nodes announce themselves; time begins."""
+        """Send the boot-up messages of all nodes and start the time."""
         self._real_at_s = time.monotonic()
         for node in self.nodes:
             node.boot()
@@ -219,7 +219,7 @@ class BusServer:
             gc.freeze()
 
     def end(self) -> None:
-        """Nothing is served any more; closes the bus."""
+        """End the service and close the bus."""
         if self._real:
             gc.unfreeze()
         for node in self.nodes:
@@ -227,7 +227,7 @@ class BusServer:
         self.bus.shutdown()
 
     def serve(self, message: can.Message | None) -> None:
-        """Act on a frame, or on silence."""
+        """Process a frame, or None if no frame arrived."""
         if message is not None and not message.is_error_frame and not message.is_extended_id:
             self._take(message)
         while self._jobs:
@@ -284,7 +284,7 @@ class BusServer:
         self.pass_until(gap_s if message is None else _came_s(message))
 
     def pass_until(self, now_s: float) -> None:
-        """Let the time pass until an instant of the monotonic clock."""
+        """Advance simulated time to an instant of the monotonic clock."""
         self.latest_s = max(self.latest_s, time.monotonic() - now_s)
         passed = min(now_s - self._real_at_s, MOST_CATCH_UP_S)
         if passed <= 0.0:
@@ -304,7 +304,7 @@ class BusServer:
 
 
 def can_be_waited_for(bus: Any) -> bool:
-    """Whether a bus may be waited for beside others."""
+    """Return whether a bus supports `select` together with others."""
     try:
         return bus.fileno() >= 0
     except (AttributeError, NotImplementedError):
@@ -347,7 +347,7 @@ def serve_together(servers: Sequence[BusServer]) -> None:
 
 
 def _came_s(message: can.Message) -> float:
-    """Monotonic time at which a frame was received [s]."""
+    """Return the monotonic time at which a frame was received [s]."""
     now, age = time.monotonic(), time.time() - message.timestamp
     return now - age if 0.0 < age < OLDEST_FRAME_S else now
 

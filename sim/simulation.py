@@ -1,4 +1,4 @@
-"""The simulated drives of a whole cell: files in, one server for each bus out."""
+"""Simulation of the drives of a cell: reads the files and builds one server per bus."""
 
 from __future__ import annotations
 
@@ -191,14 +191,14 @@ class Simulation:
                 thread.join()
 
     def close(self) -> None:
-        """Give the physics engines back."""
+        """Release the physics engines."""
         for server in self.servers:
             for unit in server.arms:
                 unit.world.close()
 
 
 def _paced(cell: CellSpec, pacing: str | None) -> CellSpec:
-    """The cell with another pacing on every bus; None = as the file has it."""
+    """Return the cell with another pacing on every bus; None = unchanged."""
     if pacing is None:
         return cell
     if pacing not in PACINGS:
@@ -207,7 +207,7 @@ def _paced(cell: CellSpec, pacing: str | None) -> CellSpec:
 
 
 def _undeclared(options: ServeOptions) -> tuple[list[dict[str, Any]], int | None]:
-    """Effects of the file, and the seed of the build errors."""
+    """Return the effects of the file, and the seed of the build errors."""
     path = options.undeclared
     if path is None:
         return [], options.seed

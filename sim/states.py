@@ -1,4 +1,4 @@
-"""Power drive system of a simulated drive: finite state automaton of CiA 402-2, clause 8, seen from the drive.
+"""State machine of a simulated drive (power drive system, CiA 402-2, clause 8).
 
 Transitions are numbered as in the standard's figure. Controlword bits: 0 switch on, 1 enable voltage, 2 quick stop (low
 active), 3 enable operation, 7 fault reset (rising edge).
@@ -10,7 +10,7 @@ from enum import Enum
 
 
 class PdsState(Enum):
-    """States, with the bits 0 to 3, 5 and 6 of the statusword that show them."""
+    """States with their statusword bits 0 to 3, 5 and 6."""
 
     NOT_READY_TO_SWITCH_ON = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -26,7 +26,7 @@ S = PdsState
 
 
 class Automaton:
-    """State of one drive and what a controlword does to it.
+    """CiA 402 state machine of one drive.
 
     Attributes
     ----------
@@ -41,12 +41,12 @@ class Automaton:
         self.quick_stop_holds = False
 
     def power_up(self) -> None:
-        """Transitions 0 and 1: self-test done."""
+        """Make transitions 0 and 1 after the self-test."""
         self.state = S.SWITCH_ON_DISABLED
         self.controlword = 0
 
     def command(self, word: int) -> None:
-        """Take a controlword; one transition at a time, except 3 + 4, which the standard joins."""
+        """Process a controlword: one transition per call, except 3 + 4, which the standard combines."""
         reset = bool(word & 0x80) and not self.controlword & 0x80
         self.controlword = word
         if reset and self.state is S.FAULT:
@@ -95,7 +95,7 @@ class Automaton:
         self.state = self._after(0x0000)
 
     def fault(self) -> None:
-        """Transition 13: from motion through the fault reaction, else straight to FAULT (14)."""
+        """Make transition 13: through the fault reaction if enabled, else directly to FAULT (14)."""
         if self.state in (S.OPERATION_ENABLED, S.QUICK_STOP_ACTIVE):
             self.state = S.FAULT_REACTION_ACTIVE
         elif self.state is not S.FAULT_REACTION_ACTIVE:
@@ -103,5 +103,5 @@ class Automaton:
 
     @property
     def energised(self) -> bool:
-        """Whether the motor is fed: only then the brake may be open."""
+        """Return whether the motor is powered; only then the brake may be open."""
         return self.state in (S.OPERATION_ENABLED, S.QUICK_STOP_ACTIVE, S.FAULT_REACTION_ACTIVE)

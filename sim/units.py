@@ -1,4 +1,4 @@
-"""What one bit of a simulated drive means: SI on the motor side to the words of its object dictionary.
+"""Scaling of a simulated drive's objects: factors from SI on the motor side to raw values.
 
 Written from the drive's point of view: the drive owns a rated torque and a rated current and scales what it measures
 by them. The master must find the same numbers back through its profile; no formula is shared.
@@ -24,7 +24,7 @@ COUNTS_PER_REVOLUTION = 131072
 
 
 def drive_units(axis: AxisSpec) -> DriveUnits:
-    """Scales of the drive of one axis.
+    """Return the scaling of the drive of one axis.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def _signal(signal: Table, kt: float, torque_nm: float, constants: dict[Address,
 
 
 def _bits_per_nm(signal: Table, kt: float, torque_nm: float, constants: dict[Address, tuple[str, int]]) -> float:
-    """Bits of a torque or current word per Nm of motor torque."""
+    """Return the bits of a torque or current object per Nm of motor torque."""
     kind = str(signal["kind"])
     if "rated" not in signal and kind.startswith("permille"):
         return 1000.0 / torque_nm  # the drive has the data of its motor, the profile does not state the object

@@ -24,7 +24,7 @@ FEWEST_AXES, MOST_AXES = 2, 8
 
 
 class UrdfError(ValueError):
-    """A robot description the simulator cannot use; the message states where and why."""
+    """A robot description is not usable for the simulator; the message states the place and the error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -248,7 +248,7 @@ def _inertial(link: ElementTree.Element) -> SimBody | None:
 
 
 def moved(body: SimBody | None, frame: Array) -> SimBody | None:
-    """The same body, given in the frame (4, 4), in that frame's parent."""
+    """Transform a body from a frame (4, 4) to the frame's parent."""
     if body is None:
         return None
     rotation = frame[:3, :3]
@@ -295,7 +295,7 @@ def _link_lines(name: str, body: SimBody | None) -> list[str]:
         raise UrdfError(f"{name} has no inertial: mass, centre of gravity and inertia of every link are needed")
     moments, frame = principal_axes(body)
     if body.mass_kg <= 0 or moments.min() <= 0 or 2 * moments.max() > moments.sum() * (1 + 1e-9):
-        raise UrdfError(f"{name}: mass {body.mass_kg} kg with principal moments {moments} kg m2 is no rigid body")
+        raise UrdfError(f"{name}: mass {body.mass_kg} kg with principal moments {moments} kg m2 is not a rigid body")
     values = zip(("ixx", "iyy", "izz"), moments, strict=True)
     tensor = " ".join(f'{key}="{value:.12g}"' for key, value in values)
     return [
