@@ -61,7 +61,7 @@ class Bench:
 def problems(bench: Bench, table: Table) -> Callable[[Table], RestProblem]:
     """How a diagnosis makes a problem of this table, also with mistakes in it undone; outlier visits are rejected."""
     diagnosis = RestDiagnosis(bench.robot, bench.options)
-    return partial(diagnosis.problem, aside=diagnosis.aside(pair_visits(table, bench.options.efficiency)))
+    return partial(diagnosis.problem, outliers=diagnosis.outliers(pair_visits(table, bench.options.efficiency)))
 
 
 def problem_of(bench: Bench, table: Table) -> RestProblem:

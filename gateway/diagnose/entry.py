@@ -41,7 +41,7 @@ def diagnose(table: Table, robot: Robot, options: DiagnoseOptions | None = None)
     """
     options = options or DiagnoseOptions()
     moves = bool(table.moving.all())
-    held, left_out = _held_alike(options.holdout, robot, moves=moves)
+    held, left_out = _held_out_of_kind(options.holdout, robot, moves=moves)
     options = replace(options, holdout=held)
     if moves:
         refuse_in_motion(options.masses)
@@ -68,7 +68,7 @@ def _of_both(result: Result, table: Table, robot: Robot, options: DiagnoseOption
     return replace(result, loads=loads, after=replace(result.after, loads=loads), nuisance=nuisance)
 
 
-def _held_alike(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Table | None, tuple[Finding, ...]]:
+def _held_out_of_kind(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Table | None, tuple[Finding, ...]]:
     """Return the hold-out rows of the fitted kind (at rest or moving), and findings on the other rows."""
     if holdout is None:
         return None, ()
@@ -77,15 +77,15 @@ def _held_alike(holdout: Table | None, robot: Robot, *, moves: bool) -> tuple[Ta
             f"--holdout: its rows are of {holdout.axes} axes, robot '{robot.name}' has {robot.axes}; hold out rows of"
             " the robot that is diagnosed"
         )
-    alike = holdout.moving if moves else ~holdout.moving
-    if not alike.any():
+    same_kind = holdout.moving if moves else ~holdout.moving
+    if not same_kind.any():
         kinds = ("move", "are at rest") if moves else ("are at rest", "move")
         raise DataUnusable(
             f"--holdout: the fitted rows {kinds[0]}, the held-out rows {kinds[1]}, so they cannot be"
             " compared; hold out rows of the same kind"
         )
     kinds = ("rest", "moving") if moves else ("moving", "rest")
-    return holdout.take(alike), _beside(int((~alike).sum()), f"{kinds[0]} rows of the hold-out", kinds[1])
+    return holdout.take(same_kind), _beside(int((~same_kind).sum()), f"{kinds[0]} rows of the hold-out", kinds[1])
 
 
 def _beside(count: int, kind: str, other: str) -> tuple[Finding, ...]:

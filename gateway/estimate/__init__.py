@@ -48,9 +48,9 @@ Estimator = Callable[[Table, Robot, EstimateOptions], Estimate]
 
 def _of_visits(function: Callable[[Visits, Robot, EstimateOptions], Estimate]) -> Estimator:
     def with_table(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
-        sound, aside = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
+        sound, rejected = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
         found = function(sound, robot, options)
-        return replace(found, set_aside=aside.entries, findings=(*aside.findings, *found.findings))
+        return replace(found, set_aside=rejected.entries, findings=(*rejected.findings, *found.findings))
 
     return with_table
 
@@ -91,7 +91,7 @@ def _joint(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
 
 def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
     """Fit rest and moving rows in one solution, without the loads whose rest rows contradict each other."""
-    sound, aside = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
+    sound, rejected = without_outliers(_visits(table, options), robot, options.gravity_m_s2)
     rest = fitted_rest(sound, robot, options)
     at_rest = options.of_loads(sound.load)
     gone = refused_loads(rest.problem, rest.fit, robot, at_rest)
@@ -108,8 +108,8 @@ def _together(table: Table, robot: Robot, options: EstimateOptions) -> Estimate:
         loads=(*found.loads, *(load for label, load in gone.items() if label not in (BARE_LABEL, *options.known))),
         sigma_nm=found.sigma_nm if rest is None else axis_sigma(rest.problem, rest.fit),
         band_nm=found.band_nm if rest is None else np.abs(rest.problem.rows.band_nm),
-        set_aside=(*aside.entries, *found.set_aside),
-        findings=(*aside.findings, *found.findings),
+        set_aside=(*rejected.entries, *found.set_aside),
+        findings=(*rejected.findings, *found.findings),
     )
 
 

@@ -140,10 +140,10 @@ def _one(
     lever = np.array([item.lever_m for item in usable])
     mass = case.reference_kg + how.gear_ratio * change / (STANDARD_GRAVITY_M_S2 * lever)
     per_pose = {str(item.pose): float(value) for item, value in zip(usable, mass, strict=True)}
-    doubts = _doubts(common, how) + _disagreements(usable, mass, case)
-    if doubts and (disagree(mass.tolist()) or len(doubts) > 1):
-        return refused_load(case.label, "its rows contradict each other: " + "; ".join(doubts), per_pose), []
-    findings = [Finding("warn", f"load {case.label}", text, "check the units and the run") for text in doubts]
+    contradictions = _excess_torques(common, how) + _disagreements(usable, mass, case)
+    if contradictions and (disagree(mass.tolist()) or len(contradictions) > 1):
+        return refused_load(case.label, "its rows contradict each other: " + "; ".join(contradictions), per_pose), []
+    findings = [Finding("warn", f"load {case.label}", text, "check the units and the run") for text in contradictions]
     return _load(case.label, mass, per_pose), findings
 
 
@@ -171,7 +171,7 @@ def _with_gain(load: LoadEstimate, case: _Case, gain_std: float) -> LoadEstimate
     return replace(load, mass_std_kg=float(np.sqrt(variance)), budget=budget)
 
 
-def _doubts(common: list[_Pose], how: Coefficient) -> list[str]:
+def _excess_torques(common: list[_Pose], how: Coefficient) -> list[str]:
     """Torques that the motor cannot hold at rest."""
     if how.rated_torque_nm is None:
         return []

@@ -54,10 +54,10 @@ def physical_findings(load: LoadEstimate, frame: str, radius_m: float) -> list[F
     distance = float(np.linalg.norm(load.com_m))
     slack = half_width(float(np.linalg.norm(load.com_std_m))) if np.isfinite(load.com_std_m).all() else 0.0
     if np.isfinite(distance) and distance > radius_m:
-        sure = "" if distance - slack > radius_m else ", though within its uncertainty it may lie inside"
+        margin = "" if distance - slack > radius_m else ", but within its uncertainty it may be inside"
         out.append(
             Finding("warn", where,
-                    f"centre of mass lies {distance:.2f} m from {frame}, outside a sphere of {radius_m:.2f} m{sure}",
+                    f"centre of mass is {distance:.2f} m from {frame}, outside a sphere of {radius_m:.2f} m{margin}",
                     "not believable for a tool: the model may lack an effect (diagnose)")
         )  # fmt: skip
     return out

@@ -13,7 +13,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS
 from gateway.identify.rest.linear import Fit, RestProblem
-from gateway.identify.rest.rest_loads import load_estimates, nuisance_results, sure, widening
+from gateway.identify.rest.rest_loads import load_estimates, nuisance_results, well_determined, widening
 from gateway.identify.rest.rest_nuisance import KINDS
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import gravity_names
@@ -55,7 +55,7 @@ def describe(
     """Return the estimate for a fit of rest visits; `by_statement` as in `load_estimates`."""
     names, units, rows = zip(*_named(problem, LinkColumns.of(robot, options), len(fit.scale)), strict=True)
     directions = np.array(rows)
-    found = sure(problem, fit, directions)
+    found = well_determined(problem, fit, directions)
     wide = widening(problem, fit, directions)
     covariance = directions @ fit.covariance @ directions.T * np.outer(wide, wide)
     value = directions @ fit.common
@@ -140,7 +140,7 @@ def bare_of(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptio
     # columns of effects come behind those that every hypothesis has
     directions = np.zeros((rank + 2 * axes, len(fit.scale)))
     directions[:rank, problem.link_part] = base.combination
-    if not sure(problem, fit, directions[:rank]).all():
+    if not well_determined(problem, fit, directions[:rank]).all():
         return None
     measured = np.flatnonzero(problem.use_sum.any(axis=0))
     directions[rank + measured, : problem.n_common] = problem.gain_directions[measured]

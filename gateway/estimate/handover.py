@@ -187,7 +187,7 @@ def _why_open(estimate: Estimate, load: LoadEstimate) -> str:
     if "mass_kg" in load.unidentifiable and not bare:
         return (
             f"{open_} cannot be determined: the load cannot be separated from link {axes}, because "
-            "nothing is known of the bare arm"
+            "the unloaded arm is unknown"
         )
     if "mass_kg" in load.unidentifiable:
         return f"{open_} cannot be determined from the measured axes and poses"

@@ -25,8 +25,8 @@ from gateway.result.result import AxisMotion, Finding
 
 Floats = NDArray[np.float64]
 
-#: Delay [s] beyond which a drive is late.
-_LATE_S = 0.02
+#: Delay [s] of the torque above which it is reported.
+_REPORTED_DELAY_S = 0.02
 
 
 def estimate_moving(
@@ -89,7 +89,7 @@ def _estimate(fit: MotionFit, moving: Table) -> Estimate:
         rank=solution.rank,
         condition=solution.condition,
         lumped=tuple(name for name, good in zip(columns.names, found, strict=True) if not good),
-        findings=(*_late(motions), _limits()),
+        findings=(*_delayed_axes(motions), _limits()),
         nuisance=nuisances(fit),
         motion=motions,
         quality={"rows": int(fit.problem.used.sum()), "parameters": len(columns.names)},
@@ -115,7 +115,7 @@ def _fitted_rows(fit: MotionFit, moving: Table) -> FittedRows:
     )
 
 
-def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
+def _delayed_axes(motions: Sequence[AxisMotion]) -> list[Finding]:
     """Axes whose torque lags more than filters of a drive do."""
     return [
         Finding(
@@ -124,7 +124,7 @@ def _late(motions: Sequence[AxisMotion]) -> list[Finding]:
             "check the torque filter of the drive and the order of its PDOs: contact detection has the same delay",
         )
         for one in motions
-        if one.delay_s > _LATE_S
+        if one.delay_s > _REPORTED_DELAY_S
     ]  # fmt: skip
 
 

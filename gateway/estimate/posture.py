@@ -23,7 +23,7 @@ from gateway.identify.links import PER_LINK_AT_REST, link_prior
 from gateway.identify.prior_loads import BARE_LABEL, require_postures, unknown_labels
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.problem import build_problem
-from gateway.identify.rest.rest_loads import sure
+from gateway.identify.rest.rest_loads import well_determined
 from gateway.identify.solve import solve
 from gateway.model.base import BaseSet, rest_base
 from gateway.model.regressor import LOAD_COLUMNS
@@ -166,7 +166,7 @@ def _check(own: Visits, robot: Robot, alone: EstimateOptions, bare: Bare, label:
     combination = np.asarray(bare.combination)
     directions = np.zeros((len(combination), len(fit.scale)))
     directions[:, loaded.link_part] = combination
-    if not sure(loaded, fit, directions).all():
+    if not well_determined(loaded, fit, directions).all():
         return ()
     change = directions @ fit.common - np.asarray(bare.value)
     covariance = directions @ fit.covariance @ directions.T + np.asarray(bare.covariance)

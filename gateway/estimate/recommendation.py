@@ -58,7 +58,7 @@ def next_pose(load: LoadEstimate, robot: Robot, sigma_nm: Floats, options: Estim
 
 
 #: Share of the mass's variance from which on a source is worth a line of its own.
-_WORTH_SAYING = 0.3
+_DOMINANT_SHARE = 0.3
 
 
 def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
@@ -71,7 +71,7 @@ def shrinks_most(load: LoadEstimate) -> NextMeasurement | None:
         return None
     source = max(load.budget, key=lambda name: load.budget[name])
     share = load.budget[source]
-    if share < _WORTH_SAYING:
+    if share < _DOMINANT_SHARE:
         return None
     percent = f"{100 * share:.0f} % of the variance of {load.label}'s mass comes from"
     if source == CONSTANTS:

@@ -25,7 +25,7 @@ from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
-from gateway.identify.rest.rest_loads import sure
+from gateway.identify.rest.rest_loads import well_determined
 from gateway.identify.rest.rest_thresholds import CONFLICT
 from gateway.model.placeholders import mass_placeholder
 from gateway.model.robot import Robot
@@ -44,8 +44,8 @@ _ROUNDS: Final = 3
 class SettledKnowledge:
     """Knowledge after the tests, the fit with it, and the contradicted statements.
 
-    `stated` is the problem and the fit with the knowledge as it was stated; `spread` (labels, 4, 4) by source is what
-    statements that are not contradicted may still be wrong by, as a covariance of [m, h].
+    `stated` is the problem and the fit with the stated knowledge. `spread` (labels, 4, 4) is, by source, the covariance
+    of [m, h] due to possible errors of statements that are not contradicted.
     """
 
     stated: tuple[RestProblem, Fit]
@@ -275,7 +275,7 @@ def two_bodies(robot: Robot, rows: Visits, knowledge: Knowledge) -> Mapping[str,
         for run, other in zip(runs[1:], others, strict=True):
             turn = np.zeros((4, len(fit.scale)))
             turn[:, other], turn[:, first] = np.eye(4), -np.eye(4)
-            if not sure(problem, fit, turn).all():
+            if not well_determined(problem, fit, turn).all():
                 continue
             away = turn[:, : problem.n_common] @ fit.common
             spread = turn @ fit.covariance @ turn.T

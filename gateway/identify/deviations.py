@@ -1,8 +1,8 @@
-"""Deviation of each rest visit from the prediction of the other visits, by axis (`methods.md` 9).
+"""Deviation of each rest visit from the prediction fitted to the other visits, by axis (`methods.md` 9).
 
-What every visit of a pose shows is an effect of the arm: springs, cables and ripple drop out of the contrasts between
-visits of one pose, and of those of two loads the load is fitted. Visits that no other one repeats are held against a
-robust fit of all, whose scatter the effects are part of.
+A deviation in every visit of a pose is an effect of the arm: springs, cables and ripple cancel in the contrasts between
+visits of one pose. The load is fitted to contrasts between two loads. Visits without a repeat are compared with a
+robust fit of all visits, whose scatter includes the effects.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ _GAIN_STD: Final = 0.1
 class Deviations:
     """Deviations (n, N) of half-sums and half-differences, mask of outliers, and scatter (N,) of both halves.
 
-    Into the scatter goes what no effect of the arm can be, the contrasts within poses and the half differences.
+    The scatter is from the contrasts within poses and from the half-differences, which effects of the arm do not
+    change.
     """
 
     sum_nm: Floats
@@ -137,7 +138,7 @@ def deviations(
 
 
 def _whole_fit(visits: Visits, regressor: Floats, without: Mask, least: Floats) -> tuple[Floats, Floats, Floats]:
-    """Fit links, loads, constants and sides robustly; return model (n, N), residual (n, N) and scale (N,)."""
+    """Fit links, loads, constants and friction robustly; return model (n, N), residual (n, N) and scale (N,)."""
     use = np.isfinite(visits.sum_nm)
     visit, axis = np.nonzero(use)
     rows = regressor[visit, axis]

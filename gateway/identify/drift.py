@@ -108,7 +108,7 @@ def drift_findings(drifts: tuple[AxisDrift, ...]) -> tuple[Finding, ...]:
         return ()
     shown = [one for one in drifts if one.shows]
     if not shown:
-        what = "no axis has drifted between the first and the second time that the poses were measured"
+        what = "no axis has drifted between the first and the second measurement of the poses"
         return (Finding("info", "drift", what),)
     return tuple(Finding("info", f"J{one.joint}", _said(one)) for one in shown)
 
@@ -120,7 +120,8 @@ def _said(drift: AxisDrift) -> str:
         if _known(std)
     ]
     return (
-        f"between both times {', '.join(changed)}: a change that is linear in time cancels in this order of the loads"
+        f"between both measurements {', '.join(changed)}: a change that is linear in time cancels "
+        "in this order of the loads"
     )
 
 

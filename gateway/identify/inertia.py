@@ -1,8 +1,8 @@
 """Inertia of a load about its centre of gravity from ten fitted parameters, physically consistent.
 
-A body's pseudo-inertia `J = [[S, h], [h', m]]`, `S = tr(I) / 2 E - I` the second moments of its mass, is positive
-definite (Wensing et al. 2018). A free fit need not be one: then the nearest body in the metric of the covariance is
-given, which is no further from any body, including the true one, than the free fit.
+The pseudo-inertia of a body, `J = [[S, h], [h', m]]` with the second moments of its mass `S = tr(I) / 2 E - I`, is
+positive definite (Wensing et al. 2018). A free fit may violate this. Then the nearest body in the metric of the
+covariance is returned. Its distance to the true body is at most that of the free fit.
 """
 
 from __future__ import annotations

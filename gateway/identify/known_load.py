@@ -1,8 +1,8 @@
 """Test stated masses of known loads against rest visits.
 
-A known load is freed and gets a wide prior about what is stated. Its marginal likelihood over that of the stated load
-is compared with those of wider constants and links: a mass that is wrong by 30 % and constants that are all wrong by
-30 % give equal readings, and the constants have a datasheet's tolerance.
+A known load is freed and gets a wide prior about the stated value. Its marginal likelihood over that of the stated load
+is compared with those of wider constants and links. A mass that is wrong by 30 % and constants that are all wrong by 30
+% give equal readings, but the constants have a datasheet's tolerance.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gateway.identify.load_estimate import load_directions
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import EXACT, Knowledge, build_problem
-from gateway.identify.rest.rest_loads import sure
+from gateway.identify.rest.rest_loads import well_determined
 from gateway.model.robot import Robot, reach_m
 from gateway.result.finding import Finding
 from gateway.result.interval import PLUS_MINUS, TWO_SIDED_95
@@ -73,7 +73,7 @@ def load_contradicted(
     turn = np.zeros((4, len(fit.scale)))
     turn[:, part] = load_directions(moment)
     std = np.sqrt(np.maximum(np.diag(turn @ fit.covariance @ turn.T), 1e-18))
-    std = np.where(sure(problem, fit, np.eye(len(fit.scale))[part]), std, np.inf)
+    std = np.where(well_determined(problem, fit, np.eye(len(fit.scale))[part]), std, np.inf)
     found = np.array([moment[0], *(moment[1:] / moment[0])])
     away = np.abs(found - np.array([mass_kg, *centre, *found[1 + len(centre) :]])) / std
     longest_m = reach_m(robot)
@@ -81,7 +81,7 @@ def load_contradicted(
     if by_mass:
         half = TWO_SIDED_95 * std[0]
         what = f"mass of {mass_kg:.4g} kg is contradicted by the measurement, which gives {found[0]:.4g}"
-        what += f" {PLUS_MINUS} {half:.2g} kg (95 %) by the torque constants as stated"
+        what += f" {PLUS_MINUS} {half:.2g} kg (95 %) with the stated torque constants"
         advice = "weigh the load, check its unit (kg) and which load was mounted; if the mass is right, the torque"
         advice += f" constants of all axes are wrong by a factor of {mass_kg / found[0]:.3g} (rms or peak value)"
     else:

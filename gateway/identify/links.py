@@ -1,7 +1,8 @@
 """Link parameters from a robot model and their prior (`methods.md`, link priors).
 
-A trust S is the relative standard deviation of every link's mass; its first moment is trusted to S x mass x length of
-the link, its inertia to S x mass x length^2. A link without inertial is unknown: open, not massless.
+S is the relative standard deviation of every link's mass. The standard deviation of the first moment is S x mass x
+length of the link, that of the inertia S x mass x length^2. A link without inertial has unknown parameters, not zero
+mass.
 """
 
 from __future__ import annotations

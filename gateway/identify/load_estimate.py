@@ -89,7 +89,7 @@ def negative_mass(mass_kg: float, std_kg: float) -> str | None:
     """Return the reason to refuse a mass that is significantly negative; None otherwise."""
     if mass_kg + NEGATIVE_MASS_STD * std_kg >= 0:
         return None
-    return f"the data ask for a mass of {mass_kg:.3g} kg (standard deviation {std_kg:.2g} kg)"
+    return f"the fit gives a negative mass of {mass_kg:.3g} kg (standard deviation {std_kg:.2g} kg)"
 
 
 def load_directions(moment: Floats) -> Floats:

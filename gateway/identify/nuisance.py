@@ -1,8 +1,8 @@
 """Nuisance parameters beside links, loads and friction bands, with their priors (`methods.md` 9).
 
-Per axis a gain error of the reading, a bias that friction leaves in the middle of both sides, and a loss that grows
-with the torque. None of them is an effect: a result is as certain as they are, and an effect is named only where it
-goes beyond them.
+Per axis: a gain error of the torque reading, a bias that friction leaves in the half-sum of both approaches, and a loss
+proportional to the torque. Their uncertainty is part of every result. An effect is named only if it exceeds their
+priors.
 """
 
 from __future__ import annotations

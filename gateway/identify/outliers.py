@@ -1,9 +1,8 @@
-"""Outliers of rest visits, such as a caught cable, a dragging brake or a touch, found from the data alone (`methods.md`
-9).
+"""Outliers of rest visits, such as a caught cable, a dragging brake or a touch, from the data alone (`methods.md` 9).
 
-An outlier (visit, axis) is isolated: the same pose under another load or at another time does not show it, its
-neighbours do not show it, the visits before and after do not show it. What every visit of a pose shows is an effect of
-the arm and is left where it is: springs, cables and ripple drop out of the contrasts between visits of one pose.
+An outlier (visit, axis) is isolated: the same pose under another load or at another time does not have it, nor do
+neighbouring poses or the visits before and after. A deviation in every visit of a pose is an effect of the arm and is
+not rejected: springs, cables and ripple cancel in the contrasts between visits of one pose.
 """
 
 from __future__ import annotations
@@ -41,9 +40,9 @@ class Outliers:
     Attributes
     ----------
     entries : torques to reject
-    too_many : axes from 0, with the number of visits that lie off: too many, or in a row; nothing of them is set aside
-    disturbed : axes from 0, with the scatter of both halves in friction bands; where most axes are, no visit can be
-        told from another and nothing is set aside
+    too_many : axes from 0, with the number of deviating visits: too many, or in a row; none of them is rejected
+    disturbed : axes from 0, with the scatter of both halves in friction bands; where most axes are, outliers cannot be
+        identified and none is rejected
     """
 
     entries: tuple[OutlierEntry, ...] = ()
@@ -138,14 +137,14 @@ def set_aside(outliers: Outliers, run: Sequence[str], load: Sequence[str], pose:
     )
 
 
-def outlier_findings(outliers: Outliers, aside: Sequence[SetAside]) -> tuple[Finding, ...]:
-    """Findings on outliers; `aside` holds the entries from `set_aside`."""
+def outlier_findings(outliers: Outliers, rejected: Sequence[SetAside]) -> tuple[Finding, ...]:
+    """Findings on outliers; `rejected` holds the entries from `set_aside`."""
     out = []
-    if aside:
-        where = "; ".join(_of_visit(visit, aside) for visit in dict.fromkeys((a.load, a.pose) for a in aside))
+    if rejected:
+        where = "; ".join(_of_visit(visit, rejected) for visit in dict.fromkeys((a.load, a.pose) for a in rejected))
         out.append(
             Finding(
-                "warn", "outliers", f"{_torques(len(aside))} in no fit: {where}",
+                "warn", "outliers", f"{_torques(len(rejected))} in no fit: {where}",
                 "check what touched or held the arm there; `record` these poses again",
             )
         )  # fmt: skip
@@ -170,10 +169,10 @@ def outlier_findings(outliers: Outliers, aside: Sequence[SetAside]) -> tuple[Fin
     return tuple(out)
 
 
-def _of_visit(visit: tuple[str, int | None], aside: Sequence[SetAside]) -> str:
+def _of_visit(visit: tuple[str, int | None], rejected: Sequence[SetAside]) -> str:
     """Axes of one visit with outliers, and their deviations in bands."""
     load, pose = visit
-    here = [each for each in aside if (each.load, each.pose) == visit]
+    here = [each for each in rejected if (each.load, each.pose) == visit]
     axes = ", ".join(dict.fromkeys(f"J{each.joint}" for each in here))
     bands = [each.bands for each in here if np.isfinite(each.bands)]
     by = "" if not bands else f" by {min(bands):.1f}" + (f" to {max(bands):.1f}" if len(bands) > 1 else "") + " bands"

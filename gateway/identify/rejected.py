@@ -37,5 +37,5 @@ def rejected_torques(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> R
 
 def without_outliers(visits: Visits, robot: Robot, gravity_m_s2: ArrayLike) -> tuple[Visits, RejectedTorques]:
     """Return the visits with outliers marked as not measured, and the outliers."""
-    aside = rejected_torques(visits, robot, gravity_m_s2)
-    return visits.unmeasured(aside.mask), aside
+    rejected = rejected_torques(visits, robot, gravity_m_s2)
+    return visits.unmeasured(rejected.mask), rejected

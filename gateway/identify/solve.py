@@ -1,8 +1,7 @@
-"""Weighted linear least squares with priors, used by every estimator: columns, weights and priors give solution and
-covariance.
+"""Weighted linear least squares with priors, used by every estimator.
 
-One call is a QR of the scaled, whitened columns, part by part of the rows, and an SVD of the small factor: time and
-memory grow linearly with the rows, and it may be called thousands of times.
+The result is the solution with covariance, rank and null space. One call is a QR of the scaled, whitened columns by
+blocks of rows, and an SVD of the small factor. Time and memory grow linearly with the rows.
 """
 
 from __future__ import annotations

@@ -2,9 +2,10 @@
 
 Let r (n, N) be measured less predicted torque at rest. Each hypothesis explains r by one physical error,
 `e(q) = Phi(q) a` with `a ~ N(0, s^2 I)`, or by none (e = 0); noise is `N(0, (f sigma)^2)`. The columns Phi are those of
-a wrong load, a wrong link, a tilted base, a wrong joint zero, a changed gain, and per axis an offset with harmonics of
-its own angle (springs, cables). Scales s and noise factors f are on a grid. Posterior odds follow from the evidence of
-each hypothesis. The probability that |e| exceeds the tolerance anywhere in the workspace is their weighted mean.
+a wrong load, a wrong link, a tilted base, a wrong joint zero or a changed gain. For springs and cables, they are an
+offset per axis with harmonics of its own angle. Scales s and noise factors f are on a grid. Posterior odds follow from
+the evidence of each hypothesis. The probability that |e| exceeds the tolerance anywhere in the workspace is their
+weighted mean.
 
 A decision is made by that probability (JCGM 106:2012, 8.3: guarded acceptance and rejection): pass at or below
 `WRONG_DECISION`, fail at or above 1 - `WRONG_DECISION`, else the data cannot decide.

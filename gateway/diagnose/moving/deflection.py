@@ -36,7 +36,7 @@ def elastic_joints(
         fitted = ~motion.held_out
         seen = wind_up(torque[fitted], bend[fitted], counting_share, motion.axes)
         compliance, std = seen.compliance_rad_nm, seen.std_rad_nm
-        ratio = _foretold(pairs, design_of(torque), bend)
+        ratio = _held_out_ratio(pairs, design_of(torque), bend)
         bent = compliance * float(np.abs(torque).max())
         if compliance < MOVING.wind_up * std or ratio > MOVING.wind_up_ratio or bent > MOVING.largest_wind_up_rad:
             continue
@@ -45,7 +45,7 @@ def elastic_joints(
     return tuple(found)
 
 
-def _foretold(pairs: Sequence[tuple[Mask, Mask]], design: Floats, bend: Floats) -> float:
+def _held_out_ratio(pairs: Sequence[tuple[Mask, Mask]], design: Floats, bend: Floats) -> float:
     """Ratio of the held-out RMS of the wind-up with the torque to that without it."""
     squares = np.zeros(2)
     for train, test in pairs:

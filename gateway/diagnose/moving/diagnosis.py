@@ -64,13 +64,13 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     gravity_m_s2 = np.asarray(options.gravity_m_s2)
     motion = prepare_in_step(table, options.holdout, robot, gravity_m_s2, delay_s)
     unknown_labels(np.unique(motion.load), options.known)
-    motion = _foretold(motion, options.known)
+    motion = _predictable(motion, options.known)
     trust, free = _trust(robot, options.inertials)
     stated = Knowledge(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
     knowledge = MovingKnowledge(_allowed(options), trust, free, stated)
     if (~motion.held_out).sum() < MOVING.fewest_rows or motion.duration_s < MOVING.shortest_s:
         problem = problem_of(motion, trust, knowledge)
-        answer = answer_of(table, robot, _told_to_fit(robot, options, MOVING.usual_trust), (), delay_s)
+        answer = answer_of(table, robot, _knowledge_for_fit(robot, options, MOVING.usual_trust), (), delay_s)
         return too_little(problem, state_of(problem, ()), answer)
     found, judges = _judged(motion, knowledge)
     refuted = frozenset(item.label for item in found.mistakes if not judges.mistake(item).below_one)
@@ -83,7 +83,7 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
     if wound and not found.mistakes:
         stiff = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         held = options.holdout and replace(options.holdout, q2nd_rad=np.full_like(options.holdout.q2nd_rad, np.nan))
-        by_motor = _foretold(prepare_in_step(stiff, held, robot, gravity_m_s2, delay_s), options.known)
+        by_motor = _predictable(prepare_in_step(stiff, held, robot, gravity_m_s2, delay_s), options.known)
         as_read = problem_of(by_motor, outcome.problem.null.trust, knowledge)
         parts = judging(by_motor, MOVING.judged_blocks)
         read = Judges(tuple(plain_choice(part, outcome.problem.null.trust, knowledge) for part in parts))
@@ -93,14 +93,14 @@ def diagnose_motion(table: Table, robot: Robot, options: DiagnoseOptions) -> Res
 
 def _written(outcome: MovingOutcome, table: Table, robot: Robot, options: DiagnoseOptions) -> Result:
     """Build the result, with loads from an estimate without effects and from one with the named effects."""
-    problem, state = outcome.told
+    problem, state = outcome.reported
     sound = undo(table, [mistake for mistake, _ in outcome.mistakes])
-    knowledge, delay_s = _told_to_fit(robot, options, problem.null.trust), problem.motion.delay_s
+    knowledge, delay_s = _knowledge_for_fit(robot, options, problem.null.trust), problem.motion.delay_s
     plain = answer_of(sound, robot, knowledge, (), delay_s)
     return result_of(outcome, plain, answer_of(sound, robot, knowledge, state.terms, delay_s) if state.terms else plain)
 
 
-def _told_to_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) -> Knowledge:
+def _knowledge_for_fit(robot: Robot, options: DiagnoseOptions, trust: float | None) -> Knowledge:
     """Knowledge for a fit: CAD uncertainty from the options, else as chosen from the rows."""
     inertials = options.inertials
     if inertials is None:
@@ -127,21 +127,21 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
     ]
     refuted = tuple(item for item in chosen if not item.held.below_one or (item.contested and not item.rival))
     open_ones = [item for item in chosen if item not in refuted]
-    sure = tuple(item for item in open_ones if not item.contested and certain(problem, state, item.terms))
-    doubtful = tuple(item for item in open_ones if item not in sure)
-    if len(sure) < len(chosen) and (sure or refuted):
-        state = state_of(problem, [term for item in sure for term in item.terms])
+    accepted = tuple(item for item in open_ones if not item.contested and certain(problem, state, item.terms))
+    doubtful = tuple(item for item in open_ones if item not in accepted)
+    if len(accepted) < len(chosen) and (accepted or refuted):
+        state = state_of(problem, [term for item in accepted for term in item.terms])
     kept = {term.label for term in state.terms}
     rejected = left_over(problem, state, knowledge.allowed)
     if problem.motion.held_out.any():
         judges = Judges((replace(found, state=state),))
     as_read = state_of(found.as_read, ()) if found.mistakes else None
     return MovingOutcome(
-        told=_told(problem, state, knowledge),
+        reported=_reported_model(problem, state, knowledge),
         problem=problem,
         before=state_of(problem, ()),
         after=state,
-        effects=sure,
+        effects=accepted,
         doubtful=doubtful,
         unproven=refuted,
         rejected=tuple(zip((term.label for term in rejected), judges.ratios(rejected), strict=True)),
@@ -154,7 +154,9 @@ def _outcome(found: Choice, judges: Judges, knowledge: MovingKnowledge) -> Movin
     )
 
 
-def _told(problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge) -> tuple[MovingProblem, MovingState]:
+def _reported_model(
+    problem: MovingProblem, state: MovingState, knowledge: MovingKnowledge
+) -> tuple[MovingProblem, MovingState]:
     """Return the model for the reported values, with the usual CAD uncertainty if the rows do not contradict it."""
     trust = problem.null.trust
     if not knowledge.free or trust is None or trust >= MOVING.usual_trust:
@@ -169,7 +171,7 @@ def _allowed(options: DiagnoseOptions) -> frozenset[str]:
     return options.allowed | {"torque_constant_scale"} if peak else options.allowed
 
 
-def _foretold(motion: MovingRows, known: Collection[str]) -> MovingRows:
+def _predictable(motion: MovingRows, known: Collection[str]) -> MovingRows:
     """Exclude hold-out rows whose load is neither fitted nor known: they cannot be predicted."""
     seen = [BARE_LABEL, *known, *np.unique(motion.load[~motion.held_out])]
     strange = motion.held_out & ~np.isin(motion.load, seen)

@@ -39,10 +39,10 @@ def lags(table: Table, robot: Robot, options: DiagnoseOptions) -> Floats:
     The links are free in that fit, so that a delay cannot compensate for wrong CAD values.
     """
     moving = table.take(table.moving)
-    told = EstimateOptions(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
+    stated = EstimateOptions(known=options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
     found = np.zeros(table.axes)
     try:
-        motions = estimate_moving(moving, robot, told.of_loads(moving.load)).motion
+        motions = estimate_moving(moving, robot, stated.of_loads(moving.load)).motion
     except DataUnusable:  # too little for an estimation: the diagnosis says so itself
         return found
     for one in motions:
@@ -73,8 +73,8 @@ def prepare_in_step(
         mine = delay_s == delay
         then = prepare(_earlier(table, delay), holdout and _earlier(holdout, delay), robot, gravity_m_s2, largest)
         rows = {name: _columns_of(then, motion, name, mine) for name in _OF_ROWS}
-        whole = {name: np.where(mine, getattr(then, name), getattr(motion, name)) for name in _OF_AXES}
-        motion = replace(motion, **rows, **whole)
+        shifted = {name: np.where(mine, getattr(then, name), getattr(motion, name)) for name in _OF_AXES}
+        motion = replace(motion, **rows, **shifted)
     return replace(motion, delay_s=delay_s)
 
 

@@ -28,11 +28,11 @@ class MovingOutcome:
     """All inputs of the result file.
 
     `doubtful` effects are contested by a rival; `unproven` ones were not confirmed by the held-out rows; `rejected`
-    have their held-out ratio. `told` is the model of the reported loads and parameters. `held_before`, `held_after` are
-    the held-out residuals.
+    have their held-out ratio. `reported` is the model of the reported loads and parameters. `held_before`, `held_after`
+    are the held-out residuals.
     """
 
-    told: tuple[MovingProblem, MovingState]
+    reported: tuple[MovingProblem, MovingState]
     problem: MovingProblem
     before: MovingState
     after: MovingState
@@ -88,7 +88,7 @@ def _where(item: Chosen) -> str:
     return ", ".join(f"J{joint}" for joint in item.terms[0].joints) or "the arm"
 
 
-def tell_apart(item: Chosen) -> NextMeasurement:
+def separating_run(item: Chosen) -> NextMeasurement:
     """Recommend a run that separates an effect from its runner-up."""
     names = [item.terms[0].name]
     if item.runner_up is not None:
@@ -161,7 +161,7 @@ def remarks(outcome: MovingOutcome) -> tuple[Finding, ...]:
             Finding(
                 "info",
                 _where(item),
-                f"undecided: {' or '.join(tell_apart(item).tells_apart)}",
+                f"undecided: {' or '.join(separating_run(item).tells_apart)}",
             )
             for item in outcome.doubtful
         ]

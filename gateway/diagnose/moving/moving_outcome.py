@@ -21,7 +21,7 @@ from gateway.diagnose.moving.moving_findings import (
     remarks,
     richer,
     rms_of,
-    tell_apart,
+    separating_run,
 )
 from gateway.diagnose.moving.moving_plots import pictures
 from gateway.diagnose.moving.parameters import figures_of, parameters_of
@@ -61,7 +61,7 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
     effects = (
         *_mistakes(outcome),
         *outcome.wound,
-        *(_effect(*outcome.told, item, _tried(outcome)) for item in outcome.effects),
+        *(_effect(*outcome.reported, item, _tried(outcome)) for item in outcome.effects),
     )
     doubtful = outcome.doubtful
     undecided = bool(doubtful) and not effects
@@ -80,7 +80,7 @@ def result_of(outcome: MovingOutcome, plain: MovingAnswer, answer: MovingAnswer)
         noise_floor_nm=listed(problem.motion.floor_nm),
         friction_band_nm=listed(_friction_level(problem, after)),
         rejected=_rejected(outcome),
-        next=(*(tell_apart(item) for item in doubtful), *richer(outcome, bool(effects))),
+        next=(*(separating_run(item) for item in doubtful), *richer(outcome, bool(effects))),
         findings=(
             *answer.findings,
             *faults(() if undecided else effects),
@@ -147,7 +147,7 @@ def _tried(outcome: MovingOutcome) -> int:
 def _rivals(outcome: MovingOutcome, item: Chosen) -> list[EffectResult]:
     """Entries of both effects that explain the same rows."""
     problem = outcome.problem
-    found = [_effect(*outcome.told, item, _tried(outcome))]
+    found = [_effect(*outcome.reported, item, _tried(outcome))]
     rival = item.runner_up
     if rival is not None:
         values, std = figures_of(rival)
@@ -168,7 +168,7 @@ def _mistakes(outcome: MovingOutcome) -> tuple[EffectResult, ...]:
 def _verdict(outcome: MovingOutcome, undecided: bool, any_effect: bool) -> Verdict:
     if undecided:
         return "undecided"
-    # a shape without a cause that is smaller than the noise is told, and changes no verdict
+    # a shape without a cause that is smaller than the noise is reported, and changes no verdict
     left = bool(above_floor(outcome)) if floor_known(outcome) else bool(outcome.structure)
     if any_effect:
         return "explained" if floor_known(outcome) and not left else "improved"

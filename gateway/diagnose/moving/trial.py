@@ -131,10 +131,10 @@ def _ask(problem: MovingProblem, full: MovingFit, terms: Sequence[Term], hopeles
 def demanded_most(problem: MovingProblem, full: MovingFit, terms: Sequence[Term]) -> list[Term]:
     """Return one term of each effect: the one with the lowest p-value on the fitted rows."""
     best: dict[Label, tuple[float, Term]] = {}
-    for number, told in _ask(problem, full, terms, np.inf).items():
+    for number, on_fitted in _ask(problem, full, terms, np.inf).items():
         term = terms[number]
-        if term.label not in best or told.log_p < best[term.label][0]:
-            best[term.label] = told.log_p, term
+        if term.label not in best or on_fitted.log_p < best[term.label][0]:
+            best[term.label] = on_fitted.log_p, term
     return [term for _, term in best.values()]
 
 
@@ -152,8 +152,8 @@ def _hold_out(
     everywhere = range(problem.motion.axes)
     for fit in fits:
         columns = [
-            term.columns(problem.motion, fit.modelled) if term.modelled else told.columns
-            for term, told in zip(terms, asked, strict=True)
+            term.columns(problem.motion, fit.modelled) if term.modelled else on_fitted.columns
+            for term, on_fitted in zip(terms, asked, strict=True)
         ]
         rows = np.flatnonzero(fit.test)
         for number, step in enumerate(extensions(problem, fit, terms, columns)):
@@ -163,10 +163,10 @@ def _hold_out(
                 moved[:, axes] -= columns[number][rows] @ step[0]
                 residuals[number][rows] += moved * before.counted[rows]
     out = []
-    for term, told, residual in zip(terms, asked, residuals, strict=True):
-        value, covariance, _, _ = told.step
+    for term, on_fitted, residual in zip(terms, asked, residuals, strict=True):
+        value, covariance, _, _ = on_fitted.step
         after = Held(residual * before.counted, before.counted)
-        out.append(judge(problem, fits, term, before, after, (value, covariance, told.log_p)))
+        out.append(judge(problem, fits, term, before, after, (value, covariance, on_fitted.log_p)))
     return out
 
 
@@ -175,10 +175,10 @@ def extensions(
 ) -> list[Step | None]:
     """Extend a fit by the columns of each effect; effects on the same axes are computed together."""
     out: list[Step | None] = [None] * len(terms)
-    alike: dict[tuple[int, ...], list[int]] = {}
+    by_axes: dict[tuple[int, ...], list[int]] = {}
     for number, term in enumerate(terms):
-        alike.setdefault(term.enters(problem.motion.axes), []).append(number)
-    for axes, numbers in alike.items():
+        by_axes.setdefault(term.enters(problem.motion.axes), []).append(number)
+    for axes, numbers in by_axes.items():
         precision = [prior_precision(terms[number]) for number in numbers]
         joined = extend_each(fit, list(axes), [columns[number] for number in numbers], precision)
         for number, step in zip(numbers, joined, strict=True):

@@ -45,11 +45,11 @@ def _log_det(matrix: Floats) -> float:
 def choose_trust(problem: MovingProblem, terms: Sequence[Term]) -> float | None:
     """Choose the relative standard deviation of the CAD values; None = CAD values are not usable."""
     problem = _with_noise_left(problem, terms)
-    stories = [list(terms)]
+    explanations = [list(terms)]
     without = [term for term in terms if term.name not in DRAWN]
     if len(without) < len(terms):
-        stories.append(without)
-    scores = np.array([[_score(problem, story, level) for level in LEVELS] for story in stories])
+        explanations.append(without)
+    scores = np.array([[_score(problem, explanation, level) for level in LEVELS] for explanation in explanations])
     best = scores[int(np.argmax(scores.max(axis=1)))]
     level = LEVELS[int(np.argmax(best >= best.max() - MOVING.contradicted))]
     return None if level >= MOVING.worthless else level

@@ -15,7 +15,7 @@ from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.bias import friction_by_direction
 from gateway.diagnose.rest.deflection import elastic_joints
-from gateway.diagnose.rest.holdout import Unseen, foretold_covariance, predicted
+from gateway.diagnose.rest.holdout import Unseen, predicted, prediction_covariance
 from gateway.diagnose.rest.pose_selection import questions
 from gateway.diagnose.rest.residual_structure import structure_seen_nm
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
@@ -93,7 +93,7 @@ class ReadVisits:
     """Visits of a table without rejected outliers, and the fit without effects."""
 
     table: Table
-    aside: RejectedTorques
+    outliers: RejectedTorques
     problem: RestProblem
     plain: Fit
 
@@ -143,26 +143,26 @@ class RestDiagnosis:
     def _rows(self, table: Table) -> Visits:
         return pair_visits(table, self.options.efficiency, self.options.coupling)
 
-    def aside(self, rows: Visits) -> RejectedTorques:
-        """Gross torques of visits as they were read."""
+    def outliers(self, rows: Visits) -> RejectedTorques:
+        """Outliers of the uncorrected visits."""
         return rejected_torques(rows, self.robot, self.knowledge.gravity_m_s2)
 
     def read(self, table: Table) -> ReadVisits:
         """Read the visits of a table, reject outliers, and fit the rest without effects."""
         rows = self._rows(table)
-        return self._fitted(table, rows, self.aside(rows))
+        return self._fitted(table, rows, self.outliers(rows))
 
-    def _fitted(self, table: Table, rows: Visits, aside: RejectedTorques) -> ReadVisits:
-        problem = build_problem(self.robot, rows.unmeasured(aside.mask), self.knowledge)
-        return ReadVisits(table, aside, problem, fit_without_effects(problem))
+    def _fitted(self, table: Table, rows: Visits, outliers: RejectedTorques) -> ReadVisits:
+        problem = build_problem(self.robot, rows.unmeasured(outliers.mask), self.knowledge)
+        return ReadVisits(table, outliers, problem, fit_without_effects(problem))
 
-    def problem(self, table: Table, aside: RejectedTorques) -> RestProblem:
+    def problem(self, table: Table, outliers: RejectedTorques) -> RestProblem:
         """Build the problem from the rows of a table, without rejected outliers."""
-        return build_problem(self.robot, self._rows(table).unmeasured(aside.mask), self.knowledge)
+        return build_problem(self.robot, self._rows(table).unmeasured(outliers.mask), self.knowledge)
 
     def search(self, read: ReadVisits) -> Found:
         """Fit the hypotheses, with commissioning mistakes corrected if the data require it."""
-        build, problem = partial(self.problem, aside=read.aside), read.problem
+        build, problem = partial(self.problem, outliers=read.outliers), read.problem
         for label in problem.labels:
             require_postures(problem.rows.q_rad[problem.rows.load == label], label)
         mistakes: tuple[Mistake, ...] = ()
@@ -188,7 +188,7 @@ class RestDiagnosis:
     def _undone(self, read: ReadVisits, mistakes: tuple[Mistake, ...]) -> ReadVisits:
         """Return the visits with the mistakes corrected."""
         table = _undone(read.table, mistakes)
-        return self._fitted(table, self._rows(table), read.aside)
+        return self._fitted(table, self._rows(table), read.outliers)
 
     def _with_statements_tested(self, found: Found) -> Found:
         """Repeat the search with wider priors for contradicted statements, if these are the more likely cause.
@@ -198,8 +198,8 @@ class RestDiagnosis:
         it. If no effect was found, the result is that of `estimate`.
         """
         effects = found.chosen.terms
-        alike = sum(term.scales_reading or term.name == "link_mass" for term in effects)
-        likelier = not effects or alike >= REST.statement_effects
+        statement_like = sum(term.scales_reading or term.name == "link_mass" for term in effects)
+        likelier = not effects or statement_like >= REST.statement_effects
         if not (likelier or self.knowledge.weighed):
             return found
         settled = settle(self.robot, found.now.problem.rows, self.knowledge, (found.now.problem, found.now.plain))
@@ -245,10 +245,10 @@ class RestDiagnosis:
         if not len(unseen):
             raise DataUnusable("the hold-out rows carry no load that is in the data: nothing to validate on")
         rows = joined([seen, unseen])
-        aside = self.aside(rows)
+        outliers = self.outliers(rows)
         changes = found.search.problem.nuisance.changes
-        both = build_problem(self.robot, rows.unmeasured(aside.mask), self.knowledge, changes)
-        return Unseen(both, both.visit >= len(seen), aside.among(len(seen)))
+        both = build_problem(self.robot, rows.unmeasured(outliers.mask), self.knowledge, changes)
+        return Unseen(both, both.visit >= len(seen), outliers.among(len(seen)))
 
     def _upheld(self, found: Found, holdout: Table | None) -> Found:
         """Return the search without mistakes whose correction worsens the fit to held-out rows."""
@@ -270,7 +270,7 @@ class RestDiagnosis:
         table = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         if sided:
             table = replace(table, direction=np.zeros_like(table.direction))
-        problem = self.problem(table, found.read.aside)
+        problem = self.problem(table, found.read.outliers)
         return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
@@ -292,7 +292,7 @@ class RestDiagnosis:
             return None
         settled = settle(self.robot, rows, self.knowledge, (read.problem, read.plain))
         result = self._as_estimated(rows, settled)
-        return replace(result, verdict="unexplained", findings=(*read.aside.findings, *result.findings))
+        return replace(result, verdict="unexplained", findings=(*read.outliers.findings, *result.findings))
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Build the result of a search; `holdout` are held-out rows, `kind` is their origin."""
@@ -321,7 +321,7 @@ class RestDiagnosis:
         if found.mistakes or seen_by_encoder or by_direction:
             verdict = MORE[verdict]
         before = self._before(decision, judge, found, bool(by_direction))
-        by_shape = spread_by_shape(decision.after, search.alike(decision.after))
+        by_shape = spread_by_shape(decision.after, search.other_shapes(decision.after))
         after = summary(problem, decision.after, judge, self.robot, by_shape)
         last_problem, last = problem, decision.after
         if held is not None and kind == "fresh" and not findings:
@@ -339,7 +339,7 @@ class RestDiagnosis:
             findings += [each for each in estimated.findings if each.severity == "fail" and each.check != REFUSED]
         floor, band = floor_and_band(problem, decision)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
-        findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.aside.findings)
+        findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.outliers.findings)
         if "torque_ripple" in self.options.allowed:
             findings += ripple_remarks(search, decision.after, self.options.gear_ratios(problem.axes))
         findings += (
@@ -363,8 +363,8 @@ class RestDiagnosis:
             next=questions(problem, decision, self.robot, self.options, self.knowledge),
             findings=tuple(dict.fromkeys(findings)),
             nuisance=nuisance_results(problem, decision.after),
-            set_aside=found.read.aside.entries + (() if held is None else held.aside),
-            quality=structure_seen_nm(problem, decision.whole, np.array(floor))
+            set_aside=found.read.outliers.entries + (() if held is None else held.rejected),
+            quality=structure_seen_nm(problem, decision.full, np.array(floor))
             | fresh_seen_nm(problem, held, decision.after),
             provenance={
                 "visits": len(problem.rows),
@@ -387,7 +387,7 @@ class RestDiagnosis:
         group = held.problem.group[held.mask]
         residual = predicted(held, decision.after)
         spare = spare_rows(problem, decision.after)
-        chance = fresh_misfit(residual, foretold_covariance(held, decision.after), group, problem.axes, spare)
+        chance = fresh_misfit(residual, prediction_covariance(held, decision.after), group, problem.axes, spare)
         if chance >= REST.fresh_p:
             return decision, []
         verdict = LESS[decision.verdict]

@@ -27,7 +27,7 @@ def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
 
 def left_out(problem: RestProblem, fit: Fit) -> Floats:
     """Residual (rows,) [Nm] of each row with its pose, under all loads, left out of the fit (linearised)."""
-    return foretold_poses(problem, fit)[0]
+    return left_out_poses(problem, fit)[0]
 
 
 def gained_by_pose(problem: RestProblem, after: Fit, before: Fit) -> Floats:
@@ -38,7 +38,7 @@ def gained_by_pose(problem: RestProblem, after: Fit, before: Fit) -> Floats:
     return np.asarray(np.bincount(pose, weights=less), dtype=float)
 
 
-def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
+def left_out_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
     """Left-out residual (rows,) [Nm] of every row, and log density (poses,) of each left-out pose.
 
     The score of a fit of all poses minus the log density of one pose is the score of the fit of the others. Hypotheses
@@ -48,8 +48,8 @@ def foretold_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
     without = WithoutPose.of(problem, fit)
     scaled = fit.residual / std
     out = without.apply(scaled[:, None])[:, 0]
-    told = without.log_free - without.by_pose(scaled * out)
-    return std * out, 0.5 * told - without.by_pose(np.log(std))
+    log_ratio = without.log_free - without.by_pose(scaled * out)
+    return std * out, 0.5 * log_ratio - without.by_pose(np.log(std))
 
 
 def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[float]) -> Floats:
@@ -61,7 +61,7 @@ def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[
     fits : hypotheses to choose from
     score : log odds of each fit on all poses
     """
-    residual, density = zip(*(foretold_poses(problem, fit) for fit in fits), strict=True)
+    residual, density = zip(*(left_out_poses(problem, fit) for fit in fits), strict=True)
     choice = np.argmax(np.array(score)[:, None] - np.array(density), axis=0)
     _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
     return np.asarray(np.array(residual)[choice[pose], np.arange(len(pose))], dtype=float)
@@ -91,13 +91,13 @@ class WithoutPose:
     ----------
     pose : (rows,) index of each row's pose
     log_free : (poses,) log determinant of `1 - B B'`
-    alike : rows (poses, m) and inverses (poses, m, m) of poses with m rows each, m no larger than the basis
+    small : rows (poses, m) and inverses (poses, m, m) of poses with m rows each, m no larger than the basis
     large : rows (m,), factor (m, p) and size (p,) of poses with more rows: the inverse is `1 + U size U'`
     """
 
     pose: NDArray[np.int_]
     log_free: Floats
-    alike: tuple[tuple[NDArray[np.int_], Floats], ...]
+    small: tuple[tuple[NDArray[np.int_], Floats], ...]
     large: tuple[tuple[NDArray[np.int_], Floats, Floats], ...]
 
     @classmethod
@@ -108,7 +108,7 @@ class WithoutPose:
         order, count = np.argsort(pose, kind="stable"), np.bincount(pose)
         first = np.concatenate([[0], np.cumsum(count)[:-1]])
         log_free = np.empty(len(numbers))
-        alike, large = [], []
+        small, large = [], []
         for size in np.unique(count):
             members = np.flatnonzero(count == size)
             if size > basis.shape[1]:
@@ -119,8 +119,8 @@ class WithoutPose:
                 continue
             rows = order[first[members][:, None] + np.arange(size)]
             inverse, log_free[members] = _inverses(basis[rows])
-            alike.append((rows, inverse))
-        return cls(pose, log_free, tuple(alike), tuple(large))
+            small.append((rows, inverse))
+        return cls(pose, log_free, tuple(small), tuple(large))
 
     def by_pose(self, values: Floats) -> Floats:
         """Sum (poses,) of values (rows,) over each pose."""
@@ -129,7 +129,7 @@ class WithoutPose:
     def apply(self, columns: Floats) -> Floats:
         """Multiply columns (rows, k) by the inverse."""
         out = np.empty_like(columns)
-        for rows, inverse in self.alike:
+        for rows, inverse in self.small:
             out[rows] = inverse @ columns[rows]
         for rows, factor, size in self.large:
             out[rows] = columns[rows] + factor @ (size[:, None] * (factor.T @ columns[rows]))
@@ -187,12 +187,12 @@ class Unseen:
     problem : RestProblem
         Fitted visits and held-out visits together.
     mask : (rows,) the held-out ones
-    aside : outliers among the held-out visits, which are not used
+    rejected : outliers among the held-out visits, which are not used
     """
 
     problem: RestProblem
     mask: NDArray[np.bool_]
-    aside: tuple[SetAside, ...] = ()
+    rejected: tuple[SetAside, ...] = ()
 
 
 def predicted(held: Unseen, fit: Fit) -> Floats:
@@ -200,7 +200,7 @@ def predicted(held: Unseen, fit: Fit) -> Floats:
     return _at(held.problem, fit)[held.mask]
 
 
-def foretold_covariance(held: Unseen, fit: Fit) -> Floats:
+def prediction_covariance(held: Unseen, fit: Fit) -> Floats:
     """Covariance (held-out rows, held-out rows) [Nm2] of the residuals of a fit on held-out rows.
 
     Noise of the rows plus the uncertainty of the fitted parameters.

@@ -35,7 +35,7 @@ def questions(
     The expected log odds between two hypotheses after new visits is half the squared difference of their predictions
     over the noise (Box and Hill 1967).
     """
-    fits = [decision.whole, *(rival.fit for rival in decision.near[:4])]
+    fits = [decision.full, *(rival.fit for rival in decision.near[:4])]
     few = len(np.unique(problem.rows.pose)) < REST.least_poses
     if not few and len(fits) < 2:
         return ()
@@ -46,9 +46,9 @@ def questions(
     if few:
         return (_measure(choice, _far_apart(problem.rows, choice), ()),)
     names = _names(fits)
-    told = _disagreement(problem, robot, knowledge, fits, choice)
-    poses = _spread_out(choice, told)
-    expected = 0.5 * float(told[poses].sum())
+    information = _disagreement(problem, robot, knowledge, fits, choice)
+    poses = _spread_out(choice, information)
+    expected = 0.5 * float(information[poses].sum())
     if expected < REST.telling:
         what = (
             "weigh the links"
@@ -122,18 +122,18 @@ def _disagreement(
     for fit in fits:
         setting = with_terms(both, fit.terms, fit.theta, fit.nuisance)
         readings.append(modelled(both, setting, fit.links, fit.loads, fit.band))
-    told = []
+    information = []
     for other in readings[1:]:
         # half: what the parameters of the loser can still take up once the new visits are in its fit
         squares = 0.5 * ((other - readings[0]) / std) ** 2
-        told.append(np.bincount(visit[visit >= 0], weights=squares[visit >= 0], minlength=len(choice)))
-    return np.min(np.array(told), axis=0) + REST.told_in_all * np.mean(np.array(told), axis=0)
+        information.append(np.bincount(visit[visit >= 0], weights=squares[visit >= 0], minlength=len(choice)))
+    return np.min(np.array(information), axis=0) + REST.told_in_all * np.mean(np.array(information), axis=0)
 
 
-def _spread_out(choice: Floats, told: Floats) -> NDArray[np.int_]:
+def _spread_out(choice: Floats, information: Floats) -> NDArray[np.int_]:
     """Select the most informative poses with a minimum distance from each other."""
     chosen: list[int] = []
-    for k in np.argsort(-told):
+    for k in np.argsort(-information):
         if all(np.abs(choice[k] - choice[other]).max() > REST.apart_rad for other in chosen):
             chosen.append(int(k))
         if len(chosen) == REST.asked:

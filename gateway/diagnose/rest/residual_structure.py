@@ -23,7 +23,7 @@ from gateway.identify.solve import Basis
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: Probabilities that are told from 0 and 1 [-]; beyond them the tails of these tests mean nothing.
+#: Probabilities that are detectable_sizes from 0 and 1 [-]; beyond them the tails of these tests mean nothing.
 _LEAST_P = 1e-15
 #: Points by which a distribution is integrated.
 _LEVELS = 400
@@ -48,7 +48,7 @@ class Moments:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Alike:
+class _PoseCorrelation:
     """Pairs of half-sums of one axis and pose in different visits: statistics of their products under noise alone.
 
     Attributes
@@ -94,7 +94,7 @@ class StructureTest:
     axes : number of axes N
     basis : orthonormal basis of the fit's columns
     freedom : (3 N,) degrees of freedom of each noise group
-    alike : by axis
+    by_pose_pairs : by axis
     scatter : by axis
     """
 
@@ -104,7 +104,7 @@ class StructureTest:
     axes: int
     basis: Basis
     freedom: Floats
-    alike: dict[int, _Alike]
+    by_pose_pairs: dict[int, _PoseCorrelation]
     scatter: dict[int, _Scatter]
 
     @classmethod
@@ -114,18 +114,18 @@ class StructureTest:
         group, axis = problem.group, np.asarray(problem.axis)
         _, pose = np.unique(problem.rows.pose[problem.visit], return_inverse=True)
         freedom = problem.by_group() - fit.taken
-        alike, scatter = {}, {}
+        by_pose_pairs, scatter = {}, {}
         for number in range(axes):
             rows = np.flatnonzero((axis == number) & (group // axes != 1))
             count = np.bincount(pose[rows])
             pairs = int((count * (count - 1)).sum()) // 2
             if pairs >= REST.least_pairs:
-                alike[number] = _alike(basis.of(rows), pose[rows], pairs)
+                by_pose_pairs[number] = _correlation_moments(basis.of(rows), pose[rows], pairs)
             own = float(freedom[number]), float(freedom[number + axes])
             if min(own) >= REST.least_freedom:
                 least = float(fit.noise.least[number] / fit.noise.std[number]) ** 2
                 scatter[number] = _Scatter(own, least)
-        return cls(group, axis, pose, axes, basis, freedom, alike, scatter)
+        return cls(group, axis, pose, axes, basis, freedom, by_pose_pairs, scatter)
 
     def moments(self, first: Floats, second: Floats) -> Moments:
         """Sums of products of two residuals (rows, d), in a unit common to an axis's half-sums and half-differences."""
@@ -135,7 +135,7 @@ class StructureTest:
         for number in np.unique(self.group):
             rows = np.flatnonzero(self.group == number)
             squares[number] = np.einsum("rd,rd->d", first[rows], second[rows])
-        for axis in self.alike:
+        for axis in self.by_pose_pairs:
             for place, kind in enumerate((0, 2)):
                 rows = np.flatnonzero(self.group == axis + kind * self.axes)
                 for out, residual in zip(sums[place], (first, second), strict=True):
@@ -160,7 +160,7 @@ class StructureTest:
         rms = np.sqrt(np.maximum(squares, 0.0) / np.maximum(self.freedom, 1.0)[:, None])
         rms = np.maximum(rms, np.finfo(float).tiny)
         by_axis: dict[int, list[Floats]] = {}
-        for axis, test in self.alike.items():
+        for axis, test in self.by_pose_pairs.items():
             kinds = [axis, axis + 2 * self.axes]
             products = np.einsum("kld,kd,ld->d", moments.by_pose[axis], 1.0 / rms[kinds], 1.0 / rms[kinds])
             products -= ((np.sqrt(np.maximum(squares[kinds], 0.0)) / rms[kinds]) ** 2).sum(axis=0)
@@ -185,7 +185,7 @@ class Power:
             self.noise[:, draws] = test.basis.left(self.noise[:, draws])
         self.noise_moments = test.moments(self.noise, self.noise)
         drawn = rng.standard_normal((test.axes, int(test.pose.max(initial=0)) + 1, REST.power_draws))
-        # unit RMS over the poses in every draw, as a strength is told
+        # unit RMS over the poses in every draw, as a strength is detectable_sizes
         self.drawn = drawn / np.sqrt(np.mean(drawn**2, axis=1, keepdims=True))
 
     def size_seen(self, axes: Iterable[int]) -> float:
@@ -194,7 +194,7 @@ class Power:
         Infinite if no test is possible.
         """
         test = self.test
-        own = [axis for axis in axes if axis in test.alike or axis in test.scatter]
+        own = [axis for axis in axes if axis in test.by_pose_pairs or axis in test.scatter]
         if not own:
             return float("inf")
         here = np.isin(test.axis, own) & (test.group < test.axes)
@@ -255,12 +255,12 @@ def structure_seen_nm(problem: RestProblem, fit: Fit, floor_nm: Floats) -> dict[
     alone = [power.size_seen([axis]) for axis in range(problem.axes)]
     everywhere = power.size_seen(range(problem.axes))
     return {
-        "structure_seen_nm": told(np.array(alone) * floor_nm),
-        "structure_seen_on_all_nm": told(everywhere * floor_nm),
+        "structure_seen_nm": detectable_sizes(np.array(alone) * floor_nm),
+        "structure_seen_on_all_nm": detectable_sizes(everywhere * floor_nm),
     }
 
 
-def told(sizes_nm: Floats) -> list[float | None]:
+def detectable_sizes(sizes_nm: Floats) -> list[float | None]:
     """Convert sizes to the form of the result file: None where no structure would have been detected."""
     return [float(size) if np.isfinite(size) else None for size in sizes_nm]
 
@@ -272,7 +272,7 @@ def pooled(chances: Iterable[Floats], weight: Floats | None = None) -> Floats:
     return np.asarray(ndtr(-(shares @ scores) / np.sqrt(np.sum(shares**2))), dtype=float)
 
 
-def _alike(basis: Floats, pose: Ints, count: int) -> _Alike:
+def _correlation_moments(basis: Floats, pose: Ints, count: int) -> _PoseCorrelation:
     """Moments of the sum of pair products of `(1 - B B') noise`, a quadratic form `noise' P A P noise`.
 
     A has 1/2 for every pair of rows of one pose, so a row of `A B` is half the sum of the others of its pose.
@@ -280,7 +280,7 @@ def _alike(basis: Floats, pose: Ints, count: int) -> _Alike:
     image = 0.5 * (_sums(basis, pose, int(pose.max()) + 1)[pose] - basis)
     inner = basis.T @ image
     variance = 2.0 * (0.5 * count - 2.0 * float((image**2).sum()) + float((inner * inner.T).sum()))
-    return _Alike(count, -float(np.trace(inner)), float(np.sqrt(max(variance, 1e-12))))
+    return _PoseCorrelation(count, -float(np.trace(inner)), float(np.sqrt(max(variance, 1e-12))))
 
 
 def _sums(rows: Floats, place: Ints, count: int) -> Floats:

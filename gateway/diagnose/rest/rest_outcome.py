@@ -120,7 +120,7 @@ def contradicted(decision: Decision, effects: Sequence[EffectResult]) -> bool:
 def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResult:
     """Widen the standard deviations of an effect by the uncertainty of its shape."""
     variance = {key: std**2 for key, std in effect.std.items()}
-    for weight, other in search.alike(after):
+    for weight, other in search.other_shapes(after):
         for term, theta in zip(other.terms, other.theta, strict=True):
             if term.label != (effect.name, effect.joints):
                 continue

@@ -120,7 +120,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
     weight = 1.0 / std[problem.group]
     basis, residual = projection(fit, fit.columns, fit.prior_std, weight)
     families: dict[Term, list[int]] = {}
-    alike: dict[bytes, list[int]] = {}
+    by_groups: dict[bytes, list[int]] = {}
     spread: dict[int, Floats] = {}
     for position, term in enumerate(terms):
         switched = term.switched()
@@ -133,9 +133,9 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
         if switched is not None:
             families[switched[0]] = [position]
         elif np.isfinite(size).all() and float(np.linalg.norm(size)) >= REST.inert:
-            alike.setdefault(columns.changed, []).append(position)
+            by_groups.setdefault(columns.changed, []).append(position)
     weighed = Weighed()
-    for members in alike.values():
+    for members in by_groups.values():
         rows = derivatives[terms[members[0]]].rows
         blocks = [derivatives[terms[k]].values[:, : len(spread[k])] * (weight[rows, None] * spread[k]) for k in members]
         together = np.hstack(blocks)
@@ -144,8 +144,8 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
         for position, block, end in zip(members, blocks, ends, strict=True):
             own = slice(end - block.shape[1], end)
             weighed.add(position, block.T @ block - taken[:, own].T @ taken[:, own], score[own])
-    for whole, members in families.items():
-        columns = derivatives[whole]
+    for family, members in families.items():
+        columns = derivatives[family]
         scaled = columns.values * (weight[columns.rows, None] * spread[members[0]])
         times = np.array([switch_s(terms[position]) for position in members])
         for change, gram, score in _changes(problem, times, scaled, columns.rows, basis, residual):

@@ -98,7 +98,7 @@ class Search:
             self.derivatives = Derivatives(self.problem, self.fitted(()))
         return screen(self.problem, about, terms, std, self.derivatives)
 
-    def alike(self, hypothesis: Fit) -> list[tuple[float, Fit]]:
+    def other_shapes(self, hypothesis: Fit) -> list[tuple[float, Fit]]:
         """Other shapes of the same effects, each with its probability among these shapes."""
         own = sorted(term.label for term in hypothesis.terms)
         fits = [fit for fit in self.pool.values() if sorted(term.label for term in fit.terms) == own]

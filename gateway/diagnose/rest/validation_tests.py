@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, chdtri, fdtrc, fdtri
 
 from gateway.diagnose.rest.holdout import Unseen
-from gateway.diagnose.rest.residual_structure import pooled, told
+from gateway.diagnose.rest.residual_structure import detectable_sizes, pooled
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.identify.rest.linear import Fit, RestProblem
 
@@ -69,7 +69,7 @@ def fresh_seen_nm(problem: RestProblem, held: Unseen | None, fit: Fit) -> dict[s
     group = held.problem.group[held.mask]
     axis = group[group // problem.axes != 1] % problem.axes
     sizes = fresh_seen(np.bincount(axis, minlength=problem.axes), spare_rows(problem, fit))
-    return {"fresh_seen_nm": told(sizes * fit.noise.std[: problem.axes])}
+    return {"fresh_seen_nm": detectable_sizes(sizes * fit.noise.std[: problem.axes])}
 
 
 def fresh_seen(rows: Ints, spare: Floats | None = None) -> Floats:

@@ -54,7 +54,7 @@ class Decision:
     ----------
     verdict : as in the result file
     before, after : fits without effects and with the proven effects
-    whole : fit that also has the required unnamed torque curves
+    full : fit that also has the required unnamed torque curves
     proven : effects of `after` that the data prove; the others correct the CAD's links and are not named
     rivals : other sets of effects within `sure_odds`, best first
     near : other sets within `ask_odds`; further measurements are recommended
@@ -66,7 +66,7 @@ class Decision:
     verdict: Verdict
     before: Fit
     after: Fit
-    whole: Fit
+    full: Fit
     proven: tuple[Term, ...]
     rivals: tuple[Rival, ...]
     near: tuple[Rival, ...]
@@ -86,36 +86,34 @@ def decide(search: Search, chosen: Fit) -> Decision:
     """
     problem = search.problem
     before = search.fitted(())
-    whole = _seen_to_help(search, _without_ordinary(search, _without_weak(search, chosen)))
-    own = _key(search, whole)
-    near = _rivals(search, whole, own)
+    full = _seen_to_help(search, _without_usual(search, _without_weak(search, chosen)))
+    own = _key(search, full)
+    near = _rivals(search, full, own)
     while smaller := [rival for rival in near if rival.odds < REST.sure_odds and _holds_less(rival.key, own)]:
-        whole = _seen_to_help(search, _without_ordinary(search, smaller[0].fit))
-        own = _key(search, whole)
-        near = _rivals(search, whole, own)
-    after = search.fitted([term for term in whole.terms if term.name != UNNAMED], whole)
+        full = _seen_to_help(search, _without_usual(search, smaller[0].fit))
+        own = _key(search, full)
+        near = _rivals(search, full, own)
+    after = search.fitted([term for term in full.terms if term.name != UNNAMED], full)
     proven = tuple(term for term in after.terms if term.label in own.names)
     rivals = tuple(
-        rival
-        for rival in near
-        if rival.odds < REST.sure_odds and not rival.holds and _instead(search, whole, rival.fit)
+        rival for rival in near if rival.odds < REST.sure_odds and not rival.holds and _instead(search, full, rival.fit)
     )
-    structure_p = misfit(problem, whole)
-    odds, runner_up = _odds(search, after, whole)
+    structure_p = misfit(problem, full)
+    odds, runner_up = _odds(search, after, full)
     if any(not rival.key.names for rival in rivals):
         # what a shape without a name says as well has no name
         after, proven = before, ()
-    verdict = _verdict(search, whole, proven, rivals, structure_p)
+    verdict = _verdict(search, full, proven, rivals, structure_p)
     if len(np.unique(problem.rows.pose)) < REST.least_poses:
         verdict, after, proven, rivals = "undecided", before, (), ()
-    return Decision(verdict, before, after, whole, proven, rivals, near, structure_p, odds, runner_up)
+    return Decision(verdict, before, after, full, proven, rivals, near, structure_p, odds, runner_up)
 
 
 def _verdict(
-    search: Search, whole: Fit, proven: tuple[Term, ...], rivals: tuple[Rival, ...], structure_p: float
+    search: Search, full: Fit, proven: tuple[Term, ...], rivals: tuple[Rival, ...], structure_p: float
 ) -> Verdict:
-    shapes = [term for term in whole.terms if term.name == UNNAMED]
-    unnamed = any(strength(search, whole, term) >= REST.least_strength for term in shapes)
+    shapes = [term for term in full.terms if term.name == UNNAMED]
+    unnamed = any(strength(search, full, term) >= REST.least_strength for term in shapes)
     left = unnamed or structure_p < REST.structure_p
     if not proven:
         return "unexplained" if left else "none_needed"
@@ -124,19 +122,19 @@ def _verdict(
     return "improved" if left else "explained"
 
 
-def strength(search: Search, whole: Fit, term: Term) -> float:
+def strength(search: Search, full: Fit, term: Term) -> float:
     """Strength of one effect of a fit, after projecting out links, loads and bands, in units of the noise.
 
     RMS over the visits, on the axis where it is largest.
     """
     problem = search.problem
-    place = whole.terms.index(term)
-    rest = [k for k in range(len(whole.terms)) if k != place]
-    without = with_terms(problem, [whole.terms[k] for k in rest], [whole.theta[k] for k in rest], whole.nuisance)
-    share = modelled(problem, whole.setting, whole.links, whole.loads, whole.band)
-    share = share - modelled(problem, without, whole.links, whole.loads, whole.band)
-    weight = 1.0 / whole.noise.std[problem.group]
-    basis, _ = projection(whole, whole.columns.first(problem.n_common), problem.common_std, weight)
+    place = full.terms.index(term)
+    rest = [k for k in range(len(full.terms)) if k != place]
+    without = with_terms(problem, [full.terms[k] for k in rest], [full.theta[k] for k in rest], full.nuisance)
+    share = modelled(problem, full.setting, full.links, full.loads, full.band)
+    share = share - modelled(problem, without, full.links, full.loads, full.band)
+    weight = 1.0 / full.noise.std[problem.group]
+    basis, _ = projection(full, full.columns.first(problem.n_common), problem.common_std, weight)
     left = basis.left(share * weight)
     return float(np.sqrt((problem.by_group(left**2) / np.maximum(problem.by_group(), 1)).max()))
 
@@ -170,7 +168,10 @@ def unseen_by_choice(search: Search) -> Floats:
         hypothesis
         for hypothesis in search.pool.values()
         if search.score(hypothesis) > level
-        and all(term.name != UNNAMED and beyond_ordinary(search.problem, hypothesis, term) for term in hypothesis.terms)
+        and all(
+            term.name != UNNAMED and exceeds_nuisance_prior(search.problem, hypothesis, term)
+            for term in hypothesis.terms
+        )
     ]
     nothing = search.fitted(())
     fits += [] if any(hypothesis is nothing for hypothesis in fits) else [nothing]
@@ -178,13 +179,13 @@ def unseen_by_choice(search: Search) -> Floats:
     return chosen_by_others(search.problem, fits, score)
 
 
-def _without_ordinary(search: Search, chosen: Fit) -> Fit:
+def _without_usual(search: Search, chosen: Fit) -> Fit:
     """Return the hypothesis without effects whose size is within the nuisance priors."""
-    kept = [term for term in chosen.terms if beyond_ordinary(search.problem, chosen, term)]
-    return chosen if len(kept) == len(chosen.terms) else _without_ordinary(search, search.fitted(kept, chosen))
+    kept = [term for term in chosen.terms if exceeds_nuisance_prior(search.problem, chosen, term)]
+    return chosen if len(kept) == len(chosen.terms) else _without_usual(search, search.fitted(kept, chosen))
 
 
-def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
+def exceeds_nuisance_prior(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
     """Return True if the interval of an effect is outside the prior of the nuisance parameter it replaces."""
     position = hypothesis.terms.index(term)
     at = problem.n_common + sum(len(theta) for theta in hypothesis.theta[:position])
@@ -192,7 +193,7 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
         size = float(np.linalg.norm(hypothesis.theta[position][: term.count])) / np.sqrt(2.0)
         unsure = float(np.sqrt(np.diag(hypothesis.covariance)[at : at + term.count].mean() / 2.0))
         return size - TWO_SIDED_95 * unsure > REST.cogging * float(hypothesis.noise.std[term.joints[0] - 1])
-    places = _ordinary_places(problem, term)
+    places = _replaced_places(problem, term)
     if not len(places):
         return True
     away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
@@ -200,7 +201,7 @@ def beyond_ordinary(problem: RestProblem, hypothesis: Fit, term: Term) -> bool:
     return away - unsure > NUISANCE_STD * float(np.linalg.norm(problem.common_std[places]))
 
 
-def _ordinary_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:
+def _replaced_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:
     """Indices of the common parameters that an effect replaces.
 
     A torque constant has its own error and the error common to all axes.
@@ -242,8 +243,8 @@ def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     """Return True if the data, not only the prior of the links, prove an effect that exceeds the nuisance priors."""
     if term.name == UNNAMED:
         return True
-    if len(_ordinary_places(search.problem, term)):
-        return beyond_ordinary(search.problem, hypothesis, term)
+    if len(_replaced_places(search.problem, term)):
+        return exceeds_nuisance_prior(search.problem, hypothesis, term)
     least = REST.least_link_strength if term.name == "link_mass" else REST.least_strength
     return strength(search, hypothesis, term) >= least
 
@@ -256,14 +257,14 @@ def _key(search: Search, hypothesis: Fit) -> Key:
     return Key(shown - drifting, len(named) < len(hypothesis.terms))
 
 
-def _instead(search: Search, whole: Fit, rival: Fit) -> bool:
+def _instead(search: Search, full: Fit, rival: Fit) -> bool:
     """Return True if two hypotheses explain the same: their union has no more evidence than the better one."""
-    own = {term.label for term in whole.terms}
+    own = {term.label for term in full.terms}
     more = [term for term in rival.terms if term.label not in own]
-    if not whole.terms or not more or any(term.name == UNNAMED for term in (*whole.terms, *more)):
+    if not full.terms or not more or any(term.name == UNNAMED for term in (*full.terms, *more)):
         return True
-    together = search.fitted((*whole.terms, *more), whole)
-    return search.score(together) <= max(search.score(whole), search.score(rival))
+    together = search.fitted((*full.terms, *more), full)
+    return search.score(together) <= max(search.score(full), search.score(rival))
 
 
 def _holds_less(key: Key, own: Key) -> bool:
@@ -271,15 +272,15 @@ def _holds_less(key: Key, own: Key) -> bool:
     return key.names < own.names and key.unnamed <= own.unnamed
 
 
-def _rivals(search: Search, whole: Fit, own: Key) -> tuple[Rival, ...]:
+def _rivals(search: Search, full: Fit, own: Key) -> tuple[Rival, ...]:
     """Rank sets of effects by the summed evidence of their shapes; larger sets only if they gain evidence."""
-    level = search.score(whole) - math.log(REST.ask_odds) - REST.needed
+    level = search.score(full) - math.log(REST.ask_odds) - REST.needed
     groups: dict[Key, list[Fit]] = {}
     for hypothesis in search.pool.values():
         if search.score(hypothesis) >= level:
             groups.setdefault(_key(search, hypothesis), []).append(hypothesis)
     total = {key: _log_sum([search.score(member) for member in members]) for key, members in groups.items()}
-    reference = max(total[own], search.score(whole))
+    reference = max(total[own], search.score(full))
     out = []
     for key, members in groups.items():
         contains = key.names >= own.names and key.unnamed >= own.unnamed
@@ -294,7 +295,7 @@ def _log_sum(values: list[float]) -> float:
     return top + math.log(sum(math.exp(value - top) for value in values))
 
 
-def _odds(search: Search, after: Fit, whole: Fit) -> tuple[dict[Label, float], dict[Label, str | None]]:
+def _odds(search: Search, after: Fit, full: Fit) -> tuple[dict[Label, float], dict[Label, str | None]]:
     odds: dict[Label, float] = {}
     runner_up: dict[Label, str | None] = {}
     own = {term.label for term in after.terms}
@@ -303,7 +304,7 @@ def _odds(search: Search, after: Fit, whole: Fit) -> tuple[dict[Label, float], d
         if not others:
             continue
         best = search.best(others)
-        odds[term.label] = math.exp(min(max(search.score(whole) - search.score(best), -50.0), 50.0))
+        odds[term.label] = math.exp(min(max(search.score(full) - search.score(best), -50.0), 50.0))
         instead = [t.name for t in best.terms if t.label not in own and t.name != UNNAMED]
         runner_up[term.label] = instead[0] if instead else None
     return odds, runner_up
@@ -312,7 +313,7 @@ def _odds(search: Search, after: Fit, whole: Fit) -> tuple[dict[Label, float], d
 def noise_floor(problem: RestProblem, decision: Decision) -> Floats:
     """Noise floor (N,): of the fit if only noise remains, else from the approach directions of the visits."""
     clean = decision.verdict in ("none_needed", "explained", "undecided")
-    std = decision.whole.noise.std if clean else decision.whole.noise.start
+    std = decision.full.noise.std if clean else decision.full.noise.start
     count = problem.by_group().reshape(3, problem.axes)
     total = np.sum(count * std.reshape(count.shape) ** 2, axis=0)
     return np.sqrt(np.where(count.sum(axis=0) > 0, total / np.maximum(count.sum(axis=0), 1), np.nan))

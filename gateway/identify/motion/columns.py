@@ -81,9 +81,9 @@ class Columns:
     Attributes
     ----------
     design : array of shape (n, N, p)
-        Those of what every arm has are 0: they are of the modelled torque.
+        Columns of nuisance parameters are 0: they depend on the modelled torque.
     known_nm : array of shape (n, N)
-        Torque of what is known exactly.
+        Torque of exactly known links and loads.
     prior : Prior
     names, units : tuples of p str
     link_columns : int array of shape (k,)
@@ -95,7 +95,7 @@ class Columns:
     known : parameters (10,) of each load that is known
     loads : first column of each load
     bodies : how many of the first columns are torque of bodies, which a gain multiplies
-    nuisances : columns (N,) of what every arm has, by its name
+    nuisances : columns (N,) of nuisance parameters, by their names
     sign : array of shape (n, N)
         Rounded sign of the speed.
     smooth_rad_s : float or array of shape (N,)
@@ -105,7 +105,7 @@ class Columns:
     effects : SeenEffects or None
         Effects with columns of their own, which come last; those that depend on the modelled torque are 0.
     taken : int array
-        Nuisance parameters and an effect takes the place of: nothing is known of it, and it has no limit.
+        Nuisance parameters that an effect replaces: without prior and without limit.
     """
 
     design: Floats
@@ -148,7 +148,7 @@ class Columns:
         return int(self.nuisances[term.takes_over][term.joints[0] - 1]) if term.takes_over in self.nuisances else None
 
     def by_effects(self, value: Floats) -> Floats | None:
-        """Columns (n, N, k) of effects that depend on the torque of bodies with parameters (p,), if there are any."""
+        """Columns (n, N, k) of effects that depend on the bodies' torque for parameters (p,), if there are any."""
         if self.effects is None or not any(term.modelled for term in self.effects.terms):
             return None
         bodies, load_kg = self.bodies_of(value, self.effects.load)

@@ -35,8 +35,8 @@ class Settled:
 def settle(problem: MotionProblem, sigma_nm: Floats, start: About | None = None) -> Settled:
     """Solve to convergence with the standard deviation of each part, from a nearby solution if there is one.
 
-    A gain multiplies what the bodies give, known ones too. No gain and no loss goes beyond what is ordinary: what wants
-    it further is something that the model lacks, and must not pass for a gain.
+    A gain multiplies the torque of all bodies, including known ones. Gains and losses are limited to their prior range;
+    a larger value indicates an effect that the model lacks.
     """
     columns = problem.columns
     prior, used = columns.prior, problem.used

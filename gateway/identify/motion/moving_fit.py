@@ -44,9 +44,9 @@ _LEAST_SHARE = 1e-3
 #: Largest difference between position change and integrated speed, as a share of the travel.
 _MISMATCH = 0.5
 #: Number of times that the weights are computed again from the residual of the full model.
-_WEIGHED_ANEW = 2
+_WEIGHTED_AGAIN = 2
 #: Largest factor by which that may change a weight.
-_MOST_ANEW = 10.0
+_MOST_REWEIGHTINGS = 10.0
 #: Least standard deviation of a torque, as a share of its size, so that priors are not lost by rounding.
 _FINEST = 1e-5
 
@@ -142,8 +142,8 @@ def _tested(
 ) -> tuple[MotionFit, tuple[Finding, ...]]:
     """Fit, and fit again with a wider prior of the link masses if the rows contradict them.
 
-    A fit without nuisance parameters reproduces that of another program; any robot model contradicts its rows, and none
-    is tested.
+    A fit without nuisance parameters is not tested: it reproduces other programs' fits, and its rows contradict any
+    robot model.
     """
     stated = fit = _fit(periods, robot, knowledge, setup, beside)
     if not setup.nuisances:
@@ -224,12 +224,12 @@ def _solved(
     scale_nm = np.maximum(scale_nm, finest_nm)
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
-    for _ in range(_WEIGHED_ANEW * bool(columns.nuisances)):
+    for _ in range(_WEIGHTED_AGAIN * bool(columns.nuisances)):
         problem = _with_gains(replace(problem, columns=columns), knowledge, MotionFit(problem, settled, spread))
-        least_nm = np.maximum(scale_nm / _MOST_ANEW, finest_nm)
-        anew_nm = np.clip(spread.scale_nm, least_nm, _MOST_ANEW * scale_nm)
-        settled = settle(problem, anew_nm, settled.here)
-        spread = spread_of(problem, settled, anew_nm, run, periods.scatter)
+        least_nm = np.maximum(scale_nm / _MOST_REWEIGHTINGS, finest_nm)
+        reweighted_nm = np.clip(spread.scale_nm, least_nm, _MOST_REWEIGHTINGS * scale_nm)
+        settled = settle(problem, reweighted_nm, settled.here)
+        spread = spread_of(problem, settled, reweighted_nm, run, periods.scatter)
     return MotionFit(problem, settled, spread)
 
 

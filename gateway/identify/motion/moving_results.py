@@ -81,18 +81,18 @@ def _axis_motion(fit: MotionFit, axis: int, speed_rad_s: Floats) -> AxisMotion:
     columns, std, open_gain = fit.columns, fit.std, _open_gain(fit, axis)
     place = {name: k for k, name in enumerate(columns.names)}
 
-    def told(name: str) -> tuple[float, float]:
+    def identified(name: str) -> tuple[float, float]:
         k = place.get(f"{name}[J{axis + 1}]")
         if k is None or not std[k] <= UNTOLD * columns.prior.std[k]:
             return np.nan, np.nan
         return float(fit.value[k]), float(std[k])
 
     def torque(name: str) -> tuple[float, float]:
-        value, own = told(name)
+        value, own = identified(name)
         return value, float(np.hypot(own, value * open_gain))
 
     coulomb, viscous, rotor = torque("coulomb"), torque("viscous"), torque("rotor_inertia")
-    loss, delay = told("load_friction"), told("delay")
+    loss, delay = identified("load_friction"), identified("delay")
     fall, breakaway = _breakaway(fit, axis) if np.isfinite(coulomb[0]) else (None, (np.nan, np.nan))
     return AxisMotion(
         joint=axis + 1,

@@ -1,8 +1,7 @@
 """Repeated periods: their mean, the noise from their scatter, and disturbed stretches.
 
-Rows of one load and one excitation (`x_excitation`) at the same phase (`x_phase_s`) belong together, whatever the
-period (`x_period`). What comes back in every period is the arm; what does not is noise, or a touch, or a load that
-slips.
+Rows of one load and one excitation (`x_excitation`) at the same phase (`x_phase_s`) are averaged over the periods
+(`x_period`). What repeats in every period is due to the arm; the rest is noise, a touch, or a slipping load.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class Periods:
         Time between two phases.
     set_aside : tuple of SetAside
     findings : tuple of Finding
-    slipped : load -> why its rows cannot be of one body
+    slipped : load -> reason why its rows do not fit one body
     """
 
     mean: Table

@@ -69,8 +69,9 @@ def _orthonormal(count: int) -> Floats:
 class AxisRows:
     """Used rows of one axis, or their differences.
 
-    `rows` (k,) among all; `turn` (k, n) makes them of all rows; `there` (c,) the columns that reach the axis; `basis`
-    (k, m) orthonormal; `factor` (m, c + 2) those columns, the known torque and the measured one in that basis.
+    `rows` (k,) are their indices. `turn` (k, n) transforms all rows into them. `there` (c,) are the columns that act on
+    the axis. `basis` (k, m) is orthonormal. `factor` (m, c + 2) holds those columns, the known torque and the measured
+    torque in that basis.
     """
 
     axis: int
@@ -130,9 +131,9 @@ class MotionProblem:
 class About:
     """Linearisation at a solution (p,): torque of the bodies, total torque, and the columns that depend on them.
 
-    `torque_nm` (n, N) of the bodies, known ones too; `local` name -> (n, N) column of each axis's own parameter;
-    `effects` (n, N, k) columns of effects that depend on the torque, None where there are none; `moved_nm` (n, N)
-    what a delay changes beyond its column; `model_nm` (n, N) all that is modelled.
+    `torque_nm` (n, N) is the torque of the bodies, including known ones. `local` maps a name to the (n, N) column of
+    each axis's own parameter. `effects` (n, N, k) are columns of effects that depend on the torque, or None. `moved_nm`
+    (n, N) is the change by a delay beyond its column. `model_nm` (n, N) is the total modelled torque.
     """
 
     value: Floats

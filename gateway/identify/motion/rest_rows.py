@@ -1,7 +1,8 @@
 """Rest visits together with moving rows: one solution with common links, loads, gains and load friction.
 
-What the rest rows say of these is one set of rows with unit noise: their own parameters, such as friction bands, are
-eliminated by an orthogonal reduction (square-root information; Bierman, Factorization methods, 1977, chapter 5).
+The information of the rest rows on the common parameters is one set of rows with unit noise. Parameters of the rest
+rows alone, such as friction bands, are eliminated by an orthogonal reduction (square-root information; Bierman,
+Factorization methods, 1977, chapter 5).
 """
 
 from __future__ import annotations

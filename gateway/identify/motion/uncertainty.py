@@ -1,7 +1,7 @@
 """Uncertainty of a fit in motion: autocorrelated residuals, and model errors that depend on the motion.
 
-Where periods were repeated, their scatter gives the noise without any model. What is left beyond it comes back in every
-period and is no noise: then the residual of the fit itself says how far it may be off.
+Where periods were repeated, their scatter gives the noise without any model. The remaining residual repeats in every
+period and is a model error; the uncertainty then follows from the residual of the fit.
 """
 
 from __future__ import annotations
@@ -59,11 +59,11 @@ class MovingSpread:
 def spread_of(
     problem: MotionProblem, settled: Settled, sigma_nm: Floats, run: NDArray[Any], scatter: Scatter
 ) -> MovingSpread:
-    """Covariance under the actual residuals: their size and their autocorrelation.
+    """Covariance for the actual residuals: their size and their autocorrelation.
 
-    Each axis's residual by its correlation time; and where the model lacks something, stretches of all axes together by
-    what they pull (a sandwich over blocks of several correlation times), because that depends on the motion and on all
-    axes at once. Of each parameter the wider of both.
+    Without model errors the residual of each axis is widened by its correlation time. With model errors, stretches of
+    all axes are combined (sandwich estimator over blocks of several correlation times), because these errors depend on
+    the motion and on all axes at once. Each parameter gets the larger of both.
     """
     left = problem.tau_nm - settled.here.model_nm
     count, covariance = len(problem.parts), settled.free.covariance
@@ -101,7 +101,7 @@ def spread_of(
 def _by_strokes(problem: MotionProblem, pulls: list[Floats]) -> Floats:
     """Squared contributions (p, p) of each part's rows (k, p) to the estimate, summed by stroke.
 
-    Friction is another from stroke to stroke, and what is off in it pulls one way as long as the axis goes one way.
+    Friction differs between strokes, and its error has one sign during a stroke.
     """
     out = np.zeros((pulls[0].shape[1],) * 2)
     for part, pull in zip(problem.parts, pulls, strict=True):

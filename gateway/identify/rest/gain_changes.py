@@ -1,9 +1,10 @@
 """Errors of the torque readings: common to all axes, changing between runs, and drifting while the arm warms up.
 
 The reading of axis i is `(1 + g_i + c + s_ib + s_b + (d_i + d) w(t)) tau_i`: its own error `g_i` is a nuisance
-parameter. This file has the common error `c` (a wrong voltage or rms convention, one batch of motors), the change `s`
-of block b against the first (a block is a run with one load), and the drift `d` with `w(t) = 1 - exp(-t / T)`.
-Magnets lose 0.04 % (SmCo) to 0.2 % (ferrite) of their flux per kelvin, so a motor that is 10 K warmer reads 0.4 to
+parameter. This file models the common error `c` (a wrong voltage or rms convention, one batch of motors). It also
+models the change `s` of block b against the first (a block is a run with one load), and the drift `d` with `w(t) = 1 -
+exp(-t / T)`. Magnets lose 0.04 % (SmCo) to 0.2 % (ferrite) of their flux per kelvin, so a motor that is 10 K warmer
+reads 0.4 to
 2 % more current for a torque.
 """
 

@@ -1,9 +1,9 @@
 """Fit one hypothesis to rest visits: links, loads, friction bands, nuisance parameters and effects.
 
-Half sums and half differences are rows; the CAD's inertials enter as rows with their standard deviation. Gauss-Newton
-on the modelled reading, the noise of each axis re-estimated in each step (restricted maximum likelihood: what the fit
-takes up is not counted as noise), with the scatter of the half differences as a weak prior. `evidence` is the logarithm
-of the Laplace approximation to the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows.
+Half-sums and half-differences are rows; the CAD's inertials enter as rows with their standard deviation. The modelled
+reading is fitted by Gauss-Newton steps. Each step re-estimates the noise of each axis by restricted maximum likelihood,
+with the scatter of the half-differences as a weak prior. `evidence` is the logarithm of the Laplace approximation to
+the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Loads of a fit as the result file has them: mass, centre of gravity, and what the data do not determine."""
+"""Loads of a rest fit for the result file: mass, centre of gravity, and quantities that the data do not determine."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ def load_estimates(
 ) -> tuple[LoadEstimate, ...]:
     """Return every estimated load, in the order of the labels.
 
-    `by_shape` (labels, 4, 4) is what the choice of the effects' shapes leaves open about [m, h], `by_statement` the
-    same by source of statements that may be wrong; none if not given.
+    `by_shape` (labels, 4, 4) is the covariance of [m, h] due to the choice of the effects' shapes, `by_statement` that
+    due to possibly wrong statements, by source; none if not given.
     """
     further = np.zeros((len(problem.labels), 4, 4)) if by_shape is None else by_shape
     stated = by_statement or {}
@@ -95,10 +95,11 @@ def _load(
     )
 
 
-def sure(problem: RestProblem, fit: Fit, directions: Floats) -> NDArray[np.bool_]:
+def well_determined(problem: RestProblem, fit: Fit, directions: Floats) -> NDArray[np.bool_]:
     """Mask (k,) of linear functions (k, p) of the parameters that rows and priors determine.
 
-    What is known no better than a link of which nothing is known depends on that placeholder, and is not determined.
+    A quantity with an uncertainty as large as that of an unknown link depends on a placeholder prior and is not
+    determined.
     """
     found = determined(fit, directions)
     if problem.link_std.max(initial=0.0) < OPEN_MASS_KG:
@@ -111,7 +112,7 @@ def _determined(problem: RestProblem, fit: Fit, part: slice) -> NDArray[np.bool_
     """Mask (4,) of the determined entries of [m, hx, hy, hz]; an undetermined mass leaves the centre undetermined."""
     pure = np.zeros((4, len(fit.scale)))
     pure[:, part] = np.eye(4)
-    found = sure(problem, fit, pure)
+    found = well_determined(problem, fit, pure)
     found[1:] &= found[0]
     return found
 
@@ -186,8 +187,8 @@ def nuisance_results(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult
 def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
     """Factor (k,) on the standard deviations of linear functions `directions` (k, p) of the parameters.
 
-    1.96 of the widened standard deviations hold 95 % although the noise of the rows is estimated: Student's t over the
-    normal quantile, with the degrees of freedom of the noise of each axis, weighted by its share of the variance.
+    1.96 widened standard deviations contain 95 % although the noise is estimated: Student's t over the normal quantile.
+    Its degrees of freedom are those of the noise of each axis, weighted by its share of the variance.
     """
     freedom = problem.by_group() - fit.taken
     freedom = np.maximum(freedom, 0.0) + REST_MODEL.noise_weight

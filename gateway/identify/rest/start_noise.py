@@ -59,7 +59,7 @@ def _side_unknown(problem: RestProblem, axis: int, band_nm: float) -> float:
 def settled_noise(problem: RestProblem, plain: Fit) -> Noise:
     """Start value of the noise of all hypotheses: that of the approach directions, or of the residual if smaller.
 
-    Half differences hold structure of their own, of friction, that half sums do not; half sums hold the effects.
+    Half-differences contain structure of friction that half-sums lack; half-sums contain the effects.
     """
     count = problem.by_group()
     freedom = count - plain.taken

@@ -36,7 +36,7 @@ def load(mass_kg: float, std_kg: float = 0.1, com_m=(0.0, 0.0, 0.1), com_std_m=(
 def test_a_centre_of_mass_outside_the_sphere_is_doubted(com_x_m, std_m, says):
     found = physical_findings(load(9.0, com_m=(com_x_m, 0.0, 0.0), com_std_m=(std_m, 0.0, 0.0)), "link_6", 1.0)
     assert [says in finding.what for finding in found] == ([True] if says else [])
-    assert ["may lie inside" in finding.what for finding in found] == ([std_m == 0.1] if says else [])
+    assert ["may be inside" in finding.what for finding in found] == ([std_m == 0.1] if says else [])
 
 
 def test_the_noise_of_an_axis_is_that_of_its_own_rows():

@@ -11,7 +11,7 @@ from scipy import stats
 
 from gateway.diagnose import diagnose
 from gateway.diagnose.rest import verdict
-from gateway.diagnose.rest.holdout import chosen_by_others, foretold_poses, gained_by_pose, left_out
+from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose, left_out, left_out_poses
 from gateway.diagnose.rest.verdict import helped
 from tests.resting_arm import Bench, basis_of, effect, found
 
@@ -64,7 +64,7 @@ def hypotheses(seed: int) -> list[Linear]:
 @pytest.mark.parametrize("seed", range(4))
 def test_a_pose_is_predicted_with_its_density(seed):
     for linear in hypotheses(seed):
-        residual, density = foretold_poses(PROBLEM, linear.fit)
+        residual, density = left_out_poses(PROBLEM, linear.fit)
         assert left_out(PROBLEM, linear.fit) == pytest.approx(residual)
         for pose in range(POSES):
             keep = pose != POSE
