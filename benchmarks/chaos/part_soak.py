@@ -64,7 +64,7 @@ def figures(scope: Any) -> dict[str, dict]:
         scope.print(f"soak, stopped: {stop}", markup=False)
     for minute, count in sorted(Counter(int((at_s - swung.began_s) / 60.0) for at_s in unseen).items()):
         scope.print(f"soak, minute {minute + 1}: {count} incomplete epochs without a stall", markup=False)
-    kind = "SCHED_FIFO" if both.real_time else "ordinary scheduler: not permitted"
+    kind = "SCHED_FIFO" if both.real_time else "default scheduler: real time not permitted"
     return {
         "soak SYNC cycles": figure(
             swung.cycles, f">= {round(0.95 * seconds / PERIOD_S)}", f"in {scope.minutes:.1f} min"

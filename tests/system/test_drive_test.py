@@ -66,7 +66,7 @@ def test_a_drive_that_answers_an_unknown_object_is_found_and_the_others_are_test
     assert "J3 node 3" in done.stderr
 
 
-def silent_about_faults(drive, _arm):
+def without_fault_report(drive, _arm):
     drive.node.emergency = lambda *_, **__: None
 
 
@@ -90,7 +90,7 @@ def torque_of_the_sync_before_last(drive, arm):
 @pytest.mark.parametrize(
     ("defect", "name", "low", "high", "text"),
     [
-        (silent_about_faults, "quick_stop_time_s", 0.0, 0.1, "0x8130 is required"),
+        (without_fault_report, "quick_stop_time_s", 0.0, 0.1, "0x8130 is required"),
         (flat_ramp, "quick_stop_time_s", 0.2, 0.5, "its ramp 0x6085 states"),
         (torque_of_the_sync_before_last, "torque_age_s", 0.015, 0.027, "age of the torque word"),
     ],

@@ -46,7 +46,7 @@ class Listener:
         self.overrides.append(options.override)
 
     def mount(self, label) -> None:
-        self.done.append(f"hang {label}")
+        self.done.append(f"mount {label}")
 
     def measure(self, *_arguments) -> None:
         self.done.append("measure")
@@ -77,14 +77,14 @@ def test_it_goes_there_slowly_before_each_load_and_not_before_the_bare_arm(robot
     for label in ("none", "a", "b"):
         made.measure_load(Block(label, (POSE,)))
     there = "the loading posture, [0.300, 0.500, 0.600, 0.000, 0.400, 0.000] rad"
-    assert person.done == ["measure", there, "hang a", "measure", there, "hang b", "measure"]
+    assert person.done == ["measure", there, "mount a", "measure", there, "mount b", "measure"]
     assert person.overrides == [slow, slow]
 
 
 def test_without_such_a_posture_the_load_is_mounted_where_the_arm_is(robot):
     made, person = robot(None)
     made.measure_load(Block("a", (POSE,)))
-    assert person.done == ["hang a", "measure"]
+    assert person.done == ["mount a", "measure"]
 
 
 def test_a_path_that_is_not_free_is_reported_and_ends_nothing(small_cell, robot, fake):
@@ -95,7 +95,7 @@ def test_a_path_that_is_not_free_is_reported_and_ends_nothing(small_cell, robot,
     made, person = robot((0.6, 0.5, 0.6, 0.0, 0.4, 0.0), surroundings=tight)
     made.measure_load(Block("a", (POSE,)))
     assert "the arm stays at its current posture, mount the load there: no path" in person.done[0]
-    assert person.done[1:] == ["hang a", "measure"]
+    assert person.done[1:] == ["mount a", "measure"]
     assert fake.log == []
 
 
@@ -104,7 +104,7 @@ def test_forth_and_back_a_person_changes_the_load_only_where_it_changes(robot):
     made.warm_up()
     for block in blocks_of(("a",), (POSE,), Thermal(0.0)):
         made.measure_load(block)
-    assert person.done == ["hang a", "measure", "hang none", "measure", "measure", "hang a", "measure"]
+    assert person.done == ["mount a", "measure", "mount none", "measure", "measure", "mount a", "measure"]
 
 
 def test_a_resumed_job_asks_which_load_is_mounted(robot, tmp_path, monkeypatch):
@@ -112,4 +112,4 @@ def test_a_resumed_job_asks_which_load_is_mounted(robot, tmp_path, monkeypatch):
     monkeypatch.setattr(_Robot, "_stored", lambda _self: None)
     made, person = robot(None, thermal=Thermal(0.0))
     made.measure_load(Block("none", (POSE,)))
-    assert person.done == ["hang none", "measure"]
+    assert person.done == ["mount none", "measure"]

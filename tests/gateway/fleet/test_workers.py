@@ -137,7 +137,7 @@ if __name__ == "__main__":
             "worker",
             "True .*: the scheduler connection was lost; run the command again: completed results are stored",
         ),
-        ("nobody", r"False .*: has no worker; start one \(dask worker ADDRESS\)"),
+        ("no worker", r"False .*: has no worker; start one \(dask worker ADDRESS\)"),
     ],
 )
 def test_cluster_that_goes_away_or_has_no_worker_gives_one_line(tmp_path: Path, cluster: str, said: str) -> None:

@@ -148,7 +148,7 @@ def test_no_gain_and_no_loss_goes_beyond_its_usual_range_unless_it_is_an_effect(
 
 
 @pytest.mark.slow
-def test_the_torque_constants_stated_decide_how_sure_a_mass_is():
+def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
     table, robot = several(2, {"none": None, "b": LOADS["b"]})
     certain, unsure = (
         diagnose(table, robot, DiagnoseOptions(gain_std=(std,) * 6, only=frozenset({"base_tilt"}))).loads[0]
