@@ -92,7 +92,7 @@ class LadderGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does; the error proposes commands with a similar name."""
+        """Return the command of a name; the error for an unknown one proposes similar names."""
         try:
             return super().resolve_command(ctx, args)
         except click.UsageError:

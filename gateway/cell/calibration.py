@@ -68,23 +68,23 @@ class ArmCalibration(Strict):
 
 
 class CalibrationFile(Strict):
-    """The whole file: a table for each calibration; of several that name an axis the last one holds."""
+    """Content of a calibration file: one table per calibration; for each axis the last one applies."""
 
     arm: tuple[ArmCalibration, ...] = Field(min_length=1)
 
     def of(self, arm: str) -> dict[int, tuple[ArmCalibration, CalibratedAxis]]:
-        """What holds of each axis of an arm, by joint."""
+        """Return the calibration that applies to each axis of an arm, by joint."""
         return {axis.joint: (each, axis) for each in self.arm if each.name == arm for axis in each.axis}
 
     def with_new(self, new: ArmCalibration) -> CalibrationFile:
-        """The same with one more calibration, without those of which nothing holds any more."""
+        """Return a copy with one more calibration, without those that it replaces completely."""
         whole = CalibrationFile(arm=(*self.arm, new))
         held = [each for arm in {each.name for each in whole.arm} for each, _ in whole.of(arm).values()]
         return CalibrationFile(arm=tuple(each for each in whole.arm if each in held))
 
 
 def calibration_path(cell: Path) -> Path:
-    """The calibration file of a cell file."""
+    """Return the path of the calibration file of a cell file."""
     return cell.with_name(f"{cell.stem}.calibration.toml")
 
 
@@ -123,7 +123,7 @@ def parse_calibration(text: str, where: str) -> CalibrationFile | None:
 
 
 def calibration_toml(file: CalibrationFile, cell: str) -> str:
-    """The text of a calibration file, of a cell file of that name."""
+    """Return the text of the calibration file of a cell file."""
     parts = [_HEADER.format(cell=cell)]
     for arm in file.arm:
         parts += ["", "[[arm]]", *_lines(arm.model_dump(exclude={"axis"}))]

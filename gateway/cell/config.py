@@ -52,7 +52,7 @@ class TorqueConstant(SourcedNumber):
 
     @property
     def trust_percent(self) -> float:
-        """The stated standard deviation, else that of its source."""
+        """Standard deviation [%]: the stated one, otherwise that of the source."""
         if self.std_percent is not None:
             return self.std_percent
         word = self.source.replace(",", " ").split()[:1]
@@ -178,12 +178,12 @@ class AxisConfig(Strict):
 
     @property
     def acceleration_rad_s2(self) -> float:
-        """The given limit, else full speed in 0.6 s."""
+        """Acceleration limit [rad/s2] per axis: the configured one, otherwise full speed in 0.6 s."""
         return self.acceleration_limit_rad_s2 or self.speed_limit_rad_s / RAMP_S
 
     @property
     def jerk_rad_s3(self) -> float:
-        """The given limit, else full acceleration in 0.2 s."""
+        """Jerk limit [rad/s3] per axis: the configured one, otherwise full acceleration in 0.2 s."""
         return self.jerk_limit_rad_s3 or self.acceleration_rad_s2 / ONSET_S
 
     @model_validator(mode="after")
@@ -214,7 +214,7 @@ class AxisConfig(Strict):
 
 
 class ObjectKey(Strict):
-    """An object of a device's dictionary."""
+    """Object of a device's object dictionary."""
 
     index: int = Field(ge=0x1000, le=0xFFFF, description="such as 0x60FD")
     subindex: int = Field(default=0, ge=0, le=0xFF, description="of that object")
@@ -465,7 +465,7 @@ class ArmConfig(Strict):
                 yield (name, joint - 1), f"arm '{self.name}': {name} puts {what}"
 
     def _lengths(self) -> Iterator[tuple[str, int]]:
-        """Keys that hold a number per axis, and how many they hold."""
+        """Return the keys that hold one number per axis, with their lengths."""
         if self.dh is not None:
             yield from ((name, len(getattr(self.dh, name))) for name in ("alpha_rad", "a_m", "d_m", "theta_offset_rad"))
         if isinstance(self.link_radius_m, tuple):
@@ -491,7 +491,7 @@ class PosesConfig(Strict):
 
 
 class Cell(Strict):
-    """The whole cell file."""
+    """Content of the cell file."""
 
     name: PlainName = Field(description="of the cell")
     bus: dict[str, BusConfig] = Field(description="one table a bus: [bus.a]")
@@ -589,7 +589,7 @@ def parse_cell(text: str, where: str) -> Cell:
 
 
 def _place(text: str, path: KeyPath) -> str:
-    """J1 of a path into the cell; with the arm where there are several."""
+    """Return the joint (`J1`) of a key path in the cell; with the arm if there are several."""
     if len(path) < 2 or path[0] != "arm" or not isinstance(path[1], int):
         return ""
     arms = sum(1 for each in key_lines(text) if len(each) == 2 and each[0] == "arm")
@@ -599,7 +599,7 @@ def _place(text: str, path: KeyPath) -> str:
 
 
 def cell_schema() -> dict[str, Any]:
-    """JSON schema of the cell file."""
+    """Return the JSON schema of the cell file."""
     return Cell.model_json_schema()
 
 

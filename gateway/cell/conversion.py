@@ -49,7 +49,7 @@ class AxisConversion:
 
     @classmethod
     def from_arm(cls, arm: ArmConfig) -> AxisConversion:
-        """Conversion of a configured arm."""
+        """Return the conversion of a configured arm."""
         return cls(
             ratio=np.array([axis.gear_ratio.value for axis in arm.axis]),
             efficiency=np.array([axis.gear_efficiency.value for axis in arm.axis]),
@@ -61,11 +61,11 @@ class AxisConversion:
         )
 
     def joint_position(self, motor_rad: np.ndarray) -> np.ndarray:
-        """Joint positions (..., N) [rad] of motor positions (..., N) [rad]."""
+        """Return the joint positions (..., N) [rad] of motor positions (..., N) [rad]."""
         return self.joint_velocity(motor_rad) + self.zero_offset_rad
 
     def joint_velocity(self, motor_rad_s: np.ndarray) -> np.ndarray:
-        """Joint velocities (..., N) [rad/s] of motor velocities (..., N) [rad/s]."""
+        """Return the joint velocities (..., N) [rad/s] of motor velocities (..., N) [rad/s]."""
         return (motor_rad_s * (self.position_sign / self.ratio)) @ np.linalg.inv(self.coupling).T
 
     def joint_bound(self, motor: np.ndarray) -> np.ndarray:
@@ -76,19 +76,19 @@ class AxisConversion:
         return (np.abs(motor) / np.abs(self.ratio)) @ np.abs(np.linalg.inv(self.coupling)).T
 
     def motor_position(self, joint_rad: np.ndarray) -> np.ndarray:
-        """Motor positions (..., N) [rad] of joint positions (..., N) [rad]."""
+        """Return the motor positions (..., N) [rad] of joint positions (..., N) [rad]."""
         return self.motor_velocity(joint_rad - self.zero_offset_rad)
 
     def motor_velocity(self, joint_rad_s: np.ndarray) -> np.ndarray:
-        """Motor velocities (..., N) [rad/s] of joint velocities (..., N) [rad/s]."""
+        """Return the motor velocities (..., N) [rad/s] of joint velocities (..., N) [rad/s]."""
         return (joint_rad_s @ self.coupling.T) * (self.position_sign * self.ratio)
 
     def gear_velocity(self, joint_rad_s: np.ndarray) -> np.ndarray:
-        """Velocities at the gear outputs (..., N) [rad/s] of joint velocities (..., N) [rad/s]."""
+        """Return the velocities at the gear outputs (..., N) [rad/s] of joint velocities (..., N) [rad/s]."""
         return joint_rad_s @ self.coupling.T
 
     def motor_torque_of_current(self, current_a: np.ndarray) -> np.ndarray:
-        """Motor torque (..., N) [Nm] of motor current (..., N) [A]; JP3698770B2: torque = Kt i."""
+        """Return the motor torque (..., N) [Nm] of motor current (..., N) [A]: torque = Kt i (JP3698770B2)."""
         return current_a * self.torque_constant_nm_per_a
 
     def joint_torque(self, motor_torque_nm: np.ndarray) -> np.ndarray:
@@ -135,7 +135,7 @@ class AxisConversion:
 
 
 def _mix(output: np.ndarray, coupling: np.ndarray) -> np.ndarray:
-    """A^T output, NaN only where a NaN is actually mixed in."""
+    """Return A^T times the output torques, NaN only where a NaN contributes."""
     known = np.isfinite(output)
     mixed = np.where(known, output, 0.0) @ coupling
     missing = (~known).astype(float) @ (coupling != 0).astype(float) > 0

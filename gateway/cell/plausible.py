@@ -43,7 +43,7 @@ Found = Iterator[tuple[KeyPath, str]]
 
 
 def angles(key: str, values_rad: Sequence[float], largest_rad: float = LARGEST_ANGLE_RAD) -> Found:
-    """Angles that can only be degrees."""
+    """Refuse angles that are only plausible in degrees."""
     worst = max(values_rad, key=abs, default=0.0)
     if abs(worst) > largest_rad:
         in_rad = ", ".join(f"{math.radians(value):.4g}" for value in values_rad)
@@ -55,7 +55,7 @@ def angles(key: str, values_rad: Sequence[float], largest_rad: float = LARGEST_A
 
 
 def speed(key: str, value_rad_s: float) -> Found:
-    """A speed that can only be degrees a second."""
+    """Refuse a speed that is only plausible in degrees per second."""
     if value_rad_s > LARGEST_SPEED_RAD_S:
         yield (
             (key,),
@@ -65,7 +65,7 @@ def speed(key: str, value_rad_s: float) -> Found:
 
 
 def lengths(key: str, values_m: Sequence[float] | None) -> Found:
-    """Lengths that can only be millimetres."""
+    """Refuse lengths that are only plausible in millimetres."""
     worst = max(values_m or (), key=abs, default=0.0)
     if abs(worst) > LARGEST_LENGTH_M:
         in_m = ", ".join(f"{value / 1000:g}" for value in values_m or ())
@@ -77,7 +77,7 @@ def lengths(key: str, values_m: Sequence[float] | None) -> Found:
 
 
 def ratio(value: float) -> Found:
-    """A gear ratio that no gear has."""
+    """Refuse a gear ratio outside the range of servo gears."""
     low, high = RATIOS
     if not low <= abs(value) <= high:
         turned = f"; inverted? write value = {1 / value:.4g}" if 0 < abs(value) < low else ""
@@ -88,7 +88,7 @@ def ratio(value: float) -> Found:
 
 
 def torque_constant(value_nm_per_a: float, gear_ratio: float) -> Found:
-    """A torque constant that no motor has."""
+    """Refuse a torque constant outside the range of servo motors."""
     direct = abs(gear_ratio) <= DIRECT_RATIO
     low, high = DIRECT_CONSTANTS_NM_PER_A if direct else CONSTANTS_NM_PER_A
     if not low <= value_nm_per_a <= high:
@@ -109,7 +109,7 @@ def efficiency(value: float) -> Found:
 
 
 def mass(key: str, value_kg: float) -> Found:
-    """A load that no arm carries."""
+    """Refuse a load mass above that of any arm."""
     if value_kg > LARGEST_LOAD_KG:
         yield (
             (key,),
@@ -119,7 +119,7 @@ def mass(key: str, value_kg: float) -> Found:
 
 
 def torque_limit(value_nm: float) -> Found:
-    """A torque that no joint has."""
+    """Refuse a torque limit above that of any joint."""
     if value_nm > LARGEST_TORQUE_NM:
         yield (
             ("torque_limit_nm",),
@@ -129,7 +129,7 @@ def torque_limit(value_nm: float) -> Found:
 
 
 def gravity(values_m_s2: Sequence[float]) -> Found:
-    """A gravity that is not the earth's."""
+    """Refuse a gravity that is not that of the earth."""
     low, high = GRAVITY_M_S2
     size = math.hypot(*values_m_s2)
     if not low <= size <= high:

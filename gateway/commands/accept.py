@@ -44,7 +44,7 @@ _RECORDING: Final = "accept.h5"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Job:
-    """What is accepted, on which arm, within which tolerance (N,) [Nm]."""
+    """Acceptance job: arm, load, and torque tolerance (N,) [Nm]."""
 
     result: Result
     entered: EnteredLoad

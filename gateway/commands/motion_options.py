@@ -127,7 +127,7 @@ class _Power:
         self.was_on, self.is_off = True, False
 
     def sampled(self, _observed: object) -> None:
-        """One SYNC."""
+        """Process the sample of one SYNC."""
 
     def reported(self, _event: object) -> None:
         """Record an event of the run."""

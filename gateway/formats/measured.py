@@ -218,7 +218,7 @@ def _refuse_degrees(log: Log, source: str, target: str, values: Floats) -> None:
         row = int(np.argmax(far))
         raise InputError(
             f"{log.where(row)}: {source} makes {target} = {values[row]:g}, beyond {LARGEST_ANGLE_RAD:.4g} rad: its unit"
-            " is another one than the map says"
+            " is not that of the map; correct unit in the map"
         )
 
 

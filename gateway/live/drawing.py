@@ -28,7 +28,7 @@ def stage_of(scene: Scene) -> ShownCell:
 
 
 def shown_arm(name: str, workspace: Workspace) -> ShownArm:
-    """An arm with its limits and its bodies."""
+    """Return an arm for display, with its limits and its bodies."""
     space = workspace.space
     assumed = tuple(f"{part.name}: {part.source}" for part in space.body.parts if not part.known)
     return ShownArm(
@@ -47,7 +47,7 @@ def shown_arm(name: str, workspace: Workspace) -> ShownArm:
 
 
 def shown_body(link: int, solid: Solid) -> ShownBody:
-    """A body with few corners; of a capsule, points on its surface."""
+    """Return a body with few corners; of a capsule, points on its surface."""
     points = _capsule_points(solid) if solid.plain else _outermost(solid.points_m)
     try:
         hull = ConvexHull(points)
@@ -71,7 +71,7 @@ def _outermost(points_m: Floats) -> Floats:
 
 
 def _capsule_points(solid: Solid) -> Floats:
-    """Points on the capsule around a body."""
+    """Return points on the capsule around a body."""
     around = solid.around
     way = around.end_m - around.start_m
     length = float(np.linalg.norm(way))
@@ -90,7 +90,7 @@ def _capsule_points(solid: Solid) -> Floats:
 
 
 def _faces(hull: ConvexHull) -> tuple[tuple[int, ...], ...]:
-    """Faces of a hull, triangles in one plane as one polygon, counter-clockwise seen from outside."""
+    """Return the faces of a hull, coplanar triangles merged to one polygon, counter-clockwise seen from outside."""
     planes: list[tuple[Floats, set[int]]] = []
     for equation, corners in zip(hull.equations, hull.simplices, strict=True):
         for known, together in planes:
@@ -103,7 +103,7 @@ def _faces(hull: ConvexHull) -> tuple[tuple[int, ...], ...]:
 
 
 def _around(points: Floats, normal: Floats, corners: list[int]) -> tuple[int, ...]:
-    """Corners of a convex polygon in order around its normal."""
+    """Return the corners of a convex polygon in order around its normal."""
     place = points[corners] - points[corners].mean(axis=0)
     first = place[0] / np.linalg.norm(place[0])
     second = np.cross(normal, first)

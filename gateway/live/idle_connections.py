@@ -30,26 +30,26 @@ class PunctualProtocol(H11Protocol):
     waiting: Final[dict[PunctualProtocol, asyncio.TimerHandle]] = {}
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
-        """Start the clock."""
+        """Start the time limit of the first request."""
         super().connection_made(transport)
         if len(self.waiting) >= MOST_WAITING:
             next(iter(self.waiting)).let_go()
         self.waiting[self] = self.loop.call_later(REQUEST_S, self.let_go)
 
     def data_received(self, data: bytes) -> None:
-        """Take in what came; a complete request stops the clock."""
+        """Process received data; a complete request ends the time limit."""
         super().data_received(data)
         cycle: Any = self.cycle  # None until a request is complete
         if cycle is not None:
             self._asked()
 
     def handle_websocket_upgrade(self, event: h11.Request) -> None:
-        """Hand the connection to the protocol of the feed, which has limits of its own."""
+        """Pass the connection to the WebSocket protocol, which has its own limits."""
         self._asked()
         super().handle_websocket_upgrade(event)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Stop the clock."""
+        """End the time limit."""
         self._asked()
         super().connection_lost(exc)
 

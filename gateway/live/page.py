@@ -67,7 +67,7 @@ class LivePage:
         return self._process.pid
 
     def close(self, reason: str) -> None:
-        """Tell every page that the command is ending, and end the process."""
+        """Report the end of the command to every page, and end the process."""
         self.feed.close(reason)
         try:
             self._process.wait(PATIENCE_S)
@@ -77,7 +77,7 @@ class LivePage:
 
 
 def _listener(port: int | None) -> socket.socket:
-    """A socket on this computer alone."""
+    """Return a socket that accepts connections from this computer only."""
     wanted = range(PORT, PORT + FURTHER) if port is None else (port,)
     for number in wanted:
         listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)

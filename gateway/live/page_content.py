@@ -50,7 +50,7 @@ class _ArmPast:
     status: Floats | None = None
 
     def take(self, time_s: float, row: Floats) -> None:
-        """A row of shape (PER_AXIS, N)."""
+        """Store a sample of shape (PER_AXIS, N)."""
         q_rad, followed_rad, torque_nm, modelled_nm, self.status = row
         speed = self._speed(time_s, q_rad)
         values = np.concatenate(
@@ -122,7 +122,7 @@ class Show:
         self._new: list[Json] = []
         self._standing: Json = {"phase": "", "what": "", "left_s": None, "unanswered": 0, "sync": 0}
         self._changed = False
-        #: Wall clock less the monotonic one: a browser knows the former alone.
+        #: Wall clock minus monotonic clock: a browser has the wall clock only.
         self._wall_s = time.time() - time.monotonic()
         self.over = ""
 
@@ -223,7 +223,7 @@ class Show:
 
 
 def _arm(arm: ShownArm) -> Json:
-    """Constant data of an arm for the page."""
+    """Return the constant data of an arm for the page."""
     return {
         "name": arm.name,
         "axes": arm.axes,

@@ -35,7 +35,7 @@ GONE: Final = "The command ended without a final message; the drives stop when i
 
 
 class Channel:
-    """The end of the channel on this side."""
+    """Page end of the channel to the motion loop."""
 
     def __init__(self, end: socket.socket) -> None:
         self._end = end
@@ -43,7 +43,7 @@ class Channel:
         self.gone = False
 
     def drain(self, show: Show) -> None:
-        """Take in what has come."""
+        """Read and process all received messages."""
         while not self.gone:
             try:
                 datagram = self._end.recv(MOST_BYTES)
@@ -76,7 +76,7 @@ async def first_word(end: socket.socket) -> Hello | None:
 
 
 def config_of(app: ASGIApp) -> uvicorn.Config:
-    """How the page is served."""
+    """Return the configuration of the web server."""
     return uvicorn.Config(
         app,
         http=PunctualProtocol,
@@ -94,7 +94,7 @@ def config_of(app: ASGIApp) -> uvicorn.Config:
 
 
 async def run(end: socket.socket, listener: socket.socket) -> None:
-    """Serve until the other end is closed or sends the final message."""
+    """Serve the page until the other end is closed or sends the final message."""
     hello = await first_word(end)
     if hello is None:
         return

@@ -66,12 +66,12 @@ class Viewer:
 
     @property
     def behind(self) -> bool:
-        """Whether something is left to send."""
+        """Return whether unsent content remains."""
         return bool(self._words or self._frames)
 
 
 class Pages:
-    """All pages that are open.
+    """All open pages.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class Pages:
         self._viewers: set[Viewer] = set()
 
     def tell(self) -> None:
-        """Hand on what is new."""
+        """Queue new content for every page."""
         news = self.show.news()
         if news:
             for viewer in self._viewers:
@@ -94,11 +94,11 @@ class Pages:
 
     @property
     def behind(self) -> bool:
-        """Whether some page has not been sent everything."""
+        """Return whether a page has unsent content."""
         return any(viewer.behind for viewer in self._viewers)
 
     async def serve(self, socket: WebSocket) -> None:
-        """One page, until it is closed."""
+        """Serve one page until it is closed."""
         await socket.accept()
         viewer = Viewer(self.show.past())
         self._viewers.add(viewer)
@@ -149,7 +149,7 @@ def live_app(pages: Pages, door: Door) -> ASGIApp:
     async def static(request: Request) -> Response:
         known = STATIC.get(request.path_params["name"])
         if known is None:
-            return PlainTextResponse("There is no such part of the page.\n", 404, HEADERS)
+            return PlainTextResponse("This part of the page does not exist; open the printed address.\n", 404, HEADERS)
         content = files("gateway.live").joinpath("static", known[0]).read_bytes()
         return Response(content, headers=HEADERS, media_type=known[1])
 
@@ -162,5 +162,5 @@ def live_app(pages: Pages, door: Door) -> ASGIApp:
 
 
 def page_text(token: str) -> str:
-    """HTML text of the page; all its requests carry the token of its address."""
+    """Return the HTML text of the page; all its requests carry the token of its address."""
     return page("live.html.j2", Head("Live", "Live", ()), token=token)

@@ -164,7 +164,7 @@ class Watching:
 
 
 def stored_constants(path: Path, arm: ArmConfig) -> tuple[Constants, ...]:
-    """Constants of the drives of an arm, from a recording.
+    """Return the drive constants of an arm from a recording.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def stored_constants(path: Path, arm: ArmConfig) -> tuple[Constants, ...]:
 
 
 def watch(loaded: LoadedCell, specs: Mapping[str, BusSpec], feed: Feed, recording: Path | None = None) -> None:
-    """Read the buses of a cell and feed the page, until the page or the command is ended.
+    """Read the buses of a cell and update the page, until the page or the command is ended.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ PER_AXIS: Final = len(SHOWN)
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """First message: how the page is reached, and what is being done."""
+    """First message: access to the page, and description of the command."""
 
     port: int
     token: str
@@ -47,7 +47,7 @@ class Hello:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownBody:
-    """A convex body as it is drawn.
+    """Convex body for display.
 
     Attributes
     ----------
@@ -101,7 +101,7 @@ class ShownArm:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShownCell:
-    """What is about to be powered."""
+    """Cell whose drives are about to be enabled."""
 
     arms: tuple[ShownArm, ...]
     period_s: float
@@ -153,7 +153,7 @@ def pair_of_sockets() -> tuple[socket.socket, socket.socket]:
 
 
 def pieces(message: object) -> list[bytes]:
-    """Datagrams of a message."""
+    """Return the datagrams of a message."""
     content = pickle.dumps(message, protocol=pickle.HIGHEST_PROTOCOL)
     cuts = range(0, len(content), PIECE_BYTES)
     return [
@@ -162,13 +162,13 @@ def pieces(message: object) -> list[bytes]:
 
 
 class Unpacker:
-    """Datagrams back into rows and messages."""
+    """Reassembles samples and messages from datagrams."""
 
     def __init__(self) -> None:
         self._content = bytearray()
 
     def take(self, datagram: bytes) -> Floats | Any | None:
-        """A row, a message, or None while a message is not whole."""
+        """Return a sample, a message, or None while a message is incomplete."""
         kind, content = datagram[:1], datagram[1:]
         if kind == ROW:
             return np.frombuffer(content)

@@ -53,7 +53,7 @@ _RANGE: Final = re.compile(r"(\d+)\s*-\s*(\d+)")
 
 
 def text() -> Form:
-    """A word, a name, a path."""
+    """Return the form of a word, a name or a path."""
 
     def read(value: Any, axes: int) -> str:
         del axes
@@ -67,7 +67,7 @@ def text() -> Form:
 
 
 def pattern(spelled: str, otherwise: str) -> Form:
-    """Text that matches a regular expression."""
+    """Return the form of a text that matches a regular expression."""
 
     def read(value: Any, axes: int) -> str:
         del axes
@@ -79,7 +79,7 @@ def pattern(spelled: str, otherwise: str) -> Form:
 
 
 def choice(*options: str) -> Form:
-    """One of several words."""
+    """Return the form of an answer that is one of several words."""
 
     def read(value: Any, axes: int) -> str:
         del axes
@@ -91,7 +91,7 @@ def choice(*options: str) -> Form:
 
 
 def flag() -> Form:
-    """True or false."""
+    """Return the form of true or false."""
 
     def read(value: Any, axes: int) -> bool:
         del axes
@@ -115,7 +115,7 @@ def table() -> Form:
 
 
 def words() -> Form:
-    """A text for all, or one per axis."""
+    """Return the form of one text for all axes, or one per axis."""
 
     def read(value: Any, axes: int) -> tuple[str, ...]:
         parts = _parts(value, axes)
@@ -159,7 +159,7 @@ NODE_ID: Final = FormRule(lambda value: value == round(value) and 1 <= value <= 
 
 
 def numbers(rule: FormRule = ANY) -> Form:
-    """A list with one number for each axis."""
+    """Return the form of a list with one number per axis."""
 
     def read(value: Any, axes: int) -> tuple[float, ...]:
         parts = cast("list[Any]", value) if isinstance(value, list) else [value]
@@ -171,7 +171,7 @@ def numbers(rule: FormRule = ANY) -> Form:
 
 
 def node_ids() -> Form:
-    """A list with the node id of each axis."""
+    """Return the form of a list with the node id of each axis."""
     plain = numbers(NODE_ID).read
 
     def read(value: Any, axes: int) -> tuple[int, ...]:
@@ -188,7 +188,7 @@ def node_ids() -> Form:
 
 
 def per_axis(rule: FormRule = ANY) -> Form:
-    """A number for all axes, or one for each."""
+    """Return the form of one number for all axes, or one per axis."""
     return Form(lambda value, axes: tuple(_kept(part, rule) for part in _parts(value, axes)))
 
 
@@ -200,7 +200,7 @@ def _kept(value: Any, rule: FormRule) -> float:
 
 
 def pairs(rule: FormRule = ANY) -> Form:
-    """Lowest and highest for all axes, or for each."""
+    """Return the form of lower and upper limits for all axes, or per axis."""
 
     def read(value: Any, axes: int) -> tuple[tuple[float, float], ...]:
         rows = cast("list[Any]", value) if isinstance(value, list) else []
@@ -218,7 +218,7 @@ def pairs(rule: FormRule = ANY) -> Form:
 
 
 def place(rule: FormRule = ANY, **named: tuple[float, ...]) -> Form:
-    """Three numbers, or a name for them."""
+    """Return the form of three numbers, or a name for them."""
 
     def read(value: Any, axes: int) -> tuple[float, ...]:
         del axes
@@ -232,17 +232,17 @@ def place(rule: FormRule = ANY, **named: tuple[float, ...]) -> Form:
 
 
 def one_number(rule: FormRule = ANY) -> Form:
-    """A single number."""
+    """Return the form of a single number."""
     return Form(lambda value, axes: _kept(value, rule))
 
 
 def number_or_none(rule: FormRule = ANY) -> Form:
-    """A single number, or `none`."""
+    """Return the form of a single number, or `none`."""
     return Form(lambda value, axes: None if value == "none" else _kept(value, rule))
 
 
 def _parts(value: Any, axes: int) -> list[Any]:
-    """One part per axis; a single value, or a list of one, counts for all."""
+    """Split an answer into one part per axis; a single value applies to all axes."""
     parts = cast("list[Any]", value) if isinstance(value, list) else [value]
     if len(parts) == 1:
         parts = parts * max(axes, 1)

@@ -28,18 +28,18 @@ REMARKS_SHOWN = 10
 
 
 class Eyes(Protocol):
-    """Access to drives and their files."""
+    """Access of the interview to drives and their files."""
 
     def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
-        """Drives on a bus."""
+        """Return the drives found on a bus."""
         ...
 
     def values(self, spec: BusSpec, wanted: Mapping[int, Mapping[Address, str]]) -> dict[int, dict[Address, Read]]:
-        """Objects of some nodes."""
+        """Read objects of some nodes."""
         ...
 
     def files(self, paths: Sequence[Path]) -> tuple[SeenNode, ...]:
-        """Devices of EDS and DCF files."""
+        """Return the devices described by EDS and DCF files."""
         ...
 
 
