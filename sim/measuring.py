@@ -1,6 +1,6 @@
 """Simulated CANopen measuring device after CiA 301 and CiA 404, which exchanges CAN frames with the master.
 
-Process values stand at one object, a channel per subindex, with unit (0x6131, coded as CiA 303-2 says), decimal digits
+Process values are in one object, a channel per subindex, with unit (0x6131, coded as CiA 303-2 says), decimal digits
 (0x6132) and status (0x6150: bit 0 not valid, bit 1 above, bit 2 below the measuring range). They are sampled at the
 SYNC, and every synchronous TPDO shows that one sample.
 """

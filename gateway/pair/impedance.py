@@ -1,6 +1,6 @@
 """Impedance between hand and workpiece, `M x'' + D x' + K x = h`, as a correction per control cycle.
 
-Discretised implicitly, which is stable for any cycle time by itself. The loop around it may oscillate: the hand moves
+Discretised implicitly, which is stable for any cycle time by itself. The loop around it may oscillate. The hand moves
 with the delay `T` (servo, buses, force filter, half a cycle), and the chain of gears and part responds with its
 stiffness. With the crossover at `K_tot/D` the loop oscillates below `D = (2/pi) K_tot T`; in several directions the
 largest eigenvalue of `D^-1 K_tot` counts.

@@ -15,7 +15,7 @@ from gateway.pair.transform import Floats, correction_between
 
 #: SYNCs closer than this share of a period give no usable acceleration.
 SHORT_PERIODS = 0.5
-#: How far a command may lie from the prepared path; further away the prepared Jacobians no longer hold.
+#: Largest distance of a command from the prepared path; further away the prepared Jacobians no longer hold.
 LARGEST_OFFSET = 0.03
 
 

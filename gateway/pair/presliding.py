@@ -65,7 +65,7 @@ class FrictionOffset:
     ----------
     arm : PairArm
     dt_s : control cycle
-    lag_s : by which the axes follow their set points
+    lag_s : by which the axes follow their setpoints
     """
 
     def __init__(self, arm: PairArm, dt_s: float, lag_s: float) -> None:

@@ -149,5 +149,5 @@ def test_a_body_that_cannot_exist_is_refused(arm_of):
     broken = type(chain)(
         **{n: getattr(chain, n) for n in chain.__slots__} | {"bodies": (impossible, *chain.bodies[1:])}
     )
-    with pytest.raises(UrdfError, match="no rigid body"):
+    with pytest.raises(UrdfError, match="not a rigid body"):
         write_chain(broken)
