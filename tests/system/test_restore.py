@@ -40,7 +40,7 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
     assert done.exit_code == 4, done.output
     assert "node 3" in done.stderr
     assert "remain in the write ledger" in done.stdout
-    assert "of another device" in " ".join(done.stderr.split())
+    assert "to another device" in " ".join(done.stderr.split())
     (arm,) = json.loads(out.read_text())["arms"]
     assert {text.split(":")[0] for text in arm["left"]} == {"node 3", "node 4"}
     assert [torque(drives, node) for node in (1, 2, 5, 6)] == [before[node - 1] for node in (1, 2, 5, 6)]
