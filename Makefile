@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature naming compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
 
 venv: $(STAMP)
 
@@ -86,6 +86,11 @@ soak: venv
 # An hour: 200 small mistakes, each put in and looked for by the tests, the fast suite first.
 mutants: venv
 	$(BIN)/python -m benchmarks.mutants --out out/mutants
+
+# Names of missing effects: the gateway and five regressions on the same cells, scored by one program.
+naming: venv
+	$(INSTALL) -e ".[naming]"
+	$(BIN)/python -m benchmarks.naming run --seeds test --count 120 --out out/naming
 
 follow: venv
 	$(BIN)/python -m benchmarks.follow --out out/follow

@@ -129,6 +129,7 @@ class FakeDrive:
         self._behaviour = QuirkBehaviour(self)
         self.node.unpowered = False
         self.node.on_heartbeat_lost = self._heartbeat_lost
+        self.node.on_heartbeat_resumed = self._heartbeat_resumed
         self.node.may_start = self._behaviour.may_start
         self.node.sdo.refuse = self._behaviour.refuse
         self.motion.brake_stuck, self.motion.wobble = False, None
@@ -272,6 +273,11 @@ class FakeDrive:
         behaviour = self.store.number((0x1029, 1))
         if behaviour != 1 and self.node.state == OPERATIONAL:
             self.node.nmt_command(128 if behaviour == 0 else 2)
+
+    def _heartbeat_resumed(self) -> None:
+        """Clear the error register (CiA 301: error reset); in a fault it stays until the fault reset."""
+        if self.automaton.state not in (PdsState.FAULT, PdsState.FAULT_REACTION_ACTIVE):
+            self.node.emergency(0x0000, 0)
 
     def _nmt_changed(self, old: int, new: int) -> None:
         if new == OPERATIONAL:

@@ -102,6 +102,7 @@ class SlaveNode(canopen.LocalNode):
     on_nmt : called with (old state, new state)
     on_reset : called when the application is reset
     on_heartbeat_lost : called with the node whose heartbeat stopped
+    on_heartbeat_resumed : called at the first heartbeat after a loss
     may_start : asked before START is obeyed
     mute : never sends a heartbeat
     """
@@ -122,6 +123,8 @@ class SlaveNode(canopen.LocalNode):
         self.on_nmt: Callable[[int, int], None] = lambda _old, _new: None
         self.on_reset: Callable[[], None] = lambda: None
         self.on_heartbeat_lost: Callable[[int], None] = lambda _node: None
+        self.on_heartbeat_resumed: Callable[[], None] = lambda: None
+        self._heartbeat_error = False
         self.may_start: Callable[[], bool] = lambda: True
         self.mute = False
 
@@ -168,6 +171,7 @@ class SlaveNode(canopen.LocalNode):
     def boot(self) -> None:
         """Send the boot-up message after power-up or reset, and enter PRE-OPERATIONAL."""
         self.error_register = 0
+        self._heartbeat_error = False
         self._watched_s.clear()
         self._beat_s.clear()
         self.send(0x700 + self.number, b"\x00")
@@ -207,6 +211,9 @@ class SlaveNode(canopen.LocalNode):
         """Note a heartbeat of another node; monitoring begins with the first one."""
         if self.store.number((0x1016, 1)) >> 16 == node_id:
             self._watched_s[node_id] = time_s
+            if self._heartbeat_error:
+                self._heartbeat_error = False
+                self.on_heartbeat_resumed()
 
     def watch(self, time_s: float) -> None:
         """Check whether the heartbeat of a monitored node stopped (0x1016)."""
@@ -215,6 +222,7 @@ class SlaveNode(canopen.LocalNode):
         since = self._watched_s.get(node_id)
         if limit and since is not None and time_s - since > limit:
             del self._watched_s[node_id]
+            self._heartbeat_error = True
             self.on_heartbeat_lost(node_id)
 
     # ---------------------------------------------------------------------------------------------------------- EMCY

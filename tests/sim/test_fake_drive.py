@@ -230,6 +230,13 @@ def test_loss_of_the_masters_heartbeat_ends_as_0x6007_says(drives, option, state
     assert not simulation.simulation.arms[0].world.axes[2].free
     emergencies = [bytes(frame.data) for frame in master.drain() if frame.arbitration_id == 0x80 + NODE]
     assert struct.unpack_from("<H", emergencies[0])[0] == 0x8130
+    assert master.number(NODE, 0x1001) == 0x11
+
+    master.send(0x77F, b"\x05")
+    master.cycle(NODE, 0x00, position)
+    cleared = [bytes(frame.data)[:3] for frame in master.drain() if frame.arbitration_id == 0x80 + NODE]
+    assert cleared == ([] if option == 1 else [b"\x00\x00\x00"]), "a fault keeps the register until its reset"
+    assert master.number(NODE, 0x1001) == (0x11 if option == 1 else 0)
 
 
 def test_a_consumer_that_never_received_a_heartbeat_does_not_watch(drives):

@@ -1,6 +1,6 @@
-"""The tutorial `your own robot`, typed as it is: each command of the page works, the estimated load is the mounted one.
+"""Tutorials, typed line by line: each command of a page works, and the load is within its interval.
 
-The port of the bus is another one, since tests run beside each other.
+The port of the bus is a free one, because tests run in parallel.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from tests.system.conftest import command
 pytestmark = pytest.mark.system
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "tutorial" / "your-own-robot.md"
-PORT = "43117"
+TUTORIALS = ROOT / "docs" / "tutorial"
 _BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -39,13 +38,13 @@ class Block:
 
 
 def blocks(text: str) -> list[Block]:
-    """All blocks of a page."""
+    """Return all blocks of a page."""
     return [Block(kind, tuple(body.strip().splitlines())) for kind, body in _BLOCK.findall(text)]
 
 
 @contextmanager
 def simulator(words: list[str]) -> Iterator[subprocess.Popen[str]]:
-    """`servo-sim` in a process of its own."""
+    """Run `servo-sim` in a separate process."""
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen([sys.executable, "-m", "sim", *words[1:]], **pipes, text=True)
     try:
@@ -56,19 +55,21 @@ def simulator(words: list[str]) -> Iterator[subprocess.Popen[str]]:
         process.communicate(timeout=20)
 
 
-@pytest.mark.slow
-def test_the_page_as_it_is_typed(tmp_path, monkeypatch):
-    port = free_bus().rpartition("=")[2]
-    shutil.copytree(ROOT / "examples" / "own", tmp_path / "examples" / "own")
-    bench = tmp_path / "examples" / "own" / "bench" / "cell.toml"
-    bench.write_text(bench.read_text(encoding="utf-8").replace(PORT, port), encoding="utf-8")
+def typed_page(
+    page: str, port: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, examples: tuple[str, ...]
+) -> list[str]:
+    """Type each line of a page in `tmp_path`, on a free port; return the first words of the commands."""
+    free = free_bus().rpartition("=")[2]
+    for name in examples:
+        shutil.copytree(ROOT / "examples" / name, tmp_path / "examples" / name)
+    for cell in (tmp_path / "examples").rglob("cell.toml"):
+        cell.write_text(cell.read_text(encoding="utf-8").replace(port, free), encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "out" / "own").mkdir(parents=True)
     typed = []
     with ExitStack() as stack:
         drives = None
-        for block in blocks(PAGE.read_text(encoding="utf-8").replace(PORT, port)):
+        for block in blocks((TUTORIALS / page).read_text(encoding="utf-8").replace(port, free)):
             if block.kind == "toml":
                 Path(block.lines[0].removeprefix("# ")).write_text("\n".join(block.lines), encoding="utf-8")
                 continue
@@ -77,6 +78,8 @@ def test_the_page_as_it_is_typed(tmp_path, monkeypatch):
                 if block.kind == "sim":
                     print(line, file=drives.stdin, flush=True)
                     assert "on the flange" in drives.stdout.readline()
+                elif words[0] in ("mkdir", "cp"):
+                    subprocess.run(words, check=True)
                 elif words[0] == "servo-sim":
                     drives = stack.enter_context(simulator(words))
                 else:
@@ -84,8 +87,30 @@ def test_the_page_as_it_is_typed(tmp_path, monkeypatch):
                     done = command(*words[1:], input="y\n" * 3)
                     assert done.exit_code == 0, (line, done.output)
                     typed.append(words[1])
+    return typed
+
+
+@pytest.mark.slow
+def test_your_own_robot_as_typed(tmp_path, monkeypatch):
+    (tmp_path / "out" / "own").mkdir(parents=True)
+    typed = typed_page("your-own-robot.md", "43117", tmp_path, monkeypatch, ("own",))
     assert typed[:8] == ["scan", "profiles", "cell", "check", "check", "record", "record", "estimate"]
     (load,) = json.loads((tmp_path / "out" / "own" / "result.json").read_text(encoding="utf-8"))["loads"]
-    (true,) = read_payloads(bench.parent / "payload.toml").values()
-    assert f"weighs {true.mass_kg:g} kg" in PAGE.read_text(encoding="utf-8")
+    (true,) = read_payloads(tmp_path / "examples" / "own" / "bench" / "payload.toml").values()
+    assert f"weighs {true.mass_kg:g} kg" in (TUTORIALS / "your-own-robot.md").read_text(encoding="utf-8")
     assert abs(load["mass_kg"] - true.mass_kg) < 1.96 * load["mass_std_kg"]
+
+
+@pytest.mark.slow
+def test_arrival_to_signature_as_typed(tmp_path, monkeypatch):
+    typed = typed_page("arrival-to-signature.md", "43114", tmp_path, monkeypatch, ("small",))
+    assert typed[:4] == ["check", "drive", "record", "record"]
+    assert typed[-4:] == ["accept", "report", "export", "replay"]
+    out = tmp_path / "out" / "arrival"
+    (load,) = json.loads((out / "result.json").read_text(encoding="utf-8"))["loads"]
+    true = read_payloads(out / "payload.toml")["gripper"]
+    assert abs(load["mass_kg"] - true.mass_kg) < 1.96 * load["mass_std_kg"]
+    certificate = (out / "certificate.xml").read_text(encoding="utf-8")
+    assert "NOT TRACEABLE" not in certificate
+    assert (out / "cell.calibration.toml").is_file()
+    assert len(list((out / "drives").glob("J*.json"))) == 6
