@@ -89,7 +89,7 @@ def _held_out_of_kind(holdout: Table | None, robot: Robot, *, moves: bool) -> tu
 
 
 def _beside(count: int, kind: str, other: str) -> tuple[Finding, ...]:
-    """Report the number of rows of one kind that are not used because rows of the other kind are."""
+    """Report the number of rows at rest (or moving) that are not used because the others were fitted."""
     if not count:
         return ()
     name = kind if "rows" in kind else f"{kind} rows"

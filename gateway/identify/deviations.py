@@ -100,7 +100,7 @@ class PoseContrasts:
 
 
 def contrasts_of(visits: Visits, regressor: Floats) -> PoseContrasts:
-    """Return the pairs of visits of one pose: one pair of two visits, a ring in time order of more."""
+    """Return the pairs of visits of one pose: one pair of two visits; consecutive pairs, closed in a ring, of more."""
     one: list[int] = []
     other: list[int] = []
     for group in poses_of(visits.q_rad):

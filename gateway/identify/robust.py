@@ -24,7 +24,7 @@ _RANK: Final = 1e-7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobustFit:
-    """Residual (r,) of a robust regression, and standard deviation (g,) of each group from its inner half."""
+    """Residual (r,) of a robust regression, and robust standard deviation (g,) of each group from its inner half."""
 
     residual: Floats
     scale: Floats

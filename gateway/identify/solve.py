@@ -292,7 +292,7 @@ class Basis:
 
     @property
     def dense(self) -> Floats:
-        """The array (n, rank)."""
+        """Return the basis as a dense array (n, rank)."""
         out = np.zeros((self.rows.count, self.inverse.shape[1]))
         for rows, columns, values in self.rows.parts:
             out[rows] = (values * self.weight[rows, None]) @ self.inverse[columns]

@@ -231,7 +231,7 @@ def inferred_error(
 
 
 class _Hypothesis:
-    """One error at one scale and one noise level, with its evidence and the posterior of its amplitudes."""
+    """Hypothesis of one kind of error with fixed scale and noise level: evidence and posterior of its amplitudes."""
 
     def __init__(
         self,

@@ -55,8 +55,9 @@ def noise_of(motion: MovingRows, columns: Columns, terms: Sequence[Term], modell
 
 
 def axis_alone(motion: MovingRows, columns: Columns, axis: int, more: Sequence[Floats] = ()) -> tuple[float, Floats]:
-    """Coulomb friction [Nm] and residual (k,) of the fitted rows of one axis, by a fit of that axis alone in which its
-    links, its loads and further columns (n, m) are free.
+    """Coulomb friction [Nm] and residual (k,) of the fitted rows of one axis, from a fit of that axis alone.
+
+    Its links, its loads and further columns (n, m) are free parameters.
     """
     rows = motion.judged[:, axis] & ~motion.held_out
     bodies = motion.rigid[:, axis]

@@ -24,11 +24,10 @@ from gateway.model.term import Term
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
-#: What every arm has in a search. A delay is taken out of the rows before. Losses that bend and friction that falls
-#: towards standstill are shapes of effects, to be named and not to be taken up: with such falls in the model 2
-#: of 3 falls as large as Coulomb friction are missed; without them 10 of 37 simulated arms get a name for an ordinary
-#: one. Gains of which nobody states how sure they are stay independent: with a common part (`alike`) links take up what
-#: a balancer does.
+#: Nuisance parameters of a search. Delays are corrected in the rows before. Nonlinear losses and a friction that falls
+#: from breakaway are effects to be named, so they are no nuisance parameters: with them 2 of 3 falls as large as
+#: Coulomb friction are missed; without them a usual fall is reported as an effect on 10 of 37 simulated arms.
+#: Gains of unstated uncertainty stay independent: with a common part the links would absorb a balancer.
 SEARCHED: Final = (*NUISANCES, "bias", "run_friction", "load_inertia")
 #: Standard deviation of a constant torque beside an unknown load, of the Coulomb level: of a third of an estimate's,
 #: because blocks of time are predicted (J2 of the KR300: 178 Nm are left of blocks held out, against 205 Nm).

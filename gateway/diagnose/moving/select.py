@@ -1,8 +1,8 @@
 """Stepwise selection: effects are added while the held-out error drops, then each is tested again.
 
-An effect is accepted if three criteria agree: the fitted rows require it (F test, Bonferroni over all tried effects),
-the held-out error of its axes drops by more than a minimum, and the drop is spread over the held-out time. Effects that
-are common in gears have lower thresholds than faults or extra parts.
+An effect is accepted if three criteria agree. The fitted rows require it (F test, Bonferroni over all tried effects).
+The held-out error of its axes drops by more than a minimum. The drop is spread over the held-out time. Effects that are
+common in gears have lower thresholds than faults or extra parts.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Division of rows into those that choose a model and those that validate it.
 
-For repeated motion, a block of time is a part of the period, held out of all periods at once, because other periods of
-the same motion give no independent test. Blocks of time inside every run, pooled over the runs, choose. With several
-runs, a run whose load is also in another run is held out whole, because blocks of one run say little about other runs.
+For repeated motion, a block of time is a part of the period, held out of all periods at once. Other periods of the same
+motion would give no independent test. Blocks of time inside every run, pooled over the runs, choose. With several runs,
+a run whose load is also in another run is held out whole, because blocks of one run say little about other runs.
 User-given rows validate, or outer blocks inside every run, each validating a model chosen without it.
 """
 

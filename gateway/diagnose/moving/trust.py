@@ -1,8 +1,8 @@
 """Relative standard deviation of the CAD link values, estimated if the user does not state it.
 
-Two explanations are compared by evidence (marginal likelihood): the links are as in the CAD data and an effect is
-missing, or no effect is missing and the CAD data are wrong. CAD data are usually wrong by a few percent; the smallest
-standard deviation that the data do not contradict is used.
+Two explanations are compared by evidence (marginal likelihood). Either the CAD data are right and an effect is missing,
+or no effect is missing and the CAD data are wrong. CAD data are usually wrong by a few percent; the smallest standard
+deviation that the data do not contradict is used.
 """
 
 from __future__ import annotations

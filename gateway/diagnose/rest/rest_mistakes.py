@@ -286,7 +286,7 @@ def _most_likely(problem: RestProblem, plain: Fit, least: float, tried: list[_Tr
         if trial.mistake.handicap and links_far_from_cad(trial.problem, trial.fit):
             continue  # a factor on all axes leaves links as the CAD has them, one heavy link does not
         ratio, upper = held_ratio(problem, plain, trial.problem, trial.fit)
-        # the gain that every axis has foretells a factor, far off its prior: a factor only must not be met worse
+        # the gain of each axis also predicts a factor, far outside its prior: so a factor only must not be worse
         limit = 2.0 * ratio**2 - upper**2 if trial.mistake.factor != 1.0 else upper**2
         if limit < 1.0:
             return replace(trial, mistake=replace(trial.mistake, ratio=ratio))

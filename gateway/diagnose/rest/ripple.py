@@ -24,7 +24,7 @@ from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
 
-#: Draws at once, and draws that were met as well after which the answer is known: it is no order.
+#: Draws per batch, and number of draws with an equally good fit after which an order is rejected.
 _AT_ONCE = 100
 _ENOUGH = 10
 #: Sines that are held at once.

@@ -150,7 +150,7 @@ def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
 
 
 def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
-    """Pairs of places with the highest joint log Bayes factor, each place in its best shape."""
+    """Pairs of places (effect and axis or link) with the highest joint log Bayes factor, each in its best shape."""
     best: dict[Label, int] = {}
     for index in np.argsort(-view.log_bayes):
         best.setdefault(view.terms[index].label, int(index))

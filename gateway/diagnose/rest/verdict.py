@@ -252,7 +252,7 @@ def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
 def _key(search: Search, hypothesis: Fit) -> Key:
     named = [term for term in hypothesis.terms if term.name != UNNAMED]
     shown = frozenset(term.label for term in named if strong(search, hypothesis, term))
-    # a constant that drifts is off where it begins: that is no second mistake
+    # a drifting constant has an initial error too: it does not count as a second effect
     drifting = {("torque_constant_scale", term.joints) for term in named if term.name == "thermal_drift"}
     return Key(shown - drifting, len(named) < len(hypothesis.terms))
 

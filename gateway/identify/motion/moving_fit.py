@@ -216,7 +216,7 @@ def _check_speeds(moving: Table) -> None:
 def _solved(
     rows: tuple[Columns, Still | None], periods: Periods, used: Mask, scale_nm: Floats, knowledge: Knowledge
 ) -> MotionFit:
-    """Solve, compute the weights from the residual, and solve again."""
+    """Solve with equal weights, weight each axis by its residual, and solve again."""
     run, (columns, still) = np.asarray(periods.mean.run), rows
     problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, still)
     problem = _with_gains(problem, knowledge, None)

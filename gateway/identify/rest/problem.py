@@ -1,4 +1,4 @@
-"""Build rows, priors and noise of all hypotheses from a table and a robot."""
+"""Build the least-squares problem at rest (rows, priors, noise) that all hypotheses share, from a table and a robot."""
 
 from __future__ import annotations
 
