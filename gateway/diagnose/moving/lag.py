@@ -1,6 +1,6 @@
 """Alignment of torque that a drive reports later than the position, before any fit.
 
-The torque filter of a drive delays by some milliseconds. Every arm has this delay, so it is not reported as an effect. If
+The torque filter of a drive delays by some milliseconds. Every arm has this delay, so it is not an effect. If
 uncorrected, its error would repeat in every period and look like a missing effect. The delay is taken from an estimate
 of the same rows with all nuisance parameters.
 """
