@@ -208,7 +208,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
         "late": Rule("an answer after its SYNC was closed", "retry", 1, _ONE),
         "duplicate": Rule("the same answer twice", "count", 1, "frame"),
         "overrun": Rule("a SYNC that the clock could not send in time", "count", 1, _ONE),
-        "emergency_reset": Rule("an emergency message that says that all is well again", "count", 1, "message"),
+        "emergency_reset": Rule("an emergency message that reports an error reset", "count", 1, "message"),
         "warning": Rule("warning (statusword bit 7)", "count", 1, _ONE),
         "error_frames": Rule("error frames, error passive", "count", 1, "frame"),
         "strange_frames": Rule("extended and remote frames, unused ids", "count", 1, "frame"),

@@ -196,7 +196,7 @@ class ServoLag:
         return 0.0 if laws is None else min(max(laws[1] - laws[0], 0.0), LONGEST_CATCHING_UP_S)
 
     def take(self, sent: Pair, samples: Samples, speed_rad_s: Floats) -> None:
-        """What was sent at this SYNC and measured at it, where the path has speeds (J,) at full rate."""
+        """Process setpoints and measured positions of a SYNC; the path has speeds (J,) at full rate [rad/s]."""
         q_rad = np.concatenate([sample.q_rad for sample in samples])
         if self.slower:
             self._law.skip()

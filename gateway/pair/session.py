@@ -40,7 +40,7 @@ class PairRunRequest:
 
 
 def cell_gains(cell: PairCell) -> Gains:
-    """Impedance of the cell file."""
+    """Return the impedance of the cell file."""
     distance = cell.config.distance
     if distance is not None:
         damping = distance.damping_s
