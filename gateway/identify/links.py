@@ -108,7 +108,8 @@ def as_bodies(mean: Floats, std: Floats) -> tuple[Floats, Floats]:
 
     A link that weighs more than its model says has larger first moments and a larger inertia too. Ten independent
     numbers would count its mass several times, and through all links a common gain of the torques.
-    As sure as in `link_prior` are the mass, the first moment at that mass, and the inertia about the centre of gravity.
+    As uncertain as in `link_prior` are the mass, the first moment at that mass, and the inertia about the centre of
+    gravity.
 
     Parameters
     ----------

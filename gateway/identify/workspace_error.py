@@ -231,7 +231,7 @@ def inferred_error(
 
 
 class _Hypothesis:
-    """Hypothesis of one kind of error with fixed scale and noise level: evidence and posterior of its amplitudes."""
+    """Hypothesis of a single error with fixed scale and noise level: evidence and posterior of its amplitudes."""
 
     def __init__(
         self,
