@@ -56,7 +56,7 @@ def read_archive(path: Path) -> Archive:
     Raises
     ------
     InputError
-        It cannot be read, is no archive, holds an unsafe name, or files of it are missing, edited or not listed: each
+        It cannot be read, is not an archive, has an unsafe name, or files are missing, edited or not listed: each
         is named.
     """
     try:
@@ -116,7 +116,7 @@ def _manifest(opened: zipfile.ZipFile, path: Path, names: list[str]) -> dict[str
         stated = None
     listed = stated.get("files") if isinstance(stated, dict) else None
     if not isinstance(stated, dict) or not isinstance(listed, dict) or stated.get("schema") != SCHEMA:
-        raise InputError(f"{path}: {MANIFEST} is missing, damaged or of another version: it is no stored measurement")
+        raise InputError(f"{path}: {MANIFEST} is missing, damaged or of another version: not a stored measurement")
     if not all(isinstance(checksum, str) and is_safe(name) for name, checksum in listed.items()):
         raise InputError(f"{path}: {MANIFEST} lists a name or a checksum that is none")
     return stated

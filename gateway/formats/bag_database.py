@@ -35,7 +35,7 @@ class BagDatabase:
     Raises
     ------
     InputError
-        `topics` or `messages` is no real table.
+        `topics` or `messages` is not a real table.
     """
 
     def __init__(self, path: Path, file: sqlite3.Connection) -> None:

@@ -106,7 +106,7 @@ class Log:
         Raises
         ------
         InputError
-            It is missing, or another cell is no time.
+            It is missing, or another cell is not a time.
         """
         cells = self.text(name)
         if cells.dtype.kind == "f" or not len(cells) or seconds_of(cells[0]) is None:

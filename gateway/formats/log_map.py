@@ -149,7 +149,7 @@ class LogMap(Strict):
     load: LogLoad = Field(default_factory=lambda: LogLoad(label=BARE_LABEL), description="what was on the flange")
     rows: LogRows = Field(default_factory=LogRows, description="which rows are kept")
     motion: LogMotion | None = Field(default=None, description="the arm moves")
-    rest: LogRest | None = Field(default=None, description="the arm stands at poses")
+    rest: LogRest | None = Field(default=None, description="the arm is at rest at poses")
     column: tuple[LogColumn, ...] = Field(min_length=1, description="which column is which")
 
     @model_validator(mode="after")

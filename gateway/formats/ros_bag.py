@@ -19,7 +19,7 @@ from gateway.formats.mcap_file import JOINT_STATE, JOINT_STATE_TEXT
 
 #: Suffixes of what is read here.
 SUFFIXES: Final = (".mcap", ".db3")
-#: What a message tells of each of its joints.
+#: Arrays of a message with one value per joint.
 _PARTS: Final = ("position", "velocity", "effort")
 _NS: Final = 1_000_000_000
 #: Unpacked size that a chunk may have [bytes], and all chunks together as a multiple of the file.

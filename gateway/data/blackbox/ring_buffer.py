@@ -18,7 +18,7 @@ KEPT_S: Final = 30.0
 MOST_WALL_S: Final = 120.0
 SUFFIX: Final = ".part"
 BOX_SUFFIX: Final = ".blackbox.h5"
-#: Whose parts these are; locked as long as somebody keeps them.
+#: Whose parts these are; locked while a process writes them.
 HEADER: Final = "header.json"
 
 
