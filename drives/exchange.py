@@ -153,7 +153,7 @@ class SyncExchange:
         #: In real time, of the cycle that was begun: by which thread, whether its answers are assigned, when its SYNC
         #: was due and when the bus took it.
         self._begun_by: int | None = None
-        self._sure = True
+        self._certain = True
         self._due_s = self._began_s = self._wall_s = 0.0
         #: Targets of the last SYNC, while those of the next one are being sent.
         self._recall: list[int] | None = None
@@ -256,7 +256,7 @@ class SyncExchange:
         """Second part, once the SYNC is due [monotonic s]: read delayed answers; raises `MasterStalled`."""
         self.collector.sweep()
         self._refuse_overdue(self._moving)
-        self._sure = self.clock.paused_s <= self.timing.period_s
+        self._certain = self.clock.paused_s <= self.timing.period_s
         self._due_s = now_s
 
     def sync(self) -> None:
@@ -270,7 +270,7 @@ class SyncExchange:
         """Fourth part: collect the responses as an epoch; raises `BusError` if the adapter fails."""
         timing = self.timing
         answers: Frames = self.collector.collect_within(timing.window * timing.period_s, self.sent_s, self._wall_s)
-        if not self._sure:
+        if not self._certain:
             answers = [None] * len(answers)
         time_s = self._began_s - (self._due_s if self.started_s is None else self.started_s)
         epoch = self._epoch(self._due_s, time_s, answers)

@@ -34,7 +34,7 @@ from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, without_shared_
 from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
-_SHORTEST_SILENCE_S: Final = DRIVE_RULES["heartbeat_lost"].limit
+_SHORTEST_LISTENING_S: Final = DRIVE_RULES["heartbeat_lost"].limit
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +241,7 @@ class DriveSetup:
         except BaseException:
             exchange.close()
             raise
-        limits = [_silence_s(drive.setup) for drive in self.drives]
+        limits = [_listening_s(drive.setup) for drive in self.drives]
         node_ids = [drive.node_id for drive in self.drives]
         watch = HeartbeatWatch(self._bus, node_ids, limits, lambda: exchange.sync_time_s)
         self._exchange, self._watch = exchange, watch
@@ -398,7 +398,7 @@ class DriveSetup:
         return group_statistics(self._bus, self.drives, self._exchange, self._emcy)
 
 
-def _silence_s(setup: AxisSetup) -> float | None:
+def _listening_s(setup: AxisSetup) -> float | None:
     """Return the allowed gap in a drive's heartbeat: three times its period [s]; None = no heartbeat."""
     producer_ms = setup.profile.heartbeat.producer_ms
-    return None if producer_ms is None else max(_SHORTEST_SILENCE_S, 3.0 * producer_ms / 1000.0)
+    return None if producer_ms is None else max(_SHORTEST_LISTENING_S, 3.0 * producer_ms / 1000.0)

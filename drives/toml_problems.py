@@ -78,12 +78,12 @@ def _alternatives(kind: Any) -> list[Any]:
     return [kind]
 
 
-def written(kind: Any, given: Any = None) -> str:
+def written(kind: Any, stated: Any = None) -> str:
     """Return an example in TOML of a value of a type, with the given values: `{ value = 101, source = "..." }`."""
     first = _alternatives(kind)[0]
     origin, arguments = typing.get_origin(first), typing.get_args(first)
     if isinstance(first, type) and issubclass(first, BaseModel):
-        return _table(first, given)
+        return _table(first, stated)
     if origin is Literal:
         return " or ".join(json.dumps(argument) for argument in arguments)
     if origin is tuple:
@@ -95,15 +95,15 @@ def written(kind: Any, given: Any = None) -> str:
     return {int: "INTEGER", float: "NUMBER", bool: "true", str: '"..."'}.get(first, '"..."')
 
 
-def _table(model: type[BaseModel], given: Any) -> str:
-    values = given if isinstance(given, Mapping) else {}
+def _table(model: type[BaseModel], stated: Any) -> str:
+    values = stated if isinstance(stated, Mapping) else {}
     cells = []
     for key, info in model.model_fields.items():
         if not info.is_required() and key not in values:
             continue
         value = values.get(key)
-        if value is None and not cells and isinstance(given, int | float | str):
-            value = given
+        if value is None and not cells and isinstance(stated, int | float | str):
+            value = stated
         cells.append(f"{key} = {written(info.annotation) if value is None else _shown(value)}")
     return f"{{ {', '.join(cells)} }}"
 
@@ -151,7 +151,7 @@ def problem_text(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath,
     if path[:-1] and _is_short(above.kind) and isinstance(path[-1], str):
         name = next(str(part) for part in reversed(path[:-1]) if isinstance(part, str))
         if kind == "missing":
-            return f"{name}: {key} is missing: write {name} = {written(above.kind, _given(data, path[:-1]))}"
+            return f"{name}: {key} is missing: write {name} = {written(above.kind, _stated(data, path[:-1]))}"
         owner = f"{name}: "
     if isinstance(path[-1] if path else "", int):
         key = "".join(f"[{part}]" if isinstance(part, int) else part for part in _tail(path))
@@ -159,10 +159,10 @@ def problem_text(model: type[BaseModel], data: Mapping[str, Any], path: KeyPath,
         return f"{key} is missing{_meaning(place.info)}: write {_assignment(path, place.kind, None)}"
     if kind == "string_pattern_mismatch" and place.info is not None:
         form = place.info.description or "see the reference"
-        return f"{key} = {_shown(_given(data, path))} is of no known form: {form}"
-    given = _given(data, path)
-    wrong = f"{key} = {_shown(given)} {_wrong(detail, place.kind)}"
-    return f"{owner}{wrong}: write {_assignment(_tail(path), place.kind, given)}"
+        return f"{key} = {_shown(_stated(data, path))} is of no known form: {form}"
+    stated = _stated(data, path)
+    wrong = f"{key} = {_shown(stated)} {_wrong(detail, place.kind)}"
+    return f"{owner}{wrong}: write {_assignment(_tail(path), place.kind, stated)}"
 
 
 def _tail(path: KeyPath) -> KeyPath:
@@ -171,15 +171,15 @@ def _tail(path: KeyPath) -> KeyPath:
     return path[start:]
 
 
-def _assignment(path: KeyPath, kind: Any, given: Any) -> str:
+def _assignment(path: KeyPath, kind: Any, stated: Any) -> str:
     if _is_table(kind):
         return f"a table {_header(path, kind)}"
     if isinstance(path[-1], int):
-        return written(kind, given)
-    return f"{path[-1]} = {written(kind, given)}"
+        return written(kind, stated)
+    return f"{path[-1]} = {written(kind, stated)}"
 
 
-def _given(data: Mapping[str, Any], path: KeyPath) -> Any:
+def _stated(data: Mapping[str, Any], path: KeyPath) -> Any:
     value: Any = data
     for part in path:
         try:

@@ -161,8 +161,8 @@ def arm_geometry(payload_kg: float, rng: np.random.Generator) -> SimChain:
         steps.append((last, 0, 0))
         axes, along = [z, y, y, x, y, x], [(0.5, 0.5), (0, 1), (1, 0), (1, 0), (1, 0), (1, 0)]
     else:
-        aside = 0.12 * size
-        steps = [(0, 0, base), (0, aside, 0.1 * size), (0, -0.8 * aside, upper), (0, 0, fore), (0, aside, 0)]
+        rejected = 0.12 * size
+        steps = [(0, 0, base), (0, rejected, 0.1 * size), (0, -0.8 * rejected, upper), (0, 0, fore), (0, rejected, 0)]
         steps.append((0, 0, last))
         axes, along = [z, y, y, y, z, y], [(0, 0.5), (0, 1), (0, 1), (0, 1), (0, 0.5), (0, 0.3)]
     shares = np.array([0.25, 0.28, 0.24, 0.11, 0.08, 0.04]) * rng.uniform(0.8, 1.2, 6)

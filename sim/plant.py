@@ -203,11 +203,11 @@ def nominal_plant(link_mass_kg: Array, link_com_m: Array, link_inertia_kg_m2: Ar
     """
     axes = len(link_mass_kg)
     shapes = {"link_mass_kg": (axes,), "link_com_m": (axes, 3), "link_inertia_kg_m2": (axes, 3, 3)}
-    given = {"link_mass_kg": link_mass_kg, "link_com_m": link_com_m, "link_inertia_kg_m2": link_inertia_kg_m2}
+    stated = {"link_mass_kg": link_mass_kg, "link_com_m": link_com_m, "link_inertia_kg_m2": link_inertia_kg_m2}
     values: dict[str, object] = {name: np.full(axes, value) for name, value in NEUTRAL.items()}
     values |= {"coupling": np.eye(axes), "drive_joint": np.arange(axes)} | fields
     for name, shape in shapes.items():
-        array = np.array(given[name], dtype=float)
+        array = np.array(stated[name], dtype=float)
         if array.shape != shape or not np.all(np.isfinite(array)):
             raise ValueError(f"{name} must be a finite array of shape {shape}, got shape {array.shape}")
         values[name] = array

@@ -50,12 +50,12 @@ def serve(cell_path: Path, options: ServeOptions, say: Callable[[str], None]) ->
 
 def _assumed(simulation: Simulation) -> str:
     """Return the message about arms with assumed links."""
-    told = ""
+    reported = ""
     for arm in simulation.cell.arms:
         if arm.assumed_links:
             masses = ", ".join(f"{body.mass_kg:.3g}" for body in arm.chain.bodies if body is not None)
-            told += f"; arm {arm.name} has no URDF: links of {masses} kg are assumed"
-    return told
+            reported += f"; arm {arm.name} has no URDF: links of {masses} kg are assumed"
+    return reported
 
 
 def _obey(simulation: Simulation, lines: IO[str], say: Callable[[str], None]) -> None:
@@ -135,8 +135,8 @@ def running(cell_path: Path, bus: str | None = None, **options: Any) -> Generato
     **options : further fields of `ServeOptions`
     """
     spec = bus or free_bus()
-    given = ServeOptions(bus=spec, **options)
-    with _in_thread(cell_path, given) if spec.startswith("virtual:") else _in_process(cell_path, given) as handle:
+    stated = ServeOptions(bus=spec, **options)
+    with _in_thread(cell_path, stated) if spec.startswith("virtual:") else _in_process(cell_path, stated) as handle:
         yield handle
 
 

@@ -85,8 +85,8 @@ class Simulation:
         self._options = options
         faults = read_faults(options.fault) if options.fault else ()
         units = self._units(pair or PairOptions(options.seed))
-        told: list[Any] = [unit.world.undeclared for unit in list[Any](units.values()) if isinstance(unit, PairUnit)]
-        self._pair_truth = {"pair": told[0]} if told else {}
+        reported: list[Any] = [unit.world.undeclared for unit in list[Any](units.values()) if isinstance(unit, PairUnit)]
+        self._pair_truth = {"pair": reported[0]} if reported else {}
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []
         if options.truth is not None:
@@ -220,15 +220,15 @@ def _undeclared(options: ServeOptions) -> tuple[list[dict[str, Any]], int | None
     return effects, errors
 
 
-def _bus_specs(cell: CellSpec, given: str | None) -> dict[str, CellBus]:
+def _bus_specs(cell: CellSpec, stated: str | None) -> dict[str, CellBus]:
     """Bus of each name, the ones on the command line in place of the file's."""
     specs = dict(cell.buses)
-    if given is None:
+    if stated is None:
         return specs
-    if len(specs) == 1 and ";" not in given:
+    if len(specs) == 1 and ";" not in stated:
         name = next(iter(specs))
-        return {name: parse_bus_spec(given, specs[name])}
-    for part in given.split(";"):
+        return {name: parse_bus_spec(stated, specs[name])}
+    for part in stated.split(";"):
         name, _, text = part.partition("=")
         if name not in specs:
             raise CellFileError(f"--bus '{part}': several buses are NAME=SPEC;NAME=SPEC, names of the cell.")

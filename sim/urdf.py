@@ -278,14 +278,14 @@ def write_chain(chain: SimChain, comment: str = "") -> str:
 def _joint_lines(chain: SimChain, i: int) -> list[str]:
     limits = (chain.lower_rad[i], chain.upper_rad[i], chain.effort_nm[i], chain.velocity_rad_s[i])
     keys = ("lower", "upper", "effort", "velocity")
-    given = [f'{key}="{value:.6g}"' for key, value in zip(keys, limits, strict=True) if math.isfinite(value)]
+    stated = [f'{key}="{value:.6g}"' for key, value in zip(keys, limits, strict=True) if math.isfinite(value)]
     return [
-        f'  <joint name="joint_{i + 1}" type="{"revolute" if len(given) == 4 else "continuous"}">',
+        f'  <joint name="joint_{i + 1}" type="{"revolute" if len(stated) == 4 else "continuous"}">',
         f'    <parent link="{f"link_{i}" if i else "base_link"}"/>',
         f'    <child link="link_{i + 1}"/>',
         f"    {_origin_tag(chain.placement[i])}",
         f'    <axis xyz="{_text(chain.axis[i])}"/>',
-        f"    <limit {' '.join(given)}/>" if given else "",
+        f"    <limit {' '.join(stated)}/>" if stated else "",
         "  </joint>",
     ]
 

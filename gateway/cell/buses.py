@@ -7,13 +7,13 @@ from gateway.cell.config import Cell
 from gateway.errors import ConfigError
 
 
-def bus_specs(cell: Cell, given: str | None) -> dict[str, BusSpec]:
+def bus_specs(cell: Cell, stated: str | None) -> dict[str, BusSpec]:
     """Return the bus of every name in the cell, with the overrides of the command line.
 
     Parameters
     ----------
     cell : Cell
-    given : str or None
+    stated : str or None
         A SPEC if the cell has one bus; NAME=SPEC;NAME=SPEC for several; the others are those of the cell.
 
     Raises
@@ -27,19 +27,19 @@ def bus_specs(cell: Cell, given: str | None) -> dict[str, BusSpec]:
         name: BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
         for name, config in cell.bus.items()
     }
-    return specs if given is None else specs | _given(given, tuple(cell.bus))
+    return specs if stated is None else specs | _stated(stated, tuple(cell.bus))
 
 
-def _given(given: str, names: tuple[str, ...]) -> dict[str, BusSpec]:
+def _stated(stated: str, names: tuple[str, ...]) -> dict[str, BusSpec]:
     form = f"give NAME=SPEC;NAME=SPEC with {', '.join(names)}"
     found: dict[str, BusSpec] = {}
-    for part in given.split(";"):
+    for part in stated.split(";"):
         name, equals, text = part.partition("=")
         # an option of a SPEC has its equals sign after INTERFACE:CHANNEL, a bus has a name without colon
         if not equals or ":" in name:
-            if len(names) != 1 or ";" in given:
+            if len(names) != 1 or ";" in stated:
                 raise ConfigError(f"--bus '{part}': the cell has {len(names)} buses, and no bus is named; {form}")
-            return {names[0]: BusSpec.parse(given)}
+            return {names[0]: BusSpec.parse(stated)}
         if name.strip() not in names:
             raise ConfigError(f"--bus '{part}': the cell has no bus '{name.strip()}'; {form}")
         if name.strip() in found:

@@ -78,9 +78,9 @@ class CalibrationFile(Strict):
 
     def with_new(self, new: ArmCalibration) -> CalibrationFile:
         """Return a copy with one more calibration, without those that it replaces completely."""
-        whole = CalibrationFile(arm=(*self.arm, new))
-        held = [each for arm in {each.name for each in whole.arm} for each, _ in whole.of(arm).values()]
-        return CalibrationFile(arm=tuple(each for each in whole.arm if each in held))
+        complete = CalibrationFile(arm=(*self.arm, new))
+        held = [each for arm in {each.name for each in complete.arm} for each, _ in complete.of(arm).values()]
+        return CalibrationFile(arm=tuple(each for each in complete.arm if each in held))
 
 
 def calibration_path(cell: Path) -> Path:

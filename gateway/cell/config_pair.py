@@ -117,10 +117,10 @@ class PairConfig(Strict):
     @model_validator(mode="after")
     def _force_or_distance(self) -> PairConfig:
         for name in (*_OF_FORCE, "impedance_stiffness"):
-            given = getattr(self, name) is not None
-            if given and self.distance is not None:
+            stated = getattr(self, name) is not None
+            if stated and self.distance is not None:
                 raise ValueError(f"{name} is for a common part; with [pair.distance] there is none: omit it")
-            if not given and self.distance is None and name in _OF_FORCE:
+            if not stated and self.distance is None and name in _OF_FORCE:
                 raise ValueError(f"{name} is missing and has no default")
         return self
 

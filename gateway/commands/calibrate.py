@@ -165,8 +165,8 @@ def _hand_over(found: Calibration, cell: Path, json_out: str | None, session: Se
         findings = [replace(each, severity="warn") if each.severity == "fail" else each for each in findings]
     is_stored = all(each.severity != "fail" for each in findings)
     if is_stored:
-        whole = CalibrationFile(arm=(new,)) if earlier is None else earlier.with_new(new)
-        replace_file(path, calibration_toml(whole, cell.name))
+        complete = CalibrationFile(arm=(new,)) if earlier is None else earlier.with_new(new)
+        replace_file(path, calibration_toml(complete, cell.name))
     if json_out:
         axes = [plain_values(axis) for axis in found.axes]
         report = {"axes": axes, "findings": [plain_values(each) for each in findings]}

@@ -73,6 +73,6 @@ def _stacks(table: Table) -> Iterator[Ints]:
         parts = [mine[period == value] for value in np.unique(period)]
         parts = [part[np.argsort(table.extra[PHASE_S][part], kind="stable")] for part in parts]
         length = int(np.median([len(part) for part in parts]))
-        whole = [part for part in parts if len(part) == length]
-        if len(whole) >= FEWEST:
-            yield np.array(whole)
+        complete = [part for part in parts if len(part) == length]
+        if len(complete) >= FEWEST:
+            yield np.array(complete)

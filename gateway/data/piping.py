@@ -163,7 +163,7 @@ class WriterProcess:
         """Return whether queued data remain."""
         return bool(self._unsent) and not self.gone
 
-    def hang_up(self) -> None:
+    def close_pipe(self) -> None:
         """Close the input of the process: it writes the received data and ends."""
         if self._to >= 0:
             os.close(self._to)
@@ -172,7 +172,7 @@ class WriterProcess:
 
     def end(self) -> int:
         """Wait for the end of the process, close its pipes and return its exit code."""
-        self.hang_up()
+        self.close_pipe()
         code = self._process.wait()
         if self._from >= 0:
             os.close(self._from)
@@ -182,7 +182,7 @@ class WriterProcess:
 
     def leave(self) -> None:
         """Let the process finish in the background; its end is not reported."""
-        self.hang_up()
+        self.close_pipe()
         os.close(self._from)
         self._from = -1
         self.gone = True

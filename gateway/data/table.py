@@ -179,10 +179,10 @@ def _torques(
 def _one_source_per_axis(columns: CsvColumns) -> None:
     found = 0
     for axis in range(1, columns.axes + 1):
-        given = [name for name in (f"tau{axis}_nm", f"taum{axis}_nm", f"i{axis}_a") if name in columns.values]
-        if len(given) > 1:
-            raise InputError(f"{columns.file}:1: axis {axis} is given as {' and '.join(given)}; keep one of them")
-        found += len(given)
+        stated = [name for name in (f"tau{axis}_nm", f"taum{axis}_nm", f"i{axis}_a") if name in columns.values]
+        if len(stated) > 1:
+            raise InputError(f"{columns.file}:1: axis {axis} is given as {' and '.join(stated)}; keep one of them")
+        found += len(stated)
         for name in (f"tau{axis}_std_nm", f"taum{axis}_std_nm", f"i{axis}_std_a"):
             if name in columns.values and name.replace("_std", "") not in columns.values:
                 raise InputError(f"{columns.file}:1: column '{name}' has no column '{name.replace('_std', '')}'")

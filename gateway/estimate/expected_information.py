@@ -197,9 +197,9 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     gains = slice(gain, gain + problem.axes)
     measured = np.flatnonzero(visits.load == sought.label)
     last = _last(visits) if not len(measured) else measured[_last(visits.take(measured))]
-    whole = np.eye(problem.n_common)
-    whole[gains] = problem.gains_at(visits.take(np.array([last])))[0]
-    covariance = whole @ (fit.covariance + wide @ wide.T) @ whole.T
+    complete = np.eye(problem.n_common)
+    complete[gains] = problem.gains_at(visits.take(np.array([last])))[0]
+    covariance = complete @ (fit.covariance + wide @ wide.T) @ complete.T
     estimated: LoadEstimate | None = None
     refused: str | None = None
     if sought.label in problem.labels:
@@ -221,7 +221,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
         axis=axis,
         offset=offset + axis,
         gain=gain + axis,
-        gain_value=whole[gains][axis] @ fit.common,
+        gain_value=complete[gains][axis] @ fit.common,
         noise=PoseNoise(_friction(problem, fit), np.nan_to_num(sought.sample_std_nm) ** 2),
     )
     return Stock(estimated, refused, known)

@@ -65,8 +65,8 @@ def estimate_posture(visits: Visits, robot: Robot, options: EstimateOptions) -> 
     parts = []
     for label in labels:
         own = visits.take(visits.load == label)
-        told = replace(alone.of_loads(own.load), bare=bare)
-        part = _described(own, robot, told)
+        reported = replace(alone.of_loads(own.load), bare=bare)
+        part = _described(own, robot, reported)
         parts.append(replace(part, findings=(*part.findings, *_check(own, robot, alone, bare, label))))
     first = parts[0]
     return replace(
@@ -91,8 +91,8 @@ def _bare(visits: Visits, robot: Robot, options: EstimateOptions, base: BaseSet,
         refuse_other_bare(options.bare, robot, options.gravity_m_s2)
         return options.bare
     if (visits.load == BARE_LABEL).any():
-        told = replace(options, known={}, masses={})
-        found = _described(visits.take(visits.load == BARE_LABEL), robot, told).bare
+        reported = replace(options, known={}, masses={})
+        found = _described(visits.take(visits.load == BARE_LABEL), robot, reported).bare
         if found is not None:
             return found
         raise DataUnusable(

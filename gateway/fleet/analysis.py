@@ -90,7 +90,7 @@ class _Learn:
 
 
 def run_analysis(
-    store: Store, spread: Spreading, asked: AsOf, tell: Callable[[str, int], None] = lambda *_: None
+    store: Store, spread: Spreading, asked: AsOf, notify: Callable[[str, int], None] = lambda *_: None
 ) -> FleetHealth:
     """Estimate the recordings not yet estimated by this version, and assess every robot.
 
@@ -99,7 +99,7 @@ def run_analysis(
     store : Store
     spread : Spreading
     asked : AsOf
-    tell : callable
+    notify : callable
         Called with the completed step and its count.
 
     Returns
@@ -108,7 +108,7 @@ def run_analysis(
         Also on disk, with a file per robot; `failed` names what could not be read.
     """
     failed: list[str] = []
-    estimated = _estimate(store, spread, failed, tell)
+    estimated = _estimate(store, spread, failed, notify)
     robots = store.robots()
     noise_shapes = _learn(store, robots, spread)
     lines: list[RobotLine] = []
@@ -118,7 +118,7 @@ def run_analysis(
             continue
         lines += done[0]
         failed += done[1]
-        tell("robots", len(lines))
+        notify("robots", len(lines))
     lines.sort(key=lambda line: (STATES.index(line.state), -line.urgency, line.robot))
     fleet = FleetHealth(
         as_of=in_words(asked.as_of),
@@ -159,7 +159,7 @@ def health_of(store: Store, robot: str, noise_shapes: NoiseShapes, asked: AsOf) 
     )
 
 
-def _estimate(store: Store, spread: Spreading, failed: list[str], tell: Callable[[str, int], None]) -> int:
+def _estimate(store: Store, spread: Spreading, failed: list[str], notify: Callable[[str, int], None]) -> int:
     """Estimate recordings; each result is stored as it arrives."""
     now = datetime.now(UTC)
     held: list[Row] = []
@@ -171,7 +171,7 @@ def _estimate(store: Store, spread: Spreading, failed: list[str], tell: Callable
                 continue
             held += done
             count += 1
-            tell("recordings", count)
+            notify("recordings", count)
             if len(held) >= _HELD:
                 failed += _add(store, held)
                 held = []
@@ -196,16 +196,16 @@ def _not_estimated(store: Store) -> Iterator[tuple[str, Path]]:
 
 def _estimated(store: Store, robot: str) -> set[str]:
     rows = store.read(robot)
-    told = zip(rows["kind"].to_pylist(), rows["software"].to_pylist(), rows["sha256"].to_pylist(), strict=True)
-    return {sha256 for kind, by, sha256 in told if kind == ESTIMATE and by == software()}
+    reported = zip(rows["kind"].to_pylist(), rows["software"].to_pylist(), rows["sha256"].to_pylist(), strict=True)
+    return {sha256 for kind, by, sha256 in reported if kind == ESTIMATE and by == software()}
 
 
 def _add(store: Store, rows: list[Row]) -> tuple[str, ...]:
     """Add rows; return messages about files that cannot take them."""
     pa = library("pyarrow")
-    told = pa.schema([("robot", pa.string()), ("month", pa.string()), *columns()])
+    reported = pa.schema([("robot", pa.string()), ("month", pa.string()), *columns()])
     with store.writing():
-        return store.add(pa.Table.from_pylist(rows, schema=told)).refused
+        return store.add(pa.Table.from_pylist(rows, schema=reported)).refused
 
 
 def _learn(store: Store, robots: Sequence[str], spread: Spreading) -> NoiseShapes:

@@ -83,7 +83,7 @@ def rows_of_result(path: Path, now: datetime) -> list[Row]:
         raise InputError(f"{path}: does not state when its data were recorded; give the recording, or a summary table")
     at = _when(str(recorded[0].created), str(path))
     name = robot_name(drawn.cell, drawn.arm, [drive.serial_number for drive in drawn.drives])
-    told = _row(
+    reported = _row(
         name,
         at,
         now,
@@ -93,7 +93,7 @@ def rows_of_result(path: Path, now: datetime) -> list[Row]:
         recordings=[source.sha256 for source in recorded if source.sha256],
         software=drawn.software or "",
     )
-    return [told | numbers_of(result)]
+    return [reported | numbers_of(result)]
 
 
 def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
@@ -108,7 +108,7 @@ def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
     at = _when(recording.created, str(path))
     rows: list[Row] = []
     for number, arm in enumerate(recording.arms):
-        told = _row(
+        reported = _row(
             _name(recording, arm),
             at,
             now,
@@ -123,11 +123,11 @@ def estimated_rows(path: Path, sha256: str, now: datetime) -> list[Row]:
         try:
             about = inputs_from_recordings(ModelRequest(arm=arm.name), (recording,))
             table = read_rows([path], about)
-            told |= numbers_of(run(table, about.model, estimate_options(about)), about.gain_std)
-            told[TEMPERATURE] = table.temperature_c.mean(axis=0).tolist()
+            reported |= numbers_of(run(table, about.model, estimate_options(about)), about.gain_std)
+            reported[TEMPERATURE] = table.temperature_c.mean(axis=0).tolist()
         except (DataUnusable, InputError) as error:
-            told["failing"] = [f"cannot be estimated: {error}"]
-        rows.append(told)
+            reported["failing"] = [f"cannot be estimated: {error}"]
+        rows.append(reported)
     return rows
 
 
@@ -148,10 +148,10 @@ def numbers_of(result: Result, gain_std: Sequence[float] | None = None) -> Row:
         "loads": [_load(load, _outcome(result, load.label)) for load in result.loads],
         "failing": [f"{each.where}: {each.what}" for each in result.findings if each.severity == "fail"],
     }
-    for key, told in (("gain", gain), ("bias", bias)):
-        if told is not None:
+    for key, reported in (("gain", gain), ("bias", bias)):
+        if reported is not None:
             suffix = "" if key == "gain" else "_nm"
-            row[f"{key}{suffix}"], row[f"{key}_std{suffix}"] = plain_values(told.value), plain_values(told.std)
+            row[f"{key}{suffix}"], row[f"{key}_std{suffix}"] = plain_values(reported.value), plain_values(reported.std)
     for key in ("coulomb", "viscous"):
         suffix = {"coulomb": "_nm", "viscous": "_nm_s_rad"}[key]
         for column in (f"{key}{suffix}", f"{key}_std{suffix}"):
@@ -172,10 +172,10 @@ def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> 
         return gain
     value, std = np.array(gain.value), np.array(gain.std)
     if gain_std is not None:
-        told = std < _INFORMED_SHARE * np.asarray(gain_std)
+        reported = std < _INFORMED_SHARE * np.asarray(gain_std)
     else:
-        told = (std < _LIKE_ASSUMED * np.nanmax(std)) | (np.abs(value) > _UNMOVED * std)
-    return NuisanceResult(tuple(np.where(told, value, np.nan).tolist()), tuple(np.where(told, std, np.nan).tolist()))
+        reported = (std < _LIKE_ASSUMED * np.nanmax(std)) | (np.abs(value) > _UNMOVED * std)
+    return NuisanceResult(tuple(np.where(reported, value, np.nan).tolist()), tuple(np.where(reported, std, np.nan).tolist()))
 
 
 def clock_fault(at: datetime, now: datetime) -> str | None:
@@ -196,7 +196,7 @@ def _when(text: str, where: str) -> datetime:
         ) from error
 
 
-def _row(name: RobotName, at: datetime, now: datetime, **told: Any) -> Row:
+def _row(name: RobotName, at: datetime, now: datetime, **reported: Any) -> Row:
     row: Row = dict.fromkeys(axis_columns())
     row |= {
         "robot": name.key,
@@ -211,7 +211,7 @@ def _row(name: RobotName, at: datetime, now: datetime, **told: Any) -> Row:
         "loads": [],
         "failing": [],
     }
-    return row | told
+    return row | reported
 
 
 def _name(recording: Recording, arm: ArmRecording) -> RobotName:

@@ -36,7 +36,7 @@ def columns() -> Any:
             ("outcome", pa.string()),
         ]
     )
-    told = [
+    reported = [
         ("time_utc", pa.timestamp("us")),
         ("duration_s", pa.float64()),
         ("cell", pa.string()),
@@ -54,4 +54,4 @@ def columns() -> Any:
         ("loads", pa.list_(load)),
         ("failing", pa.list_(pa.string())),
     ]
-    return pa.schema(told, metadata={SCHEMA_KEY: str(SCHEMA).encode()})
+    return pa.schema(reported, metadata={SCHEMA_KEY: str(SCHEMA).encode()})

@@ -129,7 +129,7 @@ def _series(rows: Any, per_axis: dict[str, Floats], axes: int) -> CheckSeries:
         parts.append((MASS, 0, program, value, std, mean, np.zeros(count)))
     parts = [part for part in parts if np.isfinite(part[3]).any()]
     values = np.stack([part[3] for part in parts], axis=1) if parts else np.zeros((count, 0))
-    kept, aside = _without_outliers(values)
+    kept, rejected = _without_outliers(values)
     return CheckSeries(
         quantities=tuple(part[0] for part in parts),
         joints=tuple(part[1] for part in parts),
@@ -139,7 +139,7 @@ def _series(rows: Any, per_axis: dict[str, Floats], axes: int) -> CheckSeries:
         std=_stacked([part[4] for part in parts], count),
         temperature_c=_stacked([_centred(part[5], part[3]) for part in parts], count),
         load_kg=_stacked([_centred(part[6], part[3]) for part in parts], count),
-        set_aside=aside,
+        set_aside=rejected,
     )
 
 

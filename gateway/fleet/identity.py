@@ -25,8 +25,8 @@ class RobotName:
     @property
     def key(self) -> str:
         """Readable and unique name for folders and pages."""
-        told = json.dumps([self.cell, self.arm, list(self.serial_numbers)])
-        code = hashlib.sha256(told.encode()).hexdigest()[:_CODE]
+        reported = json.dumps([self.cell, self.arm, list(self.serial_numbers)])
+        code = hashlib.sha256(reported.encode()).hexdigest()[:_CODE]
         return f"{_plain(self.cell)}-{_plain(self.arm)}-{code}"
 
 
@@ -36,8 +36,8 @@ def _plain(text: str) -> str:
 
 def robot_name(cell: str, arm: str, serial_numbers: Sequence[int | None]) -> RobotName:
     """Return the identity of a robot; drives without serial number (0 counts as none) are not distinguished."""
-    told = tuple(number or None for number in serial_numbers)
-    return RobotName(cell, arm, told if any(told) else ())
+    reported = tuple(number or None for number in serial_numbers)
+    return RobotName(cell, arm, reported if any(reported) else ())
 
 
 def moment(text: str) -> datetime:

@@ -38,7 +38,7 @@ class Ingested:
 
 
 def ingest(
-    store: Store, paths: Iterable[Path], now: datetime, tell: Callable[[str], None] = lambda _: None
+    store: Store, paths: Iterable[Path], now: datetime, notify: Callable[[str], None] = lambda _: None
 ) -> Ingested:
     """Add recordings (.h5), results (.json) and summary tables (.csv, .parquet), or folders of them.
 
@@ -48,7 +48,7 @@ def ingest(
     paths : iterable of Path
     now : datetime
         In UTC: later times are refused.
-    tell : callable
+    notify : callable
         Called for every file.
 
     Raises
@@ -73,7 +73,7 @@ def ingest(
 
         for path in _files(paths):
             files += 1
-            tell(path.name)
+            notify(path.name)
             try:
                 for block in _blocks(store, path, now):
                     held.append(block)
@@ -120,8 +120,8 @@ def _blocks(store: Store, path: Path, now: datetime) -> Iterator[Any]:
 def _table(rows: list[Row]) -> Any:
     pa = library("pyarrow")
     schema = columns()
-    told = pa.schema([("robot", pa.string()), ("month", pa.string()), *schema])
-    return pa.Table.from_pylist(rows, schema=told)
+    reported = pa.schema([("robot", pa.string()), ("month", pa.string()), *schema])
+    return pa.Table.from_pylist(rows, schema=reported)
 
 
 def _keep(store: Store, path: Path, row: Row) -> None:

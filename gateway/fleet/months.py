@@ -20,7 +20,7 @@ MEANS: Final = (*(each.key for each in QUANTITIES), TEMPERATURE)
 def month_columns() -> Any:
     """Return the Arrow schema of the monthly summary."""
     pa = library("pyarrow")
-    told = [
+    reported = [
         ("robot", pa.string()),
         ("month", pa.string()),
         ("cell", pa.string()),
@@ -32,7 +32,7 @@ def month_columns() -> Any:
         ("clock_faults", pa.int64()),
         *((name, pa.list_(pa.float64())) for name in MEANS),
     ]
-    return pa.schema(told, metadata={SCHEMA_KEY: str(SCHEMA).encode()})
+    return pa.schema(reported, metadata={SCHEMA_KEY: str(SCHEMA).encode()})
 
 
 def months_of(places: Sequence[tuple[str, str]], parts: Sequence[Any]) -> list[dict[str, Any]]:
@@ -62,7 +62,7 @@ def months_of(places: Sequence[tuple[str, str]], parts: Sequence[Any]) -> list[d
             "first_utc": begin[index]["time_utc"],
             "last_utc": end[index]["time_utc"],
             "clock_faults": int(faults[index]),
-            **{name: told[index] for name, told in means.items()},
+            **{name: reported[index] for name, reported in means.items()},
         }
         for index, (robot, month) in enumerate(places)
     ]
@@ -91,8 +91,8 @@ def _means(column: Any, starts: np.ndarray) -> list[list[float | None]]:
     count = np.add.reduceat(known, starts[:-1], axis=0, dtype=int)
     mean = np.add.reduceat(np.where(known, values, 0.0), starts[:-1], axis=0) / np.maximum(count, 1)
     return [
-        [value if n else None for value, n in zip(row, told, strict=True)]
-        for row, told in zip(mean.tolist(), count.tolist(), strict=True)
+        [value if n else None for value, n in zip(row, reported, strict=True)]
+        for row, reported in zip(mean.tolist(), count.tolist(), strict=True)
     ]
 
 

@@ -142,8 +142,8 @@ class Store:
             places.append((robot, month))
             parts.append(merged)
         if ready:
-            for aside, place in ready:
-                place_file(aside, place)
+            for rejected, place in ready:
+                place_file(rejected, place)
             with_months(self.months, months_of(places, parts))
         return AddedRows(added, left_out, tuple(refused))
 
@@ -168,9 +168,9 @@ def read_file(path: Path) -> Any:
         ) from error
     said = (table.schema.metadata or {}).get(SCHEMA_KEY)
     if said != str(SCHEMA).encode() or table.schema.names != columns().names:
-        told = "none" if said is None else said.decode(errors="replace")
+        reported = "none" if said is None else said.decode(errors="replace")
         raise InputError(
-            f"{path}: is of schema {told}, this version reads and writes schema {SCHEMA}: take it out of the store and"
+            f"{path}: is of schema {reported}, this version reads and writes schema {SCHEMA}: take it out of the store and"
             " ingest its sources again, or use the version that wrote it"
         )
     return table.cast(columns())

@@ -142,7 +142,7 @@ def _rows(block: Any, axes: int, source: tuple[str, str, str, int], clock: tuple
     times = _times(block["time_utc"], where, first_line)
     which, robots = _robots(block, axes, where, first_line)
     keys = pa.array([robot.key for robot in robots]).take(which)
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "robot": keys,
         "month": pa.array(np.datetime_as_string(times, unit="M")),
         "time_utc": pa.array(times),
@@ -162,11 +162,11 @@ def _rows(block: Any, axes: int, source: tuple[str, str, str, int], clock: tuple
     }
     for each in QUANTITIES:
         flat = [each.flat(joint) for joint in range(1, axes + 1)]
-        told[each.key] = _lists(block, [value for value, _ in flat])
-        told[each.std_key] = _lists(block, [std for _, std in flat])
-    told[TEMPERATURE] = _lists(block, [f"temp{joint}_c" for joint in range(1, axes + 1)])
+        reported[each.key] = _lists(block, [value for value, _ in flat])
+        reported[each.std_key] = _lists(block, [std for _, std in flat])
+    reported[TEMPERATURE] = _lists(block, [f"temp{joint}_c" for joint in range(1, axes + 1)])
     schema = columns()
-    return pa.table(told).select(["robot", "month", *schema.names])
+    return pa.table(reported).select(["robot", "month", *schema.names])
 
 
 def _always(text: str, count: int) -> Any:

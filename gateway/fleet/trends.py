@@ -72,8 +72,8 @@ def looks_of(series: CheckSeries) -> list[Look]:
     marks = np.arange(FEWEST_DAYS, day[-1] + LOOK_DAYS, LOOK_DAYS)
     at = np.unique(np.append(np.searchsorted(day, marks[marks <= day[-1]], side="right"), count))
     at = at[at >= 1]
-    told = sums(series.time_a, _columns(series), _relative_std(series), at)
-    return [Look(int(row), float(day[row - 1]), each) for row, each in zip(at, told, strict=True)]
+    reported = sums(series.time_a, _columns(series), _relative_std(series), at)
+    return [Look(int(row), float(day[row - 1]), each) for row, each in zip(at, reported, strict=True)]
 
 
 def active_columns(series: CheckSeries) -> Flags:
@@ -173,14 +173,14 @@ def trends_of(
     needed = needed_sigmas(int((seen >= FEWEST_CHECKS).sum()))
     found: dict[int, float] = {}
     for look in looks:
-        told = lines(look.sums, active)
-        size = _long_enough(series, look, sigmas(told, log_prior, _tolerance(series, told)))
+        reported = lines(look.sums, active)
+        size = _long_enough(series, look, sigmas(reported, log_prior, _tolerance(series, reported)))
         for index in np.flatnonzero(np.abs(np.nan_to_num(size)) >= needed):
             found.setdefault(int(index), look.day)
-    told = lines(looks[-1].sums, active)
-    tolerance = _tolerance(series, told)
-    size = _long_enough(series, looks[-1], sigmas(told, log_prior, tolerance))
-    mean, covariance = mixed(told, weights(told, log_prior))
+    reported = lines(looks[-1].sums, active)
+    tolerance = _tolerance(series, reported)
+    size = _long_enough(series, looks[-1], sigmas(reported, log_prior, tolerance))
+    mean, covariance = mixed(reported, weights(reported, log_prior))
     both = zip(mean, covariance, strict=True)
     detected = [_trend(series, index, line, active[index], float(size[index])) for index, line in enumerate(both)]
     least = detectable(np.array([trend.drift_std_per_year for trend in detected]), tolerance, needed)

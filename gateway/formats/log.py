@@ -94,9 +94,9 @@ class Log:
         bad = ~np.isfinite(values)
         if bad.any():
             row = int(np.argmax(bad))
-            told = "is empty" if cells[row] == "" else f"'{str(cells[row])[:40]}' is not a finite number"
+            reported = "is empty" if cells[row] == "" else f"'{str(cells[row])[:40]}' is not a finite number"
             raise InputError(
-                f"{self.where(row)}: {name}: {told}; nothing is filled in: exclude the row with [rows] of the map"
+                f"{self.where(row)}: {name}: {reported}; nothing is filled in: exclude the row with [rows] of the map"
             )
         return values.astype(float)
 

@@ -153,7 +153,7 @@ class LogMap(Strict):
     column: tuple[LogColumn, ...] = Field(min_length=1, description="which column is which")
 
     @model_validator(mode="after")
-    def _whole(self) -> LogMap:
+    def _complete(self) -> LogMap:
         found = list(self._lengths())
         tables = [column.table for column in self.column]
         for index, name in enumerate(tables):

@@ -70,12 +70,12 @@ def to_mcap(samples: Samples) -> bytes:
 def _write_arm(writer: Any, arm: ArmSamples, joint_state: int) -> None:
     text = json.dumps(_json_schema(arm))
     schema = writer.register_schema(f"servo_gateway/{arm.name}", "jsonschema", text.encode())
-    whole = writer.register_channel(f"/{arm.name}/samples", "json", schema)
+    complete = writer.register_channel(f"/{arm.name}/samples", "json", schema)
     units = {"position": "rad", "effort": "Nm"}
     states = writer.register_channel(f"/{arm.name}/joint_states", "cdr", joint_state, units)
     stamps = [round(time_s * _NS) for time_s in arm.measurands["time_s"].values.tolist()]
     for row, (stamp_ns, message) in enumerate(zip(stamps, _messages(arm), strict=True)):
-        writer.add_message(whole, stamp_ns, json.dumps(message).encode(), stamp_ns, row)
+        writer.add_message(complete, stamp_ns, json.dumps(message).encode(), stamp_ns, row)
         if "q_rad" in message:
             state = joint_state_cdr(stamp_ns, arm.name, arm.measurands["q_rad"].values[row], _efforts(arm, row))
             writer.add_message(states, stamp_ns, state, stamp_ns, row)
@@ -116,8 +116,8 @@ def _property(measurand: Measurand, axes: int) -> dict[str, Any]:
         kind = {"type": "array", "items": kind, "minItems": axes, "maxItems": axes}
     else:
         kind = {"type": _KINDS[measurand.values.dtype.kind]}
-    told = ", ".join(filter(None, (measurand.unit, measurand.remark)))
-    return kind | ({"unit": measurand.unit, "description": told} if told else {})
+    reported = ", ".join(filter(None, (measurand.unit, measurand.remark)))
+    return kind | ({"unit": measurand.unit, "description": reported} if reported else {})
 
 
 def joint_state_cdr(

@@ -20,7 +20,7 @@ from gateway.errors import InputError
 from gateway.formats.log import Log
 from gateway.formats.log_map import LogColumn, LogMap
 from gateway.formats.preview import PreviewColumn, preview
-from gateway.formats.rest_detection import Stretch, standing
+from gateway.formats.rest_detection import Stretch, at_rest
 from gateway.formats.ros_bag import SUFFIXES, read_bag
 from gateway.formats.smooth import SmoothedMotion, clock_of, motion_of
 from gateway.formats.text_log import read_text_log
@@ -51,14 +51,14 @@ class Imported:
     remarks: tuple[str, ...] = ()
 
 
-def table_from_log(path: Path, given: LogMap) -> Imported:
+def table_from_log(path: Path, stated: LogMap) -> Imported:
     """Convert a log to a measured table, with a map.
 
     Parameters
     ----------
     path : Path
         `.mcap` and `.db3` are bags, anything else is text.
-    given : LogMap
+    stated : LogMap
 
     Raises
     ------
@@ -68,38 +68,38 @@ def table_from_log(path: Path, given: LogMap) -> Imported:
     ConfigError
         A library is not installed.
     """
-    log, time_s, labels, values = _kept_rows(path, given)
-    if given.rest is not None:
-        found = standing(time_s, _joined(values, given.axes), labels, given.rest)
+    log, time_s, labels, values = _kept_rows(path, stated)
+    if stated.rest is not None:
+        found = at_rest(time_s, _joined(values, stated.axes), labels, stated.rest)
         if not found:
             raise InputError(
-                f"{path}: the arm is never at rest for {given.rest.seconds:g} s within {given.rest.within_rad:g} rad;"
+                f"{path}: the arm is never at rest for {stated.rest.seconds:g} s within {stated.rest.within_rad:g} rad;"
                 " see [rest] of the map"
             )
         return _imported(_at_rest(found, time_s, labels, values))
-    motion = _derived(log, given, time_s, values)
+    motion = _derived(log, stated, time_s, values)
     remarks: tuple[str, ...] = ()
     if motion is not None:
         time_s = motion.time_s
         if motion.clock.lost or np.abs(motion.clock.jitter_s).max() > _NOTED_SHARE * motion.clock.step_s:
             remarks = (_clock_remark(motion),)
         for pattern, columns in zip(_RATES, (motion.qd_rad_s, motion.qdd_rad_s2), strict=True):
-            values = {pattern.format(axis + 1): columns[:, axis] for axis in range(given.axes)} | values
-    rows = slice(None, None, given.rows.every)
+            values = {pattern.format(axis + 1): columns[:, axis] for axis in range(stated.axes)} | values
+    rows = slice(None, None, stated.rows.every)
     table: dict[str, list[object]] = {"load": labels[rows].tolist(), "time_s": time_s[rows].tolist()}
-    return _imported(table | {name: _whole(name, cells[rows]) for name, cells in values.items()}, remarks)
+    return _imported(table | {name: _complete(name, cells[rows]) for name, cells in values.items()}, remarks)
 
 
-def preview_of(path: Path, given: LogMap) -> tuple[list[PreviewColumn], list[str]]:
+def preview_of(path: Path, stated: LogMap) -> tuple[list[PreviewColumn], list[str]]:
     """Return a preview of the columns of a log with a map, and general remarks; errors as in `table_from_log`."""
-    log, time_s, labels, values = _kept_rows(path, given)
+    log, time_s, labels, values = _kept_rows(path, stated)
     sources = {
-        target: f"{source} [{column.unit}]" for column in given.column for source, target, _ in given.names(column)
+        target: f"{source} [{column.unit}]" for column in stated.column for source, target, _ in stated.names(column)
     }
-    sources["time_s"] = f"{given.time.column} [{given.time.unit}]"
-    motion = _derived(log, given, time_s, values)
+    sources["time_s"] = f"{stated.time.column} [{stated.time.unit}]"
+    motion = _derived(log, stated, time_s, values)
     remarks = [f"{len(time_s)} rows, {time_s[-1] - time_s[0]:.6g} s, load {', '.join(sorted(set(map(str, labels))))}"]
-    if given.load.column is None and given.load.label == BARE_LABEL:
+    if stated.load.column is None and stated.load.label == BARE_LABEL:
         remarks.append("no load is named: every row is of the unloaded arm; name the load under [load], or with --load")
     if log.units:
         line, _ = next(iter(log.units.values()))
@@ -109,45 +109,45 @@ def preview_of(path: Path, given: LogMap) -> tuple[list[PreviewColumn], list[str
     return list(preview(time_s, values, sources)), remarks
 
 
-def _kept_rows(path: Path, given: LogMap) -> tuple[Log, Floats, NDArray[np.object_], dict[str, Floats]]:
+def _kept_rows(path: Path, stated: LogMap) -> tuple[Log, Floats, NDArray[np.object_], dict[str, Floats]]:
     """Return the rows that the map keeps: log, times, labels, and columns of the table."""
-    log = _opened(path, given)
-    time_s = _times(log, given)
-    kept = _kept(log, given, time_s)
+    log = _opened(path, stated)
+    time_s = _times(log, stated)
+    kept = _kept(log, stated, time_s)
     if not kept.any():
         raise InputError(f"{path}: [rows] of the map keeps none of the log's {len(kept)} rows")
     log, time_s = log.take(kept), time_s[kept]
-    return log, time_s, _labels(log, given), _values(log, given)
+    return log, time_s, _labels(log, stated), _values(log, stated)
 
 
-def _opened(path: Path, given: LogMap) -> Log:
+def _opened(path: Path, stated: LogMap) -> Log:
     regular_size(path)
     if path.suffix.lower() not in SUFFIXES:
-        return read_text_log(path, given.log, *given.needed())
-    if given.joints is None:
+        return read_text_log(path, stated.log, *stated.needed())
+    if stated.joints is None:
         raise InputError(
             f"{path}: a bag identifies joints by name: write joints = [..] in the map, in the arm's order, or --joints"
         )
-    return read_bag(path, given.log.topic, given.joints)
+    return read_bag(path, stated.log.topic, stated.joints)
 
 
-def _times(log: Log, given: LogMap) -> Floats:
-    _refuse_unit(log, given.time.column, given.time.unit)
-    stamps = log.times(given.time.column)
-    time_s = log.numbers(given.time.column) * TIME_UNITS[given.time.unit] if stamps is None else stamps
+def _times(log: Log, stated: LogMap) -> Floats:
+    _refuse_unit(log, stated.time.column, stated.time.unit)
+    stamps = log.times(stated.time.column)
+    time_s = log.numbers(stated.time.column) * TIME_UNITS[stated.time.unit] if stamps is None else stamps
     back = np.diff(time_s) <= 0
     if back.any():
         row = int(np.argmax(back)) + 1
         what = "goes back" if time_s[row] < time_s[row - 1] else "stands still"
         raise InputError(
-            f"{log.where(row)}: {given.time.column}: time {what}, {time_s[row]:.9g} s after {time_s[row - 1]:.9g} s;"
+            f"{log.where(row)}: {stated.time.column}: time {what}, {time_s[row]:.9g} s after {time_s[row - 1]:.9g} s;"
             " cut the log there"
         )
-    return time_s - time_s[0] if given.time.base == "first" else time_s
+    return time_s - time_s[0] if stated.time.base == "first" else time_s
 
 
-def _kept(log: Log, given: LogMap, time_s: Floats) -> NDArray[np.bool_]:
-    rows = given.rows
+def _kept(log: Log, stated: LogMap, time_s: Floats) -> NDArray[np.bool_]:
+    rows = stated.rows
     kept = np.ones(len(time_s), dtype=bool)
     if rows.from_s is not None:
         kept &= time_s >= rows.from_s
@@ -158,21 +158,21 @@ def _kept(log: Log, given: LogMap, time_s: Floats) -> NDArray[np.bool_]:
     return kept
 
 
-def _labels(log: Log, given: LogMap) -> NDArray[np.object_]:
-    if given.load.column is None:
-        return np.full(len(log.line), given.load.label or BARE_LABEL, dtype=object)
-    labels = log.text(given.load.column)
+def _labels(log: Log, stated: LogMap) -> NDArray[np.object_]:
+    if stated.load.column is None:
+        return np.full(len(log.line), stated.load.label or BARE_LABEL, dtype=object)
+    labels = log.text(stated.load.column)
     for row, label in enumerate(labels.tolist()):
         if wrong := label_refused(str(label)):
-            raise InputError(f"{log.where(row)}: {given.load.column}: load '{label}' {wrong}")
+            raise InputError(f"{log.where(row)}: {stated.load.column}: load '{label}' {wrong}")
     return labels
 
 
-def _values(log: Log, given: LogMap) -> dict[str, Floats]:
+def _values(log: Log, stated: LogMap) -> dict[str, Floats]:
     """Return the columns of the table by name, in its units."""
     found: dict[str, Floats] = {}
-    for column in given.column:
-        for source, target, axis in given.names(column):
+    for column in stated.column:
+        for source, target, axis in stated.names(column):
             if column.optional and source not in log.columns:
                 continue
             _refuse_unit(log, source, column.unit)
@@ -185,13 +185,13 @@ def _values(log: Log, given: LogMap) -> dict[str, Floats]:
 
 def _refuse_unit(log: Log, name: str, unit: str) -> None:
     """Raise an error if a unit of the map differs from the unit row below the header, or from the column name."""
-    line, told = log.units.get(name, (log.header_line, ""))
-    if not told and (found := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)):
-        told = found[1]
-    said = unit_named(told)
+    line, reported = log.units.get(name, (log.header_line, ""))
+    if not reported and (found := re.search(r"[\[(]([^\[\]()]+)[\])]\s*$", name)):
+        reported = found[1]
+    said = unit_named(reported)
     if said is not None and said != unit:
         raise InputError(
-            f"{log.file}:{line}: {name}: the log says '{told[:20]}', the map says {unit}; write unit = \"{said}\" if"
+            f"{log.file}:{line}: {name}: the log says '{reported[:20]}', the map says {unit}; write unit = \"{said}\" if"
             " the log is right"
         )
 
@@ -226,17 +226,17 @@ def _joined(values: dict[str, Floats], axes: int, pattern: str = "q{}_rad") -> F
     return np.column_stack([values[pattern.format(axis + 1)] for axis in range(axes)])
 
 
-def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats]) -> SmoothedMotion | None:
+def _derived(log: Log, stated: LogMap, time_s: Floats, values: dict[str, Floats]) -> SmoothedMotion | None:
     """Return speeds and accelerations by [motion], on the clock of the log; None if the log contains them."""
-    wanted = [kind.format(axis + 1) for kind in _RATES for axis in range(given.axes)]
-    if given.motion is None or all(name in values for name in wanted):
+    wanted = [kind.format(axis + 1) for kind in _RATES for axis in range(stated.axes)]
+    if stated.motion is None or all(name in values for name in wanted):
         return None
     if len(time_s) < _FEWEST_ROWS:
         raise InputError(
             f"{log.file}: {len(time_s)} rows are too few for the speeds of [motion]: {_FEWEST_ROWS} at least"
         )
     clock = clock_of(time_s)
-    wide = np.diff(clock.index) * clock.step_s > max(_WIDE * clock.step_s, _WIDE_PERIODS / given.motion.cutoff_hz)
+    wide = np.diff(clock.index) * clock.step_s > max(_WIDE * clock.step_s, _WIDE_PERIODS / stated.motion.cutoff_hz)
     if wide.any():
         row = int(np.argmax(wide)) + 1
         raise InputError(
@@ -252,7 +252,7 @@ def _derived(log: Log, given: LogMap, time_s: Floats, values: dict[str, Floats])
             f" {clock.step_s:.4g} s: it is unknown when the rows were sampled. Log at a fixed rate, or name another"
             " time column"
         )
-    return motion_of(time_s, _joined(values, given.axes), given.motion.cutoff_hz)
+    return motion_of(time_s, _joined(values, stated.axes), stated.motion.cutoff_hz)
 
 
 def _clock_remark(motion: SmoothedMotion) -> str:
@@ -289,10 +289,10 @@ def _at_rest(
     return columns | {"n": [each.rows.stop - each.rows.start for each in found]}
 
 
-def _whole(name: str, values: Floats) -> list[object]:
+def _complete(name: str, values: Floats) -> list[object]:
     """Return counts as integers, without a decimal point."""
-    whole = name in ("pose", "n") or name.startswith("dir")
-    return [int(value) if whole and value == int(value) else value for value in values.tolist()]
+    complete = name in ("pose", "n") or name.startswith("dir")
+    return [int(value) if complete and value == int(value) else value for value in values.tolist()]
 
 
 def _imported(columns: dict[str, list[object]], remarks: tuple[str, ...] = ()) -> Imported:

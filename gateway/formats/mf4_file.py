@@ -55,8 +55,8 @@ def _texts(samples: Samples) -> dict[str, str]:
     texts = {"cell.toml": about.pop("cell", ""), "robot.urdf": about.pop("robot", "")}
     profiles = json.loads(about.pop("profiles", "{}"))
     texts |= {f"{name}.profile.toml": str(text) for name, text in profiles.items()}
-    told = about | {f"arms/{arm.name}/{name}": text for arm in samples.arms for name, text in arm.about.items()}
-    return texts | {"recording.json": json.dumps(told, indent=1)}
+    reported = about | {f"arms/{arm.name}/{name}": text for arm in samples.arms for name, text in arm.about.items()}
+    return texts | {"recording.json": json.dumps(reported, indent=1)}
 
 
 def _signals(asammdf: Any, arm: ArmSamples) -> Iterator[Any]:

@@ -27,14 +27,14 @@ def to_parquet(samples: Samples) -> bytes:
     pa: Any = needed("pyarrow", "Parquet", "formats")
     parquet: Any = needed("pyarrow.parquet", "Parquet", "formats")
     tables = [_table(pa, arm) for arm in samples.arms]
-    whole = (
+    complete = (
         pa.concat_tables(tables, promote_options="default") if tables else pa.table({"arm": pa.array([], pa.string())})
     )
     about = dict(samples.about)
     for arm in samples.arms:
         about |= {f"arms/{arm.name}/{name}": text for name, text in arm.about.items()}
     sink = io.BytesIO()
-    parquet.write_table(whole.replace_schema_metadata(about), sink, compression="zstd")
+    parquet.write_table(complete.replace_schema_metadata(about), sink, compression="zstd")
     return sink.getvalue()
 
 
@@ -50,8 +50,8 @@ def _table(pa: Any, arm: ArmSamples) -> Any:
 
 
 def _about(measurand: Measurand) -> dict[str, str]:
-    told = {"unit": measurand.unit, "remark": measurand.remark}
-    return {name: text for name, text in told.items() if text}
+    reported = {"unit": measurand.unit, "remark": measurand.remark}
+    return {name: text for name, text in reported.items() if text}
 
 
 def _column(pa: Any, values: np.ndarray, present: np.ndarray) -> Any:

@@ -22,7 +22,7 @@ class Stretch:
     direction: NDArray[np.int8]
 
 
-def standing(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[Stretch]:
+def at_rest(time_s: Floats, q_rad: Floats, labels: NDArray[np.object_], rest: LogRest) -> list[Stretch]:
     """Return the intervals in which no joint moves, each with one load.
 
     Parameters

@@ -66,12 +66,12 @@ def read_bag(path: Path, topic: str, joints: Sequence[str]) -> Log:
     for joint in joints:
         where = [_place(path, number, message, joint) for number, _, message in found]
         for part in _PARTS:
-            told = [
-                _told(path, found[row][0], getattr(found[row][2], part), at, f"{part}/{joint}")
+            reported = [
+                _reported(path, found[row][0], getattr(found[row][2], part), at, f"{part}/{joint}")
                 for row, at in enumerate(where)
             ]
-            if not all(value is None for value in told):
-                columns[f"{part}/{joint}"] = np.array([np.nan if value is None else value for value in told])
+            if not all(value is None for value in reported):
+                columns[f"{part}/{joint}"] = np.array([np.nan if value is None else value for value in reported])
     return Log(str(path), columns, lines, "message ")
 
 
@@ -85,7 +85,7 @@ def _place(path: Path, number: int, message: Any, joint: str) -> int:
     return list(message.name).index(joint)
 
 
-def _told(path: Path, number: int, values: Sequence[float], at: int, what: str) -> float | None:
+def _reported(path: Path, number: int, values: Sequence[float], at: int, what: str) -> float | None:
     if len(values) == 0:
         return None
     if at >= len(values):

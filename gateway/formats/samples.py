@@ -195,8 +195,8 @@ def _one(name: str, parts: list[Measurand | None], lengths: list[int]) -> Measur
         blank = np.full((length, *shape), _blank(kind), dtype=kind)
         values.append(blank if part is None else _widened(part.values, blank))
         present.append(np.zeros(blank.shape, dtype=bool) if part is None else _widened(part.present, blank == blank))
-    told = max(held, key=lambda part: bool(part.remark))
-    return Measurand(name, told.unit, told.remark, np.concatenate(values), np.concatenate(present))
+    reported = max(held, key=lambda part: bool(part.remark))
+    return Measurand(name, reported.unit, reported.remark, np.concatenate(values), np.concatenate(present))
 
 
 def _widened(values: np.ndarray, like: np.ndarray) -> np.ndarray:

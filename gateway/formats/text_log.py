@@ -147,8 +147,8 @@ def _units_rows(body: _Rows, asked: list[int]) -> tuple[_Rows, _Rows]:
     """Separate unit rows below the header, in which no required cell is a number or a time, from the data rows."""
     count = 0
     for _, cells in body[:_MOST_UNITS_ROWS]:
-        told = [cells[index] for index in asked if index < len(cells) and cells[index]]
-        if not told or any(re.search(r"\d{2}|^[-+.,]*\d", cell) or cell.lower() in ("nan", "inf") for cell in told):
+        reported = [cells[index] for index in asked if index < len(cells) and cells[index]]
+        if not reported or any(re.search(r"\d{2}|^[-+.,]*\d", cell) or cell.lower() in ("nan", "inf") for cell in reported):
             break
         count += 1
     return body[:count], body[count:]

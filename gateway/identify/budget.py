@@ -84,10 +84,10 @@ def budget_of(
         for source in SOURCES
     }
     total[sources.further] += float(((prior.rows @ reach) ** 2).sum())
-    whole = sum(total.values())
-    if not (np.isfinite(whole) and whole > 0.0):
+    complete = sum(total.values())
+    if not (np.isfinite(complete) and complete > 0.0):
         return {}
-    return {source: value / whole for source, value in total.items()}
+    return {source: value / complete for source, value in total.items()}
 
 
 def budget_by_priors(lead: Floats, precision: Floats, sources: Mapping[str, Ints], variance: float) -> dict[str, float]:
@@ -110,6 +110,6 @@ def budget_by_priors(lead: Floats, precision: Floats, sources: Mapping[str, Ints
         return {}
     part = lead * (precision * lead if precision.ndim == 1 else precision @ lead) / variance
     out = {name: float(part[index].sum()) for name, index in sources.items()}
-    whole = max(sum(out.values()), 1e-300)
-    known = min(whole, 1.0)
-    return {name: share * known / whole for name, share in out.items()} | {NOISE: 1.0 - known}
+    complete = max(sum(out.values()), 1e-300)
+    known = min(complete, 1.0)
+    return {name: share * known / complete for name, share in out.items()} | {NOISE: 1.0 - known}

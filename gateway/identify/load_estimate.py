@@ -161,12 +161,12 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
     """Entry of one load in the result file; in the flange's frame too, if the robot model has the flange."""
     known = np.isfinite(load.com_m)
     flange = None if robot is None else robot.flange
-    told = load.refused is None and np.isfinite(load.mass_kg)
-    inertia = load.inertia if told else None
+    reported = load.refused is None and np.isfinite(load.mass_kg)
+    inertia = load.inertia if reported else None
     open_: tuple[str, ...] = ()
     if inertia is not None:
         open_ = inertia.unidentifiable
-    elif told and known.all():  # a load with unknown centre has no inertia about it: the place is named
+    elif reported and known.all():  # a load with unknown centre has no inertia about it: the place is named
         open_ = (INERTIA_WHOLE,)
     return LoadResult(
         label=load.label,
@@ -176,7 +176,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         com_std_m=tuple(load.com_std_m.tolist()) if known.any() else None,
         frame="link_6" if robot is None else robot.last_link,
         com_flange_m=None if flange is None or not known.all() else tuple(in_flange(load.com_m, flange).tolist()),
-        correlation=tuple(tuple(row) for row in load.correlation.tolist()) if told else None,
+        correlation=tuple(tuple(row) for row in load.correlation.tolist()) if reported else None,
         unidentifiable=(*load.unidentifiable, *open_),
         per_pose_mass_kg=dict(load.per_pose_mass_kg),
         budget=dict(load.budget),

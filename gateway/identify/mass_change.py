@@ -80,14 +80,14 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
         _CERTAIN_STD * std_kg, _LEAST_SHARE * max(abs(kg) for kg, _ in parts)
     ):
         return None
-    (early_kg, last), (late_kg, then) = parts[::step]
+    (early_kg, last), (later_kg, then) = parts[::step]
     what = (
         "was a load mounted during the unloaded run?"
         if label == BARE_LABEL
         else "was it mounted during the run, or do two loads have one label?"
     )
     return (
-        f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {late_kg:.3g} kg from"
+        f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {later_kg:.3g} kg from"
         f" pose {problem.rows.pose[then]} on (standard deviation of the change {std_kg:.2g} kg): {what}"
     )
 

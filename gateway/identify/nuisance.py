@@ -63,7 +63,7 @@ class NuisancePrior:
     load_friction_std: Floats
 
 
-def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
+def gain_stds(stated: Sequence[float] | None, axes: int) -> Floats:
     """Relative standard deviation (N,) of each axis's torque constant.
 
     Raises
@@ -71,9 +71,9 @@ def gain_stds(given: Sequence[float] | None, axes: int) -> Floats:
     ConfigError
         Another number of axes, a negative one, or one of 30 % and more: such a value is not a constant.
     """
-    if given is None:
+    if stated is None:
         return np.full(axes, TABLE_GAIN_STD)
-    values = np.asarray(given, dtype=float)
+    values = np.asarray(stated, dtype=float)
     if values.shape != (axes,):
         raise ConfigError(f"{len(values)} standard deviations of torque constants for an arm of {axes} axes")
     wrong = values[~(values >= 0)]
@@ -173,13 +173,13 @@ def nuisance_prior(gain_std: Floats, band_nm: ArrayLike, lost: ArrayLike) -> Nui
     where the loss is seen, and only widened where it is not.
     """
     band = np.abs(np.nan_to_num(np.asarray(band_nm, dtype=float)))
-    given = np.asarray(lost, dtype=float)
-    nu = np.clip(np.where(np.isfinite(given), given, LOAD_FRICTION), 0.0, 1.0)
+    stated = np.asarray(lost, dtype=float)
+    nu = np.clip(np.where(np.isfinite(stated), stated, LOAD_FRICTION), 0.0, 1.0)
     middle = nu**2 / 4.0
     return NuisancePrior(
-        gain=np.where(np.isfinite(given), middle, 0.0),
+        gain=np.where(np.isfinite(stated), middle, 0.0),
         gain_std=np.sqrt(gain_std**2 + middle**2 + (UNEVEN_LOSS * nu) ** 2),
-        bias_std_nm=np.maximum(np.hypot(BIAS_SHARE, np.where(np.isfinite(given), nu / 2.0, 0.0)) * band, _EXACT),
+        bias_std_nm=np.maximum(np.hypot(BIAS_SHARE, np.where(np.isfinite(stated), nu / 2.0, 0.0)) * band, _EXACT),
         load_friction=np.full(len(nu), LOAD_FRICTION),
         load_friction_std=np.full(len(nu), LOAD_FRICTION_STD),
     )

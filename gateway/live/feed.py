@@ -131,15 +131,15 @@ class Feed:
 
         If the page process has ended, its button does not work: this also requests a stop along the path.
         """
-        heard = b""
+        received = b""
         if not self.gone:
             try:
-                heard = self._channel.recv(16)
+                received = self._channel.recv(16)
             except BlockingIOError:
                 return None
             except OSError:
-                heard = b""
-        if not heard:
+                received = b""
+        if not received:
             self.gone = True
             return StopRequest(StopKind.ALONG_PATH, PlanRefused(DEAD_BUTTON))
         self._presses += 1

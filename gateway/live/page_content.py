@@ -43,7 +43,7 @@ class _ArmPast:
     """Samples of one arm: shown and new ones."""
 
     arm: ShownArm
-    told: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=PAST_ROWS))
+    reported: deque[list[float | None]] = field(default_factory=lambda: deque(maxlen=PAST_ROWS))
     fresh: list[list[float | None]] = field(default_factory=list)
     where: deque[tuple[float, Floats]] = field(default_factory=lambda: deque(maxlen=64))
     q_rad: Floats | None = None
@@ -72,7 +72,7 @@ class _ArmPast:
     def frame(self) -> Json:
         """Return new samples and the posture of the arm."""
         rows, self.fresh = self.fresh, []
-        self.told += rows
+        self.reported += rows
         return {"rows": rows, **self.stands()}
 
     def stands(self) -> Json:
@@ -87,7 +87,7 @@ class _ArmPast:
 
     def past(self) -> Json:
         """Return the stored history."""
-        return {"rows": list(self.told), **self.stands()}
+        return {"rows": list(self.reported), **self.stands()}
 
 
 def _drive(word: float) -> list[Any]:
@@ -159,15 +159,15 @@ class Show:
 
     def past(self) -> list[str]:
         """Return the content for a page that was just opened, as JSON."""
-        told: list[Json] = [{"hello": {"title": self._hello.title, "stops": self._hello.stops}}]
+        reported: list[Json] = [{"hello": {"title": self._hello.title, "stops": self._hello.stops}}]
         if self._scene is not None:
-            told.append({"scene": self._scene})
-            told.append({"frame": {**self._standing, "arms": [arm.past() for arm in self._arms]}})
-        told += [{"event": event} for event in self._events]
-        told += [{"pose": pose} for pose in self._poses]
+            reported.append({"scene": self._scene})
+            reported.append({"frame": {**self._standing, "arms": [arm.past() for arm in self._arms]}})
+        reported += [{"event": event} for event in self._events]
+        reported += [{"pose": pose} for pose in self._poses]
         if self.over:
-            told.append({"over": self.over})
-        return [json.dumps(each, allow_nan=False, separators=(",", ":")) for each in told]
+            reported.append({"over": self.over})
+        return [json.dumps(each, allow_nan=False, separators=(",", ":")) for each in reported]
 
     # -- inside --------------------------------------------------------------------------------------------------------
 

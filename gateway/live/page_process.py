@@ -108,7 +108,7 @@ async def run(end: socket.socket, listener: socket.socket) -> None:
         channel.drain(show)
         if not show.over and (channel.gone or os.getppid() != parent):
             show.end(GONE)
-        pages.tell()
+        pages.notify()
     until_s = asyncio.get_running_loop().time() + FAREWELL_S
     while pages.behind and asyncio.get_running_loop().time() < until_s:
         await asyncio.sleep(FRAME_S)

@@ -85,7 +85,7 @@ class Pages:
         self._stop = stop
         self._viewers: set[Viewer] = set()
 
-    def tell(self) -> None:
+    def notify(self) -> None:
         """Queue new content for every page."""
         news = self.show.news()
         if news:

@@ -129,10 +129,10 @@ class Watching:
 
     def turn(self) -> None:
         """Read every bus briefly and forward the received frames."""
-        heard = [arm.listen() for arm in self._arms]
+        received = [arm.listen() for arm in self._arms]
         for arm in self._arms:
             self._tell_emergencies(arm)
-        if any(heard):
+        if any(received):
             self._heard_s, self._silent = self._clock(), False
             self._hand_on()
         elif not self._silent and self._clock() - self._heard_s > SILENT_S:

@@ -175,5 +175,5 @@ class Unpacker:
         self._content += content
         if kind == PIECE:
             return None
-        whole, self._content = bytes(self._content), bytearray()
-        return pickle.loads(whole)
+        complete, self._content = bytes(self._content), bytearray()
+        return pickle.loads(complete)

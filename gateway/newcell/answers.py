@@ -85,7 +85,7 @@ class CellAnswers:
 
     Parameters
     ----------
-    given : mapping
+    stated : mapping
         Key -> answer from options and answer file.
     missing_in : str
         Place to write a missing answer.
@@ -108,12 +108,12 @@ class CellAnswers:
 
     def __init__(
         self,
-        given: Mapping[str, GivenAnswer],
+        stated: Mapping[str, GivenAnswer],
         missing_in: str,
         ask: Ask | None = None,
         resumed: Mapping[str, GivenAnswer] | None = None,
     ) -> None:
-        self._explicit, self._missing_in, self._ask = dict(given), missing_in, ask
+        self._explicit, self._missing_in, self._ask = dict(stated), missing_in, ask
         self._resumed = dict(resumed or {})
         self._asked = self.typed = 0
         self.taken: dict[str, Answer] = {}
@@ -147,9 +147,9 @@ class CellAnswers:
         return self.taken[question.key].value
 
     def _answer(self, question: CellQuestion, offer: Answer | None, axes: int) -> Answer | None:
-        given = self._explicit.get(question.key)
-        if given is not None:
-            answer = self._read(question, given, axes)
+        stated = self._explicit.get(question.key)
+        if stated is not None:
+            answer = self._read(question, stated, axes)
         else:
             answer = self._kept(question, axes)
             if answer is None and (self._ask is None or (offer is not None and not offer.guessed)):
@@ -184,7 +184,7 @@ class CellAnswers:
         self.typed += answer is not None
         return answer
 
-    def _verified(self, question: CellQuestion, given: GivenAnswer, axes: int) -> Answer:
+    def _verified(self, question: CellQuestion, stated: GivenAnswer, axes: int) -> Answer:
         """Return an answer after checking its files; profile names are completed.
 
         Raises
@@ -192,12 +192,12 @@ class CellAnswers:
         ValueError
             In words.
         """
-        answer = self._read(question, given, axes)
+        answer = self._read(question, stated, axes)
         try:
             if question is questions.PROFILE:
                 names = tuple(completed_profile(name) for name in answer.value)
                 for name in set(names):
-                    find_profile(name, given.folder)
+                    find_profile(name, stated.folder)
                 return Answer(names, answer.source)
         except ProfileError as error:
             raise ValueError(f"{question.key}: {error}") from error
@@ -205,20 +205,20 @@ class CellAnswers:
             raise ValueError(f"{question.key}: file {answer.value} not found")
         return answer
 
-    def _read(self, question: CellQuestion, given: GivenAnswer, axes: int) -> Answer:
-        value, source = given.value, UNSOURCED
+    def _read(self, question: CellQuestion, stated: GivenAnswer, axes: int) -> Answer:
+        value, source = stated.value, UNSOURCED
         if isinstance(value, dict) and set(cast("dict[str, Any]", value)) == {VALUE, SOURCE}:
             value, source = value[VALUE], str(cast("dict[str, Any]", value)[SOURCE])
         try:
             answer = question.form.read(value, axes)
         except ValueError as error:
-            where = f"{given.where}: " if given.where else ""
+            where = f"{stated.where}: " if stated.where else ""
             raise ValueError(f"{where}{question.key} {error}: {question.asks}") from error
         gears = self.taken.get(questions.GEAR_RATIO.key)
         for slip in slips(question.key, answer, gears.value if gears is not None else (), self.bounds):
-            raise ValueError(f"{given.where}: {slip}" if given.where else slip)
+            raise ValueError(f"{stated.where}: {slip}" if stated.where else slip)
         if question.key in questions.FILES:
-            answer = _placed(answer, given.folder)
+            answer = _placed(answer, stated.folder)
         return Answer(answer, source)
 
 

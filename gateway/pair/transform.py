@@ -83,19 +83,19 @@ def pose(rotation: ArrayLike, position_m: ArrayLike) -> Floats:
 
 def inverse(transform: ArrayLike) -> Floats:
     """Inverse (..., 4, 4) of poses, by the transposed rotation."""
-    given = np.asarray(transform, dtype=float)
-    result = np.zeros_like(given)
-    turned = np.swapaxes(given[..., :3, :3], -1, -2)
+    stated = np.asarray(transform, dtype=float)
+    result = np.zeros_like(stated)
+    turned = np.swapaxes(stated[..., :3, :3], -1, -2)
     result[..., :3, :3] = turned
-    result[..., :3, 3] = -np.einsum("...ij,...j->...i", turned, given[..., :3, 3])
+    result[..., :3, 3] = -np.einsum("...ij,...j->...i", turned, stated[..., :3, 3])
     result[..., 3, 3] = 1.0
     return result
 
 
 def apply_correction(transform: ArrayLike, correction: ArrayLike) -> Floats:
     """Poses (..., 4, 4) with corrections (..., 6) [m, rad] added: `P + dP`, `dR R`."""
-    given, change = np.asarray(transform, dtype=float), np.asarray(correction, dtype=float)
-    return pose(exp_rotation(change[..., 3:]) @ given[..., :3, :3], given[..., :3, 3] + change[..., :3])
+    stated, change = np.asarray(transform, dtype=float), np.asarray(correction, dtype=float)
+    return pose(exp_rotation(change[..., 3:]) @ stated[..., :3, :3], stated[..., :3, 3] + change[..., :3])
 
 
 def corrected_pose(transform: Floats, correction: Floats) -> Floats:

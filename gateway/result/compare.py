@@ -109,8 +109,8 @@ class ResultComparison:
         """Return plain values; NaN becomes None."""
         rows = [asdict(each) | {"difference": each.difference} for each in self.quantities]
         about = {"robot": self.robot, "before": self.before, "after": self.after, "created": list(self.created)}
-        told = {"verdict": self.verdict, "quantities": rows, "remarks": list(self.remarks)}
-        return {"schema": 1, "kind": "comparison", **about, **plain_values(told)}
+        reported = {"verdict": self.verdict, "quantities": rows, "remarks": list(self.remarks)}
+        return {"schema": 1, "kind": "comparison", **about, **plain_values(reported)}
 
 
 def parse_tolerance(text: str) -> dict[str, Tolerance]:

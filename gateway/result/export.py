@@ -110,8 +110,8 @@ def _urdf_inertia(load: ExportLoad) -> str:
     if load.inertia_kg_m2 is None:
         return "<!-- add <inertia> from CAD: URDF requires it, and zero is wrong -->"
     names = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    told = (f'{name}="{number_text(value, 6)}"' for name, value in zip(names, load.inertia_kg_m2, strict=True))
-    return f"<inertia {' '.join(told)}/>"
+    reported = (f'{name}="{number_text(value, 6)}"' for name, value in zip(names, load.inertia_kg_m2, strict=True))
+    return f"<inertia {' '.join(reported)}/>"
 
 
 def _comment(text: str) -> str:
@@ -124,10 +124,10 @@ def to_json(loads: Sequence[ExportLoad], robot: str) -> str:
 
     handed = []
     for load in loads:
-        told = asdict(load)
-        note = told.pop("inertia_note")
-        del told["screen_name"]
-        handed.append(told | {"note": note})
+        reported = asdict(load)
+        note = reported.pop("inertia_note")
+        del reported["screen_name"]
+        handed.append(reported | {"note": note})
     return json_text({"robot": robot, "loads": handed})
 
 

@@ -39,19 +39,19 @@ def cases(result: Result) -> tuple[Case, ...]:
 
 
 def _cases(result: Result) -> Iterator[Case]:
-    told: set[Finding] = set()
+    reported: set[Finding] = set()
     for load in result.loads:
         doubts = not_hung([load])
-        told.update(doubts)
+        reported.update(doubts)
         found = f"{with_interval(load.mass_kg, load.mass_std_kg)} kg ({SAID})"
         yield _case(f"load {load.label}", f"mass differs from zero: {found}", "not hung", doubts)
     for row in result.acceptance:
         failed = acceptance_findings([row])
-        told.update(failed)
+        reported.update(failed)
         name = f"{row.what} {measured(row)} ({SAID}), allowed: {asked_for(row)}"
         yield _case(f"load {row.load}", name, PASS if row.outcome == PASS else row.outcome, failed)
     for finding in result.findings:
-        if finding.severity == "fail" and finding not in told:
+        if finding.severity == "fail" and finding not in reported:
             yield _case(finding.where, finding.what, "finding", (finding,))
 
 

@@ -54,7 +54,7 @@ def _load(load: ExportLoad) -> dict[str, Any]:
     if tensor is not None:
         principal, axes = principal_axes(tensor)
         moments, (yaw, pitch, roll) = tuple(principal.tolist()), zyx_degrees(axes)
-    told: dict[str, Any] = {
+    reported: dict[str, Any] = {
         "BrowseName": load.label,
         "TypeDefinition": "LoadType",
         "Description": f"{accuracy(load)}; {load.inertia_note}; frame: {load.frame_note}",
@@ -76,10 +76,10 @@ def _load(load: ExportLoad) -> dict[str, Any]:
         },
     }
     if moments is not None and all(map(math.isfinite, moments)):
-        told["Inertia"] = {
+        reported["Inertia"] = {
             "TypeDefinition": "3DVectorType",
             "DataType": "3DVector",
             "Value": dict(zip("XYZ", moments, strict=True)),
             "VectorUnit": unit("kg m2"),
         }
-    return told
+    return reported

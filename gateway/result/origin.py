@@ -93,11 +93,11 @@ def drives_of(identities: Sequence[Mapping[str, Any]]) -> tuple[DriveOrigin, ...
         found.append(
             DriveOrigin(
                 joint=joint,
-                node_id=_whole(said.get("node_id")) or 0,
+                node_id=_complete(said.get("node_id")) or 0,
                 name=_text(said.get("name")),
-                vendor_id=_whole(said.get("vendor_id")),
-                product_code=_whole(said.get("product_code")),
-                serial_number=_whole(said.get("serial_number")),
+                vendor_id=_complete(said.get("vendor_id")),
+                product_code=_complete(said.get("product_code")),
+                serial_number=_complete(said.get("serial_number")),
                 hardware_version=_text(said.get("hardware_version")),
                 software_version=_text(said.get("software_version")),
             )
@@ -105,7 +105,7 @@ def drives_of(identities: Sequence[Mapping[str, Any]]) -> tuple[DriveOrigin, ...
     return tuple(found)
 
 
-def _whole(value: Any) -> int | None:
+def _complete(value: Any) -> int | None:
     return value if isinstance(value, int) else None
 
 

@@ -377,8 +377,8 @@ def _check_bare(bare: Bare, where: str) -> None:
         both = rank + (2 if len(bare.gain_covariance) > rank + axes else 1) * axes
         shapes |= {"gain": (1, axes), "gain_covariance": (both, both)}
     for key, (height, width) in shapes.items():
-        given = getattr(bare, key)
-        rows = given if key.endswith("covariance") or key == "combination" else (given,)
+        stated = getattr(bare, key)
+        rows = stated if key.endswith("covariance") or key == "combination" else (stated,)
         if len(rows) != height or any(len(row) != width for row in rows):
             raise InputError(f"{where}: bare.{key}: {height} x {width} numbers are needed")
         if any(abs(value) > LARGEST for row in rows for value in row):

@@ -201,13 +201,13 @@ _EXPECTED = {
 
 
 def _in_words(problem: ErrorDetails) -> str:
-    kind, given = problem["type"], problem["input"]
+    kind, stated = problem["type"], problem["input"]
     if kind == "missing":
         return "the key is missing"
     if kind == "literal_error":
-        return f"{given!r} is not {problem['ctx']['expected'] if 'ctx' in problem else 'one of the words'}"
+        return f"{stated!r} is not {problem['ctx']['expected'] if 'ctx' in problem else 'one of the words'}"
     if kind in _EXPECTED:
-        return f"expected {_EXPECTED[kind]}, got {_kind_of(given)}"
+        return f"expected {_EXPECTED[kind]}, got {_kind_of(stated)}"
     return problem["msg"].removeprefix("Value error, ")
 
 

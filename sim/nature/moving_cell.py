@@ -114,9 +114,9 @@ def rigid_nm(arm: MovingArm, motion: PeriodicMotion, load: str) -> Array:
 def friction_nm(arm: MovingArm, qd_rad_s: Array, tau_nm: Array, level: Array, time_s: Array) -> Array:
     """What friction takes of the torque (n, N); `level` is how its Coulomb part differs from stroke to stroke."""
     cold = arm.friction.cold(time_s)
-    standing = arm.breakaway_share * np.exp(-((np.abs(qd_rad_s) / arm.stribeck_rad_s) ** arm.stribeck_power))
+    at_rest = arm.breakaway_share * np.exp(-((np.abs(qd_rad_s) / arm.stribeck_rad_s) ** arm.stribeck_power))
     own = arm.friction.coulomb_nm * cold
-    band = arm.friction.band_nm(tau_nm, time_s) + own * (level - 1.0 + standing)
+    band = arm.friction.band_nm(tau_nm, time_s) + own * (level - 1.0 + at_rest)
     return np.sign(qd_rad_s) * band + arm.friction.bias_share * band + arm.viscous_nm_s_rad * cold * qd_rad_s
 
 

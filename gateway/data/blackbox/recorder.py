@@ -57,7 +57,7 @@ class BoxRecorder:
 
     def wait_until_kept(self) -> None:
         """Wait until the process stores parts, or has ended; not to be called in the motion loop."""
-        self._heard(BoxReady, STARTING_S)
+        self._received(BoxReady, STARTING_S)
 
     def row(self, time_s: float, sync_index: int) -> NDArray[np.float64]:
         """Append a sample of NaN and return its axis values, to be filled by the caller."""
@@ -98,7 +98,7 @@ class BoxRecorder:
             if self._taken or self._frames:
                 self._hand_on()
             self._process.send(framed(BoxVerdict(reason)))
-        answer = self._heard(BoxEnd, CLOSING_S)
+        answer = self._received(BoxEnd, CLOSING_S)
         if answer is not None:
             self._process.end()
             return answer.failed
@@ -108,7 +108,7 @@ class BoxRecorder:
         self._process.leave()
         return f"{self._box}: the black box is not complete after {CLOSING_S:g} s; writing continues in the background"
 
-    def _heard(self, kind: type[Answer], limit_s: float) -> Answer | None:
+    def _received(self, kind: type[Answer], limit_s: float) -> Answer | None:
         """Return the next answer of a type; None if the process has ended or does not answer in time."""
         until_s = time.monotonic() + limit_s
         while time.monotonic() < until_s:

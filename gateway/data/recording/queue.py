@@ -22,7 +22,7 @@ CAPACITY = 8
 #: Time limit for the start of the writer process.
 START_TIMEOUT_S = 60.0
 #: Between two words about what is still to be written.
-TELL_S = 0.5
+NOTIFY_S = 0.5
 
 ADVICE = "check the system log for lack of memory"
 
@@ -131,7 +131,7 @@ class VisitQueue:
         status: str,
         reason: str,
         statistics: dict[str, Any],
-        tell: Callable[[int], None] = _silent,
+        notify: Callable[[int], None] = _silent,
     ) -> None:
         """Store the result of the run (`success`, `abort`, `fail`) and wait until all is on disk; not for the motion
         loop.
@@ -140,7 +140,7 @@ class VisitQueue:
 
         Parameters
         ----------
-        tell : callable, optional
+        notify : callable, optional
             Called every half second with the number of visits not yet written.
 
         Raises
@@ -150,10 +150,10 @@ class VisitQueue:
         """
         if self._process.gone:
             self._again()
-        answer = self._asked(Finish(0, arm, status, reason, statistics), tell)
+        answer = self._asked(Finish(0, arm, status, reason, statistics), notify)
         if answer is None:
             self._again()
-            answer = self._asked(Finish(0, arm, status, reason, statistics), tell)
+            answer = self._asked(Finish(0, arm, status, reason, statistics), notify)
         if answer is None:
             raise self._ended()
         if answer.failed:
@@ -162,25 +162,25 @@ class VisitQueue:
     def close(self) -> None:
         """Write all queued visits and end the process; not to be called in the motion loop."""
         while self._process.unsent:
-            self._process.wait(TELL_S)
+            self._process.wait(NOTIFY_S)
             self._listen()
-        self._process.hang_up()
+        self._process.close_pipe()
         while not self._process.gone:
-            self._process.wait(TELL_S)
+            self._process.wait(NOTIFY_S)
             self._listen()
         self._process.end()
 
-    def _asked(self, finish: Finish, tell: Callable[[int], None]) -> Finished | None:
+    def _asked(self, finish: Finish, notify: Callable[[int], None]) -> Finished | None:
         """Return the answer of the process; None if it has ended."""
         self._questions += 1
         self._process.send(framed(replace(finish, question=self._questions)))
-        told_s = time.monotonic()
+        reported_s = time.monotonic()
         while not self._process.gone and (self._answer is None or self._answer.question != self._questions):
-            self._process.wait(TELL_S)
+            self._process.wait(NOTIFY_S)
             self._listen()
-            if time.monotonic() - told_s >= TELL_S:
-                told_s = time.monotonic()
-                tell(self.waiting)
+            if time.monotonic() - reported_s >= NOTIFY_S:
+                reported_s = time.monotonic()
+                notify(self.waiting)
         answer, self._answer = self._answer, None
         return answer if answer is not None and answer.question == self._questions else None
 
@@ -190,7 +190,7 @@ class VisitQueue:
             process.send(framed(start))
             until_s = time.monotonic() + START_TIMEOUT_S
             while not process.gone and time.monotonic() < until_s:
-                process.wait(TELL_S)
+                process.wait(NOTIFY_S)
                 for message in process.receive():
                     if isinstance(message, Ready) and message.refused:
                         raise InputError(message.refused)

@@ -60,10 +60,10 @@ class Judges:
         """Held-out RMS ratio with one effect, or others `instead`, to that without it."""
         with_it, without = [], []
         for choice in self.choices:
-            problem, whole = choice.problem, choice.state.full.residual_nm
+            problem, complete = choice.problem, choice.state.full.residual_nm
             rest = [term for term in choice.state.terms if term.label != label]
-            left = _residual(problem, rest) if len(rest) < len(choice.state.terms) else whole
-            with_it.append((problem, whole if instead is None else _residual(problem, [*rest, *instead])))
+            left = _residual(problem, rest) if len(rest) < len(choice.state.terms) else complete
+            with_it.append((problem, complete if instead is None else _residual(problem, [*rest, *instead])))
             without.append((problem, left))
         return held_ratio(_joined(without), _joined(with_it), axes, sigma_nm)
 
@@ -86,9 +86,9 @@ class Judges:
         for choice in self.choices:
             others = [other for other in choice.mistakes if other.label != mistake.label]
             read = replace(choice.as_read, motion=undo(choice.as_read.motion, others))
-            whole = choice.problem if len(others) < len(choice.mistakes) else read
+            complete = choice.problem if len(others) < len(choice.mistakes) else read
             as_read.append((read, _share_left(read)))
-            undone.append((whole, _share_left(whole)))
+            undone.append((complete, _share_left(complete)))
         first = self.choices[0].problem.motion
         axes = mistake.axes if len(mistake.joints) > 1 else range(first.axes)
         return held_ratio(_joined(as_read), _joined(undone), axes, np.ones(first.axes))

@@ -46,7 +46,7 @@ def pictures(
         Rows that the result file keeps.
     """
     motion = problem.motion
-    role = tuple("held out" if given else "fit" for given in motion.held_out[kept])
+    role = tuple("held out" if stated else "fit" for stated in motion.held_out[kept])
     if not effects:
         return Drawn(role=role)
     return Drawn(

@@ -129,8 +129,8 @@ def _with_shape(problem: MovingProblem, state: MovingState, term: Term) -> tuple
     shape = np.diag(1.0 / precision) if extended[0] is None else extended[0][1]
     lead = -taken[index] @ shape
     own = state.full.inverse[np.ix_(index, index)] - lead @ taken[index].T
-    whole = np.block([[own, lead], [lead.T, shape]])
-    return thetas[0], wider(whole, jackknife(np.array(thetas[1:])))
+    complete = np.block([[own, lead], [lead.T, shape]])
+    return thetas[0], wider(complete, jackknife(np.array(thetas[1:])))
 
 
 def _slopes(problem: MovingProblem, full: MovingFit, term: Term, value: Floats) -> Floats:

@@ -97,8 +97,8 @@ def _best_coupling(problem: MovingProblem, state: MovingState, term: MotorCoupli
     others = [other for other in state.terms if other.label != term.label]
     grid = np.unique(np.concatenate([centre * COUPLING_STEPS, [np.sign(centre)]]))
     costs = np.array([coupling_cost(problem, others, term, float(value)) for value in grid])
-    whole = int(np.argmin(np.abs(grid - np.sign(centre))))
-    chosen = whole if costs[whole] - costs.min() < MOVING.coupling_slack else int(np.argmin(costs))
+    complete = int(np.argmin(np.abs(grid - np.sign(centre))))
+    chosen = complete if costs[complete] - costs.min() < MOVING.coupling_slack else int(np.argmin(costs))
     return replace(term, coefficient=float(grid[chosen]))
 
 

@@ -31,12 +31,12 @@ def blocks(motion: MovingRows, count: int) -> Splits:
 def choosing(motion: MovingRows, count: int, known: frozenset[str]) -> Splits:
     """Splits for the choice: whole runs where other runs carry their load, else blocks of time."""
     runs = np.unique(motion.run[~motion.held_out])
-    whole = [number for number in runs if len(runs) >= MOVING.several_runs and _shared(motion, number, known)]
+    complete = [number for number in runs if len(runs) >= MOVING.several_runs and _shared(motion, number, known)]
     splits: list[list[tuple[Mask, Mask]]] = [[] for _ in range(count)]
-    for place, number in enumerate(whole):
+    for place, number in enumerate(complete):
         mine = (motion.run == number) & ~motion.held_out
         splits[place % count].append((mine, mine))
-    for shift, number in enumerate(number for number in runs if number not in whole):
+    for shift, number in enumerate(number for number in runs if number not in complete):
         own = list(_pieces(motion, number, count))
         for k in range(count):
             splits[k].append(own[(k + shift) % count])

@@ -87,9 +87,9 @@ def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
 
 def pose_choice(rows: Visits, options: DiagnoseOptions) -> Floats:
     """Poses (k, N) that may be recommended: those of the options, or random ones in the visited joint ranges."""
-    given = options.pose_choice() if callable(options.pose_choice) else options.pose_choice
-    if given is not None:
-        return np.asarray(given, dtype=float)
+    stated = options.pose_choice() if callable(options.pose_choice) else options.pose_choice
+    if stated is not None:
+        return np.asarray(stated, dtype=float)
     rng = np.random.default_rng(4)
     return rng.uniform(rows.q_rad.min(axis=0), rows.q_rad.max(axis=0), (CHOICE, rows.axes))
 

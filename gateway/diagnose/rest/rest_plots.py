@@ -119,11 +119,11 @@ def _curve(problem: RestProblem, fit: Fit, position: int) -> Curve:
     """Curve of one effect over its independent variable, on the axis and reading where it is largest."""
     term = fit.terms[position]
     others = [other for place, other in enumerate(fit.terms) if place != position]
-    whole, without = _predict(problem, fit, fit.terms), _predict(problem, fit, others)
+    complete, without = _predict(problem, fit, fit.terms), _predict(problem, fit, others)
     effects = {
-        "half the sum": (whole.sum_nm - without.sum_nm, problem.rows.sum_nm - without.sum_nm),
+        "half the sum": (complete.sum_nm - without.sum_nm, problem.rows.sum_nm - without.sum_nm),
         "half the difference": (
-            whole.difference_nm - without.difference_nm,
+            complete.difference_nm - without.difference_nm,
             problem.rows.difference_nm - without.difference_nm,
         ),
     }

@@ -134,5 +134,5 @@ def _breakaway(fit: MotionFit, axis: int) -> tuple[Fall | None, tuple[float, flo
     fall = shown_fall(value[1:], covariance[1:, 1:], falls_rad_s)
     if fall is None:
         return None, (np.nan, np.nan)
-    whole = np.append(1.0, fall.shares)
-    return fall, (float(value[0] + fall.size_nm), float(np.sqrt(max(whole @ covariance @ whole, 0.0))))
+    complete = np.append(1.0, fall.shares)
+    return fall, (float(value[0] + fall.size_nm), float(np.sqrt(max(complete @ covariance @ complete, 0.0))))

@@ -108,7 +108,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
     if not periodic.any():
         return Periods(moving, Scatter.none(moving.axes), np.full(len(moving), np.nan))
     keys = [np.where(periodic, moving.extra[name], np.nan) for name in (EXCITATION, PERIOD, PHASE_S)]
-    tables, groups, aside, findings, residuals, slipped, alone, step_s = [], [], [], [], [], {}, {}, np.nan
+    tables, groups, rejected, findings, residuals, slipped, alone, step_s = [], [], [], [], [], {}, {}, np.nan
     for label, excitation in dict.fromkeys(
         zip(moving.load[periodic].tolist(), keys[0][periodic].tolist(), strict=True)
     ):
@@ -119,7 +119,7 @@ def averaged(moving: Table, judged: Mask) -> Periods:
         if slip is not None:
             slipped.setdefault(label, slip)
         sound, entries = _without_touches(moving, group, judged)
-        aside += entries
+        rejected += entries
         mean, left = _mean(moving, group, sound, (judged, keys[2], f"mean period {len(groups) + 1}, {label}"))
         tables.append(mean)
         groups.append(np.full(len(mean), excitation if len(group.rows) > 1 else np.nan))
@@ -127,13 +127,13 @@ def averaged(moving: Table, judged: Mask) -> Periods:
         alone[label] = alone.get(label, True) and len(group.rows) < 2
     rest = moving.take(~periodic)
     findings += [_one_period(label) for label, only in alone.items() if only]
-    findings += [_touched(entry) for entry in aside]
+    findings += [_touched(entry) for entry in rejected]
     return Periods(
         concatenate([*tables, rest]) if len(rest) else concatenate(tables),
         _scatter(residuals, moving.axes),
         np.concatenate([*groups, np.full(len(rest), np.nan)]),
         step_s,
-        tuple(aside),
+        tuple(rejected),
         tuple(findings),
         slipped,
     )
@@ -236,10 +236,10 @@ def _entry(moving: Table, group: _Group, period: int, hit: Mask, far: Floats) ->
 
 
 def _mean(
-    moving: Table, group: _Group, sound: Mask, given: tuple[Mask, Floats, str]
+    moving: Table, group: _Group, sound: Mask, stated: tuple[Mask, Floats, str]
 ) -> tuple[Table, list[tuple[Floats, ...]]]:
     """Mean period, and the deviation of the periods of each axis as noise of the mean (k, n)."""
-    judged, phase_s, name = given
+    judged, phase_s, name = stated
     weight = sound / np.maximum(sound.sum(axis=0), 1)
     first = group.rows[np.argmax(sound, axis=0), np.arange(sound.shape[1])]
     one = moving.take(first)

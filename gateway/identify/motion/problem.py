@@ -51,9 +51,9 @@ class Contrasts:
         single = np.flatnonzero(alone)
         pieces.append((np.ones(len(single)), single, single))
         weight, row, column = (np.concatenate(items) for items in zip(*pieces, strict=True))
-        whole = csr_array((weight, (row, column)), shape=(len(used), len(used)))
+        complete = csr_array((weight, (row, column)), shape=(len(used), len(used)))
         means, differences = np.flatnonzero(used & ~apart), np.flatnonzero(apart)
-        return (means, whole[means]), (differences, whole[differences])
+        return (means, complete[means]), (differences, complete[differences])
 
 
 def _orthonormal(count: int) -> Floats:
@@ -161,13 +161,13 @@ def about(problem: MotionProblem, value: Floats) -> About:
     bodies = columns.design[:, :, : columns.bodies] @ value[: columns.bodies]
     own = columns.design[:, :, columns.bodies : last] @ value[columns.bodies : last]
     torque = bodies + columns.known_nm
-    whole = (1.0 + part.get("gain", none)) * torque
+    complete = (1.0 + part.get("gain", none)) * torque
     local = {"gain": torque}
     lost, sign, moved = np.abs(torque), columns.sign, np.zeros_like(torque)
     if "delay" in columns.nuisances:
         delay = part["delay"]
         level = columns.dry(value)
-        smooth = whole + own - level * columns.sign
+        smooth = complete + own - level * columns.sign
         then, changes = problem.stretches.earlier(np.hstack([smooth, problem.qd_rad_s, lost]), np.tile(delay, 3))
         (earlier, speed, lost), change = np.split(then, 3, axis=1), changes[:, :axes]
         sign = np.tanh(speed / columns.smooth_rad_s)
@@ -176,7 +176,7 @@ def about(problem: MotionProblem, value: Floats) -> About:
     local["load_friction"] = lost * sign
     local["loss_bend"] = part.get("load_friction", none) * _bent(lost) * sign
     local = {name: local[name] for name in columns.nuisances}
-    model = whole + own + moved
+    model = complete + own + moved
     for name in ("load_friction", "loss_bend", "delay"):
         if name in local:
             model = model + part[name] * local[name]

@@ -62,9 +62,9 @@ def columns_beside(
     if rest is None or "gain" not in motion.nuisances:
         return moving_columns(moving, robot, knowledge, motion), None
     # loads that are in the rest rows alone have columns too
-    whole = moving_columns(concatenate([moving, _as_rows(moving, rest.problem.rows)]), robot, knowledge, motion)
+    complete = moving_columns(concatenate([moving, _as_rows(moving, rest.problem.rows)]), robot, knowledge, motion)
     count = len(moving)
-    columns = replace(whole, design=whole.design[:count], known_nm=whole.known_nm[:count], sign=whole.sign[:count])
+    columns = replace(complete, design=complete.design[:count], known_nm=complete.known_nm[:count], sign=complete.sign[:count])
     return columns, _still(columns, rest)
 
 

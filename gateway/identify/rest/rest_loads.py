@@ -153,11 +153,11 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
 def _with_statements(budget: Mapping[str, float], variance: float, more: Mapping[str, float]) -> Mapping[str, float]:
     """Return the shares of the variance of a mass, with further variances by source added."""
     added = {source: max(value, 0.0) for source, value in more.items()}
-    whole = variance + sum(added.values())
-    if not (budget and whole > 0.0):
+    complete = variance + sum(added.values())
+    if not (budget and complete > 0.0):
         return budget
     return {
-        source: (budget.get(source, 0.0) * variance + added.get(source, 0.0)) / whole
+        source: (budget.get(source, 0.0) * variance + added.get(source, 0.0)) / complete
         for source in dict.fromkeys([*budget, *added])
     }
 
@@ -214,6 +214,6 @@ def per_pose_mass(problem: RestProblem, fit: Fit, index: int) -> dict[str, float
     share = (fit.columns.times(load) / std)[mine]
     weight = np.bincount(place, weights=share**2, minlength=len(poses))
     away = np.bincount(place, weights=share * (fit.residual / std)[mine], minlength=len(poses))
-    told = weight > _INFORMATIVE * weight.max(initial=0.0)
-    mass = phi[0] * (1.0 + away[told] / weight[told])
-    return dict(zip([str(int(pose)) for pose in poses[told]], mass.tolist(), strict=True))
+    reported = weight > _INFORMATIVE * weight.max(initial=0.0)
+    mass = phi[0] * (1.0 + away[reported] / weight[reported])
+    return dict(zip([str(int(pose)) for pose in poses[reported]], mass.tolist(), strict=True))
