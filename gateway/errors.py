@@ -4,7 +4,7 @@ GatewayError (1)
 +-- ConfigError (3)     cell, robot or profile file: what, where (file:key), what to do
 +-- InputError (3)      measured table, recording, result file: file:line
 +-- PlanRefused (5)     nothing moved, or motion was stopped, and why
-|   +-- WrongPlace          it cannot begin where the arm stands; `servo-gateway move` leads away from there
+|   +-- WrongPlace          it cannot begin at the arm's position; `servo-gateway move` leads away from there
 |   +-- LimitExceeded       position, speed, torque or following error left its limit; the arm was stopped
 |   +-- PoseNeverSettles    a pose did not come to rest in time (also TimeoutError)
 +-- DataUnusable (6)    rank, too few poses, nothing to hold out
@@ -28,7 +28,7 @@ EXIT_CODES: Final[Mapping[int, str]] = {
     4: "bus or drive",
     5: "plan refused, or motion stopped",
     6: "the data cannot answer: rank, too few poses, nothing to hold out",
-    7: "finished with a failing finding: a load refused, not accepted, or perhaps not hung, a commissioning mistake"
+    7: "finished with a failing finding: a load refused, not accepted, or not mounted, a commissioning mistake"
     " found, a failed check",
     130: "stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was finished is kept",
 }
@@ -49,7 +49,7 @@ class GatewayError(Exception):
 
     @classmethod
     def of(cls, lines: Sequence[str]) -> Self:
-        """An error that is told in lines, one a problem."""
+        """An error with one line per problem."""
         error = cls("; ".join(lines))
         error.lines = tuple(lines)
         return error
@@ -74,7 +74,7 @@ class PlanRefused(GatewayError):  # noqa: N818 - reads as what happened
 
 
 class WrongPlace(PlanRefused):
-    """What is asked for cannot begin where the arm stands; `to` says where `servo-gateway move` may bring it."""
+    """What is requested cannot begin at the arm's position; `to` says where `servo-gateway move` may bring it."""
 
     def __init__(self, message: str, arm: str, to: str = "home") -> None:
         super().__init__(message)
@@ -106,6 +106,6 @@ class DataUnusable(GatewayError):  # noqa: N818 - reads as what happened
 
 
 class FindingFailed(GatewayError):  # noqa: N818 - reads as what happened
-    """The command finished; a finding of severity `fail` stands."""
+    """The command finished; a finding of severity `fail` remains."""
 
     exit_code = 7

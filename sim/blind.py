@@ -1,11 +1,11 @@
 """Blind cells: an arm drawn from a seed with one undeclared effect, none, or two; the truth is written to a separate
 file.
 
-The strength of an effect is what it does to the measured rows beyond everything that link and load parameters can take
-over: its torques are weighted by the floor of each axis and projected on the base and load columns, with the prior on
-the link parameters as rows; strength = RMS over the visits of what is left, on the axis where that is largest. For an
+The strength of an effect is its part of the measured rows that link and load parameters cannot absorb. Its torques are
+weighted by the noise floor of each axis and projected on the base and load columns, with the prior on the link
+parameters as rows. The strength is the RMS of the remainder over the visits, on the axis where that is largest. For an
 effect between the two sides of a visit: RMS of half the difference after removing each axis's mean, over the floor.
-Cells are drawn by that strength; `strength_beyond` projects what every arm has out as well: errors of the torque
+Cells are drawn by that strength; `strength_beyond` projects the nuisance parameters out as well: errors of the torque
 constants and a bias of friction by direction.
 """
 
@@ -27,7 +27,7 @@ from sim.plant import Plant
 Array = NDArray[np.float64]
 
 LEAST_STRENGTH, MOST_STRENGTH = 1.5, 20.0
-#: What every arm has, one standard deviation: relative error of a torque constant, bias by direction over the band.
+#: Nuisance parameters, one standard deviation: relative error of a torque constant, bias by direction over the band.
 GAIN_STD, BIAS_SHARE = 0.03, 0.1
 MIX = {"clean": 0.52, "two": 0.14, "off": 0.08}
 

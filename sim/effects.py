@@ -1,7 +1,7 @@
 """Undeclared effects of the simulated arm.
 
 Each effect is a function from one `Plant` to the next, written from the mechanism: a spring between two points, a cable
-that is wound up, a gear that gives way. Nothing here depends on how effects are detected. The names and the parameters
+that is wound up, a compliant gear. Nothing here depends on how effects are detected. The names and the parameters
 of the library are those of the undeclared-effects file (`[[effect]] name, joints, parameters`).
 """
 

@@ -102,7 +102,7 @@ class Plant:
     viscous_nm_s_rad : (N,) adds `viscous * qd`
     load_friction : (N,) nu: adds `nu * |tau|` to both the band at rest and the kinetic friction
     creep_rad_s : (N,) initial rate at which a stuck joint creeps under the torque that friction holds (fades with the
-        time at rest); the position loop relaxes with it, so a reading at rest lies inside the band, not on its edge
+        time at rest); the position loop relaxes with it, so a reading at rest is inside the band, not on its edge
     friction_scatter : (N,) standard deviation of the band from one motion to the next, as a share of it
     friction_bias_nm : (N,) half the difference between directions: friction is `d * band + bias`
     gear_efficiency : (N,) eta in (0, 1]; driving `T = eta u`, driven back `T = u / eta`, at rest anywhere between

@@ -85,7 +85,9 @@ class Simulation:
         self._options = options
         faults = read_faults(options.fault) if options.fault else ()
         units = self._units(pair or PairOptions(options.seed))
-        reported: list[Any] = [unit.world.undeclared for unit in list[Any](units.values()) if isinstance(unit, PairUnit)]
+        reported: list[Any] = [
+            unit.world.undeclared for unit in list[Any](units.values()) if isinstance(unit, PairUnit)
+        ]
         self._pair_truth = {"pair": reported[0]} if reported else {}
         self.specs = _bus_specs(self.cell, options.bus)
         self.servers: list[BusServer] = []

@@ -121,7 +121,7 @@ DEFECTS: Final[Mapping[str, Callable[[Drive, Arm], None]]] = {
     "reserved bits in 0x1010": _reserved_capability,
     "enables by one controlword": _shortcut,
     "brake slips": _brake_slips,
-    "controlword acts four SYNCs late": _slow_controlword,
+    "controlword acts four SYNCs after its frame": _slow_controlword,
 }
 
 

@@ -1,9 +1,9 @@
 """Methods of the benchmark: the gateway, and baselines that use the same columns in other regressions.
 
-Every baseline solves `y = A x + C a`: y are half-sums and half-differences divided by their standard deviation, A the
-columns of links, loads, friction and gains with their priors as rows, C the columns of all effects of the library at
-size zero. A is projected out; the methods differ in how they choose among the columns of C. Their thresholds were
-chosen on the development cells.
+Every baseline solves `y = A x + C a`. The rows y are half-sums and half-differences over their standard deviation. A
+has the columns of links, loads, friction and gains, with their priors as rows. C has the columns of all effects of the
+library at size zero. A is projected out; the methods differ in how they choose among the columns of C. Their thresholds
+were chosen on the development cells.
 """
 
 from __future__ import annotations

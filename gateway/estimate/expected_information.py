@@ -59,7 +59,7 @@ class PoseNoise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Outlook:
+class ExpectedInformation:
     """Covariance of the unknowns of a rest fit, with their positions, to predict the effect of further poses.
 
     Attributes
@@ -138,7 +138,7 @@ class Outlook:
         gained = np.einsum("nak,nak->nk", seen, np.linalg.solve(spread, seen))
         return np.sqrt(np.maximum(self.std**2 - gained, 0.0))
 
-    def with_poses(self, regressor: Floats, samples: int, count: int) -> Outlook:
+    def with_poses(self, regressor: Floats, samples: int, count: int) -> ExpectedInformation:
         """Return the expected information after `count` poses with this regressor (N, 4 N)."""
         rows = self.rows(regressor[None])[0]
         reach = rows @ self.covariance
@@ -171,7 +171,7 @@ class Stock:
 
     load: LoadEstimate | None
     refused: str | None
-    outlook: Outlook
+    information: ExpectedInformation
 
 
 def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: Sought) -> Stock:
@@ -213,7 +213,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
         covariance, first = _with_unknown_load(covariance, sought.guess, robot)
         moment = sought.guess
     axis = np.flatnonzero(problem.use_sum.any(axis=0))
-    known = Outlook(
+    known = ExpectedInformation(
         covariance=covariance,
         links=fit.links,
         load=first,
@@ -232,9 +232,9 @@ def _last(visits: Visits) -> int:
     return int(np.argmax(visits.time_s)) if np.isfinite(visits.time_s).all() else len(visits) - 1
 
 
-def outlook_of_priors(
+def information_of_priors(
     robot: Robot, options: EstimateOptions, guess: Floats, band_nm: Floats, noise: PoseNoise
-) -> Outlook:
+) -> ExpectedInformation:
     """What is known of a load before any visit: the links by their priors or a stored bare identification.
 
     Parameters
@@ -264,7 +264,7 @@ def outlook_of_priors(
     covariance = (turned / np.maximum(size, _OPEN**-2)) @ turned.T
     covariance, first = _with_unknown_load(covariance, guess, robot)
     axis = np.arange(axes)
-    return Outlook(covariance, links, first, guess, axis, offset, gain, gain_value, noise)
+    return ExpectedInformation(covariance, links, first, guess, axis, offset, gain, gain_value, noise)
 
 
 def _with_unknown_load(covariance: Floats, guess: Floats, robot: Robot) -> tuple[Floats, int]:

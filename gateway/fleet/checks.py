@@ -175,7 +175,9 @@ def _measured(gain: NuisanceResult | None, gain_std: Sequence[float] | None) -> 
         reported = std < _INFORMED_SHARE * np.asarray(gain_std)
     else:
         reported = (std < _LIKE_ASSUMED * np.nanmax(std)) | (np.abs(value) > _UNMOVED * std)
-    return NuisanceResult(tuple(np.where(reported, value, np.nan).tolist()), tuple(np.where(reported, std, np.nan).tolist()))
+    return NuisanceResult(
+        tuple(np.where(reported, value, np.nan).tolist()), tuple(np.where(reported, std, np.nan).tolist())
+    )
 
 
 def clock_fault(at: datetime, now: datetime) -> str | None:

@@ -170,8 +170,8 @@ def read_file(path: Path) -> Any:
     if said != str(SCHEMA).encode() or table.schema.names != columns().names:
         reported = "none" if said is None else said.decode(errors="replace")
         raise InputError(
-            f"{path}: is of schema {reported}, this version reads and writes schema {SCHEMA}: take it out of the store and"
-            " ingest its sources again, or use the version that wrote it"
+            f"{path}: is of schema {reported}, this version reads and writes schema {SCHEMA}: take it out of the store"
+            " and ingest its sources again, or use the version that wrote it"
         )
     return table.cast(columns())
 

@@ -191,8 +191,8 @@ def _refuse_unit(log: Log, name: str, unit: str) -> None:
     said = unit_named(reported)
     if said is not None and said != unit:
         raise InputError(
-            f"{log.file}:{line}: {name}: the log says '{reported[:20]}', the map says {unit}; write unit = \"{said}\" if"
-            " the log is right"
+            f"{log.file}:{line}: {name}: the log says '{reported[:20]}', the map says {unit}; write unit = \"{said}\""
+            " if the log is right"
         )
 
 

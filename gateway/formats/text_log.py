@@ -148,7 +148,9 @@ def _units_rows(body: _Rows, asked: list[int]) -> tuple[_Rows, _Rows]:
     count = 0
     for _, cells in body[:_MOST_UNITS_ROWS]:
         reported = [cells[index] for index in asked if index < len(cells) and cells[index]]
-        if not reported or any(re.search(r"\d{2}|^[-+.,]*\d", cell) or cell.lower() in ("nan", "inf") for cell in reported):
+        if not reported or any(
+            re.search(r"\d{2}|^[-+.,]*\d", cell) or cell.lower() in ("nan", "inf") for cell in reported
+        ):
             break
         count += 1
     return body[:count], body[count:]

@@ -87,8 +87,8 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
         else "was it mounted during the run, or do two loads have one label?"
     )
     return (
-        f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {later_kg:.3g} kg from"
-        f" pose {problem.rows.pose[then]} on (standard deviation of the change {std_kg:.2g} kg): {what}"
+        f"its rows contradict each other: {early_kg:.3g} kg up to pose {problem.rows.pose[last]}, {later_kg:.3g} kg"
+        f" from pose {problem.rows.pose[then]} on (standard deviation of the change {std_kg:.2g} kg): {what}"
     )
 
 

@@ -17,7 +17,7 @@ Floats = NDArray[np.float64]
 DIRECTIONS = 96
 #: Corners around a ball at each end of a capsule, as rows from its pole to its rim, and around.
 RINGS, SIDES = 3, 14
-#: Faces of a hull that lie in one plane are drawn as one, up to this difference of their normals.
+#: Faces of a hull that are in one plane are drawn as one, up to this difference of their normals.
 FLAT = 1e-4
 
 

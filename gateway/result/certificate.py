@@ -28,7 +28,7 @@ EVALUATIONS: Final[Mapping[str, tuple[str, str]]] = {
     "friction": ("friction", "B"),
     "drift": ("drift of the torque readings", "B"),
     "zeros": ("zero errors of the joints", "B"),
-    "cable": ("hose or cable of the load, and direction-dependent friction caused by it", "B"),
+    "cable": ("hose or cable of the load, uneven friction", "B"),
     "noise": ("noise", "A"),
 }
 #: What the provenance of a torque constant from `calibrate` starts with: date, load, mass.

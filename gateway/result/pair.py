@@ -59,7 +59,7 @@ _Speed = Annotated[float, Field(ge=0.0, le=FASTEST)]
 _Knowns = tuple[_Known, ...]
 _Place = Annotated[_Knowns, AfterValidator(three)]
 _Pose = Annotated[tuple[_Knowns, ...], AfterValidator(_pose)]
-#: The second function of the way back is a file of its own.
+#: The second function of the return path has its own file.
 Stage = Literal["first", "second", "back"]
 STAGES: tuple[Stage, ...] = ("first", "second", "back")
 

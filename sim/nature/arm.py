@@ -16,7 +16,7 @@ from sim.urdf import SimBody, SimChain, write_chain
 Array = NDArray[np.float64]
 
 SHORTEST_LINK_M = 0.1
-#: Links of one kind are drawn wrong by at most so many standard deviations.
+#: Links are drawn wrong by at most so many standard deviations.
 MOST_SIGMAS = 2.5
 
 

@@ -25,7 +25,7 @@ from sim.offline import PlannedVisit
 Array = NDArray[np.float64]
 
 ORDINARY = "ordinary"
-#: Kinds of cells with something beyond the ordinary, and their shares.
+#: Kinds of cells with an effect beyond the nuisances, and their shares.
 KINDS = {"one": 0.55, "several": 0.25, "strange": 0.12, "wiring": 0.08}
 NAMED: dict[str, Maker] = SPRINGS | ASSEMBLY | DRIVES
 LEAST_STRENGTH, MOST_STRENGTH = 1.5, 20.0
@@ -94,13 +94,13 @@ def draw_cell(seed: int, condition: str, kind: str = ORDINARY) -> NatureCell:
 
 
 def draw_effect_cell(seed: int) -> NatureCell:
-    """Cell with something beyond the ordinary."""
+    """Cell with an effect beyond the nuisances."""
     condition, kind = drawn_kind(seed)
     return draw_cell(seed, condition, kind)
 
 
 def drawn_kind(seed: int) -> tuple[str, str]:
-    """Condition and kind of a cell with something beyond the ordinary; every second has all conditions together."""
+    """Condition and kind of a cell with an effect beyond the nuisances; every second has all conditions together."""
     rng = np.random.default_rng([seed, 43])
     kind = str(rng.choice(list(KINDS), p=list(KINDS.values())))
     condition = "all" if rng.random() < 0.5 else str(rng.choice(CONDITIONS[:-1]))

@@ -1,4 +1,4 @@
-"""Two arms as one body with two branches on a fixed base, the way PyBullet takes them."""
+"""Two arms as one body with two branches on a fixed base, as PyBullet requires them."""
 
 from __future__ import annotations
 

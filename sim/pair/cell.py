@@ -125,7 +125,7 @@ def _rated_nm(arm: ArmSpec) -> Array:
 
 
 def _plain(value: Any) -> Any:
-    """Arrays as lists, all the way down."""
+    """Convert arrays to lists, recursively."""
     if isinstance(value, dict):
         return {key: _plain(one) for key, one in value.items()}
     return value.tolist() if isinstance(value, np.ndarray) else value

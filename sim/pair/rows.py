@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 #: Decimals of a length [m] and of an angle [deg] of a data sheet.
 LENGTH_DECIMALS, ANGLE_DECIMALS = 8, 7
-#: Axes whose directions differ by less are parallel [rad], and points that lie nearer are one [m].
+#: Axes whose directions differ by less are parallel [rad], and nearer points are one [m].
 PARALLEL_RAD, POINT_M = 1e-6, 1e-6
 
 

@@ -55,7 +55,7 @@ def test_without_feedforward_the_second_rpdo_is_left_alone(bus, slaves, setups, 
         group.configure()
         group.enable()
         group.exchange(commands(slaves, 0.5))
-        with pytest.raises(CommandRefused, match="no velocity offset"):
+        with pytest.raises(CommandRefused, match="not configured for a velo"):
             group.exchange(commands(slaves, velocity_rad_s=1.0))
     assert not [can_id for can_id, _ in wire.sent if 0x300 <= can_id < 0x380]
     touched = {index for slave in slaves for index, _, _ in slave.written}

@@ -36,7 +36,9 @@ FILES: Final[Mapping[str, str]] = {
     "words sentences complete given analyse story ring": "what the file holds",
 }
 #: Identifiers that are keys of the documented files and JSON.
-KEYS: Final = frozenset({"advice", "set_aside", "tells_apart", "cannot_tell", "silent_days"})
+KEYS: Final = frozenset(
+    {"advice", "cannot_tell", "gross", "late", "lesson", "set_aside", "silent", "silent_days", "tells_apart", "ways"}
+)
 
 #: Phrases of texts: docstrings, comments, messages, pages.
 PHRASES: Final[Mapping[str, str]] = {

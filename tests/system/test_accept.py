@@ -58,7 +58,8 @@ def test_a_right_load_passes_and_a_wrong_one_fails(place, serve, gateway, fast_a
 def test_a_right_load_passes_in_real_time(place, serve, gateway, fast_arm, tmp_path_factory):
     """The drives run in a process of their own over UDP; the result is that of a run in lockstep."""
     load = identified(place, gateway, fast_arm(serve()))
-    cell = place.variant("real", ('pacing = "lockstep"', 'pacing = "real"'))
+    changes = [('pacing = "lockstep"', 'pacing = "real"'), ("sync_period_s = 0.01", "sync_period_s = 0.02")]
+    cell = place.variant("real", *changes)
     out = place.folder / "accepted"
     with running(cell, payload=place.payload) as drives:
         drives.mount("load")

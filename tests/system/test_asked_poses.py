@@ -67,7 +67,7 @@ def test_a_pose_is_measured_once_more_by_its_number(place, gateway, serve):
     missing = record(gateway, place, drives, "--pose", "7")
     assert (
         missing.exit_code,
-        "has no pose 7 of arm 'main'; its poses are 1, 2" in " ".join(missing.output.split()),
+        "holds no pose 7 of arm 'main'; its poses are 1, 2" in " ".join(missing.output.split()),
     ) == (3, True)
 
 

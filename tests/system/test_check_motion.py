@@ -137,12 +137,12 @@ def test_small_moves_of_a_good_cell_pass_and_say_what_they_cannot_see(place, gat
     done, body = check(gateway, place, drives, "--move", "--yes")
     assert done.exit_code == 0, done.output
     assert body["stop_proof"], "the stop is proven before anything else moves"
-    lines = {item["where"]: item for item in body["findings"] if "sense" in item["what"]}
+    lines = {item["where"]: item for item in body["findings"] if "direction of rotation" in item["what"]}
     assert lines["J2 node 2"]["severity"] == lines["J3 node 3"]["severity"] == "ok"
     assert lines["J1 node 1"]["severity"] == "info", "gravity says nothing of an upright axis"
     warned = [item for item in body["findings"] if item["severity"] in ("warn", "fail")]
     assert not warned, "nothing is the matter with this arm"
-    assert "see that joint 1 turned" in lines["J1 node 1"]["advice"]
+    assert "joint 1 turned" in lines["J1 node 1"]["advice"]
     measured = [item for item in body["findings"] if "measured torque" in item["what"]]
     assert len(measured) == 6
     assert drives.stand_still()

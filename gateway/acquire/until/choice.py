@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.estimate.expected_information import Outlook
+from gateway.estimate.expected_information import ExpectedInformation
 from gateway.result.interval import half_width
 
 Floats = NDArray[np.float64]
@@ -114,12 +114,14 @@ class Narrowness:
         return self.poses >= MOST_POSES or bool((self.half <= self.aim).all())
 
 
-def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candidates, sampling: Sampling) -> Narrowness:
+def judge(
+    known: ExpectedInformation, half: Floats, goal: Floats, poses: int, choice: Candidates, sampling: Sampling
+) -> Narrowness:
     """Compare a load's half widths with the goal, and predict those after further poses.
 
     Parameters
     ----------
-    known : Outlook
+    known : ExpectedInformation
     half : array of shape (4,)
         Estimated half widths.
     goal : array of shape (4,)
@@ -142,13 +144,13 @@ def judge(known: Outlook, half: Floats, goal: Floats, poses: int, choice: Candid
 
 
 def best_first(
-    known: Outlook, verdict: Narrowness, choice: Candidates, seconds: Floats, sampling: Sampling
+    known: ExpectedInformation, verdict: Narrowness, choice: Candidates, seconds: Floats, sampling: Sampling
 ) -> tuple[NDArray[np.int_], int]:
     """Sort the candidates by decreasing information per second; also return the samples per approach direction.
 
     Parameters
     ----------
-    known : Outlook
+    known : ExpectedInformation
     verdict : Narrowness
     choice : Candidates
     seconds : array of shape (n,)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from gateway.acquire.until.choice import MOST_POSES, Narrowness
 from gateway.acquire.until.search import NextStep
-from gateway.estimate.expected_information import Outlook
+from gateway.estimate.expected_information import ExpectedInformation
 from gateway.result.interval import PLUS_MINUS, SAID, half_width
 from gateway.result.result import Finding
 
@@ -49,7 +49,7 @@ def ended(decision: NextStep, label: str) -> str:
         f"expected after {MOST_POSES} poses: {_width(k, verdict.limit[k])})"
         for k in short
     )
-    return f"no further pose brings load {label} to {missed}; {what_helps(stock.outlook, verdict)}"
+    return f"no further pose brings load {label} to {missed}; {what_helps(stock.information, verdict)}"
 
 
 def end_of(decision: NextStep, label: str) -> Finding:
@@ -59,7 +59,7 @@ def end_of(decision: NextStep, label: str) -> Finding:
     return Finding("info" if reached else "warn", f"load {label}", said, helps)
 
 
-def what_helps(known: Outlook, verdict: Narrowness) -> str:
+def what_helps(known: ExpectedInformation, verdict: Narrowness) -> str:
     """Return the measures that would bring a load to its goal where further poses do not."""
     short = ~verdict.reached
     now = half_width(1.0) * known.std[short]

@@ -28,7 +28,7 @@ from gateway.acquire.until.goal import Goal, half_widths
 from gateway.data.rest_pose import RestPose
 from gateway.data.table import Table, concatenate
 from gateway.errors import PlanRefused, WrongPlace
-from gateway.estimate.expected_information import PoseNoise, Sought, Stock, outlook_of_priors, take_stock
+from gateway.estimate.expected_information import PoseNoise, Sought, Stock, information_of_priors, take_stock
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
@@ -154,15 +154,15 @@ def decide(search: LoadSearch, measured: Table | None, at_rad: Floats) -> NextSt
     stock = _stock(search, table)
     taken = np.empty((0, search.robot.axes)) if table is None else _poses(table, search.label)
     sampling = Sampling(search.settings.period_s, search.settings.samples)
-    goal = search.goal.half_widths(float(stock.outlook.moment[0]))
-    verdict = judge(stock.outlook, half_widths(stock.load), goal, len(taken), search.pool, sampling)
+    goal = search.goal.half_widths(float(stock.information.moment[0]))
+    verdict = judge(stock.information, half_widths(stock.load), goal, len(taken), search.pool, sampling)
     if verdict.done or stock.refused is not None:
         return NextStep(stock, verdict, None)
     choice = _choice(search, at_rad, len(taken))
     seconds = _seconds(search, at_rad, choice.q_rad)
     near = np.abs(choice.q_rad[:, None] - np.vstack([taken, search.apart_rad])[None]).max(axis=2, initial=0.0)
     seconds[(near < DISTANCE_RAD).any(axis=1)] = np.inf
-    rows, samples = best_first(stock.outlook, verdict, choice, seconds, sampling)
+    rows, samples = best_first(stock.information, verdict, choice, seconds, sampling)
     number = search.number if measured is None else max(search.number, int(measured.pose.max()) + 1)
     plan = _plan(search, at_rad, choice.q_rad[rows], (number, samples))
     return NextStep(stock, verdict, plan, max(verdict.ahead - 1, 0) * plan.duration_s)
@@ -185,7 +185,7 @@ def _stock(search: LoadSearch, table: Table | None) -> Stock:
     if table is None:
         band_nm = BAND_SHARE * search.workspace.torque_nm
         noise = PoseNoise(assumed_noise_nm(search.workspace) ** 2, np.zeros(len(band_nm)))
-        return Stock(None, None, outlook_of_priors(search.robot, search.options, search.guess, band_nm, noise))
+        return Stock(None, None, information_of_priors(search.robot, search.options, search.guess, band_nm, noise))
     found = pair_visits(table, search.options.efficiency, search.options.coupling)
     visits, _ = without_outliers(found, search.robot, search.options.gravity_m_s2)
     sought = Sought(search.label, search.guess, _sample_std_nm(table))

@@ -54,7 +54,7 @@ class MovingThresholds:
         RUNS,
     )
     rare: float = threshold(30.0, "", "prior odds of another friction curve against a fault or an extra part", RUNS)
-    sure_odds: float = threshold(10.0, "", "odds below which a runner-up contests an effect", RUNS)
+    naming_odds: float = threshold(10.0, "", "odds below which a runner-up contests an effect", RUNS)
     largest_model: int = threshold(
         60, "", "largest number of terms of a model", "more than any arm has; limits the search"
     )
@@ -109,7 +109,7 @@ class MovingThresholds:
         "largest held-out ratio of the correction of a mistake",
         "a mistake leaves residuals as large as the torque",
     )
-    right_way: float = threshold(
+    dissipating_power: float = threshold(
         2.0, "std", "positive friction power in one run that proves a correct torque sign", "one error in forty"
     )
     explained: float = threshold(

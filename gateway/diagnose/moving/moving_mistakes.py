@@ -81,7 +81,7 @@ def _worst(problem: MovingProblem, allowed: frozenset[str], refuted: frozenset[L
         if mistake.label in refuted or not _takes_power(neutral, mistake):
             continue
         ratio, gain = _held_ratio(neutral, mistake)
-        if ratio.below_one and ratio.value < limit and gain > np.log(MOVING.rare * MOVING.sure_odds):
+        if ratio.below_one and ratio.value < limit and gain > np.log(MOVING.rare * MOVING.naming_odds):
             judged.append((ratio.value, mistake))
     return min(judged, key=lambda pair: pair[0], default=(1.0, None))[1]
 
@@ -114,7 +114,7 @@ def _right_in_a_run(problem: MovingProblem, axis: int) -> bool:
         rows = (motion.run == number) & ~motion.held_out
         if motion.judged[rows, axis].sum() < MOVING.fewest_rows:
             continue
-        if _friction_power(problem, fit(problem, (), rows, motion.held_out), axis) > MOVING.right_way:
+        if _friction_power(problem, fit(problem, (), rows, motion.held_out), axis) > MOVING.dissipating_power:
             return True
     return False
 

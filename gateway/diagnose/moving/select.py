@@ -34,8 +34,8 @@ def demands(term: Term, axes: int) -> Demands:
 class Chosen:
     """Effect in the final model: its terms, its trial against the model without it, and the runner-up's trial.
 
-    `contested`: the odds against the runner-up or against no effect are below `sure_odds`. `rival`: the runner-up meets
-    its own thresholds; then neither of the two is reported. `held`: improvement on held-out rows.
+    `contested`: the odds against the runner-up or against no effect are below `naming_odds`. `rival`: the runner-up
+    meets its own thresholds; then neither of the two is reported. `held`: improvement on held-out rows.
     """
 
     terms: tuple[Term, ...]
@@ -56,7 +56,7 @@ class Chosen:
         return sorted({axis for term in self.terms for axis in term.enters(count)})
 
 
-def believed(problem: MovingProblem, trial: Trial, tried: int) -> bool:
+def is_significant(problem: MovingProblem, trial: Trial, tried: int) -> bool:
     """Return True if a trial meets its thresholds."""
     need = demands(trial.term, problem.motion.axes)
     return (
@@ -133,7 +133,7 @@ def _best(problem: MovingProblem, state: MovingState, pool: Sequence[Term], trie
 def _proven(problem: MovingProblem, state: MovingState, trial: Trial, tried: int) -> bool:
     """Return True if a trial meets its thresholds, exceeds the nuisance prior and is physically possible."""
     return (
-        believed(problem, trial, tried)
+        is_significant(problem, trial, tried)
         and beyond_usual(problem, trial.term, trial.value, trial.covariance)
         and possible(problem, state.full, trial.term, trial.value, trial.covariance)
     )
@@ -193,6 +193,6 @@ def weigh(problem: MovingProblem, state: MovingState, allowed: frozenset[str]) -
             own.gain - penalty(mine[0]) - (max(runner.gain - penalty(runner.term), 0.0) if runner is not None else 0.0)
         )
         odds = float(np.exp(np.clip(lead, -27.0, 27.0)))
-        rival = runner is not None and believed(problem, runner, len(pool))
-        out.append(Chosen(mine, own, runner, odds, odds < MOVING.sure_odds, rival))
+        rival = runner is not None and is_significant(problem, runner, len(pool))
+        out.append(Chosen(mine, own, runner, odds, odds < MOVING.naming_odds, rival))
     return out

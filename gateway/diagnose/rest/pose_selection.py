@@ -127,7 +127,7 @@ def _disagreement(
         # half: what the parameters of the loser can still take up once the new visits are in its fit
         squares = 0.5 * ((other - readings[0]) / std) ** 2
         information.append(np.bincount(visit[visit >= 0], weights=squares[visit >= 0], minlength=len(choice)))
-    return np.min(np.array(information), axis=0) + REST.told_in_all * np.mean(np.array(information), axis=0)
+    return np.min(np.array(information), axis=0) + REST.total_information_share * np.mean(np.array(information), axis=0)
 
 
 def _spread_out(choice: Floats, information: Floats) -> NDArray[np.int_]:

@@ -22,10 +22,13 @@ class RestThresholds:
         "one more than the three that a centre of gravity needs",
     )
     least_strength: float = threshold(
-        0.5, "floors", "smallest strength of a named effect after projecting out links, loads and bands", BLIND
+        0.5, "noise floors", "smallest strength of a named effect after projecting out links, loads and bands", BLIND
     )
     least_link_strength: float = threshold(
-        0.8, "floors", "smallest strength of an extra mass on a link, because wrong CAD values look like it", BLIND
+        0.8,
+        "noise floors",
+        "smallest strength of an extra mass on a link, because wrong CAD values look like it",
+        BLIND,
     )
     unseen: float = threshold(
         1.0,
@@ -33,12 +36,12 @@ class RestThresholds:
         "smallest improvement of left-out poses by a named effect",
         "five of six effects with this improvement are true",
     )
-    sure_odds: float = threshold(20.0, "", "odds below which another set of effects is a rival", KASS)
+    naming_odds: float = threshold(20.0, "", "odds below which another set of effects is a rival", KASS)
     ask_odds: float = threshold(
         400.0,
         "",
         "odds below which further measurements against a rival are recommended",
-        "square of sure_odds: another equally informative measurement could reverse it",
+        "square of naming_odds: another equally informative measurement could reverse it",
     )
     out_of_reach: float = threshold(
         100.0,
@@ -74,7 +77,7 @@ class RestThresholds:
     )
     power_seed: int = threshold(20, "", "seed of those draws", "any; the same data give the same result")
     largest_structure: float = threshold(
-        20.0, "floors", "largest size of a structure that is computed", "the strongest effect of the blind cells"
+        20.0, "noise floors", "largest size of a structure that is computed", "the strongest effect of the blind cells"
     )
     structure_step: float = threshold(0.02, "", "relative accuracy of that size", "less than the scatter of the draws")
     fresh_p: float = threshold(
@@ -88,12 +91,14 @@ class RestThresholds:
     most_effects: int = threshold(
         8, "", "largest number of effects of a hypothesis", "limits the search; its gains end it much earlier"
     )
-    needed: float = threshold(3.0, "log odds", "smallest gain of an effect that is kept", "log of 20, as sure_odds")
+    needed: float = threshold(3.0, "log odds", "smallest gain of an effect that is kept", "log of 20, as naming_odds")
     implausible: float = threshold(
         8.0, "log odds", "prior penalty of an effect with a value that its mechanism cannot have", BLIND
     )
     rare: float = threshold(2.0, "log odds", "prior penalty of an unnamed torque curve against named effects", BLIND)
-    cogging: float = threshold(1.0, "floors", "RMS of the usual ripple of a gear", "`methods.md` 9: below one floor")
+    cogging: float = threshold(
+        1.0, "noise floors", "RMS of the usual ripple of a gear", "`methods.md` 9: below one floor"
+    )
     # where the search looks
     singles: int = threshold(8, "", "number of places fitted alone", BLIND)
     pairs: int = threshold(10, "", "number of pairs of places fitted together", BLIND)
@@ -104,7 +109,7 @@ class RestThresholds:
     shapes_added: int = threshold(3, "", "number of shapes added to a leading hypothesis at one place", BLIND)
     inert: float = threshold(
         0.5,
-        "floors",
+        "noise floors",
         "change of all rows together below which a candidate has no effect",
         "no fit can detect half a noise floor over all rows together",
     )
@@ -116,7 +121,10 @@ class RestThresholds:
         "by simulation: the best of thousands of orders fits fewer angles for any torque",
     )
     ripple_squares: float = threshold(
-        3.0, "floors2", "smallest mean square residual of an axis for order analysis", "a ripple of two noise floors"
+        3.0,
+        "noise floors2",
+        "smallest mean square residual of an axis for order analysis",
+        "a ripple of two noise floors",
     )
     ripple_p: float = threshold(
         0.01,
@@ -141,7 +149,7 @@ class RestThresholds:
     surer: float = threshold(2.0, "log odds", "margin of a mistake over the best effects without it", BLIND)
     obvious: float = threshold(150.0, "log odds", "gain of a mistake from which effects are not searched first", BLIND)
     most_mistakes: int = threshold(3, "", "largest number of mistakes of one arm", "two wrong drives and one cable")
-    mistake_sure: float = threshold(
+    mistake_probability: float = threshold(
         0.95, "", "confidence that correcting a mistake improves left-out poses", "customary value, one-sided"
     )
     least_axes: int = threshold(
@@ -153,9 +161,11 @@ class RestThresholds:
     moved_rad: float = threshold(
         0.02, "rad", "range of an axis's angles below which it did not move", "ten times the tolerance of one pose"
     )
-    suspicious: float = threshold(1.7, "floors", "residual of the half-sums from which mistakes are searched", BLIND)
+    suspicious: float = threshold(
+        1.7, "noise floors", "residual of the half-sums from which mistakes are searched", BLIND
+    )
     beyond_any_effect: float = threshold(
-        8.0, "floors", "residual of the half-sums from which mistakes are searched before effects", BLIND
+        8.0, "noise floors", "residual of the half-sums from which mistakes are searched before effects", BLIND
     )
     negative_band: float = threshold(
         -3.0,
@@ -183,7 +193,9 @@ class RestThresholds:
     )
     # direct evidence
     wind_up: float = threshold(6.0, "std", "smallest significant compliance from a secondary encoder", BLIND)
-    wind_up_strength: float = threshold(0.6, "floors", "smallest torque error without the secondary encoder", BLIND)
+    wind_up_strength: float = threshold(
+        0.6, "noise floors", "smallest torque error without the secondary encoder", BLIND
+    )
     bias: float = threshold(
         5.0,
         "std",
@@ -191,12 +203,12 @@ class RestThresholds:
         "one false alarm in half a million arms of six axes",
     )
     bias_strength: float = threshold(
-        0.5, "floors", "smallest reported direction-dependent friction", "as least_strength"
+        0.5, "noise floors", "smallest reported direction-dependent friction", "as least_strength"
     )
     each_side: int = threshold(2, "", "smallest number of one-sided visits per side", "one to fit, one to test")
     # what to measure next
     asked: int = threshold(8, "", "number of poses recommended at once", "about five minutes of measurement")
-    told_in_all: float = threshold(
+    total_information_share: float = threshold(
         0.1,
         "",
         "weight of the information on all rivals, added to that on the least separable one",

@@ -162,7 +162,7 @@ def held_ratio(problem: RestProblem, now: Fit, changed: RestProblem, undone: Fit
     rng = np.random.default_rng(DRAWS)
     drawn = rng.integers(0, len(poses), (DRAWS, len(poses)))
     ratio = squares[1][drawn].sum(axis=1) / np.maximum(squares[0][drawn].sum(axis=1), 1e-300)
-    upper = float(np.quantile(ratio, REST.mistake_sure))
+    upper = float(np.quantile(ratio, REST.mistake_probability))
     return float(np.sqrt(after / before)), float(np.sqrt(upper))
 
 

@@ -41,7 +41,7 @@ class Swing:
     term : TorqueRipple
     chance : p-value: probability that some order fits torque without an order equally well
     share : share of the axis's residual that it explains, 0 to 1
-    aliases : further orders [swings per turn] with odds below `sure_odds` against the best one
+    aliases : further orders [swings per turn] with odds below `naming_odds` against the best one
     angles : number of different angles
     """
 
@@ -141,7 +141,7 @@ def _aliases(orders: Floats, log_odds: Floats, best: int) -> tuple[float, ...]:
     taken = [best]
     apart = 4.0 * float(orders[1] - orders[0]) if len(orders) > 1 else 0.0
     for index in np.argsort(log_odds):
-        if log_odds[index] > np.log(REST.sure_odds) or len(taken) > REST.aliases:
+        if log_odds[index] > np.log(REST.naming_odds) or len(taken) > REST.aliases:
             break
         if all(abs(orders[index] - orders[other]) > apart for other in taken):
             taken.append(int(index))

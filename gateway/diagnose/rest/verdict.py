@@ -56,7 +56,7 @@ class Decision:
     before, after : fits without effects and with the proven effects
     full : fit that also has the required unnamed torque curves
     proven : effects of `after` that the data prove; the others correct the CAD's links and are not named
-    rivals : other sets of effects within `sure_odds`, best first
+    rivals : other sets of effects within `naming_odds`, best first
     near : other sets within `ask_odds`; further measurements are recommended
     structure_p : p-value of the remaining residual under noise alone
     odds : per effect, against the best hypothesis without it
@@ -89,14 +89,16 @@ def decide(search: Search, chosen: Fit) -> Decision:
     full = _seen_to_help(search, _without_usual(search, _without_weak(search, chosen)))
     own = _key(search, full)
     near = _rivals(search, full, own)
-    while smaller := [rival for rival in near if rival.odds < REST.sure_odds and _holds_less(rival.key, own)]:
+    while smaller := [rival for rival in near if rival.odds < REST.naming_odds and _holds_less(rival.key, own)]:
         full = _seen_to_help(search, _without_usual(search, smaller[0].fit))
         own = _key(search, full)
         near = _rivals(search, full, own)
     after = search.fitted([term for term in full.terms if term.name != UNNAMED], full)
     proven = tuple(term for term in after.terms if term.label in own.names)
     rivals = tuple(
-        rival for rival in near if rival.odds < REST.sure_odds and not rival.holds and _instead(search, full, rival.fit)
+        rival
+        for rival in near
+        if rival.odds < REST.naming_odds and not rival.holds and _instead(search, full, rival.fit)
     )
     structure_p = misfit(problem, full)
     odds, runner_up = _odds(search, after, full)

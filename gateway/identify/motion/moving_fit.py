@@ -21,7 +21,7 @@ from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.convergence import Settled, settle
 from gateway.identify.motion.effects import Effects, SeenEffects
 from gateway.identify.motion.periods import Periods, averaged
-from gateway.identify.motion.prior import alike, gains_prior, held_to_friction, losses_seen
+from gateway.identify.motion.prior import gains_prior, held_to_friction, losses_seen, with_common_part
 from gateway.identify.motion.problem import MotionProblem, Still, about, solved
 from gateway.identify.motion.rest_rows import FittedRest, columns_beside
 from gateway.identify.motion.statements import NEARLY_EXACT, contradicted_links, contradiction
@@ -243,7 +243,7 @@ def _with_gains(problem: MotionProblem, knowledge: Knowledge, before: MotionFit 
         lost = losses_seen(prior, columns.nuisances, before.value, before.std)
         prior = gains_prior(prior, columns.nuisances, gain_stds(knowledge.gain_std, len(lost)), lost)
     if knowledge.gain_std is None:
-        prior = alike(prior, columns.nuisances["gain"])
+        prior = with_common_part(prior, columns.nuisances["gain"])
     return replace(problem, columns=replace(columns, prior=prior.freed(columns.taken)))
 
 

@@ -58,7 +58,7 @@ def gains_prior(prior: Prior, nuisances: Mapping[str, Ints], gain_std: Floats, l
     return replace(prior.with_std(index, np.hypot(usual.gain_std, _LEAST_UNEVEN)), mean=mean)
 
 
-def alike(prior: Prior, index: Ints) -> Prior:
+def with_common_part(prior: Prior, index: Ints) -> Prior:
     """Return the prior with a common part of the errors of some parameters, each with unchanged variance.
 
     With a share r of the variance in common the precision is a (1 - r + N r)^-1 on every one of them, and the rest on

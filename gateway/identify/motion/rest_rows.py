@@ -64,7 +64,9 @@ def columns_beside(
     # loads that are in the rest rows alone have columns too
     complete = moving_columns(concatenate([moving, _as_rows(moving, rest.problem.rows)]), robot, knowledge, motion)
     count = len(moving)
-    columns = replace(complete, design=complete.design[:count], known_nm=complete.known_nm[:count], sign=complete.sign[:count])
+    columns = replace(
+        complete, design=complete.design[:count], known_nm=complete.known_nm[:count], sign=complete.sign[:count]
+    )
     return columns, _still(columns, rest)
 
 

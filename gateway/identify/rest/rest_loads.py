@@ -58,10 +58,10 @@ def loads_of(problem: RestProblem, fit: Fit, robot: Robot, by_shape: Floats | No
     return tuple(load_result(load, robot) for load in load_estimates(problem, fit, robot, by_shape))
 
 
-def spread_by_shape(fit: Fit, alike: Sequence[tuple[float, Fit]]) -> Floats:
+def spread_by_shape(fit: Fit, shapes: Sequence[tuple[float, Fit]]) -> Floats:
     """Covariance (labels, 4, 4) of [m, h] due to other shapes of the effects, weighted by their probabilities."""
     out = np.zeros((len(fit.loads), 4, 4))
-    for weight, other in alike:
+    for weight, other in shapes:
         away = other.loads - fit.loads
         out += weight * away[:, :, None] * away[:, None, :]
     return out

@@ -14,7 +14,7 @@ class RestModelThresholds:
 
     strength_spread: float = threshold(
         10.0,
-        "floors",
+        "noise floors",
         "prior standard deviation of the strength of an effect of unknown size",
         "range of strengths in blind cells, 1.5 to 20",
     )

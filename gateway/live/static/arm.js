@@ -1,10 +1,10 @@
-// The arm as it stands: convex bodies, turned by the frames of their links, drawn from back to front.
+// The arm in its present posture: convex bodies, turned by the frames of their links, drawn from back to front.
 // A plane canvas is enough for some hundred faces, and needs no graphics processor.
 "use strict";
 
 const HOME = { azimuth: -1.08, elevation: 0.3 };
 const LIGHT = [-0.35, -0.5, 0.79];
-// Frames that differ by less [1 and m] cannot be told apart on a screen.
+// Frames that differ by less [1 and m] are equal on a screen.
 const STILL = 2e-4;
 // Colours between a face that is turned away from the light and one that faces it.
 const SHADES = 64;
@@ -40,7 +40,7 @@ class ArmView {
     this.stale = true;
   }
 
-  // An arm that stands is not drawn again.
+  // An arm at rest is not drawn again.
   pose(frames) {
     if (this.frames && frames.every((frame, link) => frame.every((value, at) => Math.abs(value - this.frames[link][at]) < STILL))) return;
     this.frames = frames;

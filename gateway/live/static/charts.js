@@ -1,5 +1,5 @@
 // Curves over the last seconds, of which only what is new is drawn, and points pose by pose.
-// A computer without a graphics card draws every pixel itself: a curve of 20 s that is drawn anew with each frame costs
+// A computer without a graphics card draws every pixel itself: a curve of 20 s that is drawn again with each frame costs
 // it more than all the rest of the page. What is there moves to the left by whole pixels, and its end is added.
 "use strict";
 
@@ -57,7 +57,7 @@ class Plot {
   }
 
   range(low, high) {
-    [this.low, this.high] = room(low, high);
+    [this.low, this.high] = withMargin(low, high);
     this.slope = (this.base - this.top) / (this.high - this.low);
     const step = nice((this.high - this.low) * (GRID_PX * this.ratio) / (this.base - this.top));
     this.ticks = [];
@@ -137,7 +137,7 @@ class Strip extends Plot {
     if (low != null && (low < this.low || high > this.high)) return false;
     if (newest_s - this.looked_s < LOOK_S) return true;
     this.looked_s = newest_s;
-    const wanted = room(...this.span(this.first_shown(newest_s)));
+    const wanted = withMargin(...this.span(this.first_shown(newest_s)));
     return wanted[1] - wanted[0] > NARROWER * (this.high - this.low);
   }
 
@@ -195,14 +195,14 @@ class Strip extends Plot {
     this.curves(from, false);
   }
 
-  // Upright lines whose label has found room between two places, counted as `edge` is.
+  // Upright lines whose label fits between two places, counted as `edge` is.
   uprights(from, to) {
     const half = 14 * this.ratio, step = TICK_S * this.pixels_s;
     for (let at = Math.ceil((from - half) / step); at * step + half < to; at++)
       if (at * step + half >= from && at >= 0) this.upright(at * step - to + this.canvas.width, String(at * TICK_S));
   }
 
-  // The curves from a sample on; where many lie in one column of pixels, its first, lowest, highest and last one.
+  // The curves from a sample on; where many are in one column of pixels, its first, lowest, highest and last one.
   curves(from, thinned) {
     const { pen, time } = this, shift = this.canvas.width - this.edge;
     pen.lineWidth = 1.4 * this.ratio;
@@ -277,8 +277,8 @@ class Dots extends Plot {
   }
 }
 
-// Some room above and below, and never a range so small that noise fills it.
-function room(low, high) {
+// A margin above and below, and never a range so small that noise fills it.
+function withMargin(low, high) {
   if (low == null || high == null) return [-1, 1];
   const pad = Math.max(0.1 * (high - low), 0.02 * Math.max(Math.abs(low), Math.abs(high)), 1e-3);
   return [low - pad, high + pad];

@@ -1,4 +1,4 @@
-// What the socket tells goes into the page; the button is the one thing that goes back.
+// Messages of the socket go into the page; the button is the one thing that goes back.
 "use strict";
 
 const byId = (id) => document.getElementById(id);
@@ -135,7 +135,7 @@ class Arm {
 
 const live = { arms: [], fresh: false, over: false, stops: true, frames: 0, lag_ms: [], cost_ms: [], presses: 0, socket: null, wall_ms: 0, poses: [] };
 
-function hear(message) {
+function receive(message) {
   if (message.hello) {
     document.querySelector("h1").textContent = document.title = message.hello.title;
     live.stops = message.hello.stops;
@@ -154,14 +154,14 @@ function hear(message) {
     live.wall_ms = message.frame.wall_ms || 0;
     live.fresh = true;
     ask();
-  } else if (message.event) tell(message.event);
+  } else if (message.event) announce(message.event);
   else if (message.pose) {
     live.poses.push(message.pose);
     live.arms[0]?.pose(message.pose);
   } else if (message.over) end(message.over);
 }
 
-function stand(frame) {
+function showStill(frame) {
   const phase = byId("phase");
   phase.textContent = frame.phase || "-";
   phase.classList.toggle("fail", frame.phase.startsWith("stopped"));
@@ -175,7 +175,7 @@ function clock(seconds) {
   return seconds < 60 ? `${seconds.toFixed(0)} s` : `${Math.floor(seconds / 60)} min ${Math.floor(seconds % 60)} s`;
 }
 
-function tell(event) {
+function announce(event) {
   const item = document.createElement("li"), at = document.createElement("time");
   item.className = event.grave;
   at.textContent = `${event.at} UTC`;
@@ -214,7 +214,7 @@ byId("stop").addEventListener("click", () => {
 function connect() {
   live.socket = new WebSocket(`ws://${location.host}/feed?token=${encodeURIComponent(token)}`);
   live.socket.onopen = arm_button;
-  live.socket.onmessage = (message) => hear(JSON.parse(message.data));
+  live.socket.onmessage = (message) => receive(JSON.parse(message.data));
   live.socket.onclose = () => {
     arm_button();
     if (!live.over) setTimeout(connect, 1000);
@@ -236,7 +236,7 @@ function draw(now) {
   if (now - written > WRITTEN_MS) {
     written = now;
     for (const arm of live.arms) arm.write();
-    if (standing) stand(standing);
+    if (standing) showStill(standing);
     clearTimeout(last_word);
     last_word = 0;
   } else if (!last_word) last_word = setTimeout(ask, 2 * WRITTEN_MS); // should nothing come any more

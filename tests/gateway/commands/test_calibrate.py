@@ -154,7 +154,7 @@ def test_unloaded_runs_that_differ_widen_the_calibration(place):
     answer = json.loads(done.stdout)
     drifted = {axis["joint"]: axis for axis in answer["axes"]}
     assert drifted[2]["std"] > 2 * steady[2]["std"]
-    assert any("between both times its torque changed" in each["what"] for each in answer["findings"])
+    assert any("between both measurements its torque changed" in each["what"] for each in answer["findings"])
 
 
 def change(place, **values):

@@ -22,14 +22,14 @@ def resting(count=6):
 
 def test_a_rest_table_held_out_of_moving_runs_is_refused():
     table, robot, _ = measured(0, World(), duration_s=6.0)
-    with pytest.raises(DataUnusable, match=r"--holdout: the rows that are fitted move, those held out are at rest"):
+    with pytest.raises(DataUnusable, match=r"--holdout: the fitted rows move, the held-out rows are at rest"):
         diagnose(table, robot, DiagnoseOptions(holdout=resting()))
 
 
 def test_a_moving_run_held_out_of_rest_visits_is_refused():
     bench = Bench(3, [])
     table, _, _ = measured(0, World(), duration_s=3.0)
-    with pytest.raises(DataUnusable, match="are at rest, those held out move"):
+    with pytest.raises(DataUnusable, match="are at rest, the held-out rows move"):
         diagnose(bench.both(), bench.robot, replace(bench.options, holdout=table))
 
 
@@ -38,7 +38,7 @@ def test_of_a_mixed_hold_out_the_rows_of_the_other_kind_are_left_out_aloud():
     first, last = table.take(table.time_s < 9.0), table.take(table.time_s >= 9.5)
     result = diagnose(first, robot, DiagnoseOptions(holdout=concatenate([last, resting()])))
     assert result.holdout_kind == "given"
-    assert any("6 rest rows of the hold-out were left out" in finding.what for finding in result.findings)
+    assert any("6 rest rows of the hold-out were not used" in finding.what for finding in result.findings)
 
 
 def test_a_hold_out_of_another_number_of_axes_is_refused():

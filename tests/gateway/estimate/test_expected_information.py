@@ -17,7 +17,7 @@ from gateway.acquire.until.choice import (
 from gateway.acquire.until.messages import ended
 from gateway.acquire.until.search import NextStep
 from gateway.data.table import concatenate
-from gateway.estimate.expected_information import PoseNoise, Sought, outlook_of_priors, take_stock
+from gateway.estimate.expected_information import PoseNoise, Sought, information_of_priors, take_stock
 from gateway.estimate.options import EstimateOptions
 from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
@@ -66,7 +66,7 @@ def turned(known):
 
 
 def test_a_pose_adds_the_information_of_its_rows(stock, choice):
-    known = stock.outlook
+    known = stock.information
     variance = known.noise.friction_nm2 + known.noise.sample_nm2 / 40.0
     rows = known.rows(choice.regressor)
     own = slice(known.load, known.load + 4)
@@ -81,17 +81,17 @@ def test_a_pose_adds_the_information_of_its_rows(stock, choice):
 
 def test_what_is_promised_comes_true(bench, options, stock, choice):
     """The predicted standard deviation against that of an estimate with the pose really measured."""
-    before = stock.outlook
+    before = stock.information
     row = int(np.argmin(before.std_after(choice.regressor, 100)[:, 0]))
     far = Bench(3, [])
     table, more = far.both(), far.more(choice.q_rad[row][None])
     after = stock_of(far, options, concatenate([table, more]))
-    assert after.outlook.std == pytest.approx(before.std_after(choice.regressor[row][None], 100)[0], rel=0.15)
-    assert (after.outlook.std < before.std).all()
+    assert after.information.std == pytest.approx(before.std_after(choice.regressor[row][None], 100)[0], rel=0.15)
+    assert (after.information.std < before.std).all()
 
 
 def test_what_is_known_of_the_gains_narrows_by_the_conditional_covariance(stock):
-    known = stock.outlook
+    known = stock.information
     own, gains = np.arange(known.load, known.load + 4), known.gain
     joint = known.covariance
     spread = (
@@ -104,12 +104,12 @@ def test_what_is_known_of_the_gains_narrows_by_the_conditional_covariance(stock)
 
 def test_samples_are_the_most_informative_per_second(stock, choice):
     """Where friction hides all, the least; where the reading's own noise does, more, up to those of the cell."""
-    verdict = Narrowness(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
+    verdict = Narrowness(1.96 * stock.information.std, 0.1 * GOAL, np.zeros(4), 5, 5)
     seconds = np.full(len(choice), 5.0)
     found = []
     for friction, sample in ((1.0, 1e-6), (1e-4, 1.0), (1e-6, 1e3)):
         noise = PoseNoise(np.full(6, friction), np.full(6, sample))
-        found.append(best_first(replace(stock.outlook, noise=noise), verdict, choice, seconds, SAMPLING)[1])
+        found.append(best_first(replace(stock.information, noise=noise), verdict, choice, seconds, SAMPLING)[1])
     assert found[0] == SAMPLING.least
     assert found[2] == SAMPLING.most
     assert found == sorted(found)
@@ -119,7 +119,7 @@ def test_before_the_first_pose_the_load_is_open_and_two_postures_close_it(bench,
     noise = PoseNoise(np.full(6, 1.0), np.zeros(6))
     guess = np.array([30.0, 0.0, 0.0, 0.0])
     exact = replace(options, inertials="exact", gain_std=(0.0,) * 6)
-    known = outlook_of_priors(bench.robot, exact, guess, np.full(6, 10.0), noise)
+    known = information_of_priors(bench.robot, exact, guess, np.full(6, 10.0), noise)
     one = known.with_poses(choice.regressor[0], 100, 1)
     two = one.with_poses(choice.regressor[1], 100, 1)
     assert known.std[0] == pytest.approx(90.0)
@@ -129,14 +129,14 @@ def test_before_the_first_pose_the_load_is_open_and_two_postures_close_it(bench,
 
 def test_nothing_is_well_known_before_the_least_number_of_poses(stock, choice):
     half = np.zeros(4)
-    assert not judge(stock.outlook, half, GOAL, LEAST_POSES - 1, choice, SAMPLING).done
-    assert judge(stock.outlook, half, GOAL, LEAST_POSES, choice, SAMPLING).done
+    assert not judge(stock.information, half, GOAL, LEAST_POSES - 1, choice, SAMPLING).done
+    assert judge(stock.information, half, GOAL, LEAST_POSES, choice, SAMPLING).done
 
 
 def test_a_goal_that_the_torque_constants_hide_is_given_up_and_named(stock, choice):
-    half = 1.96 * stock.outlook.std
+    half = 1.96 * stock.information.std
     goal = np.array([0.2 * half[0], np.inf, np.inf, np.inf])
-    verdict = judge(stock.outlook, half, goal, 10, choice, SAMPLING)
+    verdict = judge(stock.information, half, goal, 10, choice, SAMPLING)
     assert verdict.hopeless.tolist() == [True, False, False, False]
     assert goal[0] < verdict.limit[0] < half[0]
     assert verdict.done
@@ -145,7 +145,7 @@ def test_a_goal_that_the_torque_constants_hide_is_given_up_and_named(stock, choi
     assert "better torque constants" in said
     assert "known mass" in said
     reachable = np.array([1.05 * verdict.limit[0], np.inf, np.inf, np.inf])
-    going = judge(stock.outlook, half, reachable, 10, choice, SAMPLING)
+    going = judge(stock.information, half, reachable, 10, choice, SAMPLING)
     assert not going.done
     assert not going.hopeless.any()
     assert 0 < going.ahead <= MOST_POSES - 10
@@ -153,7 +153,7 @@ def test_a_goal_that_the_torque_constants_hide_is_given_up_and_named(stock, choi
 
 def test_of_two_equally_informative_poses_the_nearer_one_is_measured(stock, choice):
     same = Candidates(np.repeat(choice.q_rad[:1], 3, axis=0), np.repeat(choice.regressor[:1], 3, axis=0))
-    verdict = Narrowness(1.96 * stock.outlook.std, 0.1 * GOAL, np.zeros(4), 5, 5)
-    rows, samples = best_first(stock.outlook, verdict, same, np.array([6.0, 4.0, np.inf]), SAMPLING)
+    verdict = Narrowness(1.96 * stock.information.std, 0.1 * GOAL, np.zeros(4), 5, 5)
+    rows, samples = best_first(stock.information, verdict, same, np.array([6.0, 4.0, np.inf]), SAMPLING)
     assert rows.tolist() == [1, 0]
     assert SAMPLING.least <= samples <= SAMPLING.most

@@ -366,7 +366,7 @@ def test_an_impossible_body_is_refused_or_reported_and_not_clamped(arm, poses, m
     result = run(table, arm.robot, EstimateOptions())
     load = {item.label: item for item in result.loads}
     assert np.isnan(load["tool"].mass_kg)
-    assert "a mass of -3 kg" in load["tool"].refused
+    assert "a negative mass of -3 kg" in load["tool"].refused
     said = {finding.where: finding.what for finding in result.findings}
-    assert "a mass of -3 kg" in said["load tool"]
+    assert "a negative mass of -3 kg" in said["load tool"]
     assert "5.00 m" in said["load far"]

@@ -110,7 +110,7 @@ def test_a_function_for_another_path_or_cell_is_refused(cell, store):
     ("text", "says"),
     [
         ("{", "state.json:1: not valid JSON"),
-        ("[" * 9999, "state.json: holds .* nesting"),
+        ("[" * 9999, "state.json: contains .* nesting"),
         ("[]", "one JSON object is expected"),
     ],
 )

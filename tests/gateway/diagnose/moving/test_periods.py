@@ -111,4 +111,4 @@ def test_an_unexplained_repeating_torque_is_reported(clean: tuple[Table, Robot, 
     table, robot, _ = bare_and_loaded(5, World(strange={2: 0.3}))
     result = diagnose(table, robot, DiagnoseOptions())
     assert result.verdict in ("unexplained", "improved")
-    assert any("J3" in finding.where and "two periods" in finding.what for finding in result.findings)
+    assert any("J3" in finding.where and "difference between periods" in finding.what for finding in result.findings)

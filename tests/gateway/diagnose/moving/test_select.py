@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
-from gateway.diagnose.moving.select import believed, demands, penalty
+from gateway.diagnose.moving.select import demands, is_significant, penalty
 from gateway.model.effects.axis_coupling import MotorCoupling, TorqueMixing
 from gateway.model.effects.balancer_spring import HarmonicBalancer
 from gateway.model.effects.base_tilt import BaseTilt
@@ -46,8 +46,8 @@ class Shown:
 )
 def test_each_demand_alone_decides(worse):
     shown = Shown(LoadDependentFriction(1))
-    assert believed(PROBLEM, shown, TRIED)
-    assert not believed(PROBLEM, replace(shown, **worse), TRIED)
+    assert is_significant(PROBLEM, shown, TRIED)
+    assert not is_significant(PROBLEM, replace(shown, **worse), TRIED)
 
 
 def test_a_fault_or_an_extra_part_needs_more_than_what_any_gear_has():
@@ -55,7 +55,7 @@ def test_a_fault_or_an_extra_part_needs_more_than_what_any_gear_has():
     assert demands(TorqueMixing(4, 5), 6) is demands(TorqueOffset(1), 6) is MOVING.special
     assert demands(BaseTilt(), 6) is MOVING.special_all_axes
     assert demands(BaseTilt(), 2) is MOVING.special, "two axes are not many"
-    assert not believed(PROBLEM, Shown(TorqueOffset(1)), TRIED)
+    assert not is_significant(PROBLEM, Shown(TorqueOffset(1)), TRIED)
 
 
 def test_what_is_rare_and_has_many_shapes_has_more_to_make_good():
@@ -67,6 +67,6 @@ def test_what_is_rare_and_has_many_shapes_has_more_to_make_good():
 def test_an_order_that_was_looked_for_pays_for_every_order_that_was_tried():
     least = 0.99 * MOVING.special.p_demand / TRIED / 700
     shown = Shown(TorqueRipple(1, 80.0, 700), 0.5, p_demand=least, p_held=0.0, blocks_better=1.0)
-    assert believed(PROBLEM, shown, TRIED)
-    assert not believed(PROBLEM, replace(shown, p_demand=2.0 * least), TRIED)
-    assert believed(PROBLEM, replace(shown, term=TorqueRipple(1, 80.0), p_demand=700 * least), TRIED)
+    assert is_significant(PROBLEM, shown, TRIED)
+    assert not is_significant(PROBLEM, replace(shown, p_demand=2.0 * least), TRIED)
+    assert is_significant(PROBLEM, replace(shown, term=TorqueRipple(1, 80.0), p_demand=700 * least), TRIED)

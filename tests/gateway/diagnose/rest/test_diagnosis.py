@@ -122,7 +122,7 @@ def test_three_poses_are_not():
     assert result.verdict == "undecided"
     assert result.effects == ()
     assert result.next
-    assert any("hold out" in finding.what for finding in result.findings)
+    assert any("hold one out" in finding.what for finding in result.findings)
 
 
 @pytest.mark.slow
