@@ -1,8 +1,8 @@
 """Draw cells, answer them with the gateway and the baselines, score answers of any method.
 
-python -m benchmarks.naming run [--seeds dev|test] [--count N]     # everything, with one table
-python -m benchmarks.naming draw OUT --seeds test --count N         # cells in OUT/cells, truth in OUT/truth
-python -m benchmarks.naming score OUT/truth ANSWERS.jsonl ...       # table of any answers
+- `run [--seeds dev|test] [--count N]`: all of it, with one table.
+- `draw OUT --seeds test --count N`: cells in OUT/cells, truth in OUT/truth.
+- `score OUT/truth ANSWERS.jsonl ...`: table of any answers.
 """
 
 from __future__ import annotations

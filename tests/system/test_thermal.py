@@ -37,7 +37,7 @@ def test_a_drift_cancels_where_the_loads_are_measured_forth_and_back(place, serv
     forth, back, both = off_kg(table.pose < AGAIN), off_kg(table.pose >= AGAIN), off_kg(table.pose > 0)
     # less than half would be left if each direction alone did not have the drift in its model
     assert both < 0.7 * max(forth, back), (both, forth, back)
-    findings = [finding["where"] for finding in result["findings"] if "both times" in finding["what"]]
+    findings = [finding["where"] for finding in result["findings"] if "both measurements" in finding["what"]]
     assert {"J2", "J3"} <= set(findings)
     (load,) = result["loads"]
     assert abs(load["mass_kg"] - TRUTH_KG) < 4 * load["mass_std_kg"]
