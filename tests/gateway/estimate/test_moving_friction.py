@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gateway.identify.motion.friction import fall_columns, fall_speeds, shown_fall
-from gateway.identify.motion.prior import alike, gains_prior
+from gateway.identify.motion.prior import with_common_part, gains_prior
 from gateway.identify.nuisance import UNEVEN_LOSS
 from gateway.identify.solve import Prior
 
@@ -39,7 +39,7 @@ def test_columns_of_a_fall_are_of_the_axis_and_of_its_fastest():
 def test_gains_with_errors_in_common_keep_each_their_uncertainty():
     std = np.array([5.0, 0.03, 0.02, 0.03, 0.04])
     mean = np.array([1.0, 0.01, 0.0, 0.02, 0.0])
-    prior = alike(Prior(mean, std, np.zeros((0, 5)), np.zeros(0)), np.arange(1, 5))
+    prior = with_common_part(Prior(mean, std, np.zeros((0, 5)), np.zeros(0)), np.arange(1, 5))
     covariance = np.linalg.inv(prior.precision)
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), std)
     correlation = covariance / np.outer(std, std)
