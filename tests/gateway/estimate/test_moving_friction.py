@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gateway.identify.motion.friction import fall_columns, fall_speeds, shown_fall
-from gateway.identify.motion.prior import with_common_part, gains_prior
+from gateway.identify.motion.prior import gains_prior, with_common_part
 from gateway.identify.nuisance import UNEVEN_LOSS
 from gateway.identify.solve import Prior
 
