@@ -34,6 +34,8 @@ def main() -> None:
     is_flag=True,
     help="In real time: apply each target on arrival instead of at the drive's own clock tick.",
 )
+@click.option("--defect", multiple=True, metavar="NODE:NAME", help="Defect of a drive; repeatable.")
+@click.option("--timing", type=click.Path(path_type=Path), help="Write frames and motion of the drives here.")
 def serve(
     cell: Path,
     bus: str | None,
@@ -44,6 +46,8 @@ def serve(
     truth: Path | None,
     pacing: str | None,
     unbuffered: bool,
+    defect: tuple[str, ...],
+    timing: Path | None,
 ) -> None:
     """Serve the drives of CELL until Ctrl-C. On stdin: payload LABEL | none, grip open | closed, quit."""
     with _installed():
@@ -52,7 +56,7 @@ def serve(
 
     if undeclared is not None and seed is not None:
         raise click.UsageError("--undeclared and --seed exclude each other.")
-    options = ServeOptions(bus, payload, undeclared, seed, fault, truth, pacing, unbuffered)
+    options = ServeOptions(bus, payload, undeclared, seed, fault, truth, pacing, unbuffered, defect, timing)
     try:
         run(cell, options, lambda line: print(line, flush=True))
     except SimulationBusError as error:

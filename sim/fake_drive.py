@@ -60,13 +60,14 @@ class FakeDrive:
     reading_nm : torque measured last, at the gear output [Nm]
     error_code : 0x603F
     quirks : deviations from a tolerant and healthy drive
+    put : sends a frame on the bus
     """
 
     def __init__(self, site: DriveSite, axis: MotorAxis, send: Callable[[can.Message], None]) -> None:
         self.node_id, self.spec, self.sync_period_s = site.node_id, site.spec, site.sync_period_s
         self.limited = site.limited
         self.axis = axis
-        self._send = send
+        self.put = send
         self.units: DriveUnits = drive_units(site.spec)
         self.serial = 0x51_0000 + site.node_id
         self.counts_per_joint_rad = site.spec.position_sign * site.spec.gear_ratio * self.units.counts_per_rad
@@ -207,7 +208,7 @@ class FakeDrive:
 
     def transmit(self, tpdo: Pdo) -> None:
         """Send one TPDO."""
-        self._send(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
+        self.put(can.Message(arbitration_id=tpdo.frame_id, data=tpdo.pack(), is_extended_id=False))
 
     # ------------------------------------------------------------------------------------------- state and faults
 

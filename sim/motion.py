@@ -79,6 +79,7 @@ class DriveMotion:
     brake_stuck : the holding brake does not open
     wobble : amplitude [rad] and frequency [Hz] of a loop that hunts and never comes to rest
     buffered : a setpoint waits for the drive's own clock
+    brake_closing_s : time that the brake takes to close after the motor of a standing axis is off [s]
     """
 
     def __init__(self, drive: MovingDrive) -> None:
@@ -87,6 +88,7 @@ class DriveMotion:
         self.brake_stuck = False
         self.wobble: tuple[float, float] | None = None
         self.buffered = False
+        self.brake_closing_s = 0.0
         #: Setpoint that no tick has taken yet.
         self._waiting_rad: float | None = None
         self._goal = self._since_s = 0.0
@@ -143,9 +145,9 @@ class DriveMotion:
         axis = self._drive.axis
         self._release_s = None
         self._speed = self._stopping_s = 0.0
-        if axis.fed and abs(axis.omega_rad_s) > STANDSTILL_RAD_S:
+        if axis.fed and (self.brake_closing_s or abs(axis.omega_rad_s) > STANDSTILL_RAD_S):
             axis.coast()
-            self._lock_s = self._time_s + self._brake_delay_s()
+            self._lock_s = self._time_s + max(self._brake_delay_s(), self.brake_closing_s)
         elif self._lock_s is None:
             axis.lock()
 

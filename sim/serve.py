@@ -164,10 +164,13 @@ def command(cell_path: Path, options: ServeOptions) -> list[str]:
         "--fault": options.fault,
         "--truth": options.truth,
         "--pacing": options.pacing,
+        "--timing": options.timing,
     }
     for key, value in pairs.items():
         if value is not None:
             words += [key, str(value)]
+    for text in options.defect:
+        words += ["--defect", text]
     return [*words, "--unbuffered"] if options.unbuffered else words
 
 

@@ -195,6 +195,11 @@ class BusServer:
             self.end()
 
     @property
+    def real_at_s(self) -> float:
+        """Return the instant of the monotonic clock that real time has reached [s]."""
+        return self._real_at_s
+
+    @property
     def by_the_clock(self) -> bool:
         """Return whether simulated time follows the wall clock."""
         return self._real
@@ -281,7 +286,7 @@ class BusServer:
 
         Not beyond: a frame may have arrived since, and its command belongs to its time of arrival.
         """
-        self.pass_until(gap_s if message is None else _came_s(message))
+        self.pass_until(gap_s if message is None else came_s(message))
 
     def pass_until(self, now_s: float) -> None:
         """Advance simulated time to an instant of the monotonic clock."""
@@ -327,7 +332,7 @@ def serve_together(servers: Sequence[BusServer]) -> None:
             heads = [
                 server.bus.recv(0.0) if head is None else head for server, head in zip(servers, heads, strict=True)
             ]
-            came = [(_came_s(head), index) for index, head in enumerate(heads) if head is not None]
+            came = [(came_s(head), index) for index, head in enumerate(heads) if head is not None]
             if not came:
                 if select.select(sockets, [], [], wait)[0]:
                     continue
@@ -346,7 +351,7 @@ def serve_together(servers: Sequence[BusServer]) -> None:
             server.end()
 
 
-def _came_s(message: can.Message) -> float:
+def came_s(message: can.Message) -> float:
     """Return the monotonic time at which a frame was received [s]."""
     now, age = time.monotonic(), time.time() - message.timestamp
     return now - age if 0.0 < age < OLDEST_FRAME_S else now

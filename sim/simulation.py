@@ -13,6 +13,7 @@ import can
 
 from sim.build_errors import with_build_errors
 from sim.cellfile import CellBus, CellFileError, CellSpec, parse_bus_spec, read_cell, read_payloads, read_toml
+from sim.drive_defects import install_defects
 from sim.drive_faults import act
 from sim.effects import apply_effects
 from sim.faults import Fault, read_faults
@@ -25,6 +26,7 @@ from sim.pair.cell import PairOptions, pair_units
 from sim.pair.unit import PairUnit
 from sim.plant import Payload
 from sim.server import ArmUnit, BusServer, can_be_waited_for, serve_together
+from sim.timing_record import TimingRecord
 from sim.undeclared import draw_undeclared
 
 NOISE_SEED = 1
@@ -54,6 +56,8 @@ class ServeOptions:
     truth : where the truth is written at start
     pacing : "lockstep" or "real" in place of every bus's own
     unbuffered : in real time, each target is taken over when it arrives instead of at a tick of the drive's own clock
+    defect : defects of drives, each NODE:NAME (`sim.drive_defects`)
+    timing : where frames and motion of the drives are written at the end (`sim.timing_record`)
     """
 
     bus: str | None = None
@@ -64,6 +68,8 @@ class ServeOptions:
     truth: Path | None = None
     pacing: str | None = None
     unbuffered: bool = False
+    defect: tuple[str, ...] = ()
+    timing: Path | None = None
 
 
 class Simulation:
@@ -76,6 +82,7 @@ class Simulation:
     effects : what is built in; where there are several arms, each effect names its `arm`
     specs : the buses, by name
     servers : one for each bus
+    records : of frames and motion, one for each bus, if wanted
     """
 
     def __init__(self, cell_path: Path, options: ServeOptions, pair: PairOptions | None = None) -> None:
@@ -98,7 +105,9 @@ class Simulation:
                 arms = [units[arm.name] for arm in self.cell.arms if arm.bus == name]
                 if arms:
                     self.servers.append(_server(spec, arms, faults, opened))
+            install_defects((drive for server in self.servers for drive in server.drives), options.defect)
             opened.pop_all()
+        self.records = [] if options.timing is None else [TimingRecord(server) for server in self.servers]
         for server in self.servers if options.unbuffered else ():
             for drive in server.drives:
                 drive.motion.buffered = False
@@ -194,6 +203,8 @@ class Simulation:
 
     def close(self) -> None:
         """Release the physics engines."""
+        for record in self.records:
+            record.write(cast(Path, self._options.timing))
         for server in self.servers:
             for unit in server.arms:
                 unit.world.close()

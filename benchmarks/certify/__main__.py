@@ -1,7 +1,7 @@
 """What the certificate states, whether a wrong load is accepted, what a load costs, and whether a replay differs.
 
 python -m benchmarks.certify [--arms 200] [--draws 1000] [--replays 10] [--paths 20] [--drifts 60]
-                            [--jobs 1] [--out out/certify]
+                            [--drives 20] [--jobs 1] [--out out/certify]
 
 Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of their own.
 
@@ -14,6 +14,7 @@ Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of
   with the expanded uncertainty of the certificate.
 - Replay: stored measurements are computed again with another number of threads.
 - Temperature: mass with a drift by recorded temperatures, against time alone.
+- Drive test: figures of `drive test` in real time against the truth, defects of drives found, false alarms.
 - Load cost: cycle times of `cost` on drawn paths against a search with pinocchio, and the time-optimal bound.
 """
 
@@ -34,6 +35,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--replays", type=int, default=10)
     parser.add_argument("--paths", type=int, default=20)
     parser.add_argument("--drifts", type=int, default=60)
+    parser.add_argument("--drives", type=int, default=20)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--out", type=Path, default=Path("out/certify"))
     arguments = parser.parse_args(argv)
@@ -42,6 +44,7 @@ def main(argv: list[str]) -> int:
     from benchmarks.blind.__main__ import run
     from benchmarks.certify.acceptance import acceptance_figures, accepted_arm
     from benchmarks.certify.certificate import certificate_figures, drawn_mass
+    from benchmarks.certify.drive_test import measure_drives
     from benchmarks.certify.load_cost import cost_figures, cost_of_path
     from benchmarks.certify.replays import replay_figures, replayed
     from benchmarks.certify.temperature import drifting_arm, temperature_figures
@@ -57,6 +60,8 @@ def main(argv: list[str]) -> int:
     figures |= replay_figures(run(replayed, range(arguments.replays), arguments.jobs, out / "replays.jsonl"))
     figures |= cost_figures(run(cost_of_path, range(arguments.paths), arguments.jobs, out / "paths.jsonl"))
     figures |= temperature_figures(run(drifting_arm, range(arguments.drifts), arguments.jobs, out / "drifts.jsonl"))
+    if arguments.drives:
+        figures |= measure_drives(arguments.drives, out, "real")
     (out / "summary.json").write_text(json.dumps({"figures": figures}, indent=1) + "\n", encoding="utf-8")
     show(figures)
     return 0 if all(entry["met"] is not False for entry in figures.values()) else 1

@@ -1,0 +1,224 @@
+"""Defects of drives, each judged on the wire against a good drive beside it."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from sim.drive_defects import DefectError
+from sim.node import OPERATIONAL, STOPPED
+from sim.serve import RunningSimulation, running
+from tests.sim.conftest import SMALL, Master
+
+NODE, GOOD = 2, 3
+Start = Callable[..., contextmanager]
+
+
+@pytest.fixture
+def start(channel: str) -> Start:
+    """Drives of which node 2 has a defect: `start(name)`."""
+
+    @contextmanager
+    def begin(name: str, **options) -> Iterator[tuple[Master, RunningSimulation]]:
+        options = {"pacing": "lockstep"} | options
+        with running(SMALL, f"virtual:{channel}", defect=(f"{NODE}:{name}",), **options) as simulation:
+            master = Master(channel)
+            try:
+                yield master, simulation
+            finally:
+                master.bus.shutdown()
+
+    return begin
+
+
+def drive_of(simulation: RunningSimulation, node: int):
+    return simulation.simulation.servers[0].drive(node)
+
+
+def code_of(master: Master, action: Callable[[], object]) -> int | None:
+    """Abort code, None if the access is served."""
+    try:
+        action()
+    except master.Aborted as abort:
+        return abort.code
+    return None
+
+
+def syncs(master: Master, count: int) -> None:
+    for _ in range(count):
+        master.send(0x080, b"")
+        master.number(GOOD, 0x1001)  # the drives have processed the SYNC once one of them answers
+
+
+def enable(master: Master, simulation: RunningSimulation, node: int) -> None:
+    """Bring one drive to OPERATION ENABLED in CSP at its present position; the SYNCs act in lockstep."""
+    master.configure(node, 8)
+    position = master.number(node, 0x6064, signed=True)
+    for word in (0x06, 0x07, 0x0F):
+        master.send(0x200 + node, struct.pack("<Hih", word, position, 0))
+        syncs(master, 3)
+    for _ in range(40):
+        master.send(0x200 + node, struct.pack("<Hih", 0x0F, position, 0))
+        syncs(master, 1)
+    assert drive_of(simulation, node).axis.fed
+
+
+def test_sdo_defects_answer_what_a_good_drive_refuses(start):
+    with start("wrong_abort") as (master, _):
+        codes = [code_of(master, lambda node=node: master.read(node, 0x0FFF)) for node in (NODE, GOOD)]
+    assert codes == [0x06090011, 0x06020000]
+    with start("read_only_accepted") as (master, _):
+        codes = [code_of(master, lambda node=node: master.write(node, 0x1000, 0, 7, 4)) for node in (NODE, GOOD)]
+        assert master.number(NODE, 0x1000) == 0x20192
+    assert codes == [None, 0x06010002]
+    with start("signature_unchecked") as (master, _):
+        codes = [code_of(master, lambda node=node: master.write(node, 0x1010, 1, 0, 4)) for node in (NODE, GOOD)]
+        assert master.number(NODE, 0x1010, 1) == 1
+    assert codes == [None, 0x06090030]
+
+
+def test_no_emergency_is_sent_on_a_fault_although_the_object_is_valid(start):
+    with start("no_emergency") as (master, simulation):
+        for node in (NODE, GOOD):
+            simulation.simulation.servers[0].later(lambda node=node: drive_of(simulation, node).raise_fault(0x7305))
+        syncs(master, 2)
+        assert [master.number(node, 0x1014) for node in (NODE, GOOD)] == [0x80 + NODE, 0x80 + GOOD]
+        assert [master.number(node, 0x603F) for node in (NODE, GOOD)] == [0x7305, 0x7305]
+        sent = {frame.arbitration_id for frame in master.seen}
+    assert 0x80 + GOOD in sent
+    assert 0x80 + NODE not in sent
+
+
+def test_the_heartbeat_has_twice_its_period(start):
+    with start("slow_heartbeat") as (_, simulation):
+        node = drive_of(simulation, NODE).node
+        sent: list[int] = []
+        node.send = lambda cob_id, _data: sent.append(cob_id)
+        node.store.values[0x1017, 0] = 100
+        node._beat_s.clear()
+        for at_s in np.arange(1000.0, 1001.0, 0.01):
+            node.keep_time(float(at_s), float(at_s))
+    assert 5 <= len(sent) <= 6
+
+
+def test_nmt_stop_is_ignored(start):
+    with start("ignores_stop") as (master, simulation):
+        for node in (NODE, GOOD):
+            master.send(0, bytes([1, node]))
+            master.send(0, bytes([2, node]))
+        master.number(1, 0x1001)
+        states = [drive_of(simulation, node).node.state for node in (NODE, GOOD)]
+    assert states == [OPERATIONAL, STOPPED]
+
+
+def test_the_loss_of_the_master_is_ignored(start):
+    with start("ignores_master_loss") as (_, simulation):
+        received: dict[int, int] = {}
+        for node in (NODE, GOOD):
+            drive = drive_of(simulation, node)
+            drive.store.values[0x1016, 1] = 127 << 16 | 200
+            drive.node.note_heartbeat(127, 0.0)
+            drive.node.watch(1.0)
+            received[node] = drive.node.error_register
+    assert received == {NODE: 0, GOOD: 0x11}
+
+
+def test_delayed_tpdos_and_every_second_one(start):
+    with start("every_second_sync") as (master, _):
+        for node in (NODE, GOOD):
+            master.configure(node, 8)
+        syncs(master, 10)
+        sent = [frame.arbitration_id for frame in master.seen]
+    assert (sent.count(0x180 + NODE), sent.count(0x180 + GOOD)) == (5, 10)
+
+
+def test_a_delayed_tpdo_follows_its_sync_by_eight_milliseconds(start, tmp_path):
+    archive = tmp_path / "timing.npz"
+    with start("delayed_tpdo", timing=archive, pacing="real") as (master, _):
+        for node in (NODE, GOOD):
+            master.configure(node, 8)
+        for _ in range(5):
+            master.send(0x080, b"")
+            master.wait(0x180 + NODE)
+    record = np.load(archive)
+    sync_s = record["frame_s"][record["frame_id"] == 0x080]
+    delays = record["frame_s"][record["frame_id"] == 0x180 + NODE] - sync_s
+    assert len(delays) == 5
+    assert delays.min() > 0.007
+
+
+def test_words_that_are_old_or_act_with_delay(start):
+    with start("old_torque") as (_, simulation):
+        drive = drive_of(simulation, NODE)
+        word, shown, true = drive.torque_word(drive.units.torque), [], []
+        for reading in (1000.0, 2000.0, 3000.0, 4000.0, 5000.0):
+            drive.reading_nm = reading
+            true.append(word())
+            drive.sync()
+            shown.append(drive.store.entries[0x6077, 0].get())
+    assert shown == [0, 0, 0, *true[:2]]
+    with start("delayed_rpdo") as (master, _):
+        for node in (NODE, GOOD):
+            master.configure(node, 8)
+            master.send(0x200 + node, struct.pack("<Hih", 0x06, 0, 0))
+        words = []
+        for _ in range(2):
+            syncs(master, 1)
+            words.append([master.number(node, 0x6041) & 0x6F for node in (NODE, GOOD)])
+    assert words == [[0x40, 0x21], [0x21, 0x21]]
+
+
+def test_a_controlword_acts_after_forty_milliseconds(start):
+    with start("delayed_controlword") as (master, _):
+        for node in (NODE, GOOD):
+            master.write(node, 0x6040, 0, 0x06, 2)
+        words = []
+        for _ in range(6):
+            words.append([master.number(node, 0x6041) & 0x6F for node in (NODE, GOOD)])
+            syncs(master, 1)
+    assert [word[1] for word in words] == [0x21] * 6
+    assert [word[0] for word in words] == [0x40] * 4 + [0x21] * 2
+
+
+@pytest.mark.parametrize(
+    ("name", "index", "sub", "value", "acts"),
+    [
+        ("quick_stop_coasts", 0x605A, 0, 2, 0),
+        ("fault_coasts", 0x605E, 0, 2, 0),
+        ("ignores_interpolation", 0x60C2, 1, 10, 1),
+    ],
+)
+def test_an_object_shows_what_was_written_and_does_not_act(start, name, index, sub, value, acts):
+    with start(name) as (master, simulation):
+        size = 1 if index == 0x60C2 else 2
+        for node in (NODE, GOOD):
+            master.write(node, index, sub, value, size)
+            assert master.number(node, index, sub) == value
+        held = [drive_of(simulation, node).store.number((index, sub)) for node in (NODE, GOOD)]
+        assert held == [acts, value]
+        if index == 0x605E:
+            assert code_of(master, lambda: master.write(NODE, index, sub, 9, size)) is not None
+
+
+def test_the_joint_drops_until_a_slow_brake_has_closed(start):
+    with start("slow_brake") as (master, simulation):
+        dropped = {}
+        for node in (NODE, GOOD):
+            enable(master, simulation, node)
+            held = drive_of(simulation, node).axis.position_rad
+            master.write(node, 0x6040, 0, 0, 2)
+            syncs(master, 15)
+            dropped[node] = abs(drive_of(simulation, node).axis.position_rad - held)
+            assert not drive_of(simulation, node).axis.free
+    assert dropped[NODE] > 0.002
+    assert dropped[GOOD] < 0.0005
+
+
+@pytest.mark.parametrize("text", ["2:unknown", "99:delayed_tpdo", "delayed_tpdo"])
+def test_an_unknown_defect_or_node_is_refused(channel, text):
+    with pytest.raises(DefectError, match="NODE:NAME"), running(SMALL, f"virtual:{channel}", defect=(text,)):
+        pass
