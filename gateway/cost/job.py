@@ -103,6 +103,14 @@ class LoadCost:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class _Mounted:
+    """Torque along a path with the load that is mounted, and with each of its variants; no plan changes it."""
+
+    load: PathTorque
+    variants: tuple[PathTorque, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class _Station:
     """The arm, its model, the mounted load and its variants by one standard deviation of each parameter."""
 
@@ -115,6 +123,9 @@ class _Station:
 
     def torque(self, path: JointPath, load: FeedLoad | None) -> PathTorque:
         return PathTorque(path, self.model, load, self.arm.load_acceleration_m_s2, self.stated)
+
+    def mounted(self, path: JointPath) -> _Mounted:
+        return _Mounted(self.torque(path, self.load), tuple(self.torque(path, each) for each in self.variants))
 
 
 def cost_of(
@@ -193,6 +204,7 @@ def _settings(station: _Station, path: FollowPath) -> Iterator[SettingCost]:
     if arm.rated_load_kg is not None or arm.max_load_kg is not None:
         planned.append((RATED, rated_load(arm, station.model.robot)))
     pieces = _pieces(path)
+    mounted = [station.mounted(piece) for piece in pieces]
     for name, load in [*planned, (ENTERED, station.load)]:
         timed = [_timed(station, path, piece, load) for piece in pieces]
         missing = [number for number, segment in enumerate(timed, start=1) if segment is None]
@@ -202,7 +214,17 @@ def _settings(station: _Station, path: FollowPath) -> Iterator[SettingCost]:
                 f"path '{path.name}', segment {missing[0]}: the torque limits do not suffice to move the arm with a "
                 f"load of {kg:.4g} kg along it at any speed; change the path, or correct load and torque_limit_nm"
             )
-        yield _setting(station, path, (name, load), [] if missing else [each for each in timed if each is not None])
+        segments = [] if missing else [each for each in timed if each is not None]
+        largest, std, gripper = _used(mounted, segments, len(arm.axis))
+        yield SettingCost(
+            name=name,
+            mass_kg=0.0 if load is None else load.mass_kg,
+            cycle_time_s=sum(segment.duration_s + path.dwell_s for segment in segments) or np.nan,
+            segments=tuple(SegmentCost(segment.duration_s, segment.limited_by) for segment in segments),
+            torque_reserve=tuple((1.0 - largest).tolist()),
+            torque_reserve_std=tuple(std.tolist()),
+            load_acceleration_reserve=np.nan if arm.load_acceleration_m_s2 is None else 1.0 - gripper,
+        )
 
 
 def _pieces(path: FollowPath) -> list[JointPath]:
@@ -220,32 +242,21 @@ def _timed(station: _Station, path: FollowPath, piece: JointPath, load: FeedLoad
     return fastest_line(piece.q_rad[0], piece.q_rad[-1], path.limits, path.period_s, assumed)
 
 
-def _setting(
-    station: _Station, path: FollowPath, assumed: tuple[str, FeedLoad | None], segments: list[TimedSegment]
-) -> SettingCost:
-    """Times as planned, and reserves with the load that is mounted; NaN where the path cannot be planned."""
-    axes = len(station.arm.axis)
+def _used(mounted: list[_Mounted], segments: list[TimedSegment], axes: int) -> tuple[Floats, Floats, float]:
+    """Largest shares (axes,) of the torque limits with the mounted load, their standard deviations, and the load's
+    largest share of its acceleration limit; NaN where the path cannot be planned.
+    """
     largest, std = np.full((2, axes), 0.0 if segments else np.nan)
     gripper = 0.0 if segments else np.nan
-    for piece, segment in zip(_pieces(path), segments, strict=bool(segments)):
-        torque = station.torque(piece, station.load)
-        share = torque.torque_shares(segment.law)
+    for torque, segment in zip(mounted, segments, strict=bool(segments)):
+        share = torque.load.torque_shares(segment.law)
         row = np.argmax(np.abs(share), axis=0), np.arange(axes)
-        changed = [station.torque(piece, variant).torque_shares(segment.law)[row] for variant in station.variants]
+        changed = [variant.torque_shares(segment.law)[row] for variant in torque.variants]
         spread = np.sqrt(np.sum([(each - share[row]) ** 2 for each in changed], axis=0)) if changed else np.nan
         peak = np.abs(share[row])
         std, largest = np.where(peak > largest, spread, std), np.maximum(largest, peak)
-        gripper = max(gripper, float(torque.load_shares(segment.law).max()))
-    name, load = assumed
-    return SettingCost(
-        name=name,
-        mass_kg=0.0 if load is None else load.mass_kg,
-        cycle_time_s=sum(segment.duration_s + path.dwell_s for segment in segments) or np.nan,
-        segments=tuple(SegmentCost(segment.duration_s, segment.limited_by) for segment in segments),
-        torque_reserve=tuple((1.0 - largest).tolist()),
-        torque_reserve_std=tuple(std.tolist()),
-        load_acceleration_reserve=np.nan if station.arm.load_acceleration_m_s2 is None else 1.0 - gripper,
-    )
+        gripper = max(gripper, float(torque.load.load_shares(segment.law).max()))
+    return largest, std, gripper
 
 
 def _remarks(station: _Station) -> Iterator[str]:
