@@ -351,16 +351,12 @@ class PoweredTests:
             own = [item for item in items if item.where == f"{sheet.axis} node {sheet.drive.node_id}"]
             sheet.findings += [f"{item.what}; {item.advice}" for item in own if item.severity == "fail"]
             scale, track = self._joint_per_count(sheet), run.track(sheet.number)
-            drop_rad, method = (
-                float(max(drop[sheet.number] for drop in self._drops_rad)),
-                "largest drop after disabling",
-            )
+            drop_rad = float(max(drop[sheet.number] for drop in self._drops_rad))
+            method = "largest drop after disabling"
             counts = None if track is None else track.largest_drop()
             if counts is not None:
-                drop_rad, method = (
-                    max(drop_rad, counts * scale),
-                    "axis held by its brake alone, up to 1 s; largest drop",
-                )
+                drop_rad = max(drop_rad, counts * scale)
+                method = "axis held by its brake alone, up to 1 s; largest drop"
             interval = (max(0.0, drop_rad - scale), drop_rad + scale)
             text = f"{method}; ± one count"
             sheet.figures.append(TimingFigure(BRAKE, drop_rad, interval, "rad", len(self._drops_rad), text))

@@ -81,6 +81,15 @@ def _refused(action: Callable[[], object], allowed: frozenset[int], what: str) -
     raise ClauseFailedError(f"{what} is not refused")
 
 
+def _not_tested(why: str) -> Callable[[Cia402Drive], str]:
+    """Return a check that states why its clause is not tested."""
+
+    def run(_drive: Cia402Drive) -> str:
+        raise NotTestedError(why)
+
+    return run
+
+
 def _optional(drive: Cia402Drive, name: str) -> int:
     value = drive.access.read_optional(OBJECTS[name])
     if value is None:
@@ -127,10 +136,6 @@ def _wrong_length(drive: Cia402Drive) -> str:
     return _refused(lambda: sdo.write(0x1017, 0, "u32", held, ONCE), _LENGTH_ABORTS, what)
 
 
-def _block(_drive: Cia402Drive) -> str:
-    raise NotTestedError("this master does not use block transfer")
-
-
 def _identity(drive: Cia402Drive) -> str:
     vendor = drive.access.read(OBJECTS["vendor_id"])
     if vendor == 0:
@@ -172,19 +177,19 @@ def _mapping(drive: Cia402Drive) -> str:
     return ", ".join(f"{plan.size_bytes} bytes on 0x{plan.cob_id:03X}" for plan in drive.plans) + ", read back"
 
 
-def _pdo_types(drive: Cia402Drive) -> str:
+def _kept(drive: Cia402Drive) -> str:
     changed = [f"{at[0]:04X}:{at[1]:02X} {old:#x} is {now:#x}" for at, old, now in drive.access.changed()]
     if changed:
         raise ClauseFailedError(f"does not keep what was configured: {', '.join(changed)}")
     return "every configured object still holds its value"
 
 
-def _signature(index: int) -> Callable[[Cia402Drive], str]:
+def _signature(name: str) -> Callable[[Cia402Drive], str]:
     """Write a wrong signature, which has to be refused, where the profile allows writing the object."""
+    index = OBJECTS[name].index
 
     def run(drive: Cia402Drive) -> str:
-        what = "store_parameters" if index == 0x1010 else "restore_parameters"
-        held = _optional(drive, what)
+        held = _optional(drive, name)
         if not drive.access.may_write(index):
             raise NotTestedError(f"profile {drive.setup.profile.name} does not allow writing 0x{index:04X}")
         refused = _refused(
@@ -195,22 +200,15 @@ def _signature(index: int) -> Callable[[Cia402Drive], str]:
     return run
 
 
-def _capability(index: int) -> Callable[[Cia402Drive], str]:
+def _capability(name: str) -> Callable[[Cia402Drive], str]:
     def run(drive: Cia402Drive) -> str:
-        value = _optional(drive, "store_parameters" if index == 0x1010 else "restore_parameters")
+        value = _optional(drive, name)
+        read = f"0x{OBJECTS[name].index:X}:01 reads 0x{value:X}"
         if value & ~0x3:
-            raise ClauseFailedError(f"0x{index:X}:01 reads 0x{value:X}: bits 2 to 31 are reserved")
-        return f"0x{index:X}:01 reads 0x{value:X}"
+            raise ClauseFailedError(f"{read}: bits 2 to 31 are reserved")
+        return read
 
     return run
-
-
-def _store(_drive: Cia402Drive) -> str:
-    raise NotTestedError("storing would replace the parameters that the drive keeps without power")
-
-
-def _load_defaults(_drive: Cia402Drive) -> str:
-    raise NotTestedError("the defaults would replace the parameters of the drive")
 
 
 def _modes(drive: Cia402Drive) -> str:
@@ -249,7 +247,7 @@ CHECKS: Final = (
     ServiceCheck(SDO, "sdo_abort_unknown_subindex", _unknown_subindex),
     ServiceCheck(SDO, "sdo_abort_write_read_only", _write_read_only),
     ServiceCheck(SDO, "sdo_abort_wrong_length", _wrong_length),
-    ServiceCheck(SDO, "sdo_block_transfer", _block),
+    ServiceCheck(SDO, "sdo_block_transfer", _not_tested("this master does not use block transfer")),
     ServiceCheck("CiA 301 7.5.2.19 identity", "identity", _identity),
     ServiceCheck("CiA 402-2 device type", "device_type", _device_type),
     ServiceCheck("CiA 301 7.5.2.2 error register", "error_register", _error_register),
@@ -257,13 +255,17 @@ CHECKS: Final = (
     ServiceCheck(EMCY, "emcy_cob_id", _emcy_id),
     ServiceCheck(HEARTBEAT, "heartbeat_consumer", _consumer),
     ServiceCheck(PDO, "pdo_mapping", _mapping),
-    ServiceCheck(PDO, "configuration_kept", _pdo_types),
-    ServiceCheck(STORE, "store_capability", _capability(0x1010)),
-    ServiceCheck(STORE, "store_wrong_signature", _signature(0x1010)),
-    ServiceCheck(STORE, "store_parameters", _store),
-    ServiceCheck(RESTORE, "restore_capability", _capability(0x1011)),
-    ServiceCheck(RESTORE, "restore_wrong_signature", _signature(0x1011)),
-    ServiceCheck(RESTORE, "restore_parameters", _load_defaults),
+    ServiceCheck(PDO, "configuration_kept", _kept),
+    ServiceCheck(STORE, "store_capability", _capability("store_parameters")),
+    ServiceCheck(STORE, "store_wrong_signature", _signature("store_parameters")),
+    ServiceCheck(
+        STORE,
+        "store_parameters",
+        _not_tested("storing would replace the parameters that the drive keeps without power"),
+    ),
+    ServiceCheck(RESTORE, "restore_capability", _capability("restore_parameters")),
+    ServiceCheck(RESTORE, "restore_wrong_signature", _signature("restore_parameters")),
+    ServiceCheck(RESTORE, "restore_parameters", _not_tested("the defaults would replace the parameters of the drive")),
     ServiceCheck(MODES, "supported_modes", _modes),
     ServiceCheck(MODES, "mode_display", _mode_display),
     ServiceCheck(STATES, "state_machine_no_shortcut", _no_shortcut),

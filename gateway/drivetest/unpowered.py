@@ -37,7 +37,6 @@ HEARTBEAT_LEAST_S: Final = 0.01
 QUANTILES: Final = (("sync_to_tpdo_p05_s", 0.05), ("sync_to_tpdo_s", 0.5), ("sync_to_tpdo_p95_s", 0.95))
 #: What is counted, as in the names of the figures.
 COUNTED: Final = ("missed_pdo", "late_pdo")
-NO_REAL_TIME: Final = "not measured in lockstep, where no real time passes"
 
 
 def run_unpowered(opened: OpenArm, sheets: Sequence[DriveSheet], record: FrameRecord) -> None:
@@ -117,17 +116,16 @@ def _no_sdo(sheet: DriveSheet) -> None:
 
 def _sdo_time(sheet: DriveSheet) -> None:
     """Round trip of an expedited upload."""
-    brackets: list[tuple[float, float]] = []
+    times_s: list[float] = []
     method = f"{TRANSFERS} expedited uploads of 0x1000; request to answer, latency of this computer included"
     try:
         for _ in range(TRANSFERS):
             began_s = time.monotonic()
             sheet.drive.access.read(OBJECTS["device_type"], ONCE)
-            brackets.append((0.0, time.monotonic() - began_s))
+            times_s.append(time.monotonic() - began_s)
     except DriveError as error:
-        sheet.clause(SDO, "sdo_repeated", "fail", f"{len(brackets)} of {TRANSFERS} transfers were answered: {error}")
-    round_trips = [(upper, upper) for _, upper in brackets]
-    sheet.figures.append(bracketed_quantile("sdo_answer_s", round_trips, 0.5, 0.0, method))
+        sheet.clause(SDO, "sdo_repeated", "fail", f"{len(times_s)} of {TRANSFERS} transfers were answered: {error}")
+    sheet.figures.append(bracketed_quantile("sdo_answer_s", [(t, t) for t in times_s], 0.5, 0.0, method))
 
 
 def _at_cell_period(bench: SyncBench, sheets: Sequence[DriveSheet], period_s: float) -> None:
