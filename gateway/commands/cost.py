@@ -11,15 +11,20 @@ import click
 
 from gateway.commands.console import Session, axis_names, grid, number
 from gateway.commands.measure import arm_option
-from gateway.commands.shared_options import cell_argument, common, json_option, session_of, write_json
-from gateway.errors import ConfigError
+from gateway.commands.shared_options import (
+    PATH_AXES,
+    cell_argument,
+    common,
+    json_option,
+    refuse_other_axes,
+    session_of,
+    write_json,
+)
 
 if TYPE_CHECKING:
     from gateway.cost.job import LoadCost, MoveCost, SegmentCost
 
 FILE = click.Path(path_type=Path, dir_okay=False)
-#: Number of axes that path files and the torque model support.
-PATH_AXES = 6
 #: Segments of a path that are listed at most; --json has all of them.
 MOST_LISTED = 40
 #: A smaller change of the cycle time counts as none.
@@ -62,8 +67,7 @@ def cost(
 
     loaded = load_cell(cell)
     arm = arm_named(loaded, arm_name)
-    if len(arm.axis) != PATH_AXES:
-        raise ConfigError(f"arm '{arm.name}' has {len(arm.axis)} axes; cost supports {PATH_AXES} axes only")
+    refuse_other_axes(arm, "cost")
     session = session_of()
     with session.working("cycle times"):
         found = cost_of(loaded, arm, load_file, label, path_file)

@@ -17,25 +17,24 @@ from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.pages import write_page
 from gateway.commands.result_output import fail_on_findings
 from gateway.commands.shared_options import (
+    PATH_AXES,
     bus_option,
     cell_argument,
     common,
     json_option,
     operator_option,
     output_option,
+    refuse_other_axes,
     session_of,
     trace_option,
     write_json,
 )
-from gateway.errors import ConfigError
 
 if TYPE_CHECKING:
     from gateway.follow.job import Prepared
     from gateway.result.follow import FollowResult
 
 FILE = click.Path(path_type=Path, dir_okay=False)
-#: Number of axes that path files, feedforward and report support.
-FOLLOWED_AXES = 6
 
 
 @click.command()
@@ -96,8 +95,7 @@ def follow(
     arm = arm_named(context.loaded, arm_name)
     context = replace(context, loaded=with_identified(context.loaded, arm.name, identified))
     arm = arm_named(context.loaded, arm.name)
-    if len(arm.axis) != FOLLOWED_AXES:
-        raise ConfigError(f"arm '{arm.name}' has {len(arm.axis)} axes; follow supports {FOLLOWED_AXES} axes only")
+    refuse_other_axes(arm, "follow")
     prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
     session = session_of()
     _announce(prepared, session)
@@ -148,7 +146,7 @@ def _show(result: FollowResult, session: Session) -> None:
 
     for title, settings in figure_rows(result):
         rows = [[name, *cells] for name, _, cells in settings]
-        session.show(grid(title, ["setting", *axis_names(FOLLOWED_AXES)], rows))
+        session.show(grid(title, ["setting", *axis_names(PATH_AXES)], rows))
     if result.computing_s is not None:
         median, p99 = 1e6 * result.computing_s.median, 1e6 * result.computing_s.p99
         session.show(f"both offsets of six axes: {median:.0f} us per SYNC, 99 % within {p99:.0f} us")
