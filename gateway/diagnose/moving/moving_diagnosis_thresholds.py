@@ -138,18 +138,6 @@ class MovingThresholds:
     contradicted: float = threshold(
         3.0, "log odds", "log odds against a smaller CAD error than the best one, for rejecting it", "log of 20"
     )
-    loose_mass: float = threshold(
-        0.5, "", "relative standard deviation at which a mass is unknown", "the load may have half or double the mass"
-    )
-    next_to_nothing: float = threshold(
-        0.05, "", "largest standard deviation for reporting a mass near 0, over the moved mass", "as at rest"
-    )
-    loose_com_m: float = threshold(
-        0.3,
-        "m",
-        "standard deviation at which a centre of gravity is unknown",
-        "the size of a load that a small arm moves",
-    )
 
 
 MOVING: Final = MovingThresholds()

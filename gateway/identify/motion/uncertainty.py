@@ -46,14 +46,11 @@ class Scatter:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingSpread:
-    """Covariance (p, p) of a fit, and the noise of its rows: per axis (N,) [Nm], per part as if independent, and parts
-    with noise only.
-    """
+    """Covariance (p, p) of a fit, and the noise of its rows: per axis (N,) [Nm], per part as if independent."""
 
     covariance: Floats
     std_nm: Floats
     scale_nm: Floats
-    noise_alone: NDArray[np.bool_]
 
 
 def spread_of(
@@ -95,7 +92,7 @@ def spread_of(
         blocks = by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max()))
         for sums in (_by_strokes(problem, pulls), blocks):
             real = wider(real, covariance @ sums @ covariance)
-    return MovingSpread(real + by_prior, by_axis(problem, size), size * np.sqrt(times), alone)
+    return MovingSpread(real + by_prior, by_axis(problem, size), size * np.sqrt(times))
 
 
 def _by_strokes(problem: MotionProblem, pulls: list[Floats]) -> Floats:

@@ -11,7 +11,6 @@ from gateway.cli import main
 from tests.wrong_inputs import recording
 
 SMALL = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
-ANSWERED = "no device answers"
 
 
 @pytest.fixture
