@@ -145,8 +145,8 @@ class TimingTruth:
         """Largest movement of an axis at rest within one second after its motor was switched off."""
         off = np.flatnonzero((self.powered[:-1] > 0) & (self.powered[1:] == 0))
         off = off[np.abs(self.speed_rad_s[off]) < MOVING_RAD_S]
-        tried = off[self.alone[off + 1] > 0]  # the brake test, else each time the arm was disabled
-        return max((self._moved(int(index)) for index in (tried if len(tried) else off)), default=None)
+        tried = off[self.alone[off + 1] > 0]  # the brake test, else the last time that the arm was disabled
+        return max((self._moved(int(index)) for index in (tried if len(tried) else off[-1:])), default=None)
 
     def _moved(self, index: int) -> float:
         end = int(np.searchsorted(self.motion_s, self.motion_s[index] + HELD_S))

@@ -81,7 +81,6 @@ class PoweredTests:
         self._opened, self._sheets, self._record = opened, tuple(sheets), record
         self._options, self._proof, self._ask = options, proof, ask
         self._motion = MotionRecord(opened)
-        self._drops_rad: list[np.ndarray] = []
         self._stopped_by = "not measured"
         self.error: Exception | None = None
         self._ramp_rad_s2 = quick_stop_rad_s2(opened.config, opened.profiles, opened.readings)
@@ -145,9 +144,12 @@ class PoweredTests:
         keep_proof(self._proof, self._opened, proof)
         self._evaluate_stops(len(self._motion.runs))
         self._by_sdo(LOSS, self._sheets, proof.traces, since_fault=False)
-        self._drops_rad.append(self._opened.arm.brake_drop_rad())
+        # an axis that the master had to stop moves the others meanwhile: only it is judged
+        ignored = {trace.node_id for trace in proof.traces if trace.left_s is None}
         for item in proof.items:
             for sheet in self._sheets:
+                if ignored and sheet.drive.node_id not in ignored:
+                    continue
                 if item.severity == "fail" and f"node {sheet.drive.node_id}" in item.where:
                     sheet.findings.append(f"{item.what}; {item.advice}")
         if not proof.passed:
@@ -195,9 +197,9 @@ class PoweredTests:
         if rest is None:
             return
         scale, half = self._joint_per_count(sheet), 1.0 + rest.speed_per_s * self._record.resolution_s
-        interval = (max(0.0, (rest.travel - half) * scale), (rest.travel + rest.between + half) * scale)
+        interval = (max(0.0, (rest.travel - half) * scale), (rest.most + half) * scale)
         method = "joint angle from that SYNC to rest; one count, the time stamp of the SYNC, the peak between two SYNCs"
-        value = (rest.travel + rest.between / 2.0) * scale
+        value = (rest.travel + rest.most) / 2.0 * scale
         sheet.figures.append(TimingFigure(QUICK_ANGLE, value, interval, "rad", 1, method))
 
     @property
@@ -276,7 +278,6 @@ class PoweredTests:
         if ready:
             self._each_run(number, partial(self._fault_time, left=left, ready=ready))
             self._by_sdo(FAULT_TIME, ready, traces, since_fault=True)
-        self._drops_rad.append(self._opened.arm.brake_drop_rad())
 
     def _abort_connection(self, sheet: DriveSheet, option: int) -> None:
         reason = "reaction of the drive when the master's heartbeat stops"
@@ -342,21 +343,27 @@ class PoweredTests:
     # -- brakes ------------------------------------------------------------------------------------------------------
 
     def _brakes(self) -> None:
-        """Let each brake hold its axis; where that is not tried, the drop when the axes were disabled counts."""
+        """Let each brake hold its axis; one that was not tested counts when all axes at rest are disabled."""
         number = len(self._motion.runs)
         items = try_brakes(self._opened, self._options, self._ask)
-        self._drops_rad.append(self._opened.arm.brake_drop_rad())
+        disabled_rad = self._opened.arm.brake_drop_rad()
         run = self._motion.runs[number]
         for sheet in self._sheets:
             own = [item for item in items if item.where == f"{sheet.axis} node {sheet.drive.node_id}"]
             sheet.findings += [f"{item.what}; {item.advice}" for item in own if item.severity == "fail"]
-            scale, track = self._joint_per_count(sheet), run.track(sheet.number)
-            drop_rad = float(max(drop[sheet.number] for drop in self._drops_rad))
-            method = "largest drop after disabling"
+            count_rad, track = self._joint_per_count(sheet), run.track(sheet.number)
             counts = None if track is None else track.largest_drop()
-            if counts is not None:
-                drop_rad = max(drop_rad, counts * scale)
-                method = "axis held by its brake alone, up to 1 s; largest drop"
-            interval = (max(0.0, drop_rad - scale), drop_rad + scale)
-            text = f"{method}; ± one count"
-            sheet.figures.append(TimingFigure(BRAKE, drop_rad, interval, "rad", len(self._drops_rad), text))
+            if counts is None and any(item.severity == "fail" for item in items):
+                # the axis of that brake moved the whole arm
+                sheet.figures.append(not_measured(BRAKE, "another brake failed, no further one was tested", "rad"))
+                continue
+            if counts is None:
+                drop_rad, method = (
+                    float(disabled_rad[sheet.number]),
+                    "displacement after all axes at rest were disabled",
+                )
+            else:
+                drop_rad, method = counts * count_rad, "axis held by its brake alone, up to 1 s; largest drop"
+            interval = (max(0.0, drop_rad - 2.0 * count_rad), drop_rad + count_rad)
+            method += "; one count, and one more that noise adds to the largest of many readings"
+            sheet.figures.append(TimingFigure(BRAKE, drop_rad, interval, "rad", 1, method))

@@ -27,8 +27,8 @@ class Standstill:
     low_s, high_s : float
     travel : float
         Largest travel at a SYNC.
-    between : float
-        By how much the travel between two SYNCs can exceed that, at constant deceleration.
+    most : float
+        Largest travel that an axis which is nowhere faster than at the SYNCs around can reach between two of them.
     speed_per_s : float
         Speed at the begin [counts/s].
     """
@@ -36,7 +36,7 @@ class Standstill:
     low_s: float
     high_s: float
     travel: float
-    between: float
+    most: float
     speed_per_s: float
 
 
@@ -79,11 +79,12 @@ class PositionTrack:
         low_s = float(self.at_s[max(first, last - 1)] - begin_s)
         start = float(np.interp(begin_s, self.at_s, self.count))
         travel = (self.count[first : last + 2] - start) * np.sign(begin)
-        fall = float(np.abs(np.diff(towards[max(0, first - 1) : last + 2])).max())
-        between = fall * float(self.at_s[last + 1] - self.at_s[last]) / 8.0
         high_s = float(self.at_s[last + 1] - begin_s) * (1.0 + unseen)
-        between += float(travel.max()) * unseen**2
-        return Standstill(max(0.0, low_s), high_s, float(travel.max()), between, abs(begin))
+        fastest = float(np.abs(speed[max(0, first - 1) : last + 2]).max())
+        peaks = (travel[:-1] + travel[1:] + fastest * np.diff(self.at_s[first : last + 2])) / 2.0
+        farthest = float(travel.max())
+        most = max(farthest, float(peaks[-2:].max())) + farthest * unseen**2
+        return Standstill(max(0.0, low_s), high_s, farthest, most, abs(begin))
 
     def _index(self, at_s: float) -> int:
         """Return the index of the first SYNC at or after a time."""

@@ -51,8 +51,8 @@ _REJECTIONS: Final = 2
 _LEAST_SIGNAL: Final = 0.5
 #: Part of the delay that the model of the friction may explain wrongly [s].
 SYSTEMATIC_S: Final = 0.001
-#: Delay of the acceleration by the interpolation of the drive, in SYNC periods: largest, expected, smallest.
-INTERPOLATION_PERIODS: Final = (0.75, 0.25, -0.25)
+#: The interpolation of the drive shifts the acceleration by up to this share of a SYNC period, to either side.
+INTERPOLATION_PERIODS: Final = 0.75
 METHOD: Final = (
     "slow motion with a speed that varies at two frequencies; delay of the torque behind the acceleration of the "
     "position in the same TPDO, fitted with inertia and friction; the interpolation of the drive limits the interval"
@@ -89,8 +89,9 @@ def torque_age(samples: np.ndarray, period_s: float) -> TimingFigure:
     """Return the age of the torque word.
 
     A drive interpolates between setpoints, so that it accelerates at one instant of each SYNC period. The torque that
-    is sampled at the SYNC shows that acceleration with a delay of up to one period, which cannot be separated from the
-    age of the word. The interval allows for it.
+    is sampled at the SYNC shows that acceleration shifted by a part of a period, which cannot be separated from the age
+    of the word. The interval allows for it. A torque that leads the position by more has no age: that motion was not
+    the commanded one.
 
     Parameters
     ----------
@@ -117,9 +118,10 @@ def torque_age(samples: np.ndarray, period_s: float) -> TimingFigure:
     std_s = float(np.sqrt((number - 1) / number * np.sum((singles - singles.mean()) ** 2)))  # jackknife
     half = float(student.ppf((1.0 + CONFIDENCE) / 2.0, number - 1)) * std_s
     half += SYSTEMATIC_S
-    least, middle, most = (delay_s - share * period_s for share in INTERPOLATION_PERIODS)
-    interval = (max(0.0, least - half), max(0.0, most + half))
-    return TimingFigure(NAME, max(0.0, middle), interval, "s", len(time_s), METHOD)
+    half += INTERPOLATION_PERIODS * period_s
+    if delay_s + half < 0.0:
+        return not_measured(NAME, "the torque word leads the acceleration of this axis: it did not move as commanded")
+    return TimingFigure(NAME, max(0.0, delay_s), (max(0.0, delay_s - half), delay_s + half), "s", len(time_s), METHOD)
 
 
 class _Fit:
@@ -154,6 +156,8 @@ class _Fit:
     def follows(self, delay_s: float) -> bool:
         """Return whether the delay is inside the grid, and the torque of the acceleration above the residual."""
         rows = np.flatnonzero(self._used)
+        if not len(rows):
+            return False
         parts, residual = self._parts(rows, delay_s)
         inside = self._delays[1] < delay_s < self._delays[-2]
         return inside and float(np.std(parts[:, 0])) > _LEAST_SIGNAL * float(np.std(residual))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.drivetest.torque_age import INTERPOLATION_PERIODS, modulated, torque_age
+from gateway.drivetest.torque_age import modulated, torque_age
 from gateway.errors import PlanRefused
 from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
@@ -30,15 +30,23 @@ def test_a_known_age_is_within_the_interval(age_s):
     torque = 12.0 * acceleration + 20.0 * speed + 6.0 * np.sign(speed) + 80.0 * position
     rows = np.arange(0, len(at), round(period_s / STEP_S))
     then = np.maximum(rows - round(age_s / STEP_S), 0)
-    shift_s = INTERPOLATION_PERIODS[1] * period_s  # the truth here has no interpolation
     for seed in range(3):
         noise = 0.1 * np.random.default_rng(seed).standard_normal(len(rows))
         samples = np.column_stack([at[rows], np.round(2e6 * position[rows]), torque[then] + noise])
         figure = torque_age(samples, period_s)
         assert figure.interval is not None
         hits += figure.interval[0] <= age_s <= figure.interval[1]
-        assert figure.value == pytest.approx(max(0.0, age_s - shift_s), abs=0.0015)
+        assert figure.value == pytest.approx(age_s, abs=0.0015)
     assert hits == 3
+
+
+def test_a_torque_that_leads_the_motion_has_no_age():
+    at, position, speed, acceleration = dense()
+    torque = np.roll(12.0 * acceleration + 20.0 * speed, -200)  # 20 ms early
+    rows = np.arange(0, len(at), 100)
+    figure = torque_age(np.column_stack([at[rows], np.round(2e6 * position[rows]), torque[rows]]), 0.01)
+    assert figure.interval is None
+    assert "leads" in figure.method
 
 
 @pytest.fixture
