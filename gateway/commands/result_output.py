@@ -24,7 +24,7 @@ ACCEPTANCE_COLUMNS = ("load", "measured", "allowed", "outcome")
 
 def show_result(result: Result, session: Session) -> None:
     """Show loads, residuals, verdict, poses to measure next, and findings."""
-    from gateway.report.summary_text import VERDICTS, verdict_text
+    from gateway.report.summary_text import VERDICTS, formula_rows, formula_text, verdict_text
 
     if result.loads:
         session.show(load_table(result))
@@ -34,6 +34,13 @@ def show_result(result: Result, session: Session) -> None:
     _show_residuals(result, session)
     if result.verdict:
         session.show(f"verdict: {VERDICTS[result.verdict]} ({result.verdict}). {verdict_text(result)}")
+    if result.formula is not None:
+        session.show(formula_text(result.formula))
+        rows = [
+            [product, value if not half else f"{value} ± {half}", unit]
+            for product, value, half, unit in formula_rows(result.formula)
+        ]
+        session.show(grid("torque that the model lacks, sum of", ["product", "coefficient (95 %)", "unit"], rows))
     for item in result.next:
         _show_next(item, session)
     _show_acceptance(result, session)

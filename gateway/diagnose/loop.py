@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +12,7 @@ from gateway.data.table import Table, concatenate
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.model.robot import Robot
-from gateway.result.result import Result
+from gateway.result.result import Decided, Result
 
 Floats = NDArray[np.float64]
 Measure = Callable[[Floats], Table]
@@ -48,10 +49,12 @@ def close_loop(
         return refused, table
     found = rest.search(read)
     result = rest.report(found)
+    first, further = result, 0
     for _ in range(ROUNDS):
         poses = next_poses(result)
         if not len(poses):
             break
+        further += len(poses)
         table = concatenate([table, measure(poses)])
         found = rest.search(rest.read(table))
         result = rest.report(found)
@@ -59,6 +62,8 @@ def close_loop(
         fresh = measure(np.asarray(validation_rad, dtype=float))
         result = rest.report(found, fresh, "fresh")
         table = concatenate([table, fresh])
+    if first.verdict == "undecided" and first.effects and result.verdict != "undecided":
+        result = replace(result, decided=Decided(first.effects, further))
     return result, table
 
 

@@ -15,7 +15,7 @@ from gateway.report.svg import Panel, limits, tick_text
 from gateway.report.view import Candidate
 from gateway.result.drawn import Curve
 from gateway.result.interval import half_width
-from gateway.result.result import LoadResult, Result, Rows
+from gateway.result.result import Formula, LoadResult, Result, Rows
 
 MOST_CANDIDATES = 14
 LEFT = 34.0
@@ -152,6 +152,14 @@ def curve_figure(curve: Curve) -> Markup:
     for x, y in zip(curve.points_x, curve.points_y, strict=True):
         panel.dot(x, y, "dot before", f"measured: {y:.3g} Nm", 3.6)
     return panel.svg(f"{notation.effect(curve.name)} as a curve")
+
+
+def formula_figure(formula: Formula) -> Markup:
+    """Draw the residual of each pose over what the formula of the other poses predicts for it."""
+    ends = limits([*formula.predicted_nm, *formula.residual_nm])
+    x_label = "predicted by the formula of the other poses"
+    points = {"points_x": formula.predicted_nm, "points_y": formula.residual_nm}
+    return curve_figure(Curve("formula", None, x_label, "Nm", "residual without a formula [Nm]", ends, ends, **points))
 
 
 def _bands(rows: Rows, axis: int) -> list[float]:

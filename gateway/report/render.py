@@ -11,6 +11,7 @@ from markupsafe import Markup
 from gateway.report import budget, evidence, figures, moving_figures, moving_section, notation, posture, space
 from gateway.report.centre import centre, earlier
 from gateway.report.page import Head, drive_rows, page
+from gateway.report.summary_text import formula_rows, formula_text
 from gateway.report.view import View, view
 from gateway.result.acceptance import acceptance_findings
 from gateway.result.certificate import COVERAGE_FACTOR, NOT_TRACEABLE, CertifiedQuantity, certificate
@@ -86,6 +87,7 @@ def _figures(result: Result, data: Drawn, shown: View) -> dict[str, Any]:
         "posture": posture.posture_figures(result),
         "budget_picture": budget.budget_figure(result),
         "evidence": evidence.evidence_figure(shown.candidates),
+        "formula": None if result.formula is None else evidence.formula_figure(result.formula),
         "friction": evidence.friction_figure(result),
         "more_candidates": max(0, len(shown.candidates) - evidence.MOST_CANDIDATES),
         "curves": curves,
@@ -142,6 +144,8 @@ def _tables(result: Result, data: Drawn) -> dict[str, Any]:
         "budget_rows": budget.budget_rows(result),
         "source_words": budget.SOURCE_WORDS,
         "nuisances": budget.nuisance_rows(result),
+        "formula_text": "" if result.formula is None else formula_text(result.formula),
+        "formula_rows": [] if result.formula is None else formula_rows(result.formula),
         "set_aside": budget.rejected_rows(result.set_aside),
         "fresh": FRESH in data.role,
         "open_question": result.verdict == "undecided",

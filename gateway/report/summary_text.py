@@ -8,7 +8,7 @@ from gateway.report import notation
 from gateway.report.quality import AxisQuality
 from gateway.result.acceptance import CANNOT_TELL, FAIL, IN_WORDS, asked_for, measured, open_findings
 from gateway.result.interval import SAID, half_width, holds_zero
-from gateway.result.result import LoadResult, Result
+from gateway.result.result import Formula, LoadResult, Result
 
 #: Verdict of a result -> its text.
 VERDICTS = {
@@ -85,7 +85,43 @@ def acceptance_texts(result: Result) -> list[tuple[str, str, str]]:
 
 
 def verdict_text(result: Result) -> str:
-    """Return the verdict as a sentence, with its evidence."""
+    """Return the verdict with its evidence, and what was open before further poses were measured."""
+    if result.decided is None:
+        return _verdict_text(result)
+    found = notation.effects_on([(item.name, item.joints) for item in result.decided.effects])
+    between = notation.listing(found if len(found) > 1 else [*found, "nothing at all"])
+    return (
+        f"{_verdict_text(result)} It took {result.decided.poses} further poses: before them, the data could not decide "
+        f"between {between}."
+    )
+
+
+def formula_text(formula: Formula) -> str:
+    """Return the evidence for a candidate formula."""
+    place = f" on {notation.axes(formula.joints)}" if formula.joints else ""
+    text = (
+        f"A formula describes the unexplained torque{place}; it is not in the library and names no cause. It leaves "
+        f"{100.0 * formula.holdout_rms_ratio:.0f} % of the residual of poses that were not used in its choice "
+        f"(p-value {formula.p_value:.1g})."
+    )
+    sizes = [(load, *mass(load)) for load in formula.after.loads if notation.known(load.mass_kg)]
+    masses = [f"{notation.load(load.label)} {value}{f' ± {half}' if half else ''} kg" for load, value, half in sizes]
+    if masses:
+        text += f" With it in the model: {notation.listing(masses)} ({SAID})."
+    if formula.runner_up:
+        text += f" Next best: {formula.runner_up} (odds {notation.significant(formula.odds, 2)} to 1)."
+    return text
+
+
+def formula_rows(formula: Formula) -> list[tuple[str, str, str, str]]:
+    """Return the products of a formula: product, coefficient, half of its 95 % interval, unit."""
+    return [
+        (piece.expression, *notation.plus_minus(piece.coefficient, half_width(piece.std)), piece.unit)
+        for piece in formula.pieces
+    ]
+
+
+def _verdict_text(result: Result) -> str:
     found = notation.effects_on([(item.name, item.joints) for item in result.effects])
     names = notation.listing(found)
     held_out = HELD_OUT.get(result.holdout_kind or "", "held-out data")

@@ -116,6 +116,45 @@ class Rejected:
 
 
 @dataclass(frozen=True, slots=True)
+class FormulaPiece:
+    """Product of a formula: expression in q1 .. qN [rad], `u` (modelled torque of the axis) and `friction` [Nm]."""
+
+    expression: str
+    coefficient: Number = NAN
+    std: Number = NAN
+    unit: str = "Nm"
+
+
+@dataclass(frozen=True, slots=True)
+class Formula:
+    """Candidate formula for a torque that no effect of the library explains: what the modelled motor torque lacks.
+
+    `joints` is [] for a force on the arm. `holdout_rms_ratio` and `p_value` are of poses that did not take part in its
+    choice. `runner_up` are the products of the next best formula, `odds` those against it. `after` are residuals and
+    loads with the formula in the model. `predicted_nm` is what the formula of the other poses predicts for each of
+    their rows, `residual_nm` their residual without a formula.
+    """
+
+    joints: tuple[int, ...] = ()
+    pieces: tuple[FormulaPiece, ...] = ()
+    holdout_rms_ratio: Number = NAN
+    p_value: Number = NAN
+    runner_up: str | None = None
+    odds: Number = NAN
+    after: FitSummary = FitSummary()
+    predicted_nm: Numbers = ()
+    residual_nm: Numbers = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Decided:
+    """Effects between which the data could not decide before further poses were measured, and the number of these."""
+
+    effects: tuple[EffectResult, ...] = ()
+    poses: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class NuisanceResult:
     """Nuisance parameter, one number per axis with its standard deviation: `gain`, `bias_nm`, `load_friction`."""
 
@@ -276,6 +315,8 @@ class Result:
     noise_floor_nm: Numbers = UNKNOWN_SIX
     friction_band_nm: Numbers = UNKNOWN_SIX
     rejected: tuple[Rejected, ...] = ()
+    formula: Formula | None = field(default=None, metadata=SILENT)
+    decided: Decided | None = field(default=None, metadata=SILENT)
     next: tuple[NextMeasurement, ...] = ()
     findings: tuple[Finding, ...] = ()
     acceptance: tuple[Acceptance, ...] = field(default=(), metadata=SILENT)

@@ -15,6 +15,7 @@ from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.bias import friction_by_direction
 from gateway.diagnose.rest.deflection import elastic_joints
+from gateway.diagnose.rest.formula import candidate_formula
 from gateway.diagnose.rest.holdout import Unseen, predicted, prediction_covariance
 from gateway.diagnose.rest.pose_selection import questions
 from gateway.diagnose.rest.residual_structure import structure_seen_nm
@@ -111,6 +112,7 @@ class Found:
     chosen: Fit
     mistakes: tuple[Mistake, ...]
     gained: float
+    setup: RestSetup
     settled: SettledKnowledge | None = None
 
     @property
@@ -233,7 +235,7 @@ class RestDiagnosis:
         chosen = run(search)
         if "torque_ripple" in self.options.allowed:
             chosen = with_ripple(search, chosen, setup.gear_ratio)
-        return Found(read, now, search, chosen, mistakes, gained)
+        return Found(read, now, search, chosen, mistakes, gained, setup)
 
     def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
         if holdout is None or holdout.moving.all():
@@ -338,6 +340,7 @@ class RestDiagnosis:
             bare = estimated.bare
             findings += [each for each in estimated.findings if each.severity == "fail" and each.check != REFUSED]
         floor, band = floor_and_band(problem, decision)
+        formula = candidate_formula(search, decision, found.setup, judge, self.robot)
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.outliers.findings)
         if "torque_ripple" in self.options.allowed:
@@ -360,7 +363,10 @@ class RestDiagnosis:
             noise_floor_nm=floor,
             friction_band_nm=band,
             rejected=tuple(rejected(search, decision)),
-            next=questions(problem, decision, self.robot, self.options, self.knowledge),
+            formula=None if formula is None else formula.result,
+            next=questions(
+                problem, decision, self.robot, self.options, self.knowledge, () if formula is None else formula.fits
+            ),
             findings=tuple(dict.fromkeys(findings)),
             nuisance=nuisance_results(problem, decision.after),
             set_aside=found.read.outliers.entries + (() if held is None else held.rejected),

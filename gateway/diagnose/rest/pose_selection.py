@@ -14,6 +14,7 @@ from gateway.diagnose.rest.verdict import Decision
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.linear import Fit, RestProblem, modelled, with_terms
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.model.formula import FORMULA
 from gateway.model.robot import Robot
 from gateway.model.unnamed import UNNAMED
 from gateway.model.visits import Visits, joined, visits_at
@@ -25,17 +26,27 @@ Floats = NDArray[np.float64]
 CHOICE = 400
 #: Time from one visit to the next [s]: a slow move and two sides, as a recording has it.
 STEP_S = 30.0
+#: Rivals that are compared with the answer at once [-].
+RIVALS = 4
 
 
 def questions(
-    problem: RestProblem, decision: Decision, robot: Robot, options: DiagnoseOptions, knowledge: Knowledge
+    problem: RestProblem,
+    decision: Decision,
+    robot: Robot,
+    options: DiagnoseOptions,
+    knowledge: Knowledge,
+    formulas: Sequence[Fit] = (),
 ) -> tuple[NextMeasurement, ...]:
     """Recommend what to measure next; empty if no hypothesis rivals the answer.
 
     The expected log odds between two hypotheses after new visits is half the squared difference of their predictions
-    over the noise (Box and Hill 1967).
+    over the noise (Box and Hill 1967). `formulas` are a candidate formula and its rivals, best first; they are compared
+    where no named effect is in question.
     """
-    fits = [decision.full, *(rival.fit for rival in decision.near[:4])]
+    fits = [decision.full, *(rival.fit for rival in decision.near[:RIVALS])]
+    if len(fits) < 2 and len(formulas) > 1:
+        fits = list(formulas[: RIVALS + 1])
     few = len(np.unique(problem.rows.pose)) < REST.least_poses
     if not few and len(fits) < 2:
         return ()
@@ -77,7 +88,10 @@ def _far_apart(rows: Visits, choice: Floats) -> NDArray[np.int_]:
 
 
 def _names(fits: Sequence[Fit]) -> tuple[str, ...]:
-    found = [term.name for fit in fits for term in fit.terms if term.name != UNNAMED]
+    named = [[term.name for term in fit.terms if term.name not in (UNNAMED, FORMULA)] for fit in fits]
+    found = [name for names in named for name in names]
+    if any(term.name == FORMULA for term in fits[0].terms):
+        return (*dict.fromkeys(found), "formula", "runner-up formula")
     if any(not fit.terms for fit in fits):
         found.append("none")
     if any(term.name == UNNAMED for fit in fits for term in fit.terms):
