@@ -93,7 +93,7 @@ def candidate_formula(
         joints=joints,
         pieces=_pieces(best, formulas.own(best)),
         holdout_rms_ratio=ratio,
-        p_value=float(np.exp(-min(gained, 690.0))),
+        p_value=max(float(np.exp(-gained)), float(np.finfo(float).tiny)),
         runner_up=_text(formulas.own(near[0])) if near else None,
         odds=formulas.odds(best, near[0]) if near else LARGEST_ODDS,
         after=summary(problem, best, judge, robot),
@@ -121,7 +121,7 @@ class _Formulas:
 
     def odds(self, best: Fit, other: Fit) -> float:
         """Return the odds of one formula against another."""
-        return float(min(np.exp(min(self.score(best) - self.score(other), 50.0)), LARGEST_ODDS))
+        return float(np.exp(min(self.score(best) - self.score(other), np.log(LARGEST_ODDS))))
 
     def tested(self) -> tuple[Floats, float]:
         """Left-out residual (rows,) [Nm] under the formula that the other poses choose, and its gain [log odds].
