@@ -112,6 +112,9 @@ class Job:
         Loads in forward and reverse order after a warm-up; None: the unloaded arm, then each load.
     is_bracketed : bool
         Unloaded arm, the one load, and the unloaded arm again.
+    repetition : int
+        Number of this measurement in a series. From the second on, the poses are other ones, and the last load is
+        mounted at the start.
     """
 
     context: CellContext
@@ -123,6 +126,7 @@ class Job:
     goal: Goal | None = None
     thermal: Thermal | None = None
     is_bracketed: bool = False
+    repetition: int = 1
 
     def blocks(self, poses: Sequence[RestPose]) -> tuple[Block, ...]:
         """Return the labels in the order of measurement."""
@@ -133,7 +137,14 @@ class Job:
     @property
     def begins_bare(self) -> bool:
         """Return whether the flange is known to be empty at the start; a continued job may have had a load mounted."""
-        return not self.recording.exists() or (self.thermal is None and not self.is_bracketed)
+        if not self.recording.exists():
+            return self.repetition == 1
+        return self.thermal is None and not self.is_bracketed
+
+    @property
+    def pose_seed(self) -> int:
+        """Seed of the choice of poses."""
+        return self.context.loaded.cell.poses.seed + self.repetition - 1
 
 
 def commission(job: Job, dialogue: Dialogue) -> Result:
@@ -192,7 +203,7 @@ def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
         job.arm.loading_rad is not None
     ):  # refuse an unreachable posture before the measurement (up to an hour), not after it
         destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
-    plan = make_plan(job.context.loaded, arm=job.arm.name)
+    plan = make_plan(job.context.loaded, seed=job.pose_seed, arm=job.arm.name)
     dialogue.planned(plan)
     with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
         options = job.context.proven(opened, dialogue.say, job.options)

@@ -1,4 +1,4 @@
-"""Command `compare`: two results of one robot, before and after service."""
+"""Command `compare`: two results of one robot before and after service, or repetitions of one measurement."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.console import grid
+from gateway.commands.repeat import judge_repeated
 from gateway.commands.shared_options import common, json_option, output_option, session_of, write_json
 from gateway.errors import FindingFailed
 
@@ -24,8 +25,12 @@ def _tolerance(_ctx: click.Context, _param: click.Parameter, value: str | None) 
 
 
 @click.command()
-@click.argument("before", metavar="A.json", type=RESULT)
-@click.argument("after", metavar="B.json", type=RESULT)
+@click.argument("files", metavar="A.json B.json ..", type=RESULT, nargs=-1, required=True)
+@click.option(
+    "--repeated",
+    is_flag=True,
+    help="The results repeat one measurement: compare their spread with the stated standard deviations.",
+)
 @click.option(
     "--tolerance",
     metavar="mass=2%,com=5mm,..",
@@ -36,11 +41,16 @@ def _tolerance(_ctx: click.Context, _param: click.Parameter, value: str | None) 
 @json_option
 @common
 def compare(
-    before: Path, after: Path, tolerance: dict[str, Tolerance], output: Path | None, json_out: str | None
+    files: tuple[Path, ...],
+    repeated: bool,
+    tolerance: dict[str, Tolerance],
+    output: Path | None,
+    json_out: str | None,
 ) -> None:
     """Compare loads, torque constants and friction before and after service: changed, unchanged, or cannot tell.
 
-    A change beyond the tolerance gives exit code 7.
+    A change beyond the tolerance gives exit code 7. With --repeated: two or more results of one load; exit code 7 if
+    their standard deviations are stated too small.
     """
     from gateway.commands.pages import write_page
     from gateway.report.comparison_page import COLUMNS, cells, render_compare
@@ -48,7 +58,17 @@ def compare(
     from gateway.result.compare import compare as compared
     from gateway.result.result import read_result
 
-    found = compared(read_result(before), read_result(after), (str(before), str(after)), tolerance)
+    results, names = [read_result(file) for file in files], [str(file) for file in files]
+    if repeated:
+        if tolerance:
+            raise click.UsageError("--tolerance states an allowed change; with --repeated, leave it out")
+        judge_repeated(results, names, json_out, output)
+        return
+    if len(files) != 2:
+        raise click.UsageError(
+            f"{len(files)} results: give one before and one after service, or repetitions with --repeated"
+        )
+    found = compared(results[0], results[1], (names[0], names[1]), tolerance)
     if json_out:
         write_json(json_out, found.as_json())
     session = session_of()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import click
 
@@ -15,6 +15,7 @@ from gateway.commands.console import Session, findings_table
 from gateway.commands.measure import arm_option, show_plan
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.move import announce, go_with_progress
+from gateway.commands.repeat import JSON_NAME, PAGE_NAME, repeat, repeat_option
 from gateway.commands.result_output import fail_on_findings, show_result, write_junit
 from gateway.commands.shared_options import (
     accept_options,
@@ -41,11 +42,15 @@ if TYPE_CHECKING:
     from gateway.acquire.until.run import UntilSummary
     from gateway.acquire.until.search import LoadSearch
     from gateway.cell.config import LoadedCell
+    from gateway.commands.commission import Job
     from gateway.data.recording.recorded import Recording
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
     from gateway.result.acceptance import Expected
-    from gateway.result.result import Finding
+    from gateway.result.result import Finding, Result
+
+#: Recording in the folder of a measurement.
+RECORDING: Final = "run.h5"
 
 
 @click.command()
@@ -56,6 +61,7 @@ if TYPE_CHECKING:
 @until_option
 @thermal_option
 @warm_up_option
+@repeat_option
 @arm_option
 @accept_options
 @operator_option
@@ -70,6 +76,7 @@ def commission(
     goal: Goal | None,
     thermal: bool,
     warm_up_min: float | None,
+    repetitions: int | None,
     arm_name: str | None,
     expected: tuple[Expected, ...],
     junit_file: Path | None,
@@ -78,49 +85,81 @@ def commission(
     moving: MoveChoice,
 ) -> None:
     """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves."""
-    from drives.errors import DriveError
-    from gateway.acquire.thermal import WARM_UP_FILE
     from gateway.commands.cell_context import open_cell
     from gateway.commands.commission import Job
-    from gateway.commands.commission import commission as run
-    from gateway.data.recording.reader import read
-    from gateway.data.recording.writer import refuse_other_cell
     from gateway.model.arm_model import arm_named, arm_robot
-    from gateway.pipeline.accept import accept
-    from gateway.report.render import render
     from gateway.result.acceptance import check_expected
-    from gateway.result.result import to_dict
 
     _refuse_labels(labels)
+    if repetitions is not None and junit_file is not None:
+        raise click.UsageError("--junit holds one measurement, --repeat makes several: give one of them")
     check_expected(expected, labels)
     drift = thermal_choice(thermal, warm_up_min, goal)
     context = open_cell(cell, bus_spec, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     note_remarks(arm_robot(context.loaded, arm))
-    out.mkdir(parents=True, exist_ok=True)
-    recording = out / "run.h5"
-    refuse_unwritable(recording, "--out")
-    if resume and recording.exists():
-        refuse_other_cell(read(recording), context.loaded.text)
+    job = Job(context, arm, labels, out / RECORDING, operator=operator, goal=goal, thermal=drift)
+    once = _Commissioning(job, resume, expected, moving)
+    if repetitions is None:
+        once.run(1, out, junit_file)
+        return
     if not resume:
-        for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
-            keep_earlier(path, session_of())
-    try:
-        with context.with_move_command(), stoppable(moving) as options:
-            job = Job(context, arm, labels, recording, options, operator, goal, drift)
-            result = run(job, Terminal(session_of(), context.loaded.cell.name, moving))
-    except (GatewayError, DriveError, KeyboardInterrupt) as error:
-        if recording.exists():
-            error.add_note(f"Measured data is in {recording}; continue with commission --resume.")
-        raise
-    result = accept(result, expected, arm)
-    write_json(str(out / "result.json"), to_dict(result))
-    replace_file(out / "report.html", render(result))
-    if junit_file is not None:
-        write_junit(junit_file, result)
-    show_result(result, session_of())
-    session_of().show(f"report: {out / 'report.html'}")
-    fail_on_findings(result.findings)
+        for name in (JSON_NAME, PAGE_NAME):
+            keep_earlier(out / name, session_of())
+    repeat(repetitions, out, resume, once.run)
+
+
+@dataclass(frozen=True, slots=True)
+class _Commissioning:
+    """A commissioning job at the terminal: once, or as one repetition of several."""
+
+    job: Job
+    resume: bool
+    expected: tuple[Expected, ...]
+    moving: MoveChoice
+
+    def run(self, repetition: int, out: Path, junit_file: Path | None = None) -> Result:
+        """Measure into a folder, write result and report, and show them.
+
+        Raises
+        ------
+        FindingFailed
+            The result has a failing finding.
+        """
+        from drives.errors import DriveError
+        from gateway.acquire.thermal import WARM_UP_FILE
+        from gateway.commands.commission import commission as run
+        from gateway.data.recording.reader import read
+        from gateway.data.recording.writer import refuse_other_cell
+        from gateway.pipeline.accept import accept
+        from gateway.report.render import render
+        from gateway.result.result import to_dict
+
+        job, recording = self.job, out / RECORDING
+        out.mkdir(parents=True, exist_ok=True)
+        refuse_unwritable(recording, "--out")
+        if self.resume and recording.exists():
+            refuse_other_cell(read(recording), job.context.loaded.text)
+        if not self.resume:
+            for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
+                keep_earlier(path, session_of())
+        try:
+            with job.context.with_move_command(), stoppable(self.moving) as options:
+                job = replace(job, recording=recording, options=options, repetition=repetition)
+                result = run(job, Terminal(session_of(), job.context.loaded.cell.name, self.moving))
+        except (GatewayError, DriveError, KeyboardInterrupt) as error:
+            if recording.exists():
+                error.add_note(f"Measured data is in {recording}; continue with commission --resume.")
+            raise
+        result = accept(result, self.expected, job.arm)
+        write_json(str(out / "result.json"), to_dict(result))
+        replace_file(out / "report.html", render(result))
+        if junit_file is not None:
+            write_junit(junit_file, result)
+        show_result(result, session_of())
+        session_of().show(f"report: {out / 'report.html'}")
+        fail_on_findings(result.findings)
+        return result
 
 
 def _refuse_labels(labels: Sequence[str]) -> None:

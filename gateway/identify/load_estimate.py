@@ -14,6 +14,7 @@ from gateway.model.robot import Robot
 from gateway.result.inertia import moments_of, tensor_of
 from gateway.result.names import INERTIA_WHOLE
 from gateway.result.result import Finding, LoadResult
+from gateway.result.values import matrix
 
 Floats = NDArray[np.float64]
 
@@ -46,6 +47,8 @@ class LoadEstimate:
         None where nothing moved.
     per_pose_mass_kg : mapping of pose number to mass
     budget : mapping of source to its share of the mass's variance, sum 1
+    common_errors : mapping of a kind of prior to an array of shape (4, m)
+        Of [mass, x, y, z] per standard deviation of an error that all measurements share.
     refused : str or None
         Why the data of this load contradict each other; everything else is NaN then.
     """
@@ -60,6 +63,7 @@ class LoadEstimate:
     unidentifiable: tuple[str, ...] = ()
     per_pose_mass_kg: Mapping[str, float] = field(default_factory=dict)
     budget: Mapping[str, float] = field(default_factory=dict)
+    common_errors: Mapping[str, Floats] = field(default_factory=dict)
     refused: str | None = None
     inertia: LoadInertia | None = None
 
@@ -180,6 +184,7 @@ def load_result(load: LoadEstimate, robot: Robot | None) -> LoadResult:
         unidentifiable=(*load.unidentifiable, *open_),
         per_pose_mass_kg=dict(load.per_pose_mass_kg),
         budget=dict(load.budget),
+        common_errors={name: matrix(values) for name, values in load.common_errors.items()},
         inertia_kg_m2=None if inertia is None else _some(inertia.value_kg_m2),
         inertia_std_kg_m2=None if inertia is None else _some(inertia.std_kg_m2),
         inertia_flange_kg_m2=None if inertia is None or flange is None else _in_flange(inertia.value_kg_m2, flange),

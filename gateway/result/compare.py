@@ -156,7 +156,7 @@ def compare(
     InputError
         They are of different robots, cells, arms or frames, or hold nothing that can be compared.
     """
-    _refuse_others(before, after, names)
+    refuse_other_arms(before, after, names)
     one, other = _quantities(before), _quantities(after)
     shared = [key for key in one if key in other]
     if not shared:
@@ -187,7 +187,8 @@ class _Quantity:
     kind: str
 
 
-def _refuse_others(before: Result, after: Result, names: tuple[str, str]) -> None:
+def refuse_other_arms(before: Result, after: Result, names: tuple[str, str]) -> None:
+    """Refuse results of different robots, cells or arms."""
     pairs = [("robot", before.robot, after.robot)]
     if before.data is not None and after.data is not None:
         pairs += [("cell", before.data.cell, after.data.cell), ("arm", before.data.arm, after.data.arm)]

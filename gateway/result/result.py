@@ -52,7 +52,8 @@ class LoadResult:
 
     `com_m`, `com_std_m` [m] in `frame`, that of the last link; `correlation` of [mass, x, y, z]; `per_pose_mass_kg`
     keyed by the pose number; `budget` is the share of the mass's variance by source, `constants`, `links`, `friction`
-    and `noise`, sum 1.
+    and `noise`, sum 1. `common_errors` by kind of prior: change of mass [kg], x, y, z [m] (rows) per standard
+    deviation of each error that all measurements of the arm share (columns).
 
     `inertia_kg_m2` [Ixx, Iyy, Izz, Ixy, Ixz, Iyz] about the centre of gravity, axes of `frame`; null and listed in
     `unidentifiable` without motion; `inertia_flange_kg_m2` has the axes of the flange. A refused load has NaN values
@@ -70,6 +71,7 @@ class LoadResult:
     unidentifiable: tuple[str, ...] = ()
     per_pose_mass_kg: Mapping[str, Number] = field(default_factory=dict)
     budget: Mapping[str, Number] = field(default_factory=dict, metadata=SILENT)
+    common_errors: Mapping[str, Matrix] = field(default_factory=dict, metadata=SILENT)
     inertia_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
     inertia_std_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
     inertia_flange_kg_m2: Numbers | None = field(default=None, metadata=SILENT)
@@ -408,6 +410,8 @@ def _check_loads(result: Result, where: str) -> None:
             raise InputError(f"{where}: loads[{index}]: a mass or a place beyond {LARGEST:g}")
         if any(value < 0 for value in (load.mass_std_kg, *(load.com_std_m or ()))):
             raise InputError(f"{where}: loads[{index}]: a standard deviation below 0; write it again from the data")
+        if any([len(row) for row in rows] != [len(rows[0])] * 4 for rows in load.common_errors.values() if rows):
+            raise InputError(f"{where}: loads[{index}].common_errors: four rows of one length are needed")
 
 
 def _check_bare(bare: Bare, where: str) -> None:

@@ -17,6 +17,7 @@ from gateway.identify.load_estimate import (
     load_from_moment,
     load_result,
 )
+from gateway.identify.nuisance import CHANGE_AXIS, CHANGE_COMMON
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import OPEN_MASS_KG, OPEN_SHARE
 from gateway.identify.rest.rest_nuisance import KINDS
@@ -31,6 +32,8 @@ Floats = NDArray[np.float64]
 _INFORMATIVE: Final = 0.05
 #: Share of a variance that is rounding.
 _AS_ROUNDING: Final = 1e-12
+#: Nuisance parameters with one true value in all measurements of an arm; friction of a cold arm differs in each.
+_LASTING: Final = ("gain", "bias", "load_friction", "one_efficiency")
 
 
 def load_estimates(
@@ -74,16 +77,21 @@ def _load(
     found = _determined(problem, fit, part)
     directions = np.zeros((4, len(fit.scale)))
     directions[:, part] = load_directions(fit.loads[index])
+    wider, stated = widening(problem, fit, directions), np.zeros((4, 4)) + sum(by_statement.values())
     load = load_from_moment(
         problem.labels[index],
         fit.loads[index],
-        fit.covariance[part, part] + by_shape + sum(by_statement.values()),
-        widening(problem, fit, directions),
+        fit.covariance[part, part] + by_shape + stated,
+        wider,
         found,
         reach_m(robot),
     )
+    common = common_errors(problem, fit, directions) | {"statements": directions[:, part] @ _root(stated)}
     return replace(
         load,
+        common_errors={name: wider[:, None] * values for name, values in common.items() if values.any()}
+        if found.all() and load.refused is None
+        else {},
         per_pose_mass_kg=per_pose_mass(problem, fit, index) if found.all() else {},
         budget=_with_statements(
             _budget(problem, fit, part.start),
@@ -93,6 +101,37 @@ def _load(
         if np.isfinite(load.mass_kg)
         else {},
     )
+
+
+def common_errors(problem: RestProblem, fit: Fit, directions: Floats) -> dict[str, Floats]:
+    """Return the change (k, m) of linear functions `directions` (k, p) per standard deviation of m prior errors.
+
+    Keys are kinds of priors whose errors all measurements of an arm share: links, stored identifications and known
+    loads, torque constants, lasting friction parameters. A gain usually changes a little between two runs: that share
+    of its prior variance differs in each measurement and is left out.
+    """
+    reach = directions @ fit.covariance
+    weighted = reach / fit.prior_std
+    first, axes, factor = problem.nuisance_part.start, problem.axes, problem.nuisance.changes.factor
+    out = {"links": weighted[:, problem.link_part], "stored": reach[:, : problem.n_common] @ problem.prior_rows.T}
+    for kind in _LASTING:
+        start = first + KINDS.index(kind) * axes
+        out[kind] = weighted[:, start : start + axes]
+    common = first + problem.nuisance.common
+    out["common_gain"] = weighted[:, [common]] * _lasting(fit.prior_std[[common]], factor * CHANGE_COMMON)
+    out["gain"] = out["gain"] * _lasting(fit.prior_std[first : first + axes], factor * CHANGE_AXIS)
+    return out
+
+
+def _lasting(std: Floats, change: float) -> Floats:
+    """Return the share (k,) of standard deviations that is not of the change between two runs."""
+    return np.sqrt(np.clip(1.0 - (change / std) ** 2, 0.0, 1.0))
+
+
+def _root(covariance: Floats) -> Floats:
+    """Return the symmetric square root (k, k) of a covariance."""
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
 
 
 def well_determined(problem: RestProblem, fit: Fit, directions: Floats) -> NDArray[np.bool_]:
