@@ -40,7 +40,7 @@ def render_repeatability(found: Repeatability) -> str:
     return page(
         "repeatability.html.j2",
         Head(f"Repeatability: {found.robot}", "Repeatability", about),
-        status=STATUS[found.verdict],
+        status="open" if found.verdict == HOLD and any(row.far for row in found.quantities) else STATUS[found.verdict],
         headline=conclusion(found),
         columns=COLUMNS,
         rows=[(TAGS[row.outcome], cells(row)) for row in found.quantities],

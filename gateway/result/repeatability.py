@@ -149,10 +149,7 @@ def conclusion(found: Repeatability) -> str:
     count = len(found.files)
     if found.verdict == TOO_SMALL:
         worst = max((row for row in found.quantities if row.outcome == TOO_SMALL), key=lambda row: row.low)
-        return (
-            f"the spread of {worst.what} of {worst.where} is {worst.ratio:.1f} times the expected one: find "
-            "what changes between the repetitions (mounting, temperature, hoses), or use the larger standard deviation"
-        )
+        return f"the spread of {worst.what} of {worst.where} is {worst.ratio:.1f} times the expected one"
     if found.verdict == CANNOT_TELL:
         return f"cannot tell from {count} repetitions within a factor of {RESOLUTION:g}: repeat more often"
     if found.verdict == TOO_LARGE:
@@ -285,12 +282,21 @@ def _measured(result: Result) -> str | None:
 def _remarks(
     results: Sequence[Result], names: Sequence[str], quantities: Sequence[RepeatedQuantity], labels: Sequence[str]
 ) -> Iterator[str]:
-    for row in quantities:
-        for number in row.far:
-            away = row.deviation[row.repetition.index(number)]
+    if any(row.outcome == TOO_SMALL for row in quantities):
+        yield (
+            "find what changes between the repetitions (mounting, temperature, hoses); until then use the spread as "
+            "standard deviation"
+        )
+    for number, name in enumerate(names, 1):
+        far = [
+            f"{row.what} of {row.where} by {row.deviation[row.repetition.index(number)]:+.1f}"
+            for row in quantities
+            if number in row.far
+        ]
+        if far:
             yield (
-                f"{names[number - 1]}: {row.what} of {row.where} is {away:+.1f} standard deviations from the mean; "
-                "check how the load was mounted, and repeat it"
+                f"{name} deviates from the mean: {', '.join(far)} standard deviations; check how the load was mounted, "
+                "and repeat it"
             )
     for label in labels:
         lacking = [

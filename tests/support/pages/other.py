@@ -3,6 +3,8 @@
 import math
 
 from gateway.report.pair_page import FORCE, GAP, Limited, render_pair
+from gateway.report.repeatability_page import render_repeatability
+from gateway.result.drawn import Drawn
 from gateway.result.follow import (
     AxisSources,
     ErrorCurve,
@@ -18,6 +20,8 @@ from gateway.result.follow import (
     TrendCloud,
 )
 from gateway.result.pair import CycleSummary, PairRunResult
+from gateway.result.repeatability import repeatability
+from gateway.result.result import LoadResult, Result
 
 SIX = (0.0157, 0.0167, 0.0167, 0.0176, 0.0228, 0.0317)
 
@@ -71,3 +75,18 @@ def forces(name="C8", origin=None):
 def gaps():
     runs = [run(first_m=(0.0, 3e-4), last_m=(0.0, math.nan))]
     return render_pair("gap", Limited(GAP, 1e-3, "as measured"), runs)
+
+
+def repetitions(count=20):
+    """One load over three days; the seventh measurement is far from the others."""
+    common = {"gain": ((0.1,), (1e-4,), (1e-4,), (2e-4,))}
+    results = []
+    for k in range(count):
+        away = 6.0 if k == 6 else math.sin(2.0 * k)
+        com_m = tuple(
+            value + 1e-3 * away * part for value, part in zip((0.05, -0.02, 0.22), (0.5, 0.3, 1.0), strict=True)
+        )
+        load = LoadResult("tool", 25.0 + 0.05 * away, 0.12, com_m, (6e-4, 4e-4, 1e-3), common_errors=common)
+        created = f"2026-03-{11 + 3 * k // count} 10:{k:02d} UTC"
+        results.append(Result("qh165", (load,), data=Drawn(created=created)))
+    return render_repeatability(repeatability(results, [f"out/{k:02d}/result.json" for k in range(1, count + 1)]))

@@ -14,7 +14,7 @@ from gateway.report.stop import render_stop
 from gateway.result.acceptance import Expected, Rating, accepted, not_hung
 from gateway.result.result import NuisanceResult, Result, SetAside, from_json, read_result
 from tests.support.pages.moving import moving_result
-from tests.support.pages.other import comparison, forces, gaps
+from tests.support.pages.other import comparison, forces, gaps, repetitions
 from tests.support.pages.result import full_result
 from tests.support.pages.stop import stopped
 
@@ -33,6 +33,7 @@ def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
     yield "follow", render_follow(comparison())
     yield "pair", forces()
     yield "gap", gaps()
+    yield "repeatability", repetitions()
     with tempfile.TemporaryDirectory() as folder:
         yield "stop", render_stop(stopped(Path(folder)))
     for path in results:

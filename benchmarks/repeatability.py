@@ -1,0 +1,125 @@
+"""One load measured 20 times over three simulated days: its spread over what the stated standard deviations predict.
+
+python -m benchmarks.repeatability [--arms 30] [--seeds dev|test] [--out out/repeatability]
+
+Arms of `sim/nature` with all nuisance effects. Each measurement has poses of its own, a load that is mounted again, and
+motors that are cold in the morning and warm later, so that the torque constants drift. The estimates are joined by
+`gateway.result.repeatability`, as `commission --repeat` does. Arms with wrongly stated standard deviations are left
+out. Development seeds start at 70000, test seeds at 80000.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterator
+from itertools import count, islice
+from pathlib import Path
+
+import numpy as np
+
+SEEDS = {"dev": 70000, "test": 80000}
+REPETITIONS = 20
+QUANTITIES = ("mass", "centre x", "centre y", "centre z")
+HALF_WIDTH = 1.96
+DRAWS = 2000
+
+
+def main(argv: list[str]) -> int:
+    """Exit 1 when a goal is missed."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.repeatability", description=__doc__)
+    parser.add_argument("--arms", type=int, default=30)
+    parser.add_argument("--seeds", choices=SEEDS, default="dev")
+    parser.add_argument("--out", type=Path, default=Path("out/repeatability"))
+    arguments = parser.parse_args(argv)
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    from tests.support.figure import show
+
+    arms = list(islice(measured_arms(SEEDS[arguments.seeds]), arguments.arms))
+    result = figures(arms)
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps({"figures": result, "arms": arms}, indent=1)
+    (arguments.out / "summary.json").write_text(text + "\n", encoding="utf-8")
+    show(result)
+    return 0 if all(entry["met"] is not False for entry in result.values()) else 1
+
+
+def measured_arms(first_seed: int) -> Iterator[dict]:
+    """Yield the repeated measurements of one arm after another."""
+    from sim.nature.nature_cell import draw_cell
+
+    for seed in count(first_seed):
+        cell = draw_cell(seed, "all")
+        if not cell.stated.misstated:
+            yield measured_arm(cell)
+
+
+def measured_arm(cell) -> dict:
+    """Measure one load 20 times; by quantity ratio, verdict, deviations, and errors over the stated deviations."""
+    from gateway.estimate import estimate
+    from gateway.identify.load_estimate import load_result
+    from gateway.model.robot import robot_from_urdf
+    from gateway.result.repeatability import repeatability
+    from gateway.result.result import Result
+    from sim.nature.days import sessions
+    from tests.support.blind.nature import estimate_options
+    from tests.support.rigs.tables import simulated_table
+
+    robot, options = robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}"), estimate_options(cell)
+    results, truth = [], []
+    for number, session in enumerate(sessions(cell, REPETITIONS)):
+        found = estimate(simulated_table(session.columns, f"run {number}"), robot, options, "joint")
+        results.append(Result(robot.name, tuple(load_result(load, robot) for load in found.loads)))
+        truth.append([session.tool.mass_kg, *session.tool.com_m])
+    found = repeatability(results, [f"{number:02d}" for number in range(1, len(results) + 1)])
+    rows = []
+    for row, true in zip(found.quantities, np.transpose(truth), strict=True):
+        there = true[[number - 1 for number in row.repetition]]
+        error = (np.array(row.value) - there) / np.array(row.std)
+        both = {"ratio": row.ratio, "whole": row.expected / row.stated, "outcome": row.outcome, "far": len(row.far)}
+        rows.append(both | {"measured": len(error), "error": error.tolist()})
+    return {"seed": cell.seed, "quantities": rows, "verdict": found.verdict}
+
+
+def figures(arms: list[dict]) -> dict[str, dict]:
+    """Figures over all arms."""
+    out = {}
+    for place, name in enumerate(QUANTITIES):
+        rows = [arm["quantities"][place] for arm in arms]
+        out[f"{name}: spread over the expected part of the stated"] = _ratio([row["ratio"] for row in rows])
+    for name, places in (("mass", [0]), ("centre", [1, 2, 3])):
+        rows = [arm["quantities"][place] for arm in arms for place in places]
+        errors = np.concatenate([row["error"] for row in rows])
+        total = [np.sqrt(np.mean(np.square(row["error"]))) for row in rows]
+        out[f"{name}: error to the truth over the whole stated"] = _ratio(total, is_goal=False)
+        holds = float(100 * np.mean(np.abs(errors) < HALF_WIDTH))
+        out[f"{name}: 95 % intervals hold the truth"] = _entry(holds, "%")
+        part = float(np.median([row["whole"] for row in rows]))
+        out[f"{name}: expected spread over the whole stated, median"] = _entry(part)
+    rows = [row for arm in arms for row in arm["quantities"]]
+    far, values = sum(row["far"] for row in rows), sum(row["measured"] for row in rows)
+    out[f"values beyond 3 standard deviations, of {values}"] = _entry(far, "", "== 0", far == 0)
+    for outcome in ("hold", "too small", "too large", "cannot tell"):
+        share = 100 * float(np.mean([row["outcome"] == outcome for row in rows]))
+        out[f"verdict on a quantity: {outcome}"] = _entry(share, "%")
+    return out
+
+
+def _ratio(values: list[float], *, is_goal: bool = True) -> dict:
+    """Root mean square of ratios over the arms, with the 95 % interval over drawn arms; goal 0.9 to 1.1."""
+    squares = np.square(values)
+    drawn = np.random.default_rng(0).choice(squares, (DRAWS, len(squares))).mean(axis=1)
+    value = float(np.sqrt(squares.mean()))
+    entry = _entry(value, "", "0.9 to 1.1", 0.9 <= value <= 1.1) if is_goal else _entry(value)
+    return entry | {"interval": np.sqrt(np.quantile(drawn, [0.025, 0.975])).tolist()}
+
+
+def _entry(value: float, unit: str = "", goal: str = "printed", met: bool | None = None) -> dict:
+    return {"value": value, "unit": unit, "goal": goal, "met": met}
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
