@@ -8,7 +8,7 @@ from gateway.report import notation
 from gateway.report.quality import AxisQuality
 from gateway.result.acceptance import CANNOT_TELL, FAIL, IN_WORDS, asked_for, measured, open_findings
 from gateway.result.interval import SAID, half_width, holds_zero
-from gateway.result.result import Formula, LoadResult, Result
+from gateway.result.result import EffectResult, Formula, LoadResult, Result
 
 #: Verdict of a result -> its text.
 VERDICTS = {
@@ -88,12 +88,16 @@ def verdict_text(result: Result) -> str:
     """Return the verdict with its evidence, and what was open before further poses were measured."""
     if result.decided is None:
         return _verdict_text(result)
-    found = notation.effects_on([(item.name, item.joints) for item in result.decided.effects])
-    between = notation.listing(found if len(found) > 1 else [*found, "nothing at all"])
     return (
         f"{_verdict_text(result)} It took {result.decided.poses} further poses: before them, the data could not decide "
-        f"between {between}."
+        f"between {_alternatives(result.decided.effects)}."
     )
+
+
+def _alternatives(effects: Sequence[EffectResult]) -> str:
+    """Return the effects between which the data cannot decide; beside a single one, that nothing is missing."""
+    each = [notation.effect_on(item.name, item.joints) for item in effects]
+    return notation.listing(each if len(each) > 1 else [*each, "nothing at all"], "and")
 
 
 def formula_text(formula: Formula) -> str:
@@ -138,8 +142,7 @@ def _verdict_text(result: Result) -> str:
         return "The model lacks an effect that is not in the library; see the residual below."
     if verdict == "undecided":
         if found:
-            each = [notation.effect_on(item.name, item.joints) for item in result.effects]
-            between = notation.listing(each if len(each) > 1 else [*each, "nothing at all"], "and")
+            between = _alternatives(result.effects)
             return f"The data cannot decide between {between}; the poses to measure next are listed below."
         return "There is too little data to validate the model; the poses to measure next are listed below."
     return "The load was estimated without a diagnosis of the residual."

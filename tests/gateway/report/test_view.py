@@ -68,6 +68,17 @@ def test_every_verdict_has_its_text(result, verdict, says, status):
     assert shown.status == status
 
 
+def test_what_further_poses_decided_is_said_with_each_candidate(result):
+    candidates = [{"name": "joint_zero_offset", "joints": [joint]} for joint in (2, 3)]
+    result["decided"] = {"effects": candidates, "poses": 8}
+    said = view(read(result)).verdict
+    assert "8 further poses" in said
+    assert "on J2 and" in said
+    assert said.endswith("on J3.")
+    result["decided"]["effects"].pop()
+    assert view(read(result)).verdict.endswith("on J2 and nothing at all.")
+
+
 def test_undecided_without_effects_says_there_is_too_little_data(result):
     result |= {"verdict": "undecided", "effects": []}
     assert "too little data" in view(read(result)).verdict
