@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from gateway.commands.console import grid
-from gateway.commands.repeat import judge_repeated
-from gateway.commands.shared_options import common, json_option, output_option, session_of, write_json
+from gateway.commands.repeat import judge_repeated, show_comparison, show_page
+from gateway.commands.shared_options import common, json_option, output_option
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
@@ -52,7 +52,6 @@ def compare(
     A change beyond the tolerance gives exit code 7. With --repeated: two or more results of one load; exit code 7 if
     their standard deviations are stated too small.
     """
-    from gateway.commands.pages import write_page
     from gateway.report.comparison_page import COLUMNS, cells, render_compare
     from gateway.result.compare import CHANGED, sentence
     from gateway.result.compare import compare as compared
@@ -69,17 +68,9 @@ def compare(
             f"{len(files)} results: give one before and one after service, or repetitions with --repeated"
         )
     found = compared(results[0], results[1], (names[0], names[1]), tolerance)
-    if json_out:
-        write_json(json_out, found.as_json())
-    session = session_of()
     rows = [list(cells(row)) for row in found.quantities]
     title = f"{found.robot}: before and after, difference ± half of its interval"
-    session.show(grid(title, COLUMNS, rows, left=2))
-    for remark in found.remarks:
-        session.note(remark)
-    session.show(f"verdict: {found.verdict}. {sentence(found)}")
-    if output is not None:
-        write_page(output, render_compare(found))
-        session.show(f"report: {output}")
+    show_comparison(found, grid(title, COLUMNS, rows, left=2), sentence(found), json_out)
+    show_page(output, lambda: render_compare(found))
     if found.verdict == CHANGED:
         raise FindingFailed(f"{sentence(found)}; see the table, and set the allowed change with --tolerance")

@@ -13,6 +13,10 @@ from gateway.commands.shared_options import session_of, write_json
 from gateway.errors import FindingFailed
 
 if TYPE_CHECKING:
+    from rich.table import Table
+
+    from gateway.result.compare import ResultComparison
+    from gateway.result.repeatability import Repeatability
     from gateway.result.result import Result
 
 #: Names of the files in the folder of --out.
@@ -58,21 +62,35 @@ def judge_repeated(results: Sequence[Result], files: Sequence[str], json_out: st
     ------
     InputError, FindingFailed
     """
-    from gateway.commands.pages import write_page
     from gateway.report.repeatability_page import COLUMNS, cells, render_repeatability
     from gateway.result.repeatability import TOO_SMALL, conclusion, repeatability
 
     found = repeatability(results, files)
+    title = f"{found.robot}: {len(files)} repetitions, standard deviations"
+    table = grid(title, COLUMNS, [cells(row) for row in found.quantities], left=2)
+    show_comparison(found, table, conclusion(found), json_out)
+    show_page(output, lambda: render_repeatability(found))
+    if found.verdict == TOO_SMALL:
+        raise FindingFailed(conclusion(found))
+
+
+def show_comparison(
+    found: ResultComparison | Repeatability, table: Table, conclusion: str, json_out: str | None
+) -> None:
+    """Write a comparison of results as JSON, if asked for; show its table, its remarks and its verdict."""
     if json_out:
         write_json(json_out, found.as_json())
     session = session_of()
-    title = f"{found.robot}: {len(files)} repetitions, standard deviations"
-    session.show(grid(title, COLUMNS, [cells(row) for row in found.quantities], left=2))
+    session.show(table)
     for remark in found.remarks:
         session.note(remark)
-    session.show(f"verdict: {found.verdict}. {conclusion(found)}")
+    session.show(f"verdict: {found.verdict}. {conclusion}")
+
+
+def show_page(output: Path | None, render: Callable[[], str]) -> None:
+    """Write the page of a comparison, if asked for."""
+    from gateway.commands.pages import write_page
+
     if output is not None:
-        write_page(output, render_repeatability(found))
-        session.show(f"report: {output}")
-    if found.verdict == TOO_SMALL:
-        raise FindingFailed(conclusion(found))
+        write_page(output, render())
+        session_of().show(f"report: {output}")

@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.diagnose.held_out_residuals import Held
-from gateway.diagnose.rest.holdout import left_out, left_out_poses, pose_of_rows
+from gateway.diagnose.rest.holdout import chosen_with_density, left_out_poses, reduced_by_pose
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_outcome import LARGEST_ODDS, Judge, summary
 from gateway.diagnose.rest.search import Search
-from gateway.diagnose.rest.verdict import Decision
+from gateway.diagnose.rest.verdict import Decision, in_std
 from gateway.identify.rest.linear import Fit
 from gateway.model.effect import RestSetup
 from gateway.model.formula import formula_terms, pieces
@@ -69,18 +69,19 @@ def candidate_formula(
     if best is formulas.fits[0]:
         return None
     problem = search.problem
-    by_others, gained = formulas.tested()
-    std, without = best.noise.std[problem.group], left_out(problem, formulas.fits[0])
-    _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
-    less = np.bincount(pose, weights=(without**2 - by_others**2) / std**2)
-    if gained < REST.needed or less.sum() < REST.unseen * np.sqrt(len(less)) * less.std(ddof=1):
+    scores = [formulas.score(fit) for fit in formulas.fits]
+    by_others, density = chosen_with_density(problem, formulas.fits, scores)
+    without, density_without = left_out_poses(problem, formulas.fits[0])
+    # by chance, such a gain of log(1 / p) has a probability of at most p (Markov's inequality)
+    gained = float((density - density_without).sum())
+    if gained < REST.needed or in_std(reduced_by_pose(problem, by_others, without, best.noise.std)) < REST.unseen:
         return None
     joints = tuple(sorted({joint for term in formulas.own(best) for joint in term.joints}))
     if any(isinstance(term, Pull) for term in formulas.own(best)):
         joints = ()
     axes = [joint - 1 for joint in joints] or range(problem.axes)
     ratio = Held.of_rows(by_others, problem.axis, problem.axes).over(
-        Held.of_rows(without, problem.axis, problem.axes), axes, std[:, None]
+        Held.of_rows(without, problem.axis, problem.axes), axes, best.noise.std[problem.group][:, None]
     )
     if judge.held is not None:
         ratio = judge.ratio(best, formulas.fits[0], joints)
@@ -91,7 +92,7 @@ def candidate_formula(
     shown = np.isin(problem.group, axes)  # half-sums
     result = Formula(
         joints=joints,
-        pieces=_pieces(best, formulas.own(best)),
+        pieces=formulas.pieces(best),
         holdout_rms_ratio=ratio,
         p_value=max(float(np.exp(-gained)), float(np.finfo(float).tiny)),
         runner_up=_text(formulas.own(near[0])) if near else None,
@@ -119,24 +120,19 @@ class _Formulas:
         """Return the terms of the formula of a fit."""
         return tuple(term for term in fit.terms if term not in self._base)
 
+    def pieces(self, fit: Fit) -> tuple[FormulaPiece, ...]:
+        """Return the products of the formula of a fit with their coefficients."""
+        own = self.own(fit)
+        return tuple(
+            FormulaPiece(each.expression, float(each.sign * value), float(abs(each.sign) * error), each.unit)
+            for term, theta, std in self._search.sized(fit)
+            if term in own
+            for each, value, error in zip(pieces(term), theta, std, strict=True)
+        )
+
     def odds(self, best: Fit, other: Fit) -> float:
         """Return the odds of one formula against another."""
         return float(np.exp(min(self.score(best) - self.score(other), np.log(LARGEST_ODDS))))
-
-    def tested(self) -> tuple[Floats, float]:
-        """Left-out residual (rows,) [Nm] under the formula that the other poses choose, and its gain [log odds].
-
-        The gain is the sum over the poses of the log density of a left-out pose, over that without a formula. Such a
-        gain of log(1 / p) arises by chance with a probability of at most p (Markov's inequality).
-        """
-        problem = self._search.problem
-        residual, density = (
-            np.array(each) for each in zip(*(left_out_poses(problem, fit) for fit in self.fits), strict=True)
-        )
-        choice = np.argmax(np.array([self.score(fit) for fit in self.fits])[:, None] - density, axis=0)
-        _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
-        gained = density[choice, np.arange(len(choice))] - density[0]
-        return residual[choice[pose], np.arange(len(pose))], float(gained.sum())
 
     def extend(self) -> None:
         """Add terms one by one to the leading formulas; all terms of a formula act on one axis."""
@@ -161,20 +157,6 @@ class _Formulas:
         view = self._search.view(leader, open_terms, leader.noise.std)
         best = np.argsort(-view.log_bayes)[: REST.singles]
         return [self._search.fitted((*leader.terms, view.terms[k]), leader) for k in best]
-
-
-def _pieces(fit: Fit, own: Sequence[Term]) -> tuple[FormulaPiece, ...]:
-    """Return the products of a formula with their coefficients."""
-    std = np.sqrt(np.maximum(np.diag(fit.covariance)[fit.problem.n_common :], 0.0))
-    ends = np.cumsum([len(values) for values in fit.theta])[:-1]
-    out: list[FormulaPiece] = []
-    for term, theta, unsure in zip(fit.terms, fit.theta, np.split(std, ends), strict=True):
-        if term in own:
-            out += [
-                FormulaPiece(each.expression, float(each.sign * value), float(abs(each.sign) * error), each.unit)
-                for each, value, error in zip(pieces(term), theta, unsure, strict=True)
-            ]
-    return tuple(out)
 
 
 def _text(own: Sequence[Term]) -> str:

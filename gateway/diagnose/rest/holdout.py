@@ -32,8 +32,13 @@ def left_out(problem: RestProblem, fit: Fit) -> Floats:
 
 def gained_by_pose(problem: RestProblem, after: Fit, before: Fit) -> Floats:
     """Reduction (poses,) of the squared left-out residuals from `before` to `after`, over the noise of `after`."""
-    std = after.noise.std[problem.group]
-    less = (left_out(problem, before) / std) ** 2 - (left_out(problem, after) / std) ** 2
+    return reduced_by_pose(problem, left_out(problem, after), left_out(problem, before), after.noise.std)
+
+
+def reduced_by_pose(problem: RestProblem, after_nm: Floats, before_nm: Floats, std_nm: Floats) -> Floats:
+    """Reduction (poses,) of squared residuals (rows,), over the noise (3 N,) of each group."""
+    std = std_nm[problem.group]
+    less = (before_nm / std) ** 2 - (after_nm / std) ** 2
     _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
     return np.asarray(np.bincount(pose, weights=less), dtype=float)
 
@@ -53,7 +58,12 @@ def left_out_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
 
 
 def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[float]) -> Floats:
-    """Left-out residual (rows,) [Nm] of every row under the fit that the other poses choose.
+    """Left-out residual (rows,) [Nm] of every row under the fit that the other poses choose."""
+    return chosen_with_density(problem, fits, score)[0]
+
+
+def chosen_with_density(problem: RestProblem, fits: Sequence[Fit], score: Sequence[float]) -> tuple[Floats, Floats]:
+    """Left-out residual (rows,) [Nm] and log density (poses,) of each pose under the fit that the other poses choose.
 
     Parameters
     ----------
@@ -61,10 +71,11 @@ def chosen_by_others(problem: RestProblem, fits: Sequence[Fit], score: Sequence[
     fits : hypotheses to choose from
     score : log odds of each fit on all poses
     """
-    residual, density = zip(*(left_out_poses(problem, fit) for fit in fits), strict=True)
-    choice = np.argmax(np.array(score)[:, None] - np.array(density), axis=0)
+    pairs = [left_out_poses(problem, fit) for fit in fits]
+    residual, density = np.array([pair[0] for pair in pairs]), np.array([pair[1] for pair in pairs])
+    choice = np.argmax(np.array(score)[:, None] - density, axis=0)
     _, pose = np.unique(pose_of_rows(problem), return_inverse=True)
-    return np.asarray(np.array(residual)[choice[pose], np.arange(len(pose))], dtype=float)
+    return residual[choice[pose], np.arange(len(pose))], density[choice, np.arange(len(choice))]
 
 
 def left_out_with(

@@ -73,12 +73,12 @@ class Search:
         never chosen.
         """
         rows = self.problem.rows
-        if not all(term.exists(values, std) for term, values, std in self._sized(hypothesis)):
+        if not all(term.exists(values, std) for term, values, std in self.sized(hypothesis)):
             return hypothesis.evidence - IMPOSSIBLE
         odd = sum(not term.plausible(v, rows) for term, v in zip(hypothesis.terms, hypothesis.theta, strict=True))
         return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
 
-    def _sized(self, hypothesis: Fit) -> Iterator[tuple[Term, Floats, Floats]]:
+    def sized(self, hypothesis: Fit) -> Iterator[tuple[Term, Floats, Floats]]:
         """Effects of a hypothesis with their parameters and standard deviations."""
         std = np.sqrt(np.maximum(np.diag(hypothesis.covariance)[self.problem.n_common :], 0.0))
         ends = np.cumsum([len(values) for values in hypothesis.theta])[:-1]

@@ -235,7 +235,11 @@ def _seen_to_help(search: Search, chosen: Fit) -> Fit:
 def helped(search: Search, hypothesis: Fit, term: Term) -> float:
     """Improvement of the fit to left-out poses by an effect, in standard deviations over the poses."""
     without = search.fitted([other for other in hypothesis.terms if other is not term], hypothesis)
-    gained = gained_by_pose(search.problem, hypothesis, without)
+    return in_std(gained_by_pose(search.problem, hypothesis, without))
+
+
+def in_std(gained: Floats) -> float:
+    """Sum of a gain of each pose (poses,), in standard deviations over the poses."""
     if len(gained) < 2:
         return -np.inf
     return float(gained.sum() / max(np.sqrt(len(gained)) * float(gained.std(ddof=1)), 1e-12))

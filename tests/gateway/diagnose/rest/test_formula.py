@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from gateway.diagnose import close_loop, diagnose
+from gateway.model.effects.torque_offset import TorqueOffset
 from gateway.model.formula import AngleWave, Buffer, pieces
 from gateway.model.unnamed import BentGain, Pull, UnevenBand, UnevenGain
 from gateway.report.render import render
@@ -97,4 +98,4 @@ def test_every_parameter_has_a_product(term):
 
 def test_a_term_without_a_product_is_refused():
     with pytest.raises(TypeError, match="cannot be part of a formula"):
-        pieces(Buffer.__mro__[1](0))
+        pieces(TorqueOffset(0))
