@@ -44,6 +44,7 @@ class AlteredModel:
     load_friction : (N,) nu of nu |tau|
     one_efficiency : (N,) 1: losses of one efficiency in both directions; 0: symmetric losses
     bias_nm : (N,) half the difference of upward and downward friction
+    bias_share : (N,) the part of it that is proportional to the friction of each visit
     band_gain : (n, N) factor on the friction band
     gain_per_nm : (N,) added to the gain per Nm of motor torque
     pull_n : (N, 3) force in the base frame on the origin of each link
@@ -62,6 +63,7 @@ class AlteredModel:
     load_friction: Floats
     one_efficiency: Floats
     bias_nm: Floats
+    bias_share: Floats
     band_gain: Floats
     gain_per_nm: Floats
     pull_n: Floats
@@ -84,6 +86,7 @@ def neutral(n: int, axes: int) -> AlteredModel:
         load_friction=none,
         one_efficiency=none,
         bias_nm=none,
+        bias_share=none,
         band_gain=np.ones((n, axes)),
         gain_per_nm=none,
         pull_n=np.zeros((axes, 3)),
@@ -235,7 +238,9 @@ class Model:
         two = self.rows.two_sided[:, None]
         band = band_nm * setting.band_gain
         friction = band + setting.load_friction * np.abs(torque) + self._lost_in_gear(setting, torque, band)
-        carried, torque = torque, torque + setting.bias_nm + self._left_by_gear(setting, torque, band)
+        # losses of an efficiency differ by direction already
+        uneven = setting.bias_share * (band + _symmetric_loss(setting) * np.abs(torque))
+        carried, torque = torque, torque + setting.bias_nm + uneven + self._left_by_gear(setting, torque, band)
         if self._straight(setting):
             # the gear and its conversion cancel: each side reads torque and friction as they are
             middle = (setting.gain * torque + setting.offset_nm) @ setting.coupling.T
@@ -286,6 +291,7 @@ class Model:
         if self._straight(setting) and not self.rows.side.any():
             nu, within = setting.load_friction, np.abs(torque) < np.abs(band_nm * setting.band_gain)
             left = 1.0 + setting.one_efficiency * (_mean_loss(nu) + nu * within)
+            left = left + setting.bias_share * _symmetric_loss(setting) * np.sign(torque)
             return setting.coupling[None] * (setting.gain * left)[:, None, :]
         step = 1e-4 * (1.0 + np.abs(torque).max(axis=0))
         count = self.rows.axes
@@ -297,6 +303,11 @@ class Model:
             below = self.readings(setting, torque - moved, band_nm).sum_nm
             out[:, :, axis] = (above - below) / (2.0 * step[axis])
         return out
+
+
+def _symmetric_loss(setting: AlteredModel) -> Floats:
+    """Return the part (N,) of the loss per transmitted torque that is equal in driving and back-driving."""
+    return (1.0 - setting.one_efficiency) * setting.load_friction
 
 
 def _mean_loss(nu: Floats) -> Floats:

@@ -16,7 +16,7 @@ from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.model.effects.axis_coupling import TorqueMixing
 from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
-from gateway.model.effects.torque_offset import TorqueOffset
+from gateway.model.effects.torque_offset import FrictionByDirection, TorqueOffset
 from gateway.model.visits import pair_visits
 from tests.resting_arm import Bench, problem_of
 
@@ -125,6 +125,24 @@ def test_each_kind_does_what_it_is_called():
     difference = (1.0 + gain) * ((1.0 + one * mean) * bands + nu * lost)
     expected = np.concatenate([half_sum[problem.use_sum], difference[problem.use_difference]])
     assert predicted(problem, links, loads, band, nuisance) == pytest.approx(expected)
+
+
+def test_friction_by_direction_follows_the_friction_of_each_visit():
+    bench = Bench(3, [], poses=6)
+    problem = problem_of(bench, bench.both())
+    links, loads, band, nuisance = place_of(problem, np.random.default_rng(4))
+    term, axis = FrictionByDirection(1, 10.0), 1
+    setting = with_terms(problem, [], [], nuisance)
+    bodies = problem.model.bodies(setting, links, problem.fixed_load + problem.member @ loads)
+    torque = problem.model.joint_torque(setting, bodies)[0][:, axis]
+    symmetric = (1.0 - setting.one_efficiency[axis]) * setting.load_friction[axis]
+    friction = band[axis] * setting.band_gain[:, axis] + symmetric * np.abs(torque)
+    more = predicted(problem, links, loads, band, nuisance, [term], [np.array([2.0])])
+    more -= predicted(problem, links, loads, band, nuisance)
+    assert more[problem.group == axis] == pytest.approx(setting.gain[:, axis] * 0.2 * friction)
+    assert more[problem.group != axis] == pytest.approx(0.0, abs=1e-9)
+    assert term.plausible(np.array([14.0]), problem.rows)
+    assert not term.plausible(np.array([16.0]), problem.rows)  # friction would drive the joint in one direction
 
 
 def test_a_gear_of_one_efficiency_leaves_what_the_nuisance_column_says():
