@@ -66,13 +66,17 @@ class Derivatives:
     ----------
     problem : RestProblem
     about : Fit
+    others : derivatives of candidates that do not depend on the modelled torque, about any fit; None = about this one
     """
 
     problem: RestProblem
     about: Fit
+    others: Derivatives | None = None
     known: dict[Term, CandidateColumns] = field(default_factory=dict)
 
     def __getitem__(self, term: Term) -> CandidateColumns:
+        if self.others is not None and not term.modelled:
+            return self.others[term]
         if term not in self.known:
             self.known[term] = CandidateColumns.of(self.problem, columns_of(self.problem, self.about, term))
         return self.known[term]
@@ -87,6 +91,7 @@ class Screen:
     terms : candidates with an effect on the rows
     log_bayes : (candidates,) log Bayes factor of adding the candidate alone
     weighted : weighted columns (rows, k) of a candidate, in units of the prior spread
+    spread : prior spread (k,) of the linear parameters of each candidate
     basis : orthonormal basis of the fit that they are projected from
     residual : (rows,) weighted, projected residual
     """
@@ -94,6 +99,7 @@ class Screen:
     terms: tuple[Term, ...]
     log_bayes: Floats
     weighted: Callable[[int], Floats]
+    spread: tuple[Floats, ...]
     basis: Basis
     residual: Floats
 
@@ -102,6 +108,11 @@ class Screen:
         columns = self.weighted(index)
         left = self.basis.left(columns)
         return left, columns.T @ left, columns.T @ self.residual
+
+    def estimate(self, index: int) -> Floats:
+        """Linear parameters (k,) of a candidate, estimated with their prior."""
+        _, gram, score = self.projected(index)
+        return self.spread[index] * np.linalg.solve(gram + np.eye(len(gram)), score)
 
 
 def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, derivatives: Derivatives) -> Screen:
@@ -164,7 +175,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
             out[problem.rows.time_s[problem.visit] < switched[1] - _SAME_S] = 0.0
         return out
 
-    return Screen(chosen, log_bayes, weighted, basis, residual)
+    return Screen(chosen, log_bayes, weighted, tuple(spread[int(k)] for k in kept), basis, residual)
 
 
 def switch_s(term: Term) -> float:

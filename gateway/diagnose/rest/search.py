@@ -92,11 +92,15 @@ class Search:
             self.pool[key] = fit(self.problem, ordered, self.noise if start is None else start.noise, start)
         return self.pool[key]
 
-    def view(self, about: Fit, terms: Sequence[Term], std: Floats) -> Screen:
-        """Screen the candidates about a fit; their derivatives are those about the model without effects."""
+    def view(self, about: Fit, terms: Sequence[Term], std: Floats, own: Derivatives | None = None) -> Screen:
+        """Screen the candidates about a fit; their derivatives are `own` or those about the model without effects."""
+        return screen(self.problem, about, terms, std, own or self.derivatives_about())
+
+    def derivatives_about(self, about: Fit | None = None) -> Derivatives:
+        """Derivatives about a fit, or about the model without effects, which are computed once for all fits."""
         if self.derivatives is None:
             self.derivatives = Derivatives(self.problem, self.fitted(()))
-        return screen(self.problem, about, terms, std, self.derivatives)
+        return self.derivatives if about is None else Derivatives(self.problem, about, self.derivatives)
 
     def other_shapes(self, hypothesis: Fit) -> list[tuple[float, Fit]]:
         """Other shapes of the same effects, each with its probability among these shapes."""
@@ -120,9 +124,9 @@ def run(search: Search) -> Fit:
     """
     nothing = search.fitted(())
     views = [search.view(nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
-    for terms in _promising_singles(views):
+    for terms in _promising_singles(search, views):
         search.fitted(terms, nothing)
-    for terms in _promising_pairs(views[0]):
+    for terms in _promising_pairs(search, views[0]):
         search.fitted(terms, nothing)
     for step in range(REST.most_effects):
         best = search.best()
@@ -131,15 +135,28 @@ def run(search: Search) -> Fit:
             _extend(search, leader, search.named, REST.forward)
         if step > 0 and search.best() is best:
             break
+    _exchange(search)
     _rivals(search)
     return pruned(search, search.best())
 
 
-def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
+def _by_promise(view: Screen, problem: RestProblem) -> Iterator[int]:
+    """Iterate over the candidates, best first, without start values from which a fit leads to an impossible part.
+
+    A linearised spring that pushes instead of pulling often fits better than the true one, whose form is not adjusted
+    yet.
+    """
+    for index in np.argsort(-view.log_bayes).tolist():
+        term = view.terms[index]
+        if all(term.linear) or term.plausible(term.completed(view.estimate(index)), problem.rows):
+            yield index
+
+
+def _promising_singles(search: Search, views: Sequence[Screen]) -> list[tuple[Term, ...]]:
     out: list[tuple[Term, ...]] = []
     for view in views:
         seen: dict[Label, int] = {}
-        for index in np.argsort(-view.log_bayes):
+        for index in _by_promise(view, search.problem):
             term = view.terms[index]
             seen[term.label] = seen.get(term.label, 0) + 1
             limit = REST.shapes if all(term.linear) else REST.shapes_fitted
@@ -149,11 +166,11 @@ def _promising_singles(views: Sequence[Screen]) -> list[tuple[Term, ...]]:
     return list(dict.fromkeys(out))
 
 
-def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
+def _promising_pairs(search: Search, view: Screen) -> list[tuple[Term, ...]]:
     """Pairs of places (effect and axis or link) with the highest joint log Bayes factor, each in its best shape."""
     best: dict[Label, int] = {}
-    for index in np.argsort(-view.log_bayes):
-        best.setdefault(view.terms[index].label, int(index))
+    for index in _by_promise(view, search.problem):
+        best.setdefault(view.terms[index].label, index)
     chosen = list(best.values())
     pairs = np.array(list(itertools.combinations(chosen, 2)))
     if not len(pairs):
@@ -163,16 +180,18 @@ def _promising_pairs(view: Screen) -> list[tuple[Term, ...]]:
     return [(view.terms[a], view.terms[b]) for a, b in pairs[top]]
 
 
-def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int) -> None:
+def _extend(
+    search: Search, leader: Fit, candidates: Sequence[Term], count: int, own: Derivatives | None = None
+) -> None:
     """Fit the hypotheses that add one of the most promising candidates to a leading hypothesis."""
     if len(leader.terms) >= REST.most_effects or any(term not in search.named for term in leader.terms):
         return
     taken = {term.label for term in leader.terms}
     open_terms = [term for term in candidates if term.label not in taken]
     for std in (leader.noise.std, search.noise.start):
-        view = search.view(leader, open_terms, std)
+        view = search.view(leader, open_terms, std, own)
         seen: dict[Label | Term, int] = {}
-        for index in np.argsort(-view.log_bayes):
+        for index in _by_promise(view, search.problem):
             term = view.terms[index]
             key = term.label if term.name != UNNAMED else term
             shapes = 1 if all(term.linear) else REST.shapes_added
@@ -182,6 +201,20 @@ def _extend(search: Search, leader: Fit, candidates: Sequence[Term], count: int)
                 break
             seen[key] = seen.get(key, 0) + 1
             search.fitted((*leader.terms, term), leader)
+
+
+def _exchange(search: Search) -> None:
+    """Replace each effect of the best hypothesis by others and by its other shapes, until none is better.
+
+    The best time of a shift depends on the effects that were added after it. The deflection of a joint depends on the
+    torque that a balancer takes off it.
+    """
+    best = None
+    while best is not search.best():
+        best = search.best()
+        for term in best.terms:
+            without = search.fitted([other for other in best.terms if other is not term], best)
+            _extend(search, without, search.named, REST.forward, search.derivatives_about(without))
 
 
 def _rivals(search: Search) -> None:

@@ -22,7 +22,8 @@ def screened(blocks, target) -> Screen:
     """Candidates as the screen hands them on: columns in units of their prior, nothing projected out."""
     alone = np.array([log_bayes_factor(block.T @ block, block.T @ target) for block in blocks])
     nothing = basis_of(np.zeros((len(target), 0)))
-    return Screen(tuple(range(len(blocks))), alone, lambda index: blocks[index], nothing, target)  # type: ignore[arg-type]
+    one = tuple(np.ones(block.shape[1]) for block in blocks)
+    return Screen(tuple(range(len(blocks))), alone, lambda index: blocks[index], one, nothing, target)  # type: ignore[arg-type]
 
 
 def log_marginal(columns, target) -> float:
@@ -36,6 +37,12 @@ def test_a_bayes_factor_is_the_ratio_of_the_marginal_densities(width):
     columns, target = RNG.normal(size=(12, width)), 2.0 * RNG.normal(size=12)
     expected = log_marginal(columns, target) - log_marginal(np.zeros((12, 1)), target)
     assert log_bayes_factor(columns.T @ columns, columns.T @ target) == pytest.approx(expected)
+
+
+def test_a_candidate_is_estimated_with_its_prior():
+    columns, target = RNG.normal(size=(12, 2)), RNG.normal(size=12)
+    stacked, more = np.vstack([columns, np.eye(2)]), np.append(target, np.zeros(2))
+    assert screened([columns], target).estimate(0) == pytest.approx(np.linalg.lstsq(stacked, more, rcond=None)[0])
 
 
 def test_a_pair_is_weighed_as_both_together():

@@ -1,0 +1,65 @@
+"""Completeness of the search: hypotheses that the first, linearised ranking leaves out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.search import Search, _exchange, run
+from gateway.identify.rest.linear import visit_loads
+from gateway.identify.rest.start_noise import settled_noise
+from gateway.model.effect import RestSetup
+from gateway.model.effects import terms_at_rest
+from gateway.model.effects.balancer_spring import CoilBalancer, GasBalancer
+from gateway.model.robot import robot_from_urdf
+from gateway.model.term import Label, Term
+from gateway.model.unnamed import UNNAMED, unnamed_terms
+from sim.nature.nature_cell import draw_effect_cell
+from tests.support.blind.nature import diagnose_options
+from tests.support.rigs.tables import simulated_table
+
+
+def searched(seed: int, names: set[str], balancer: type[Term]) -> Search:
+    """A search among some effects and balancers of one type on the first recording of a drawn arm."""
+    cell = draw_effect_cell(seed)
+    robot = robot_from_urdf(cell.stated.urdf, "drawn")
+    diagnosis = RestDiagnosis(robot, diagnose_options(cell))
+    read = diagnosis.read(simulated_table(cell.measure(cell.visits)[0], "drawn"))
+    problem, plain = read.problem, read.plain
+    bodies = problem.model.bodies(plain.setting, plain.links, visit_loads(problem, plain.loads))
+    torque, _ = problem.model.joint_torque(plain.setting, bodies)
+    setup = RestSetup((np.nan,) * problem.axes, False, torque, problem.links)
+    named = terms_at_rest(problem.rows, setup, frozenset(names))
+    named = [term for term in named if term.name != "balancer_spring" or isinstance(term, balancer)]
+    named = [term for term in named if term.joints in ((), (2,), (3,))]
+    unnamed = tuple(term for term in unnamed_terms(problem.rows, setup) if term.joints == (2,))
+    return Search(problem, tuple(named), unnamed, settled_noise(problem, plain))
+
+
+@pytest.fixture(scope="module")
+def coil() -> Search:
+    """A coil balancer; at start values half a turn off a spring that pushes fits better than one that pulls."""
+    return searched(76, {"balancer_spring"}, CoilBalancer)
+
+
+def test_a_spring_is_fitted_from_start_values_that_pull(coil: Search) -> None:
+    chosen = run(coil)
+    assert [term.name for term in chosen.terms] == ["balancer_spring"]
+    curve = max(coil.score(fit) for fit in coil.pool.values() if any(term.name == UNNAMED for term in fit.terms))
+    assert coil.score(chosen) > curve
+
+
+def test_an_effect_is_exchanged_for_one_that_the_balancer_hides() -> None:
+    """The deflection of joint 2 is proportional to the torque that the balancer leaves, not to that of gravity."""
+    search = searched(113, {"balancer_spring", "base_tilt", "joint_elasticity"}, GasBalancer)
+    places: dict[Label, Term] = {term.label: term for term in search.named}
+    beside = (places["balancer_spring", (2,)], places["base_tilt", ()])
+    wrong = search.fitted((*beside, places["joint_elasticity", (3,)]), search.fitted(beside))
+    _exchange(search)
+    assert search.score(search.best()) > search.score(wrong)
+    assert {term.label for term in search.best().terms} == {
+        ("balancer_spring", (2,)),
+        ("base_tilt", ()),
+        ("joint_elasticity", (2,)),
+    }
