@@ -33,6 +33,7 @@ from gateway.diagnose.rest.rest_mistakes import (
 from gateway.diagnose.rest.rest_outcome import (
     Judge,
     contradicted,
+    factor_rival,
     floor_and_band,
     mistake_effect,
     mistake_findings,
@@ -68,7 +69,7 @@ from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot
 from gateway.model.unnamed import unnamed_terms
 from gateway.model.visits import Visits, joined, pair_visits
-from gateway.result.result import Finding, FitSummary, HoldoutKind, Result, Verdict
+from gateway.result.result import EffectResult, Finding, FitSummary, HoldoutKind, Result, Verdict
 
 Floats = NDArray[np.float64]
 
@@ -103,7 +104,8 @@ class ReadVisits:
 class Found:
     """Finished search: the visits as `read`, and `now` with the commissioning mistakes corrected.
 
-    `settled` is the knowledge as tested against these visits, if it was tested.
+    `settled` is the knowledge as tested against these visits, if it was tested. `rival` is the wrong constant or the
+    factor of sqrt 2 that explains an axis about as well.
     """
 
     read: ReadVisits
@@ -114,6 +116,7 @@ class Found:
     gained: float
     setup: RestSetup
     settled: SettledKnowledge | None = None
+    rival: EffectResult | None = None
 
     @property
     def score(self) -> float:
@@ -172,7 +175,7 @@ class RestDiagnosis:
         looked = beyond_any_effect(problem, read.plain)
         if looked:
             mistakes, gained = find_mistakes(read.table, build, self.options.allowed)
-            if gained > REST.obvious:
+            if gained > REST.obvious and all(each.factor == 1.0 or each.handicap for each in mistakes):
                 undone = self._undone(read, mistakes)
                 if not suspicious(undone.problem, undone.plain):
                     at_once = self.searched(read, undone, mistakes, gained)
@@ -183,8 +186,9 @@ class RestDiagnosis:
             mistakes, gained = find_mistakes(read.table, build, self.options.allowed)
         if mistakes:
             other = self.searched(read, self._undone(read, mistakes), mistakes, gained)
-            if other.score > found.score and not other.taken_back:
-                found = other
+            if not other.taken_back:
+                rival = factor_rival(mistakes, found.chosen, other.score - found.score)
+                found = replace(max(found, other, key=lambda each: each.score), rival=rival)
         return self._with_statements_tested(found)
 
     def _undone(self, read: ReadVisits, mistakes: tuple[Mistake, ...]) -> ReadVisits:
@@ -213,7 +217,7 @@ class RestDiagnosis:
         other = self._knowing(settled.knowledge).searched(found.read, now, found.mistakes, found.gained)
         if not likelier and len(other.chosen.terms) >= len(effects):
             return found
-        return replace(other, settled=settled)
+        return replace(other, settled=settled, rival=found.rival)
 
     def _knowing(self, knowledge: Knowledge) -> RestDiagnosis:
         """Return a copy with other prior knowledge."""
@@ -322,6 +326,8 @@ class RestDiagnosis:
         verdict: Verdict = decision.verdict
         if found.mistakes or seen_by_encoder or by_direction:
             verdict = MORE[verdict]
+        if found.rival is not None and any(effect.joints == found.rival.joints for effect in effects):
+            effects, verdict = [*effects, found.rival], "undecided"
         before = self._before(decision, judge, found, bool(by_direction))
         by_shape = spread_by_shape(decision.after, search.other_shapes(decision.after))
         after = summary(problem, decision.after, judge, self.robot, by_shape)

@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 
 from gateway.diagnose.held_out_residuals import Held, listed
 from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_out_with, predicted
+from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.verdict import Decision, noise_floor, strong, unseen_by_choice
@@ -197,6 +198,25 @@ def mistake_findings(mistakes: Sequence[Mistake]) -> list[Finding]:
         where = " and ".join(f"J{joint}" for joint in mistake.joints)
         out.append(Finding("fail", where, what, advice, mistake.name))
     return out
+
+
+def factor_rival(mistakes: Sequence[Mistake], read: Fit, log_odds: float) -> EffectResult | None:
+    """Return the rival of a factor of sqrt 2 on one axis, or of a wrong torque constant near that factor, if any.
+
+    Parameters
+    ----------
+    mistakes : those of the corrected data
+    read : best fit of the uncorrected data
+    log_odds : of the mistakes against that fit
+    """
+    constants = {term.joints for term in read.terms if term.scales_reading}
+    factors = [mistake for mistake in mistakes if mistake.factor != 1.0 and mistake.joints in constants]
+    if not factors or abs(log_odds) >= np.log(REST.naming_odds):
+        return None
+    joints, factor, evidence = factors[0].joints, factors[0].factor, Evidence(odds=float(np.exp(-abs(log_odds))))
+    if log_odds > 0.0:
+        return EffectResult("torque_constant_scale", joints, {"scale": 1.0 / factor}, {}, evidence)
+    return EffectResult("current_rms_peak", joints, {"factor": factor}, {}, evidence)
 
 
 def rejected(search: Search, decision: Decision) -> list[Rejected]:

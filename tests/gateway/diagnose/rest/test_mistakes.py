@@ -20,10 +20,13 @@ from gateway.diagnose.rest.rest_mistakes import (
     find_mistakes,
     held_ratio,
 )
+from gateway.diagnose.rest.rest_outcome import factor_rival
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.start_noise import first_noise
 from gateway.identify.solve import ByGroup
 from gateway.model.effects import LIBRARY, MISTAKES
+from gateway.model.effects.torque_constant_scale import TorqueConstantScale
+from gateway.model.effects.torque_offset import TorqueOffset
 from tests.resting_arm import Bench, basis_of, effect, found, problem_of, problems
 from tests.support.rigs.tables import make_table
 
@@ -54,6 +57,26 @@ def test_every_mistake_of_the_measured_axes_is_looked_for_once(axes):
     assert len(set(found)) == len(found)
     assert {joint for each in found for joint in each.joints} == set(range(1, axes + 1))
     assert {each.handicap > 0 for each in found if len(each.joints) > 2} <= {True}
+
+
+@pytest.mark.parametrize(
+    ("joints", "log_odds", "name"),
+    [
+        ((2,), -1.0, "current_rms_peak"),  # the constant is likelier
+        ((2,), 1.0, "torque_constant_scale"),
+        ((2,), 4.0, None),  # the data decide
+        ((3,), 1.0, None),  # another axis
+    ],
+)
+def test_a_factor_and_a_wrong_constant_of_one_axis_are_rivals(joints, log_odds, name):
+    factor = Mistake("current_rms_peak", joints, float(np.sqrt(2.0)))
+    read = SimpleNamespace(terms=(TorqueConstantScale(1), TorqueOffset(2)))
+    rival = factor_rival([factor], read, log_odds)
+    assert (rival and rival.name) == name
+    if rival is not None:
+        assert rival.joints == joints
+        assert rival.evidence.odds == pytest.approx(np.exp(-abs(log_odds)))
+        assert next(iter(rival.parameters.values())) == pytest.approx(2.0 ** (0.5 if log_odds < 0.0 else -0.5))
 
 
 def test_undoing_a_mistake_touches_its_axes_alone():
