@@ -28,6 +28,8 @@ CHOICE = 400
 STEP_S = 30.0
 #: Rivals that are compared with the answer at once [-].
 RIVALS = 4
+#: What many angles decide between: a ripple of unknown order, and what has no name.
+RIPPLE = ("torque_ripple", "unknown effect")
 
 
 def questions(
@@ -38,7 +40,9 @@ def questions(
     knowledge: Knowledge,
     formulas: Sequence[Fit] = (),
 ) -> tuple[NextMeasurement, ...]:
-    """Recommend what to measure next; empty if no hypothesis rivals the answer.
+    """Recommend what to measure next; empty if no hypothesis rivals the answer and no ripple may be hidden.
+
+    A ripple of unknown order needs more angles than anything else: the best of thousands of orders fits few of them.
 
     The expected log odds between two hypotheses after new visits is half the squared difference of their predictions
     over the noise (Box and Hill 1967). `formulas` are a candidate formula and its rivals, best first; they are compared
@@ -48,18 +52,21 @@ def questions(
     if len(fits) < 2 and len(formulas) > 1:
         fits = list(formulas[: RIVALS + 1])
     few = len(np.unique(problem.rows.pose)) < REST.least_poses
-    if not few and len(fits) < 2:
+    unordered = decision.structure_p < REST.structure_p and not np.isfinite(options.gear_ratios(problem.axes)).all()
+    if len(fits) < 2 and not few and not unordered:
         return ()
     choice = pose_choice(problem.rows, options)
     if not len(choice):
         what = "widen the limits of the cell: no pose inside them can be measured"
         return (NextMeasurement(what=what, tells_apart=_names(fits)),)
-    if few:
-        return (_measure(choice, _far_apart(problem.rows, choice), ()),)
+    if few or len(fits) < 2:
+        return (_measure(choice, _far_apart(problem.rows, choice), () if few else RIPPLE),)
     names = _names(fits)
     information = _disagreement(problem, robot, knowledge, fits, choice)
     poses = _spread_out(choice, information)
     expected = 0.5 * float(information[poses].sum())
+    if expected < REST.telling and unordered:
+        return (_measure(choice, _far_apart(problem.rows, choice), RIPPLE),)
     if expected < REST.telling:
         what = (
             "weigh the links"

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gateway.diagnose import diagnose
+from gateway.diagnose.rest.pose_selection import RIPPLE, questions
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.ripple import order_analysis
-from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
+from gateway.identify.rest.problem import Knowledge
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.torque_ripple import (
     LEAST_PER_REVOLUTION,
@@ -60,9 +63,23 @@ def test_where_any_order_would_do_none_is_named_and_the_reason_is_reported(poses
     assert len(words) == 1
     assert "J4" in words[0].where
     assert f"{poses} poses" in words[0].what
+    assert result.next[0].poses_rad
     # and it does
     with_ratio = replace(bench.options, gear_ratio=np.full(6, 163.9))
     assert ("torque_ripple", (4,)) in found(diagnose(bench.both(), bench.robot, with_ratio))
+
+
+@pytest.mark.parametrize(
+    ("structure_p", "ratio", "asked"), [(1e-5, None, True), (1e-5, 120.0, False), (0.5, None, False)]
+)
+def test_more_angles_are_asked_for_where_a_ripple_may_be_hidden(structure_p, ratio, asked):
+    bench = Bench(3, [], poses=6)
+    options = replace(bench.options, gear_ratio=None if ratio is None else np.full(6, ratio))
+    problem = problem_of(bench, bench.both())
+    decision = SimpleNamespace(full=fit_without_effects(problem), near=(), structure_p=structure_p)
+    entries = questions(problem, decision, bench.robot, options, Knowledge("prior:0.05"))  # type: ignore[arg-type]
+    assert [entry.tells_apart for entry in entries] == [RIPPLE] * asked
+    assert all(len(entry.poses_rad) == REST.asked for entry in entries)
 
 
 @pytest.mark.slow
