@@ -90,8 +90,10 @@ def decide(search: Search, chosen: Fit) -> Decision:
     own = _key(search, full)
     near = _rivals(search, full, own)
     while smaller := [rival for rival in near if rival.odds < REST.naming_odds and _holds_less(rival.key, own)]:
-        full = _seen_to_help(search, _without_usual(search, smaller[0].fit))
-        own = _key(search, full)
+        fewer = _seen_to_help(search, _without_usual(search, smaller[0].fit))
+        if not _holds_less(_key(search, fewer), own):
+            break  # an effect that was weak beside a dropped one is strong without it
+        full, own = fewer, _key(search, fewer)
         near = _rivals(search, full, own)
     after = search.fitted([term for term in full.terms if term.name != UNNAMED], full)
     proven = tuple(term for term in after.terms if term.label in own.names)

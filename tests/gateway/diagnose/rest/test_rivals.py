@@ -32,6 +32,17 @@ def test_a_smaller_set_is_the_rival_of_a_larger_one() -> None:
     assert _instead(SimpleNamespace(), named, rival)  # type: ignore[arg-type]
 
 
+def test_two_effects_that_replace_each_other_end_the_search_for_a_smaller_set() -> None:
+    """Without the one the other is strong: the smaller set of either is the other one, without end."""
+    cell = draw_effect_cell(171)
+    columns, _ = cell.measure(cell.visits)
+    result = diagnose(
+        simulated_table(columns, "either"), robot_from_urdf(cell.stated.urdf, "either"), diagnose_options(cell)
+    )
+    named = {(effect.name, effect.joints) for effect in result.effects}
+    assert named <= {("thermal_drift", (2,)), ("torque_constant_scale", (2,))}
+
+
 @pytest.mark.slow
 def test_a_constant_that_drifts_is_no_wrong_constant_besides() -> None:
     """Magnets that weaken as they warm up are off from the first visit on, since the constant was stated cold."""
