@@ -18,8 +18,6 @@ from collections.abc import Iterator
 from itertools import count, islice
 from pathlib import Path
 
-import numpy as np
-
 SEEDS = {"dev": 70000, "test": 80000}
 REPETITIONS = 20
 QUANTITIES = ("mass", "centre x", "centre y", "centre z")
@@ -34,6 +32,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--seeds", choices=SEEDS, default="dev")
     parser.add_argument("--out", type=Path, default=Path("out/repeatability"))
     arguments = parser.parse_args(argv)
+    # numpy reads these when it is imported; two threads for small matrices take ten times as long
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     from tests.support.figure import show
@@ -59,6 +58,8 @@ def measured_arms(first_seed: int) -> Iterator[dict]:
 
 def measured_arm(cell) -> dict:
     """Measure one load 20 times; by quantity ratio, verdict, deviations, and errors over the stated deviations."""
+    import numpy as np
+
     from gateway.estimate import estimate
     from gateway.identify.load_estimate import load_result
     from gateway.model.robot import robot_from_urdf
@@ -86,6 +87,8 @@ def measured_arm(cell) -> dict:
 
 def figures(arms: list[dict]) -> dict[str, dict]:
     """Figures over all arms."""
+    import numpy as np
+
     out = {}
     for place, name in enumerate(QUANTITIES):
         rows = [arm["quantities"][place] for arm in arms]
@@ -110,6 +113,8 @@ def figures(arms: list[dict]) -> dict[str, dict]:
 
 def _ratio(values: list[float], *, is_goal: bool = True) -> dict:
     """Root mean square of ratios over the arms, with the 95 % interval over drawn arms; goal 0.9 to 1.1."""
+    import numpy as np
+
     squares = np.square(values)
     drawn = np.random.default_rng(0).choice(squares, (DRAWS, len(squares))).mean(axis=1)
     value = float(np.sqrt(squares.mean()))
