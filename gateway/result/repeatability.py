@@ -151,7 +151,7 @@ def conclusion(found: Repeatability) -> str:
         worst = max((row for row in found.quantities if row.outcome == TOO_SMALL), key=lambda row: row.low)
         return f"the spread of {worst.what} of {worst.where} is {worst.ratio:.1f} times the expected one"
     if found.verdict == CANNOT_TELL:
-        return f"cannot tell from {count} repetitions within a factor of {RESOLUTION:g}: repeat more often"
+        return f"{count} repetitions do not decide within a factor of {RESOLUTION:g}: repeat more often"
     if found.verdict == TOO_LARGE:
         least = min((row for row in found.quantities if row.outcome == TOO_LARGE), key=lambda row: row.high)
         return (
