@@ -39,7 +39,7 @@ POSES = (10, 15)
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class LoadMeasurement:
     """One measurement: rows as `sim.offline.measure` gives them, the mounted load, and the day from 1."""
 
     columns: dict[str, NDArray[Any]]
@@ -48,7 +48,7 @@ class Session:
 
 
 @dataclass(slots=True)
-class Motors:
+class MotorTemperatures:
     """Temperature of the motors over one day.
 
     Attributes
@@ -85,20 +85,22 @@ class Motors:
         self.above_k = final_k + (self.above_k - final_k) * np.exp(-seconds / self.rise_s)
 
 
-def sessions(cell: NatureCell, count: int) -> Iterator[Session]:
+def sessions(cell: NatureCell, count: int) -> Iterator[LoadMeasurement]:
     """Yield `count` measurements of the cell's load over three days, in their order."""
     rng = np.random.default_rng([cell.seed, 53])
     per_k = rng.choice(FLUX_PER_K) * (1.0 + FLUX_SPREAD * rng.uniform(-1.0, 1.0, 6))
     rise_k, rise_s = rng.uniform(*RISE_K, 6), rng.uniform(*RISE_S, 6)
     for day, streams in enumerate(np.array_split(np.arange(count), DAYS), start=1):
-        motors = Motors(per_k, rise_k, rise_s, cell.arm.rated_nm, rng.uniform(*MORNING_C), rng.uniform(*WARMER_K))
+        motors = MotorTemperatures(
+            per_k, rise_k, rise_s, cell.arm.rated_nm, rng.uniform(*MORNING_C), rng.uniform(*WARMER_K)
+        )
         effects = (*cell.effects, Mechanism("warm_motors", (), 0.0, on_reading=motors.read))
         start_s = float(rng.uniform(0.0, 300.0))
         for stream in streams:
             tool = replace(cell.arm.tool, com_m=cell.arm.tool.com_m + REMOUNTED_M * rng.standard_normal(3))
             visits = _visits(cell.poses(int(rng.integers(*POSES)), 100 + int(stream)), start_s)
             columns, _ = measure(replace(cell.arm, tool=tool), visits, effects, rng)
-            yield Session(columns, tool, day)
+            yield LoadMeasurement(columns, tool, day)
             start_s = visits[-1].time_s + VISIT_S + float(rng.uniform(*PAUSE_S))
 
 
