@@ -1,6 +1,7 @@
 """An arm without a bus: six drives that answer as a drive group does, with gravity, a friction band and noise."""
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -206,7 +207,10 @@ BAND_NM = np.array([3.0, 4.0, 2.0, 0.8, 0.6, 0.4])
 
 
 @pytest.fixture
-def fake(small_cell) -> FakeDrives:
+def fake(small_cell, monkeypatch) -> FakeDrives:
+    # locking all memory of a test process takes seconds
+    monkeypatch.setattr("gateway.motion.power.RealTime", nullcontext)
+
     def gravity(q_rad: np.ndarray) -> np.ndarray:
         return np.array([0.0, 40.0 * np.cos(q_rad[1]), 15.0 * np.cos(q_rad[1] + q_rad[2]), 0.5, 2.0, 0.1])
 
