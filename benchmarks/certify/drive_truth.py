@@ -13,7 +13,9 @@ from pathlib import Path
 import numpy as np
 
 SYNC, RPDO1, TPDO1, MASTER_HEARTBEAT = 0x080, 0x200, 0x180, 0x77F
-ENABLED, FAULT_REACTION, FAULT = 0x27, 0x0F, 0x08
+SWITCH_ON_DISABLED, ENABLED, FAULT_REACTION, FAULT = 0x40, 0x27, 0x0F, 0x08
+#: SYNCs of a series at least, and the pause between two series [s].
+SERIES, PAUSE_S = 100, 0.1
 QUICK_STOP_WORD = 2
 #: Speed of a stopped motor over that at which it began to stop.
 REST_SHARE = 0.02
@@ -72,19 +74,17 @@ class TimingTruth:
         return self.state[np.clip(np.searchsorted(self.motion_s, at_s) - 1, 0, None)]
 
     def _sync_to_tpdo(self) -> float | None:
-        """Median over the longest series of SYNCs about 10 ms apart with the drive disabled."""
+        """Median over the first SYNCs 10 ms apart, until the first controlword."""
         sync_s, sent_s = self._of(SYNC), self._of(TPDO1 + self.node)
-        fits = np.abs(np.diff(sync_s) - 0.01) < 0.006
-        fits &= np.isin(self._state_at(sync_s[:-1]), (0x40, 0x21, 0x23))
-        ends = np.flatnonzero(np.diff(np.r_[0, fits.astype(int), 0]))
-        if not len(ends):
-            return None
-        spans = ends.reshape(-1, 2)
-        first, last = spans[np.argmax(spans[:, 1] - spans[:, 0])]
-        series = sync_s[first:last]
-        nearest = np.searchsorted(sent_s, series)
-        known = nearest < len(sent_s)
-        return float(np.median(sent_s[nearest[known]] - series[known])) if known.any() else None
+        for series in np.split(sync_s, np.flatnonzero(np.diff(sync_s) > PAUSE_S) + 1):
+            changed = np.flatnonzero(self._state_at(series) != SWITCH_ON_DISABLED)
+            series = series[: changed[0] if len(changed) else None]
+            if len(series) >= SERIES and abs(np.median(np.diff(series)) - 0.01) < 0.001:
+                regular = series[:-1][np.abs(np.diff(series) - 0.01) < 0.001]
+                nearest = np.searchsorted(sent_s, regular)
+                known = nearest < len(sent_s)
+                return float(np.median(sent_s[nearest[known]] - regular[known])) if known.any() else None
+        return None
 
     def _losses(self) -> list[float]:
         """Return the last heartbeat before each gap in which this drive was in motion."""
