@@ -15,6 +15,8 @@ from gateway.result.result import Result, Rows
 
 WIDTH, HEIGHT = 470.0, 210.0
 LOAD_CLASSES = ("load-0", "load-1", "load-2", "load-3", "load-4")
+#: Width of a digit of a tick label [px].
+CHARACTER_PX = 8.0
 
 
 def torque_figures(result: Result) -> list[tuple[str, Markup]]:
@@ -120,10 +122,12 @@ def _frame(panel: Panel, plan: Layout, label: str) -> None:
     """Draw the vertical axis; pose numbers and load labels below the axis."""
     panel.y_axis(label)
     base = panel.height - panel.bottom
-    step = max(1, math.ceil(len(plan.place) / 22))
-    if not plan.dense:
-        for index in range(0, len(plan.place), step):
-            panel.text(panel.x(plan.place[index]), base + 13, plan.names[index], "tick mid")
+    free_px = -math.inf
+    for place, name in zip(plan.place, plan.names, strict=True) if not plan.dense else ():
+        centre_px, half_px = panel.x(place), 0.5 * CHARACTER_PX * len(name)
+        if centre_px - half_px > free_px:
+            panel.text(centre_px, base + 13, name, "tick mid")
+            free_px = centre_px + half_px + 0.5 * CHARACTER_PX
     for name, start, end in plan.groups:
         panel.add(
             f'<line class="group" x1="{panel.x(start - 0.4):.1f}" x2="{panel.x(end + 0.4):.1f}" '

@@ -48,7 +48,7 @@ class LoadMeasurement:
 
 
 @dataclass(slots=True)
-class MotorTemperatures:
+class DayMotors:
     """Temperature of the motors over one day.
 
     Attributes
@@ -91,9 +91,7 @@ def sessions(cell: NatureCell, count: int) -> Iterator[LoadMeasurement]:
     per_k = rng.choice(FLUX_PER_K) * (1.0 + FLUX_SPREAD * rng.uniform(-1.0, 1.0, 6))
     rise_k, rise_s = rng.uniform(*RISE_K, 6), rng.uniform(*RISE_S, 6)
     for day, streams in enumerate(np.array_split(np.arange(count), DAYS), start=1):
-        motors = MotorTemperatures(
-            per_k, rise_k, rise_s, cell.arm.rated_nm, rng.uniform(*MORNING_C), rng.uniform(*WARMER_K)
-        )
+        motors = DayMotors(per_k, rise_k, rise_s, cell.arm.rated_nm, rng.uniform(*MORNING_C), rng.uniform(*WARMER_K))
         effects = (*cell.effects, Mechanism("warm_motors", (), 0.0, on_reading=motors.read))
         start_s = float(rng.uniform(0.0, 300.0))
         for stream in streams:

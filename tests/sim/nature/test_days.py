@@ -1,11 +1,11 @@
-"""MotorTemperatures over a day, and repeated measurements of one load."""
+"""DayMotors over a day, and repeated measurements of one load."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from sim.nature.days import MotorTemperatures, sessions
+from sim.nature.days import DayMotors, sessions
 from sim.nature.effect import rows_of
 from sim.nature.nature_cell import draw_cell
 from sim.offline import PlannedVisit
@@ -15,7 +15,7 @@ RISE_K, RISE_S, PER_K = 50.0, 2000.0, 0.001
 
 def motors(**more):
     one = np.ones(6)
-    return MotorTemperatures(PER_K * one, RISE_K * one, RISE_S * one, 100.0 * one, morning_c=25.0, warmer_k=0.0, **more)
+    return DayMotors(PER_K * one, RISE_K * one, RISE_S * one, 100.0 * one, morning_c=25.0, warmer_k=0.0, **more)
 
 
 def visits(count, first_s=0.0):

@@ -75,9 +75,10 @@ class Browser:
         """What a script returns."""
         return self._ask("execute/sync", {"script": script, "args": []})
 
-    def picture(self, file: Path) -> None:
-        """Write the whole page as PNG."""
-        shot = self.devtools("Page.captureScreenshot", {"format": "png", "captureBeyondViewport": True})
+    def picture(self, file: Path, clip: dict[str, float] | None = None) -> None:
+        """Write the whole page as PNG, or its part `x`, `y`, `width`, `height` [px]."""
+        part = {"clip": {**clip, "scale": 1.0}} if clip else {}
+        shot = self.devtools("Page.captureScreenshot", {"format": "png", "captureBeyondViewport": True, **part})
         file.write_bytes(base64.b64decode(shot["data"]))
 
     def paper(self, file: Path) -> None:

@@ -13,6 +13,7 @@ from gateway.report.render import render
 from gateway.report.stop import render_stop
 from gateway.result.acceptance import Expected, Rating, accepted, not_hung
 from gateway.result.result import NuisanceResult, Result, SetAside, from_json, read_result
+from tests.support.pages.diagnosed import decided, with_formula
 from tests.support.pages.moving import moving_result
 from tests.support.pages.other import comparison, forces, gaps, repetitions
 from tests.support.pages.result import full_result
@@ -29,6 +30,8 @@ def pages(results: list[Path]) -> Iterator[tuple[str, str]]:
     yield "estimate", render(_estimated(found))
     yield "refused", render(_refused(found))
     yield "not-mounted", render(_not_mounted(found))
+    yield "formula", render(with_formula())
+    yield "decided", render(decided())
     yield "moving", render(moving_result())
     yield "follow", render_follow(comparison())
     yield "pair", forces()
