@@ -29,6 +29,8 @@ def cell(kind: str = "nuisance", truth: tuple = (), found: tuple = (), verdict: 
         "found": list(found),
         "verdict": verdict,
         "set_aside": [],
+        "formula": [],
+        "formula_floors": float("nan"),
         "refused": [],
         "total_s": 1.0,
     } | more
@@ -79,6 +81,19 @@ def test_one_several_and_strange_ones_are_counted_apart():
     assert out["off-library given a library name"]["value"] == 0.5
     assert out["wiring mistakes named"]["value"] == 1.0
     assert out["something named that is not there"]["value"] == pytest.approx(1 / 3)
+
+
+def test_a_formula_counts_where_it_leaves_noise_and_is_false_on_an_ordinary_arm():
+    tether = [("tether", [], 9.0)]
+    right = cell("strange", tether, formula=["sin(q3)"], formula_floors=1.2)
+    wrong = cell("strange", tether, formula=["sin(q3)"], formula_floors=2.2)
+    weak = cell("strange", [("tether", [], 4.0)], formula=["sin(q3)"], formula_floors=1.0)
+    none = cell("strange", tether)
+    out = effect_figures([right, wrong, weak, none])
+    name = "off-library of strength >= 5: formula, left-out poses at the noise floor"
+    assert (out[name]["value"], out[name]["unit"]) == (pytest.approx(1 / 3), "of 3")
+    out = nuisance_figures([cell(), cell(formula=["sin(q3)"], formula_floors=1.0), cell(misstated=True)])
+    assert out["formula where only nuisances are there"]["value"] == 0.5
 
 
 def test_outlier_visits_are_found_on_their_axis_and_good_ones_stay():

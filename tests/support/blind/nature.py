@@ -44,7 +44,8 @@ class Score:
     """What is kept of one cell.
 
     `truth` is mechanism, joints, strength; `beside` the strengths beyond what other effects could take over; `outliers`
-    is pose, load, joint, bands.
+    is pose, load, joint, bands. `formula` are the products of a candidate formula, `formula_floors` what it leaves of
+    poses outside its choice, over the noise floor.
     """
 
     seed: int
@@ -60,6 +61,8 @@ class Score:
     found: list = field(default_factory=list)
     verdict: str = ""
     set_aside: list = field(default_factory=list)
+    formula: list = field(default_factory=list)
+    formula_floors: float = float("nan")
     refused: list = field(default_factory=list)
     total_s: float = float("nan")
 
@@ -181,7 +184,17 @@ def _said(cell: NatureCell, result: Result, oracle: Floats) -> dict:
         "found": [(effect.name, list(effect.joints)) for effect in result.effects],
         "verdict": str(result.verdict),
         "set_aside": [(entry.pose, entry.load, entry.joint, entry.bands) for entry in result.set_aside],
+        "formula": [piece.expression for piece in result.formula.pieces] if result.formula else [],
+        "formula_floors": _formula_floors(result),
     }
+
+
+def _formula_floors(result: Result) -> float:
+    if result.formula is None:
+        return float("nan")
+    floors = np.array(result.noise_floor_nm)[[joint - 1 for joint in result.formula.joints] or slice(None)]
+    left = np.subtract(result.formula.residual_nm, result.formula.predicted_nm)
+    return float(np.sqrt(np.mean(left**2) / np.nanmean(floors**2)))
 
 
 def _tool(loads: Sequence[LoadEstimate] | Sequence[LoadResult]) -> LoadEstimate | LoadResult | None:

@@ -18,6 +18,8 @@ QUANTITIES = ("mass", "x", "y", "z")
 METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
 #: Outlier visits that have to be found, in bands.
 LARGE_BANDS = 4.0
+#: Strength of an effect outside the library that a formula should describe, and what it may leave, in noise floors.
+DESCRIBED, AT_NOISE = 5.0, 1.5
 
 
 def truth(cell: Cell) -> tuple[There, ...]:
@@ -56,6 +58,7 @@ def nuisance_figures(cells: Sequence[Cell]) -> Figures:
     stated = [cell for cell in asked if not cell["misstated"]]
     out["something named where only nuisances are there"] = share(_named(stated), "<= 0.02")
     out["something named, priors misstated"] = share(_named([cell for cell in asked if cell["misstated"]]))
+    out["formula where only nuisances are there"] = share([float(bool(cell["formula"])) for cell in stated], "<= 0.02")
     verdicts = ("none_needed", "explained", "improved")
     out["structure or uncertainty without a name"] = share(
         [float(not cell["found"] and cell["verdict"] not in verdicts) for cell in asked]
@@ -109,6 +112,9 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
         "off-library given a library name": share(NATURE.misnamed(off), "<= 0.05"),
         f"off-library given a library name, below {LEAST:g}": share(
             NATURE.misnamed([cell for cell in strange if _size(cell) < LEAST])
+        ),
+        f"off-library of strength >= {DESCRIBED:g}: formula, left-out poses at the noise floor": share(
+            [float(cell["formula_floors"] < AT_NOISE) for cell in strange if _size(cell) >= DESCRIBED], ">= 0.6"
         ),
         "wiring mistakes named": share(NATURE.right(wired)),
         "beyond nuisances: 95 % intervals hold the truth": share(covered(loads, "diagnosed")),
