@@ -31,6 +31,7 @@ def cell(kind: str = "nuisance", truth: tuple = (), found: tuple = (), verdict: 
         "set_aside": [],
         "formula": [],
         "formula_floors": float("nan"),
+        "told": [50.0] * len(truth),
         "refused": [],
         "total_s": 1.0,
     } | more
@@ -81,6 +82,9 @@ def test_one_several_and_strange_ones_are_counted_apart():
     assert out["off-library given a library name"]["value"] == 0.5
     assert out["wiring mistakes named"]["value"] == 1.0
     assert out["something named that is not there"]["value"] == pytest.approx(1 / 3)
+    assert out["wrong, one effect that the data could tell"]["value"] == 0.5
+    cells[1]["told"] = [5.0]
+    assert effect_figures(cells)["wrong, one effect that the data could tell"]["value"] == 0.0
 
 
 def test_a_formula_counts_where_it_leaves_noise_and_is_false_on_an_ordinary_arm():

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.nature.effect import rows_of
+from sim.nature.effect import Mechanism, on_axis, rows_of
 from sim.nature.levels import levels_of
 from sim.nature.measuring import OutlierVisit, quiet, reported_nm
 from sim.nature.nature_cell import draw_cell
@@ -56,6 +56,23 @@ def test_what_is_wrong_or_not_known_makes_the_load_less_known():
     assert (oracle.load_std(unsure, cell.visits, ()) > sharp).all()
     lost = [OutlierVisit(k, 0, "tool", joint, 5.0) for k in range(len(cell.visits)) for joint in (2, 3)]
     assert oracle.load_std(cell, cell.visits, lost)[0] > 1.5 * sharp[0]
+
+
+def test_evidence_for_an_effect_grows_with_the_square_of_its_size_and_falls_where_something_else_may_explain_it():
+    cell = draw_cell(2, "base")
+
+    def ratio(size_nm: float, **changes) -> float:
+        offset = Mechanism(
+            "offset", (3,), size_nm, on_reading=lambda _, tau: tau + on_axis(2, np.full(len(tau), size_nm))
+        )
+        other = replace(cell, effects=(offset,), arm=replace(cell.arm, **changes))
+        return oracle.log_likelihood_ratios(other, cell.visits, ())[0]
+
+    size_nm = 2.0 * float(cell.arm.floor_nm[2])
+    assert ratio(2.0 * size_nm) == pytest.approx(4.0 * ratio(size_nm), rel=0.01)
+    assert oracle.log_likelihood_ratios(cell, cell.visits, ()) == []
+    uneven = replace(cell.arm.friction, bias_std=100.0 * cell.arm.friction.bias_std)
+    assert ratio(size_nm, friction=uneven) < 0.2 * ratio(size_nm)
 
 
 def test_a_mass_whose_constants_share_one_error_is_as_uncertain_as_they_are():

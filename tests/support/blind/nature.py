@@ -21,7 +21,7 @@ from sim.nature.measuring import OutlierVisit
 from sim.nature.nature_cell import VISIT_S, NatureCell, draw_cell, draw_effect_cell
 from sim.nature.strength import strengths_beside
 from sim.offline import PlannedVisit
-from tests.support.blind.oracle import load_std
+from tests.support.blind.oracle import load_std, log_likelihood_ratios
 from tests.support.rigs.tables import simulated_table
 
 Floats = NDArray[np.float64]
@@ -29,6 +29,8 @@ Floats = NDArray[np.float64]
 VALIDATION, TIMED_POSES = 4, 40
 #: Half width of a 95 % interval, in standard deviations.
 HALF_WIDTH = 1.96
+#: Kinds of cells with effects of the library only.
+NAMED_KINDS = ("one", "several")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ class Score:
 
     `truth` is mechanism, joints, strength; `beside` the strengths beyond what other effects could take over; `outliers`
     is pose, load, joint, bands. `formula` are the products of a candidate formula, `formula_floors` what it leaves of
-    poses outside its choice, over the noise floor.
+    poses outside its choice, over the noise floor. `told` are the log likelihood ratios of the oracle for each effect.
     """
 
     seed: int
@@ -63,6 +65,7 @@ class Score:
     set_aside: list = field(default_factory=list)
     formula: list = field(default_factory=list)
     formula_floors: float = float("nan")
+    told: list = field(default_factory=list)
     refused: list = field(default_factory=list)
     total_s: float = float("nan")
 
@@ -119,7 +122,8 @@ def run_effect(seed: int) -> dict:
         result, _ = close_loop(side.first(), robot, diagnose_options(cell), side.measure, cell.poses(VALIDATION, 1))
         asked = cell.kind not in ("strange", "wiring")
         oracle = load_std(cell, side.visits, side.outliers) if asked else np.full(4, np.nan)
-        parts = _said(cell, result, oracle)
+        told = log_likelihood_ratios(cell, side.visits, side.outliers) if cell.kind in NAMED_KINDS else []
+        parts = _said(cell, result, oracle) | {"told": told}
     except GatewayError as error:
         refused.append(f"diagnose: {error}")
     return asdict(_score(cell, side.visits, side.outliers, parts, refused, time.process_time() - begin))

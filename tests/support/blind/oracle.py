@@ -3,7 +3,10 @@
 Half-sums are linear in the links, the load, the errors of the torque constants, the bias by direction, what efficiency
 leaves, and the cogging. They are also linear in an amplitude of each true effect's torque curve. All of these have the
 priors of the cell, the load and the amplitudes none. The noise of every row is known, outlier visits are known and
-left out. The model is evaluated at the truth; what is returned is the standard deviation of mass and centre.
+left out. The model is evaluated at the truth; `load_std` is the standard deviation of mass and centre.
+
+`log_likelihood_ratios` is the evidence for each true effect. Half-differences take part in it: a constant, the loss per
+transmitted torque and both courses of warm-up of each axis are their nuisances.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from numpy.typing import NDArray
 
 from sim.nature.arm import NatureArm
 from sim.nature.effect import Mechanism, TableRows, rows_of
+from sim.nature.levels import levels_of
 from sim.nature.measuring import OutlierVisit, equilibrium
 from sim.nature.nature_cell import NatureCell
 from sim.nature.strength import added, efficiency_slopes
@@ -22,7 +26,7 @@ from sim.offline import PlannedVisit, gravity_columns
 
 Floats = NDArray[np.float64]
 
-STEP_RAD = 1e-5
+STEP_RAD, STEP_NM = 1e-5, 1e-3
 #: A curve below this share of the floor is none.
 NO_CURVE = 1e-6
 
@@ -38,6 +42,42 @@ def load_std(cell: NatureCell, visits: Sequence[PlannedVisit], outliers: Sequenc
         weight[wrong.visit] = _without(weight[wrong.visit], wrong.joint - 1)
     covariance = posterior(design, weight, precision)
     return centre_std(covariance[:4, :4], arm.load)
+
+
+def log_likelihood_ratios(
+    cell: NatureCell, visits: Sequence[PlannedVisit], outliers: Sequence[OutlierVisit]
+) -> list[float]:
+    """Log likelihood of the data at the true size of each effect over that without it, in expectation.
+
+    Links, load, nuisances and the sizes of the other effects are estimated with their priors. Infinite for a mistake of
+    wiring.
+    """
+    arm, rows = cell.arm, rows_of(visits)
+    tau = equilibrium(arm, rows, cell.effects, np.zeros_like(rows.q_rad))[0][0::2]
+    weight = np.concatenate([_weights(arm, rows, cell.effects, tau), _weights_of_difference(arm, rows, tau)])
+    for wrong in outliers:
+        for visit in (wrong.visit, wrong.visit + len(tau)):
+            weight[visit] = _without(weight[visit], wrong.joint - 1)
+    design, precision = _design(arm, rows, (), tau)
+    curves = [None if effect.wired else added(arm, rows, effect) for effect in cell.effects]
+    known = [np.concatenate([each.half_sum_nm, each.half_difference_nm]) for each in curves if each]
+    lost, std = _lost(cell, rows, tau)
+    design = np.concatenate([design, design * _loss_slope(arm, rows)[:, :, None]])
+    design = np.concatenate([design, np.concatenate([np.zeros_like(lost), lost])], axis=2)
+    precision = np.concatenate([precision, std**-2.0])
+    out, place = [], 0
+    for each in curves:
+        if each is None:
+            out.append(float("inf"))
+            continue
+        others = [curve[:, :, None] for number, curve in enumerate(known) if number != place]
+        columns = np.concatenate([design, *others], axis=2)
+        covariance = posterior(columns, weight, np.concatenate([precision, np.zeros(len(others))]))
+        score = np.einsum("vap,vab,vb->p", columns, weight, known[place])
+        size = np.einsum("va,vab,vb->", known[place], weight, known[place])
+        out.append(0.5 * float(size - score @ covariance @ score))
+        place += 1
+    return out
 
 
 def posterior(design: Floats, weight: Floats, precision: Floats) -> Floats:
@@ -97,6 +137,35 @@ def _weights(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau:
         slope = (more - less) / (2.0 * STEP_RAD) * arm.repeat_rad[axis]
         covariance = covariance + slope[:, :, None] * slope[:, None, :]
     return np.linalg.inv(covariance)
+
+
+def _weights_of_difference(arm: NatureArm, rows: TableRows, tau: Floats) -> Floats:
+    """Inverse covariance (visits, 6, 6) of the half-differences: friction and noise."""
+    cold = arm.friction.coulomb_nm * arm.friction.cold(rows.time_s[0::2])
+    spread = arm.friction.half_sum_std_nm(arm.friction.band_nm(tau, rows.time_s[0::2]), cold)
+    noise = np.hypot(arm.noise_nm / np.sqrt(2.0 * arm.samples), arm.resolution_nm / np.sqrt(24.0))
+    return np.eye(6) / (spread**2 + noise**2)[:, :, None]
+
+
+def _loss_slope(arm: NatureArm, rows: TableRows) -> Floats:
+    """Change (visits, 6) of the half-differences with the half-sums: losses grow with the torque."""
+    small = added(arm, rows, Mechanism("", (), STEP_NM, on_joint=lambda _, tau: np.full_like(tau, STEP_NM)))
+    return small.half_difference_nm / small.half_sum_nm
+
+
+def _lost(cell: NatureCell, rows: TableRows, tau: Floats) -> tuple[Floats, Floats]:
+    """Columns (visits, 6, q) of the half-differences alone, and their prior (q,): losses and warm-up."""
+    friction, levels, each = cell.arm.friction, levels_of(cell.condition), np.eye(6)
+    fading = np.exp(-rows.time_s[0::2, None] / friction.warm_s)
+    loss = friction.mean_left * np.abs(tau)
+    spread = np.ptp(levels.load_loss) / np.sqrt(12.0) + friction.efficiency_std
+    parts = [
+        (each * friction.coulomb_nm, np.inf),
+        (each * loss[:, :, None], spread),
+        *((each * friction.coulomb_nm * course[:, None, None], np.ptp(levels.warm_share)) for course in fading.T),
+    ]
+    columns = np.concatenate([np.broadcast_to(part, (len(tau), 6, 6)) for part, _ in parts], axis=2)
+    return columns, np.repeat([std for _, std in parts], 6)
 
 
 def _without(weight: Floats, axis: int) -> Floats:
