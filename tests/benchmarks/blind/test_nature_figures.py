@@ -30,8 +30,8 @@ def cell(kind: str = "nuisance", truth: tuple = (), found: tuple = (), verdict: 
         "verdict": verdict,
         "set_aside": [],
         "formula": [],
-        "formula_floors": float("nan"),
-        "told": [50.0] * len(truth),
+        "formula_left": float("nan"),
+        "log_ratios": [50.0] * len(truth),
         "refused": [],
         "total_s": 1.0,
     } | more
@@ -82,21 +82,21 @@ def test_one_several_and_strange_ones_are_counted_apart():
     assert out["off-library given a library name"]["value"] == 0.5
     assert out["wiring mistakes named"]["value"] == 1.0
     assert out["something named that is not there"]["value"] == pytest.approx(1 / 3)
-    assert out["wrong, one effect that the data could tell"]["value"] == 0.5
-    cells[1]["told"] = [5.0]
-    assert effect_figures(cells)["wrong, one effect that the data could tell"]["value"] == 0.0
+    assert out["wrong, one effect with sufficient data"]["value"] == 0.5
+    cells[1]["log_ratios"] = [5.0]
+    assert effect_figures(cells)["wrong, one effect with sufficient data"]["value"] == 0.0
 
 
-def test_a_formula_counts_where_it_leaves_noise_and_is_false_on_an_ordinary_arm():
+def test_a_formula_counts_where_it_leaves_noise_and_is_false_with_nuisances_only():
     tether = [("tether", [], 9.0)]
-    right = cell("strange", tether, formula=["sin(q3)"], formula_floors=1.2)
-    wrong = cell("strange", tether, formula=["sin(q3)"], formula_floors=2.2)
-    weak = cell("strange", [("tether", [], 4.0)], formula=["sin(q3)"], formula_floors=1.0)
+    right = cell("strange", tether, formula=["sin(q3)"], formula_left=1.2)
+    wrong = cell("strange", tether, formula=["sin(q3)"], formula_left=2.2)
+    weak = cell("strange", [("tether", [], 4.0)], formula=["sin(q3)"], formula_left=1.0)
     none = cell("strange", tether)
     out = effect_figures([right, wrong, weak, none])
     name = "off-library of strength >= 5: formula, left-out poses at the noise floor"
     assert (out[name]["value"], out[name]["unit"]) == (pytest.approx(1 / 3), "of 3")
-    out = nuisance_figures([cell(), cell(formula=["sin(q3)"], formula_floors=1.0), cell(misstated=True)])
+    out = nuisance_figures([cell(), cell(formula=["sin(q3)"], formula_left=1.0), cell(misstated=True)])
     assert out["formula where only nuisances are there"]["value"] == 0.5
 
 

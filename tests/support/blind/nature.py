@@ -46,8 +46,8 @@ class Score:
     """What is kept of one cell.
 
     `truth` is mechanism, joints, strength; `beside` the strengths beyond what other effects could take over; `outliers`
-    is pose, load, joint, bands. `formula` are the products of a candidate formula, `formula_floors` what it leaves of
-    poses outside its choice, over the noise floor. `told` are the log likelihood ratios of the oracle for each effect.
+    is pose, load, joint, bands. `formula` are the products of a candidate formula, `formula_left` what it leaves of
+    poses outside its choice, over the noise floor. `log_ratios` are the log likelihood ratios of the oracle for each effect.
     """
 
     seed: int
@@ -64,8 +64,8 @@ class Score:
     verdict: str = ""
     set_aside: list = field(default_factory=list)
     formula: list = field(default_factory=list)
-    formula_floors: float = float("nan")
-    told: list = field(default_factory=list)
+    formula_left: float = float("nan")
+    log_ratios: list = field(default_factory=list)
     refused: list = field(default_factory=list)
     total_s: float = float("nan")
 
@@ -122,8 +122,8 @@ def run_effect(seed: int) -> dict:
         result, _ = close_loop(side.first(), robot, diagnose_options(cell), side.measure, cell.poses(VALIDATION, 1))
         asked = cell.kind not in ("strange", "wiring")
         oracle = load_std(cell, side.visits, side.outliers) if asked else np.full(4, np.nan)
-        told = log_likelihood_ratios(cell, side.visits, side.outliers) if cell.kind in NAMED_KINDS else []
-        parts = _said(cell, result, oracle) | {"told": told}
+        log_ratios = log_likelihood_ratios(cell, side.visits, side.outliers) if cell.kind in NAMED_KINDS else []
+        parts = _said(cell, result, oracle) | {"log_ratios": log_ratios}
     except GatewayError as error:
         refused.append(f"diagnose: {error}")
     return asdict(_score(cell, side.visits, side.outliers, parts, refused, time.process_time() - begin))
@@ -189,16 +189,16 @@ def _said(cell: NatureCell, result: Result, oracle: Floats) -> dict:
         "verdict": str(result.verdict),
         "set_aside": [(entry.pose, entry.load, entry.joint, entry.bands) for entry in result.set_aside],
         "formula": [piece.expression for piece in result.formula.pieces] if result.formula else [],
-        "formula_floors": _formula_floors(result),
+        "formula_left": _formula_left(result),
     }
 
 
-def _formula_floors(result: Result) -> float:
+def _formula_left(result: Result) -> float:
     if result.formula is None:
         return float("nan")
-    floors = np.array(result.noise_floor_nm)[[joint - 1 for joint in result.formula.joints] or slice(None)]
+    noise_nm = np.array(result.noise_floor_nm)[[joint - 1 for joint in result.formula.joints] or slice(None)]
     left = np.subtract(result.formula.residual_nm, result.formula.predicted_nm)
-    return float(np.sqrt(np.mean(left**2) / np.nanmean(floors**2)))
+    return float(np.sqrt(np.mean(left**2) / np.nanmean(noise_nm**2)))
 
 
 def _tool(loads: Sequence[LoadEstimate] | Sequence[LoadResult]) -> LoadEstimate | LoadResult | None:

@@ -20,8 +20,8 @@ METHODS = {"estimated": "estimate", "diagnosed": "diagnose"}
 LARGE_BANDS = 4.0
 #: Strength of an effect outside the library that a formula should describe, and what it may leave, in noise floors.
 DESCRIBED, AT_NOISE = 5.0, 1.5
-#: Log likelihood ratio from which data tell an effect: odds of 20 against each of 75 other places.
-TELLING = 7.3
+#: Log likelihood ratio from which data suffice for a name: odds of 20 against each of 75 other places.
+SUFFICIENT = 7.3
 
 
 def truth(cell: Cell) -> tuple[There, ...]:
@@ -110,15 +110,17 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
             [1.0 - value for value in NATURE.misnamed(by_kind["below"])]
         ),
         "right, priors misstated": share(NATURE.right([c for c in misstated if kind(truth(c)) != "below"])),
-        "wrong, one effect that the data could tell": share(_wrong_though_told(named, "one"), "<= 0.03"),
-        "wrong, two or more effects that the data could tell": share(_wrong_though_told(named, "several"), "<= 0.03"),
+        "wrong, one effect with sufficient data": share(_wrong_on_sufficient_data(named, "one"), "<= 0.03"),
+        "wrong, two or more effects with sufficient data": share(
+            _wrong_on_sufficient_data(named, "several"), "<= 0.03"
+        ),
         "something named that is not there": share(NATURE.misnamed(named)),
         "off-library given a library name": share(NATURE.misnamed(off), "<= 0.05"),
         f"off-library given a library name, below {LEAST:g}": share(
             NATURE.misnamed([cell for cell in strange if _size(cell) < LEAST])
         ),
         f"off-library of strength >= {DESCRIBED:g}: formula, left-out poses at the noise floor": share(
-            [float(cell["formula_floors"] < AT_NOISE) for cell in strange if _size(cell) >= DESCRIBED], ">= 0.6"
+            [float(cell["formula_left"] < AT_NOISE) for cell in strange if _size(cell) >= DESCRIBED], ">= 0.6"
         ),
         "wiring mistakes named": share(NATURE.right(wired)),
         "beyond nuisances: 95 % intervals hold the truth": share(covered(loads, "diagnosed")),
@@ -127,17 +129,17 @@ def effect_figures(cells: Sequence[Cell]) -> Figures:
     }
 
 
-def _wrong_though_told(cells: Sequence[Cell], kind_: str) -> list[float]:
-    """Whether names are wrong in spite of telling data, of the cells with an effect of enough strength."""
+def _wrong_on_sufficient_data(cells: Sequence[Cell], kind_: str) -> list[float]:
+    """Whether names are wrong although the data suffice, of the cells with an effect of enough strength."""
     asked = [cell for cell in cells if cell["kind"] == kind_ and _size(cell) >= LEAST]
     return [
-        float(not right and all(ratio >= TELLING for ratio in _required(cell)))
+        float(not right and all(ratio >= SUFFICIENT for ratio in _required(cell)))
         for cell, right in zip(asked, NATURE.right(asked), strict=True)
     ]
 
 
 def _required(cell: Cell) -> list[float]:
-    return [ratio for (_, _, size), ratio in zip(cell["truth"], cell["told"], strict=True) if size >= LEAST]
+    return [ratio for (_, _, size), ratio in zip(cell["truth"], cell["log_ratios"], strict=True) if size >= LEAST]
 
 
 def _size(cell: Cell) -> float:
