@@ -47,7 +47,8 @@ class Score:
 
     `truth` is mechanism, joints, strength; `beside` the strengths beyond what other effects could take over; `outliers`
     is pose, load, joint, bands. `formula` are the products of a candidate formula, `formula_left` what it leaves of
-    poses outside its choice, over the noise floor. `log_ratios` are the log likelihood ratios of the oracle for each effect.
+    poses outside its choice, over the noise floor. `log_ratios` are the log likelihood ratios of the oracle for each
+    effect.
     """
 
     seed: int
