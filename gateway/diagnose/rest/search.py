@@ -140,23 +140,27 @@ def run(search: Search) -> Fit:
     return pruned(search, search.best())
 
 
-def _by_promise(view: Screen, problem: RestProblem) -> Iterator[int]:
-    """Iterate over the candidates, best first, without start values from which a fit leads to an impossible part.
+def _by_promise(view: Screen, problem: RestProblem, impossible: int) -> Iterator[int]:
+    """Iterate over the candidates, best first, with at most `impossible` start values of a place that are not possible.
 
     A linearised spring that pushes instead of pulling often fits better than the true one, whose form is not adjusted
-    yet.
+    yet; the adjustment of others leads to the true one.
     """
+    seen = Counter[Label]()
     for index in np.argsort(-view.log_bayes).tolist():
         term = view.terms[index]
-        if all(term.linear) or term.plausible(term.completed(view.estimate(index)), problem.rows):
-            yield index
+        if not all(term.linear) and not term.plausible(term.completed(view.estimate(index)), problem.rows):
+            seen[term.label] += 1
+            if seen[term.label] > impossible:
+                continue
+        yield index
 
 
 def _promising_singles(search: Search, views: Sequence[Screen]) -> list[tuple[Term, ...]]:
     out: list[tuple[Term, ...]] = []
     for view in views:
         seen: dict[Label, int] = {}
-        for index in _by_promise(view, search.problem):
+        for index in _by_promise(view, search.problem, REST.shapes_fitted // 2):
             term = view.terms[index]
             seen[term.label] = seen.get(term.label, 0) + 1
             limit = REST.shapes if all(term.linear) else REST.shapes_fitted
@@ -169,7 +173,7 @@ def _promising_singles(search: Search, views: Sequence[Screen]) -> list[tuple[Te
 def _promising_pairs(search: Search, view: Screen) -> list[tuple[Term, ...]]:
     """Pairs of places (effect and axis or link) with the highest joint log Bayes factor, each in its best shape."""
     best: dict[Label, int] = {}
-    for index in _by_promise(view, search.problem):
+    for index in _by_promise(view, search.problem, 0):
         best.setdefault(view.terms[index].label, index)
     chosen = list(best.values())
     pairs = np.array(list(itertools.combinations(chosen, 2)))
@@ -191,7 +195,7 @@ def _extend(
     for std in (leader.noise.std, search.noise.start):
         view = search.view(leader, open_terms, std, own)
         seen: dict[Label | Term, int] = {}
-        for index in _by_promise(view, search.problem):
+        for index in _by_promise(view, search.problem, REST.shapes_added // 2):
             term = view.terms[index]
             key = term.label if term.name != UNNAMED else term
             shapes = 1 if all(term.linear) else REST.shapes_added

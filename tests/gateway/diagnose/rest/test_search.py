@@ -20,8 +20,8 @@ from tests.support.blind.nature import diagnose_options
 from tests.support.rigs.tables import simulated_table
 
 
-def searched(seed: int, names: set[str], balancer: type[Term]) -> Search:
-    """A search among some effects and balancers of one type on the first recording of a drawn arm."""
+def searched(seed: int, names: set[str], *balancers: type[Term]) -> Search:
+    """A search among some effects and balancers of some types on the first recording of a drawn arm."""
     cell = draw_effect_cell(seed)
     robot = robot_from_urdf(cell.stated.urdf, "drawn")
     diagnosis = RestDiagnosis(robot, diagnose_options(cell))
@@ -31,23 +31,20 @@ def searched(seed: int, names: set[str], balancer: type[Term]) -> Search:
     torque, _ = problem.model.joint_torque(plain.setting, bodies)
     setup = RestSetup((np.nan,) * problem.axes, False, torque, problem.links)
     named = terms_at_rest(problem.rows, setup, frozenset(names))
-    named = [term for term in named if term.name != "balancer_spring" or isinstance(term, balancer)]
+    named = [term for term in named if term.name != "balancer_spring" or isinstance(term, balancers)]
     named = [term for term in named if term.joints in ((), (2,), (3,))]
     unnamed = tuple(term for term in unnamed_terms(problem.rows, setup) if term.joints == (2,))
     return Search(problem, tuple(named), unnamed, settled_noise(problem, plain))
 
 
-@pytest.fixture(scope="module")
-def coil() -> Search:
-    """A coil balancer; at start values half a turn off a spring that pushes fits better than one that pulls."""
-    return searched(76, {"balancer_spring"}, CoilBalancer)
-
-
-def test_a_spring_is_fitted_from_start_values_that_pull(coil: Search) -> None:
-    chosen = run(coil)
-    assert [term.name for term in chosen.terms] == ["balancer_spring"]
-    curve = max(coil.score(fit) for fit in coil.pool.values() if any(term.name == UNNAMED for term in fit.terms))
-    assert coil.score(chosen) > curve
+@pytest.mark.parametrize(("seed", "balancers"), [(76, [CoilBalancer]), (30132, [CoilBalancer, GasBalancer])])
+def test_a_coil_balancer_is_fitted_from_start_values_that_pull_and_from_others(seed: int, balancers: list) -> None:
+    """In one arm, start values that push hide those that pull; in the other, only some that push lead to the spring."""
+    search = searched(seed, {"balancer_spring"}, *balancers)
+    chosen = run(search)
+    assert [type(term) for term in chosen.terms] == [CoilBalancer]
+    curve = max(search.score(fit) for fit in search.pool.values() if any(term.name == UNNAMED for term in fit.terms))
+    assert search.score(chosen) > curve
 
 
 def test_an_effect_is_exchanged_for_one_that_the_balancer_hides() -> None:
