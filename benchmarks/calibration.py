@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+
+from tests.support.one_thread import one_thread
 
 #: Half width of a 95 % interval in standard deviations.
 HALF_WIDTH = 1.96
@@ -56,8 +57,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/calibration"))
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    one_thread()
     from benchmarks.blind.__main__ import run
     from tests.support.figure import show
 

@@ -12,11 +12,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Iterator
 from itertools import count, islice
 from pathlib import Path
+
+from tests.support.one_thread import one_thread
 
 SEEDS = {"dev": 70000, "test": 80000}
 REPETITIONS = 20
@@ -32,9 +33,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--seeds", choices=SEEDS, default="dev")
     parser.add_argument("--out", type=Path, default=Path("out/repeatability"))
     arguments = parser.parse_args(argv)
-    # numpy reads these when it is imported; two threads for small matrices take ten times as long
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    one_thread()
     from tests.support.figure import show
 
     arms = list(islice(measured_arms(SEEDS[arguments.seeds]), arguments.arms))

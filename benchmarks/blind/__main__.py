@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+from tests.support.one_thread import one_thread
 
 SEEDS = {"dev": range(10000), "test": range(10000, 11000), "fresh": range(20000, 21000)}
 COUNT = {"dev": 400, "test": 1000, "fresh": 1000}
@@ -40,8 +41,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--conditions", default=None, help="nature: names with commas (all)")
     parser.add_argument("--timed", type=int, default=20, help="nature: number of timed diagnoses of 40 poses")
     arguments = parser.parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    one_thread()
     if arguments.tier == "nature":
         return _nature(arguments)
     seeds = list(SEEDS[arguments.seeds])[arguments.first :][: arguments.limit or COUNT[arguments.seeds]]

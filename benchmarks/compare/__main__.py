@@ -10,11 +10,12 @@ condition.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from multiprocessing import get_context
 from pathlib import Path
+
+from tests.support.one_thread import one_thread
 
 TABLES = 300
 
@@ -28,8 +29,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--answers", type=Path, default=None, help="compare this stored file instead of a new run")
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    one_thread()
     from benchmarks.compare.answers import read_answers, write_answers
     from benchmarks.compare.differences import print_differences
 

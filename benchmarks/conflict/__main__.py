@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
+
+from tests.support.one_thread import one_thread
 
 VARIANTS = ("floor", "two loads", "6 poses", "wall", "ceiling")
 
@@ -30,8 +31,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--again", action="store_true", help="print the figures of the cells in OUT; run none")
     arguments = parser.parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    one_thread()
     from benchmarks.conflict.conditions import CONDITIONS
 
     unknown = sorted(set(arguments.condition or ()) - set(CONDITIONS))

@@ -11,11 +11,12 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
+
+from tests.support.one_thread import one_thread
 
 #: Scatter of the friction band between visits, as a share.
 NOISE = (0.02, 0.04, 0.08)
@@ -93,8 +94,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/naming"))
     parser.add_argument("--jobs", type=int, default=1)
     arguments = parser.parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    one_thread()
     from benchmarks.blind.__main__ import run
     from tests.support.blind.shares import figure_table, share
 

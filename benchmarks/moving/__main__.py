@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from pathlib import Path
+
+from tests.support.one_thread import one_thread
 
 FIRST = {"dev": 0, "test": 40000}
 PARTS = ("cells", "bus", "plans", "timing")
@@ -31,8 +32,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/moving"))
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args(argv)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    one_thread()
     arguments.out.mkdir(parents=True, exist_ok=True)
     return _run(arguments)
 

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from gateway.report.render import render
 from gateway.result.result import Result
-from tests.support.pages.browser import MISSING, Browser, available, browser
+from tests.support.pages.browser import MISSING, Browser, available
 from tests.support.pages.diagnosed import decided, with_formula
-from tests.support.pages.faults import HEIGHT_PX, faults_of
+from tests.support.pages.faults import show_whole
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not available(), reason=MISSING)]
-WIDE_PX = 1280
 #: Part of a page from the first element that holds a text to the next heading.
 PART = """const y = e => e.getBoundingClientRect().top + scrollY;
 const found = [...document.querySelectorAll('h2, p')].find(e => e.textContent.includes(WANTED));
@@ -24,18 +22,9 @@ const next = [...document.querySelectorAll('h2')].map(y).find(each => each > top
 return {x: 0, y: top, width: innerWidth, height: Math.min(next - top - 10, 770)};"""
 
 
-@pytest.fixture(scope="module")
-def window() -> Iterator[Browser]:
-    with browser() as started:
-        yield started
-
-
 def opened(window: Browser, result: Result, file: Path) -> str:
     """Text of the report of a result, which has no faults, as wide as a screen."""
-    file.write_text(render(result), encoding="utf-8")
-    assert faults_of(window, file) == []
-    window.as_on("screen")
-    window.resize(WIDE_PX, HEIGHT_PX)
+    show_whole(window, render(result), file)
     return window.run("return document.body.innerText")
 
 

@@ -4,19 +4,13 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.pages.browser import MISSING, available, browser
+from tests.support.pages.browser import MISSING, available
 from tests.support.pages.faults import FAULTS, faults_of
 from tests.support.pages.samples import pages
 
 pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
 BOX = "position:absolute;top:50px"
 LONG = "a" * 90
-
-
-@pytest.fixture(scope="module")
-def window():
-    with browser() as started:
-        yield started
 
 
 @pytest.mark.parametrize(

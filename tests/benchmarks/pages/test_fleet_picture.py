@@ -3,28 +3,20 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tests.conftest import PICTURES
-from tests.support.pages.browser import MISSING, Browser, available, browser
-from tests.support.pages.faults import HEIGHT_PX, faults_of
+from tests.support.pages.browser import MISSING, Browser, available
+from tests.support.pages.faults import WIDE_PX, show_whole
 from tests.support.pages.fleet import fleet_pages
 
 pytestmark = pytest.mark.skipif(not available(), reason=MISSING)
-WIDE_PX = 1280
 #: Texts of the drawings that are on the page and have a size.
 DRAWN = """return [...document.querySelectorAll('svg text')]
     .filter(e => e.getBoundingClientRect().width > 0).map(e => e.textContent)"""
 STATES = "return [...document.querySelectorAll('td .tag')].map(e => e.textContent)"
-
-
-@pytest.fixture(scope="module")
-def window() -> Iterator[Browser]:
-    with browser() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +34,7 @@ def size_px(file: Path) -> tuple[int, int]:
 
 def drawn_on(window: Browser, page: str, file: Path) -> list[str]:
     """Texts of the drawings of a page that has no faults, as wide as a screen."""
-    file.write_text(page, encoding="utf-8")
-    assert faults_of(window, file) == []
-    window.as_on("screen")
-    window.resize(WIDE_PX, HEIGHT_PX)
+    show_whole(window, page, file)
     return window.run(DRAWN)
 
 

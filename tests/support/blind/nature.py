@@ -29,8 +29,6 @@ Floats = NDArray[np.float64]
 VALIDATION, TIMED_POSES = 4, 40
 #: Half width of a 95 % interval, in standard deviations.
 HALF_WIDTH = 1.96
-#: Kinds of cells with effects of the library only.
-NAMED_KINDS = ("one", "several")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +121,7 @@ def run_effect(seed: int) -> dict:
         result, _ = close_loop(side.first(), robot, diagnose_options(cell), side.measure, cell.poses(VALIDATION, 1))
         asked = cell.kind not in ("strange", "wiring")
         oracle = load_std(cell, side.visits, side.outliers) if asked else np.full(4, np.nan)
-        log_ratios = log_likelihood_ratios(cell, side.visits, side.outliers) if cell.kind in NAMED_KINDS else []
+        log_ratios = log_likelihood_ratios(cell, side.visits, side.outliers) if asked else []
         parts = _said(cell, result, oracle) | {"log_ratios": log_ratios}
     except GatewayError as error:
         refused.append(f"diagnose: {error}")

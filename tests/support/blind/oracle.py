@@ -54,30 +54,31 @@ def log_likelihood_ratios(
     """
     arm, rows = cell.arm, rows_of(visits)
     tau = equilibrium(arm, rows, cell.effects, np.zeros_like(rows.q_rad))[0][0::2]
-    weight = np.concatenate([_weights(arm, rows, cell.effects, tau), _weights_of_difference(arm, rows, tau)])
+    weight = np.concatenate([_weights(arm, rows, cell.effects, tau), np.linalg.inv(_scatter(arm, rows, tau))])
     for wrong in outliers:
         for visit in (wrong.visit, wrong.visit + len(tau)):
             weight[visit] = _without(weight[visit], wrong.joint - 1)
     design, precision = _design(arm, rows, (), tau)
-    curves = [None if effect.wired else added(arm, rows, effect) for effect in cell.effects]
-    known = [np.concatenate([each.half_sum_nm, each.half_difference_nm]) for each in curves if each]
     lost, std = _lost(cell, rows, tau)
     design = np.concatenate([design, design * _loss_slope(arm, rows)[:, :, None]])
     design = np.concatenate([design, np.concatenate([np.zeros_like(lost), lost])], axis=2)
     precision = np.concatenate([precision, std**-2.0])
-    out, place = [], 0
-    for each in curves:
-        if each is None:
-            out.append(float("inf"))
-            continue
-        others = [curve[:, :, None] for number, curve in enumerate(known) if number != place]
+    curves = {number: _curve(arm, rows, effect) for number, effect in enumerate(cell.effects) if effect.wired is None}
+    ratios = [float("inf")] * len(cell.effects)
+    for number, curve in curves.items():
+        others = [other[:, :, None] for place, other in curves.items() if place != number]
         columns = np.concatenate([design, *others], axis=2)
         covariance = posterior(columns, weight, np.concatenate([precision, np.zeros(len(others))]))
-        score = np.einsum("vap,vab,vb->p", columns, weight, known[place])
-        size = np.einsum("va,vab,vb->", known[place], weight, known[place])
-        out.append(0.5 * float(size - score @ covariance @ score))
-        place += 1
-    return out
+        score = np.einsum("vap,vab,vb->p", columns, weight, curve)
+        size = np.einsum("va,vab,vb->", curve, weight, curve)
+        ratios[number] = 0.5 * float(size - score @ covariance @ score)
+    return ratios
+
+
+def _curve(arm: NatureArm, rows: TableRows, effect: Mechanism) -> Floats:
+    """What an effect adds to the half-sums and then to the half-differences (2 visits, 6) [Nm]."""
+    more = added(arm, rows, effect)
+    return np.concatenate([more.half_sum_nm, more.half_difference_nm])
 
 
 def posterior(design: Floats, weight: Floats, precision: Floats) -> Floats:
@@ -124,12 +125,7 @@ def _design(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: 
 
 def _weights(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: Floats) -> Floats:
     """Inverse covariance (visits, 6, 6) of the half-sums: friction, noise, rounding, and the pose that is not met."""
-    time_s = rows.time_s[0::2]
-    cold = arm.friction.coulomb_nm * arm.friction.cold(time_s)
-    noise = arm.noise_nm / np.sqrt(2.0 * arm.samples)
-    rounding = np.where(arm.noise_nm > 0.5 * arm.resolution_nm, 0.0, arm.resolution_nm / np.sqrt(24.0))
-    spread = arm.friction.half_sum_std_nm(arm.friction.band_nm(tau, time_s), cold)
-    covariance = np.eye(6) * (spread**2 + noise**2 + rounding**2)[:, :, None]
+    covariance = _scatter(arm, rows, tau)
     for axis in range(6):
         step = np.zeros_like(rows.q_rad)
         step[:, axis] = STEP_RAD
@@ -139,12 +135,14 @@ def _weights(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau:
     return np.linalg.inv(covariance)
 
 
-def _weights_of_difference(arm: NatureArm, rows: TableRows, tau: Floats) -> Floats:
-    """Inverse covariance (visits, 6, 6) of the half-differences: friction and noise."""
-    cold = arm.friction.coulomb_nm * arm.friction.cold(rows.time_s[0::2])
-    spread = arm.friction.half_sum_std_nm(arm.friction.band_nm(tau, rows.time_s[0::2]), cold)
-    noise = np.hypot(arm.noise_nm / np.sqrt(2.0 * arm.samples), arm.resolution_nm / np.sqrt(24.0))
-    return np.eye(6) / (spread**2 + noise**2)[:, :, None]
+def _scatter(arm: NatureArm, rows: TableRows, tau: Floats) -> Floats:
+    """Covariance (visits, 6, 6) of the half-sums at an exact pose, and of the half-differences: friction and noise."""
+    time_s = rows.time_s[0::2]
+    cold = arm.friction.coulomb_nm * arm.friction.cold(time_s)
+    noise = arm.noise_nm / np.sqrt(2.0 * arm.samples)
+    rounding = np.where(arm.noise_nm > 0.5 * arm.resolution_nm, 0.0, arm.resolution_nm / np.sqrt(24.0))
+    spread = arm.friction.half_sum_std_nm(arm.friction.band_nm(tau, time_s), cold)
+    return np.eye(6) * (spread**2 + noise**2 + rounding**2)[:, :, None]
 
 
 def _loss_slope(arm: NatureArm, rows: TableRows) -> Floats:
