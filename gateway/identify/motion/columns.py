@@ -41,7 +41,7 @@ Ints = NDArray[np.int_]
 #: loads with inertia.
 NUISANCES = ("gain", "load_friction")
 _LOCAL = (*NUISANCES, "loss_bend", "delay")
-MOVING_NUISANCES = (*_LOCAL, "bias", "uneven_friction", "load_inertia")
+MOVING_NUISANCES = (*_LOCAL, "bias", "uneven_friction", "run_friction", "load_inertia")
 #: Prior radius of gyration of a load [m].
 _GYRATION_M = 0.2
 INERTIA_NAMES = tuple(f"inertia_{name}" for name in ("xx", "xy", "xz", "yy", "yz", "zz"))
@@ -61,7 +61,7 @@ class MovingSetup:
     slow_share : float
         Rows in which an axis is slower than this share of its speed limit are not used on it, of its top speed where no
         limit is stated.
-    nuisances : names out of `MOVING_NUISANCES` that every axis or load gets, with their priors; or `run_friction`
+    nuisances : names out of `MOVING_NUISANCES` that every axis or load gets, with their priors
     passes : int or None
         None: axes are weighted by the residual of a fit with free link parameters, which has one answer. A number:
         that many solutions, each axis weighted by its residual in the one before, beginning with equal weights; with
@@ -298,13 +298,15 @@ def _friction_blocks(
 
 
 def _run_block(moving: Table | MovingRows, smooth_rad_s: float | Floats) -> _Block:
-    """Columns of the Coulomb friction of each of several runs, as deviation from their mean."""
+    """Columns of the Coulomb friction of each of several runs that move an axis, as deviation from the arm's mean."""
     here = np.asarray(moving.run)[:, None] == np.unique(moving.run)
-    here, axes = here[:, : here.shape[1] if here.shape[1] > 1 else 0], moving.axes
     sign = np.tanh(moving.qd_rad_s / smooth_rad_s)
-    design = np.einsum("na,nr,ab->nabr", sign, here, np.eye(axes)).reshape(len(sign), axes, -1)
-    names = [f"{RUN}_{k + 1}[J{axis + 1}]" for axis in range(axes) for k in range(here.shape[1])]
-    return _Block(design, names, ["Nm"] * len(names))
+    moved = [[k for k in range(here.shape[1]) if sign[here[:, k], axis].any()] for axis in range(moving.axes)]
+    place = [(axis, k) for axis, runs in enumerate(moved) for k in runs if len(runs) > 1]
+    design = np.zeros((*sign.shape, len(place)))
+    for column, (axis, k) in enumerate(place):
+        design[:, axis, column] = sign[:, axis] * here[:, k]
+    return _Block(design, [f"{RUN}_{k + 1}[J{axis + 1}]" for axis, k in place], ["Nm"] * len(place))
 
 
 def _local_block(rows: int, axes: int, name: str) -> _Block:

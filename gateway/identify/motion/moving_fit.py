@@ -21,7 +21,7 @@ from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
 from gateway.identify.motion.convergence import Settled, settle
 from gateway.identify.motion.effects import Effects, SeenEffects
 from gateway.identify.motion.periods import Periods, averaged
-from gateway.identify.motion.prior import gains_prior, held_to_friction, losses_seen, with_common_part
+from gateway.identify.motion.prior import gains_prior, held_to_friction, losses_seen, with_common_part, with_run_scatter
 from gateway.identify.motion.problem import MotionProblem, Still, about, solved
 from gateway.identify.motion.rest_rows import FittedRest, columns_beside
 from gateway.identify.motion.statements import NEARLY_EXACT, contradicted_links, contradiction
@@ -225,6 +225,8 @@ def _solved(
     settled = settle(problem, scale_nm)
     spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
     for _ in range(_WEIGHTED_AGAIN * bool(columns.nuisances)):
+        prior = with_run_scatter(columns.prior, columns.names, settled.free.value, settled.free.covariance)
+        columns = replace(columns, prior=prior)
         problem = _with_gains(replace(problem, columns=columns), knowledge, MotionFit(problem, settled, spread))
         least_nm = np.maximum(scale_nm / _MOST_REWEIGHTINGS, finest_nm)
         reweighted_nm = np.clip(spread.scale_nm, least_nm, _MOST_REWEIGHTINGS * scale_nm)

@@ -86,3 +86,17 @@ def held_to_friction(prior: Prior, names: tuple[str, ...], level_nm: Floats, off
             if kind.startswith(start):
                 std[k] = share * level_nm[int(axis[:-1]) - 1]
     return replace(prior, std=std)
+
+
+def with_run_scatter(prior: Prior, names: tuple[str, ...], value: Floats, covariance: Floats) -> Prior:
+    """Return the prior with the scatter of friction between runs that a fit (p,), (p, p) shows on all axes together.
+
+    The variance is its posterior mean under Jeffreys' prior, from the squares of the deviations and the number that the
+    rows determine (effective degrees of freedom; MacKay, Neural Computation 4, 1992). Too few leave the prior as it is.
+    """
+    index = np.array([k for k, name in enumerate(names) if name.startswith(RUN)], dtype=int)
+    std = prior.std[index]
+    free = float(np.sum(1.0 - np.diag(covariance)[index] / std**2)) - 2.0
+    if free <= 0.0:
+        return prior
+    return prior.with_std(index, std * float(np.sqrt(np.sum((value[index] / std) ** 2) / free)))
