@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from gateway.data.rows import Table
 from gateway.errors import DataUnusable
@@ -178,14 +179,16 @@ def _fit(
             " record a longer run that moves all axes"
         )
     seen = None if effects is None else effects.of_rows(moving)
-    scale_nm, level_nm = _weights(periods, robot, knowledge.of_loads(moving.load), setup, (used, seen))
+    # a fit without nuisance parameters is that of other programs
+    low_pass = periods.low_pass if setup.nuisances else None
+    scale_nm, level_nm = _weights(periods, robot, knowledge.of_loads(moving.load), setup, (used, low_pass, seen))
     columns = columns.with_effects(seen)
     if "bias" in setup.nuisances:
         # a free constant torque swallows the gravity of an unknown load
         offset = BIAS_SHARE if columns.loads else np.inf
         prior = held_to_friction(columns.prior, columns.names, level_nm, offset)
         columns = replace(columns, prior=prior)
-    return _solved((columns, still), periods, used, scale_nm, knowledge)
+    return _solved((columns, still), periods, (used, low_pass), scale_nm, knowledge)
 
 
 def _used(moving: Table, robot: Robot, setup: MovingSetup) -> Mask:
@@ -214,16 +217,21 @@ def _check_speeds(moving: Table) -> None:
 
 
 def _solved(
-    rows: tuple[Columns, Still | None], periods: Periods, used: Mask, scale_nm: Floats, knowledge: Knowledge
+    rows: tuple[Columns, Still | None],
+    periods: Periods,
+    taken: tuple[Mask, csr_array | None],
+    scale_nm: Floats,
+    knowledge: Knowledge,
 ) -> MotionFit:
     """Solve with equal weights, weight each axis by its residual, and solve again."""
-    run, (columns, still) = np.asarray(periods.mean.run), rows
-    problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, still)
+    run, (columns, still), (used, low_pass) = np.asarray(periods.mean.run), rows, taken
+    scatter = periods.scatter if low_pass is None else periods.scatter.filtered(low_pass)
+    problem = MotionProblem.of(columns, periods.mean, used, periods.contrasts, low_pass, still)
     problem = _with_gains(problem, knowledge, None)
     finest_nm = _FINEST * float(np.sqrt(np.mean(problem.tau_nm[used] ** 2)))
     scale_nm = np.maximum(scale_nm, finest_nm)
     settled = settle(problem, scale_nm)
-    spread = spread_of(problem, settled, scale_nm, run, periods.scatter)
+    spread = spread_of(problem, settled, scale_nm, run, scatter)
     for _ in range(_WEIGHTED_AGAIN * bool(columns.nuisances)):
         prior = with_run_scatter(columns.prior, columns.names, settled.free.value, settled.free.covariance)
         columns = replace(columns, prior=prior)
@@ -231,7 +239,7 @@ def _solved(
         least_nm = np.maximum(scale_nm / _MOST_REWEIGHTINGS, finest_nm)
         reweighted_nm = np.clip(spread.scale_nm, least_nm, _MOST_REWEIGHTINGS * scale_nm)
         settled = settle(problem, reweighted_nm, settled.here)
-        spread = spread_of(problem, settled, reweighted_nm, run, periods.scatter)
+        spread = spread_of(problem, settled, reweighted_nm, run, scatter)
     return MotionFit(problem, settled, spread)
 
 
@@ -262,16 +270,20 @@ def _without_slipped(periods: Periods, knowledge: Knowledge) -> tuple[Periods, t
 
 
 def _weights(
-    periods: Periods, robot: Robot, knowledge: Knowledge, setup: MovingSetup, rows: tuple[Mask, SeenEffects | None]
+    periods: Periods,
+    robot: Robot,
+    knowledge: Knowledge,
+    setup: MovingSetup,
+    rows: tuple[Mask, csr_array | None, SeenEffects | None],
 ) -> tuple[Floats, Floats]:
     """Standard deviation of each part from its residual in a fit with free links, and Coulomb friction (N,) of that
     fit.
     """
-    moving, (used, seen) = periods.mean, rows
+    moving, (used, low_pass, seen) = periods.mean, rows
     plain = replace(setup, nuisances=tuple(name for name in setup.nuisances if name == "load_inertia"))
     trust = knowledge.inertials if setup.passes is not None else "ignore"
     columns = moving_columns(moving, robot, replace(knowledge, inertials=trust), plain).with_effects(seen)
-    problem = MotionProblem.of(columns, moving, used, periods.contrasts)
+    problem = MotionProblem.of(columns, moving, used, periods.contrasts, low_pass)
     solution, sigma = _reweighted(problem, setup.passes or _REWEIGHTS)
     level_nm = np.maximum(np.abs(columns.dry(solution.value)), _LEAST_SHARE * sigma.max())
     if not setup.nuisances:

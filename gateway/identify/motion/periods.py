@@ -13,11 +13,13 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from gateway.data.periods import EXCITATION, PERIOD, PHASE_S, repeats
 from gateway.data.rows import Table, concatenate
 from gateway.identify.correlation import correlation_time
 from gateway.identify.motion.problem import Contrasts
+from gateway.identify.motion.stretches import Stretches
 from gateway.identify.motion.uncertainty import Scatter
 from gateway.identify.robust import median
 from gateway.result.result import Finding, SetAside
@@ -70,6 +72,12 @@ class Periods:
     set_aside: tuple[SetAside, ...] = ()
     findings: tuple[Finding, ...] = ()
     slipped: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def low_pass(self) -> csr_array:
+        """Matrix (n, n) that filters rows of periods; other rows stay as they are, with a motion of unknown band."""
+        time_s = np.where(repeats(self.mean), self.mean.time_s, np.nan)
+        return Stretches.of(np.asarray(self.mean.run), time_s).low_pass(len(self.mean))
 
     @property
     def contrasts(self) -> Contrasts:

@@ -4,11 +4,12 @@ all rows.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, diags_array
 
 from gateway.data.rows import Table
 from gateway.identify.motion.columns import Columns
@@ -69,9 +70,9 @@ def _orthonormal(count: int) -> Floats:
 class AxisRows:
     """Used rows of one axis, or their differences.
 
-    `rows` (k,) are their indices. `turn` (k, n) transforms all rows into them. `there` (c,) are the columns that act on
-    the axis. `basis` (k, m) is orthonormal. `factor` (m, c + 2) holds those columns, the known torque and the measured
-    torque in that basis.
+    `rows` (k,) are their indices. `turn` (k, n) filters all rows and transforms them into these. `there` (c,) are the
+    columns that act on the axis. `basis` (k, m) is orthonormal. `factor` (m, c + 2) holds those columns, the known
+    torque and the measured torque in that basis.
     """
 
     axis: int
@@ -115,13 +116,18 @@ class MotionProblem:
 
     @staticmethod
     def of(
-        columns: Columns, moving: Table, used: Mask, contrasts: Contrasts, still: Still | None = None
+        columns: Columns,
+        moving: Table,
+        used: Mask,
+        contrasts: Contrasts,
+        low_pass: csr_array | None = None,
+        still: Still | None = None,
     ) -> MotionProblem:
-        """Build the problem from the rows of a table at `used` (n, N)."""
+        """Build the problem from the rows of a table at `used` (n, N), filtered by a matrix (n, n)."""
         parts = [
             part
             for axis in range(moving.axes)
-            for part in _axis_rows(columns, moving.tau_nm[:, axis], used[:, axis], axis, contrasts)
+            for part in _axis_rows(columns, moving.tau_nm[:, axis], axis, contrasts.of_axis(used[:, axis]), low_pass)
         ]
         stretches = Stretches.of(np.asarray(moving.run).astype(str), moving.time_s)
         return MotionProblem(columns, moving.tau_nm, moving.qd_rad_s, used, stretches, tuple(parts), still)
@@ -144,13 +150,28 @@ class About:
     model_nm: Floats
 
 
-def _axis_rows(columns: Columns, tau_nm: Floats, used: Mask, axis: int, contrasts: Contrasts) -> list[AxisRows]:
+def _axis_rows(
+    columns: Columns, tau_nm: Floats, axis: int, parts: Iterable[tuple[Ints, csr_array]], low_pass: csr_array | None
+) -> list[AxisRows]:
     design = columns.design[:, axis]
     size = np.abs(design).max(axis=0, initial=0.0)
     there = np.flatnonzero(size > NOTHING * size.max(initial=0.0))
-    stacked = np.column_stack([design[:, there], columns.known_nm[:, axis], tau_nm])
-    parts = [(rows, turn) for rows, turn in contrasts.of_axis(used) if len(rows)]
-    return [AxisRows(axis, rows, turn, there, *np.linalg.qr(turn @ stacked)) for rows, turn in parts]
+    measured = np.isfinite(tau_nm)
+    stacked = np.column_stack([design[:, there], columns.known_nm[:, axis], np.where(measured, tau_nm, 0.0)])
+    if low_pass is not None:
+        smooth = _of_measured(low_pass, measured)
+        parts = [(rows, turn @ smooth) for rows, turn in parts]
+    return [AxisRows(axis, rows, turn, there, *np.linalg.qr(turn @ stacked)) for rows, turn in parts if len(rows)]
+
+
+def _of_measured(low_pass: csr_array, measured: Mask) -> csr_array:
+    """Return the filter (n, n) that uses the `measured` rows (n,) alone."""
+    if measured.all():
+        return low_pass
+    kept = csr_array(low_pass @ diags_array(measured.astype(float)))
+    kept.eliminate_zeros()
+    total = np.asarray(kept.sum(axis=1))
+    return csr_array(diags_array(1.0 / np.where(total > 0.0, total, 1.0)) @ kept)
 
 
 def about(problem: MotionProblem, value: Floats) -> About:

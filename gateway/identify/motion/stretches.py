@@ -9,6 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
+from scipy.sparse import coo_array, csr_array
+
+from gateway.data.periodic import CUTOFF_HZ
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -17,6 +20,10 @@ Ints = NDArray[np.int_]
 _GAP: Final = 5.0
 #: Least number of rows of a stretch.
 _FEWEST: Final = 8
+#: Frequency that half the power of a low pass passes [Hz]: recorded motion has little beyond twice of it.
+_PASS_HZ: Final = CUTOFF_HZ / 2.0
+#: Length of its kernel to either side, in standard deviations of the Gaussian.
+_REACH: Final = 4.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +57,30 @@ class Stretches:
             square += ((step - said) ** 2).sum(axis=0)
             way += (step**2).sum(axis=0)
         return np.sqrt(square / np.where(way > 0, way, np.inf))
+
+    def low_pass(self, count: int) -> csr_array:
+        """Gaussian low pass of rows (count,) as a matrix (count, count); rows that are in no stretch stay as they are.
+
+        Recorded motion has no frequencies above `CUTOFF_HZ`, recorded torque has. Least squares is unbiased if the same
+        filter acts on the torque and on every column (parallel filtering; Gautier, IEEE ICRA 1997).
+        """
+        std_s = np.sqrt(np.log(2.0)) / (2.0 * np.pi * _PASS_HZ)
+        alone = np.ones(count, dtype=bool)
+        into, of, weight = [], [], []
+        for rows, time in self.parts:
+            alone[rows] = False
+            first, last = (np.searchsorted(time, time + side * _REACH * std_s) for side in (-1.0, 1.0))
+            length = last - first
+            row = np.repeat(np.arange(len(rows)), length)
+            other = np.arange(len(row)) - np.repeat(np.cumsum(length) - length - first, length)
+            kernel = np.exp(-0.5 * ((time[other] - time[row]) / std_s) ** 2)
+            into.append(rows[row])
+            of.append(rows[other])
+            weight.append(kernel / np.bincount(row, kernel)[row])
+        single = np.flatnonzero(alone)
+        row, column = np.concatenate([*into, single]), np.concatenate([*of, single])
+        values = np.concatenate([*weight, np.ones(len(single))])
+        return coo_array((values, (row, column)), shape=(count, count)).tocsr()
 
     def earlier(self, values: Floats, delay_s: ArrayLike) -> tuple[Floats, Floats]:
         """Values (n, N) at `delay_s` (N,) earlier, and their rate of change there [1/s].

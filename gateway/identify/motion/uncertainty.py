@@ -11,6 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from gateway.identify.correlation import correlation_time
 from gateway.identify.motion.convergence import Settled
@@ -43,10 +44,19 @@ class Scatter:
         """Scatter of a run without repeated periods."""
         return Scatter(np.full(axes, np.nan), np.full(axes, np.nan))
 
+    def filtered(self, low_pass: csr_array) -> Scatter:
+        """Return the noise behind a low pass (n, n): of the same power at low frequencies."""
+        length = 1.0 / float(low_pass.power(2).sum(axis=1).min())
+        times = np.maximum(self.times, length)
+        return Scatter(self.std_nm * np.sqrt(self.times / times), times)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MovingSpread:
-    """Covariance (p, p) of a fit, and the noise of its rows: per axis (N,) [Nm], per part as if independent."""
+    """Covariance (p, p) of a fit, and the noise of its rows: per axis (N,) [Nm], per part as if independent.
+
+    The noise of an axis is that of unfiltered rows.
+    """
 
     covariance: Floats
     std_nm: Floats
@@ -92,7 +102,8 @@ def spread_of(
         blocks = by_blocks(np.concatenate(pulls), rows, run, _LONG * float(times.max()))
         for sums in (_by_strokes(problem, pulls), blocks):
             real = wider(real, covariance @ sums @ covariance)
-    return MovingSpread(real + by_prior, by_axis(problem, size), size * np.sqrt(times))
+    raw = [np.sqrt(np.mean(left[problem.used[:, part.axis], part.axis] ** 2)) for part in problem.parts]
+    return MovingSpread(real + by_prior, by_axis(problem, np.maximum(size, raw)), size * np.sqrt(times))
 
 
 def _by_strokes(problem: MotionProblem, pulls: list[Floats]) -> Floats:
