@@ -58,6 +58,7 @@ class ServeOptions:
     unbuffered : in real time, each target is taken over when it arrives instead of at a tick of the drive's own clock
     defect : defects of drives, each NODE:NAME (`sim.drive_defects`)
     timing : where frames and motion of the drives are written at the end (`sim.timing_record`)
+    noise_seed : seed of noise and of the scatter of friction in place of `seed`; None = `seed`, or always the same
     """
 
     bus: str | None = None
@@ -70,6 +71,7 @@ class ServeOptions:
     unbuffered: bool = False
     defect: tuple[str, ...] = ()
     timing: Path | None = None
+    noise_seed: int | None = None
 
 
 class Simulation:
@@ -129,7 +131,8 @@ class Simulation:
             named = {"arm": arm.name} if len(self.cell.arms) > 1 else {}
             self.effects = [*self.effects, *(effect | named for effect in effects)]
         plant = apply_effects(plant, effects, point_jacobian(arm.chain))
-        noise = (NOISE_SEED if seed is None else seed) + 1000 * index
+        drawn = seed if self._options.noise_seed is None else self._options.noise_seed
+        noise = (NOISE_SEED if drawn is None else drawn) + 1000 * index
         return ArmUnit(arm, plant, self.cell.buses[arm.bus].sync_period_s, noise)
 
     @property

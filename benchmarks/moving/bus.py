@@ -111,7 +111,7 @@ def run_bus_cell(job: tuple[int, str]) -> dict:
     plan = make_moving_plan(load_cell(place.cell), None, MovingRequest(period_s=PERIOD_S, periods=PERIODS, seed=seed))
     bus = f"virtual:moving-{uuid.uuid4().hex}"
     files = {"payload": place.folder / "payload.toml", "undeclared": place.folder / "hidden.toml"}
-    with running(place.cell, bus, **files) as handle:
+    with running(place.cell, bus, noise_seed=seed, **files) as handle:
         record_both(place, handle, plan)
         truth = _truth(place, handle)
     reported = estimated(place)
@@ -127,7 +127,7 @@ def run_bus_cell(job: tuple[int, str]) -> dict:
 
 
 def _truth(place: Place, handle: RunningSimulation) -> Truth:
-    """What the simulated arm obeys; its Coulomb friction differs from motion to motion and has no one truth."""
+    """What the simulated arm obeys; its Coulomb friction scatters from start to start about the true one."""
     assert handle.simulation is not None
     plant = handle.simulation.arms[0].world.plant
     unknown = np.full(plant.axes, np.nan)

@@ -27,7 +27,7 @@ BLOCK_ROWS = 2048
 _FORMULA = re.compile(r"'*[=+\-@]")
 TEXT = frozenset({"run", "load"})
 #: Columns of our own that rows at rest have and rows of a motion have not, or the other way round.
-_OWN_OF_ONE_KIND = ("x_validation", "x_excitation", "x_period", "x_phase_s")
+_OWN_OF_ONE_KIND = ("x_validation", "x_excitation", "x_period", "x_phase_s", "x_motion_hz")
 _OF_ONE_KIND = ("qd{}_rad_s", "qdd{}_rad_s2", "tau{}_std_nm", "taum{}_std_nm", "i{}_std_a")
 BLANK_ALLOWED = frozenset(
     {"pose", "time_s", *_OWN_OF_ONE_KIND, *(pattern.format(i) for pattern in _OF_ONE_KIND for i in AXES)}
@@ -75,6 +75,9 @@ PERIOD_COLUMNS = (
     Column("x_excitation", "", "no", "moving samples: number of the motion, equal for equal motion and speed"),
     Column("x_period", "", "no", "number of the period; samples of one instant in two periods differ by noise alone"),
     Column("x_phase_s", "s", "no", "time in the period"),
+    Column(
+        "x_motion_hz", "Hz", "no", "frequency above which the motion was filtered; an estimate filters the torque too"
+    ),
 )
 PATTERNS = tuple(column.name for column in COLUMNS if "{}" in column.name)
 AXIS_OF = {pattern.format(axis): axis for pattern in PATTERNS for axis in AXES}

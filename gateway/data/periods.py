@@ -18,6 +18,8 @@ Mask = NDArray[np.bool_]
 
 #: Columns of a table that say which excitation a row belongs to (a number), which period, and the time in it [s].
 EXCITATION, PERIOD, PHASE_S = "x_excitation", "x_period", "x_phase_s"
+#: Column with the frequency up to which the motion of a row was kept [Hz]; the torque has all frequencies.
+MOTION_HZ = "x_motion_hz"
 #: Minimum number of periods for a noise estimate.
 FEWEST = 2
 

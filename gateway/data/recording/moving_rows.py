@@ -11,8 +11,8 @@ from drives.errors import ProfileError
 from drives.profile_file import parse_profile
 from gateway.cell.config import ArmConfig
 from gateway.data.period import Period
-from gateway.data.periodic import by_harmonics, by_low_pass
-from gateway.data.periods import EXCITATION, PERIOD, PHASE_S
+from gateway.data.periodic import CUTOFF_HZ, by_harmonics, by_low_pass
+from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S
 from gateway.data.rows import MOVING, Table
 from gateway.errors import InputError
 
@@ -83,5 +83,6 @@ def period_rows(period: Period, tau_nm: np.ndarray, path: Path, harmonics: int, 
             EXCITATION: np.full(n, float(period.motion)),
             PERIOD: np.full(n, float(period.period)),
             PHASE_S: np.arange(n) * (period.period_s / n),
+            MOTION_HZ: np.full(n, CUTOFF_HZ),
         },
     )

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from gateway.data.periods import EXCITATION, PERIOD, PHASE_S, repeats
+from gateway.data.periods import EXCITATION, MOTION_HZ, PERIOD, PHASE_S, repeats
 from gateway.data.rows import Table, concatenate
 from gateway.identify.correlation import correlation_time
 from gateway.identify.motion.problem import Contrasts
@@ -74,10 +74,13 @@ class Periods:
     slipped: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def low_pass(self) -> csr_array:
-        """Matrix (n, n) that filters rows of periods; other rows stay as they are, with a motion of unknown band."""
-        time_s = np.where(repeats(self.mean), self.mean.time_s, np.nan)
-        return Stretches.of(np.asarray(self.mean.run), time_s).low_pass(len(self.mean))
+    def low_pass(self) -> csr_array | None:
+        """Matrix (n, n) that filters the rows whose motion was filtered; None without such rows."""
+        limit_hz = self.mean.extra.get(MOTION_HZ, np.full(len(self.mean), np.nan))
+        if not np.isfinite(limit_hz).any():
+            return None
+        time_s = np.where(np.isfinite(limit_hz), self.mean.time_s, np.nan)
+        return Stretches.of(np.asarray(self.mean.run), time_s).low_pass(len(self.mean), float(np.nanmin(limit_hz)))
 
     @property
     def contrasts(self) -> Contrasts:

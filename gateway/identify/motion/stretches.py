@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 from scipy.sparse import coo_array, csr_array
 
-from gateway.data.periodic import CUTOFF_HZ
-
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
@@ -20,8 +18,8 @@ Ints = NDArray[np.int_]
 _GAP: Final = 5.0
 #: Least number of rows of a stretch.
 _FEWEST: Final = 8
-#: Frequency that half the power of a low pass passes [Hz]: recorded motion has little beyond twice of it.
-_PASS_HZ: Final = CUTOFF_HZ / 2.0
+#: Frequency that half the power of a low pass passes, over the one above which it removes nearly all.
+_PASS: Final = 0.5
 #: Length of its kernel to either side, in standard deviations of the Gaussian.
 _REACH: Final = 4.0
 
@@ -58,13 +56,13 @@ class Stretches:
             way += (step**2).sum(axis=0)
         return np.sqrt(square / np.where(way > 0, way, np.inf))
 
-    def low_pass(self, count: int) -> csr_array:
+    def low_pass(self, count: int, cutoff_hz: float) -> csr_array:
         """Gaussian low pass of rows (count,) as a matrix (count, count); rows that are in no stretch stay as they are.
 
-        Recorded motion has no frequencies above `CUTOFF_HZ`, recorded torque has. Least squares is unbiased if the same
-        filter acts on the torque and on every column (parallel filtering; Gautier, IEEE ICRA 1997).
+        Torque has frequencies that a filtered motion lacks. Least squares is unbiased if one filter acts on the torque
+        and on every column (parallel filtering; Gautier, IEEE ICRA 1997).
         """
-        std_s = np.sqrt(np.log(2.0)) / (2.0 * np.pi * _PASS_HZ)
+        std_s = np.sqrt(np.log(2.0)) / (2.0 * np.pi * _PASS * cutoff_hz)
         alone = np.ones(count, dtype=bool)
         into, of, weight = [], [], []
         for rows, time in self.parts:

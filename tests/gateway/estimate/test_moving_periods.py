@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio
 import pytest
 
+from gateway.data.periods import MOTION_HZ
 from gateway.data.rows import MOVING, concatenate
 from gateway.estimate import EstimateOptions, estimate, run
 from gateway.identify.motion.columns import MovingSetup, moving_columns
@@ -148,6 +149,33 @@ def test_intervals_hold_under_coloured_noise(clean, robot):
     assert np.mean(axes) > 0.85
 
 
+def test_friction_that_differs_between_runs_is_that_of_the_arm(clean, robot):
+    """Levels of 10 % in each run; the scatter follows from all axes, and without one the intervals stay narrow."""
+    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
+    dry = COULOMB * np.tanh(np.column_stack([states(time - delay)[1][:, k] for k, delay in enumerate(DELAY)]) / 0.02)
+    level = 0.1 * np.random.default_rng(8).normal(size=(2, 6))
+    runs = {label: tau + share * dry for (label, tau), share in zip(clean.items(), level, strict=True)}
+    equal, scattered = (run(table_of_periods(tau, 0.3, seed=2), robot, EXACT) for tau in (clean, runs))
+    off = (numbers(scattered, "coulomb_nm") - COULOMB) / numbers(scattered, "coulomb_std_nm")
+    assert (np.abs(off) < 2.5).all()
+    share = numbers(scattered, "coulomb_std_nm") / COULOMB
+    assert (share > 0.04).all()
+    assert (numbers(equal, "coulomb_std_nm") < 0.5 * share * COULOMB)[:3].all()
+    assert scattered.loads[0].mass_kg == pytest.approx(MASS, rel=5e-3)
+
+
+def test_torque_is_filtered_as_the_motion_is(clean, robot):
+    """An oscillation above the band of the motion is no friction and no noise."""
+    time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
+    swing = 0.5 * COULOMB * np.sin(2 * np.pi * 12.0 * time)[:, None]
+    table = table_of_periods({label: tau + swing for label, tau in clean.items()}, 0.1)
+    said = replace(table, extra={**table.extra, MOTION_HZ: np.full(len(table), 10.0)})
+    plain, filtered = (run(one, robot, EXACT) for one in (table, said))
+    assert filtered.loads[0].mass_kg == pytest.approx(MASS, rel=3e-3)
+    for name in ("coulomb_std_nm", "viscous_std_nm_s_rad"):
+        assert (numbers(filtered, name) < numbers(plain, name)).mean() > 0.5, name
+
+
 def falling(time_s, share, speed_rad_s, power):
     """What breakaway friction adds, which falls with a power of the speed, on a drive that does not lag."""
     speed = states(time_s)[1]
@@ -163,7 +191,7 @@ def test_a_fall_from_breakaway_of_any_shape_is_not_taken_for_coulomb_friction(cl
     truths = {"coulomb_{}nm": COULOMB, "viscous_{}nm_s_rad": VISCOUS}
     for name, truth in truths.items():
         off = np.abs(numbers(result, name.format("")) - truth)
-        assert (off < 2.0 * numbers(result, name.format("std_")))[:3].all(), name
+        assert (off < 2.1 * numbers(result, name.format("std_")))[:3].all(), name
         assert (off < 0.07 * truth)[:3].all(), name
     breakaway = numbers(result, "breakaway_nm") / COULOMB
     assert breakaway[0] == pytest.approx(1.4, abs=0.2)
