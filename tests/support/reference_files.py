@@ -132,8 +132,8 @@ def _periods() -> list[str]:
             f" of the setpoints. For a sweep they follow from a zero-phase low pass (half the power at {CUTOFF_HZ:g}"
             " Hz). They are shifted back by the delay of the torque filter (`filter_s` of the profiles, mean of all"
             " axes). `run` is the name of the file and the number of the period. `x_excitation` identifies rows that"
-            " repeat (motion and speed), `x_period` and `x_phase_s` the period and the time in it; rows at rest"
-            " leave them empty."
+            " repeat (motion and speed), `x_period` and `x_phase_s` the period and the time in it, `x_motion_hz` the"
+            f" {CUTOFF_HZ:g} Hz; rows at rest leave them empty."
         ),
     ]
 

@@ -165,7 +165,7 @@ def test_friction_that_differs_between_runs_is_that_of_the_arm(clean, robot):
 
 
 def test_torque_is_filtered_as_the_motion_is(clean, robot):
-    """An oscillation above the band of the motion is no friction and no noise."""
+    """An oscillation above the band of the motion widens no interval."""
     time = np.arange(round(PERIOD_S * RATE_HZ)) / RATE_HZ
     swing = 0.5 * COULOMB * np.sin(2 * np.pi * 12.0 * time)[:, None]
     table = table_of_periods({label: tau + swing for label, tau in clean.items()}, 0.1)
