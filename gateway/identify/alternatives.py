@@ -37,7 +37,7 @@ _ZEROS_RAD: Final = (0.002, 0.01)
 #: Standard deviations of a hose's weight on each link over that of the load, and of its torque over the axis's own.
 _CABLES: Final = (0.01, 0.04)
 #: Prior odds of each alternative against the statement.
-_PRIOR_ODDS: Final = 0.1
+PRIOR_ODDS: Final = 0.1
 
 
 def wider_links(inertials: str) -> list[float]:
@@ -85,7 +85,7 @@ def spread_of_loads(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Kno
     tried += [(ZEROS, line.tried(std, 0.0, np.where(own, size, 0.0))) for size in _ZEROS_RAD]
     tried += [(CABLE, line.tried(std, 0.0, np.where(own, 0.0, size))) for size in _CABLES if cable.shape[1]]
     odds = np.array([other.log_evidence - stated.log_evidence for _, other in tried])
-    weight = _PRIOR_ODDS * np.exp(np.minimum(odds, 50.0))
+    weight = PRIOR_ODDS * np.exp(np.minimum(odds, 50.0))
     weight /= 1.0 + weight.sum()
     out: dict[str, Floats] = {}
     for (source, other), share in zip(tried, weight, strict=True):

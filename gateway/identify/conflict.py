@@ -17,11 +17,18 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from gateway.data.labels import BARE_LABEL
-from gateway.identify.alternatives import LINK_SCALE, LINK_SPREADS, spread_of_loads, wider_statements, wider_std
+from gateway.identify.alternatives import (
+    LINK_SCALE,
+    LINK_SPREADS,
+    PRIOR_ODDS,
+    spread_of_loads,
+    wider_statements,
+    wider_std,
+)
 from gateway.identify.known_load import least_supported, load_contradicted
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
-from gateway.identify.rest.hypothesis_fit import fit_without_effects
+from gateway.identify.rest.hypothesis_fit import doubt, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
@@ -45,7 +52,8 @@ class SettledKnowledge:
     """Knowledge after the tests, the fit with it, and the contradicted statements.
 
     `stated` is the problem and the fit with the stated knowledge. `spread` (labels, 4, 4) is, by source, the covariance
-    of [m, h] due to possible errors of statements that are not contradicted.
+    of [m, h] due to possible errors of statements that are not contradicted. `log_odds` are the posterior log odds of
+    the first widened group against the model without effects.
     """
 
     stated: tuple[RestProblem, Fit]
@@ -54,6 +62,7 @@ class SettledKnowledge:
     fit: Fit
     findings: tuple[Finding, ...]
     spread: Mapping[str, Floats] = field(default_factory=dict)
+    log_odds: float = 0.0
 
 
 def settle(
@@ -72,9 +81,9 @@ def settle(
     if stated is None:
         problem = build_problem(robot, rows, trusted)
         stated = problem, fit_without_effects(problem)
-    settled, (problem, fit) = trusted, stated
+    settled, (problem, fit), gained = trusted, stated, []
     for _ in range(_ROUNDS):
-        wider = _wider_knowledge(problem, fit, robot, settled)
+        wider, odds = _wider_knowledge(problem, fit, robot, settled)
         if wider is None:
             break
         other = build_problem(robot, rows, wider)
@@ -82,9 +91,12 @@ def settle(
         if not _shows(robot, other, refitted, settled, wider):
             break
         settled, problem, fit = wider, other, refitted
+        gained.append(odds)
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)
-    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread)
+    before = doubt(*stated, stated[1].covariance, np.zeros(0, int)) - np.log(PRIOR_ODDS)
+    log_odds = gained[0] - before if gained else 0.0
+    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds)
 
 
 def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:
@@ -94,8 +106,10 @@ def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wide
     return all(away > CONFLICT.shown for away, _ in _contradicted(robot, problem, fit, stated, wider))
 
 
-def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge) -> Knowledge | None:
-    """Return the knowledge with the most contradicted group widened; None where no group is contradicted."""
+def _wider_knowledge(
+    problem: RestProblem, fit: Fit, robot: Robot, knowledge: Knowledge
+) -> tuple[Knowledge | None, float]:
+    """Return the knowledge with the most contradicted group widened, and its log odds; None where none is."""
     line = LinearisedFit.of(problem, fit)
     stated = line.evidence(problem.common_std)
     best, found = CONFLICT.log_odds, None
@@ -106,11 +120,12 @@ def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Kn
     link_odds = line.evidence(problem.common_std, LINK_SCALE) - stated
     freed, odds = least_supported(robot, problem, fit, knowledge)
     if freed is not None and odds > max(best, link_odds):
-        return freed
+        return freed, odds
     if link_odds > best:
-        return replace(knowledge, inertials="ignore" if _unloaded(problem, knowledge) else f"prior:{LINK_SCALE:g}")
+        wider = "ignore" if _unloaded(problem, knowledge) else f"prior:{LINK_SCALE:g}"
+        return replace(knowledge, inertials=wider), link_odds
     if found is None:
-        return None
+        return None, 0.0
     weighed = knowledge.known or knowledge.masses
     if (
         found.gain_std != knowledge.gain_std
@@ -120,8 +135,8 @@ def _wider_knowledge(problem: RestProblem, fit: Fit, robot: Robot, knowledge: Kn
     ):
         # constants and links contradict each other, and the rows cannot decide which are wrong: the arm is measured, so
         # the statement on the links is not needed
-        return replace(knowledge, inertials="ignore")
-    return dropped(knowledge, found)
+        return replace(knowledge, inertials="ignore"), best
+    return dropped(knowledge, found), best
 
 
 def _unloaded(problem: RestProblem, knowledge: Knowledge) -> bool:

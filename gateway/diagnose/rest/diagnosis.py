@@ -199,18 +199,15 @@ class RestDiagnosis:
     def _with_statements_tested(self, found: Found) -> Found:
         """Repeat the search with wider priors for contradicted statements, if these are the more likely cause.
 
-        Wrong masses of the robot model look like wrong constants and links on most axes. One or two of them count as
-        effects, more of them as a wrong statement. A known load is dropped if fewer effects explain the rows without
-        it. If no effect was found, the result is that of `estimate`.
+        Wrong masses of the robot model look like wrong constants and links on most axes; so one wider prior competes
+        with all effects by evidence. A known load is dropped if fewer effects explain the rows without it. If no effect
+        was found, the result is that of `estimate`.
         """
-        effects = found.chosen.terms
-        statement_like = sum(term.scales_reading or term.name == "link_mass" for term in effects)
-        likelier = not effects or statement_like >= REST.statement_effects
-        if not (likelier or self.knowledge.weighed):
-            return found
+        effects, search = found.chosen.terms, found.search
         settled = settle(self.robot, found.now.problem.rows, self.knowledge, (found.now.problem, found.now.plain))
         if settled.knowledge is self.knowledge:
             return replace(found, settled=settled)
+        likelier = settled.log_odds > search.score(found.chosen) - search.score(search.fitted(())) if effects else True
         if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
         now = replace(found.now, problem=settled.problem, plain=settled.fit)

@@ -24,12 +24,6 @@ class RestThresholds:
     least_strength: float = threshold(
         0.5, "noise floors", "smallest strength of a named effect after projecting out links, loads and bands", BLIND
     )
-    least_link_strength: float = threshold(
-        0.8,
-        "noise floors",
-        "smallest strength of an extra mass on a link, because wrong CAD values look like it",
-        BLIND,
-    )
     unseen: float = threshold(
         1.0,
         "std",
@@ -178,12 +172,6 @@ class RestThresholds:
         "",
         "smallest deviation of a scale from 1 that may be a factor of sqrt 2",
         "1 minus sqrt 0.5, minus 5 % error of the CAD values",
-    )
-    statement_effects: int = threshold(
-        3,
-        "",
-        "number of wrong constants and links from which the whole statement counts as wrong",
-        "no cell of `make blind` has more than two effects",
     )
     far_from_cad: float = threshold(
         60.0,

@@ -144,21 +144,12 @@ def strength(search: Search, full: Fit, term: Term) -> float:
 
 
 def _without_weak(search: Search, chosen: Fit) -> Fit:
-    """Return an equally good hypothesis with strong effects only, if there is one; else the chosen one.
-
-    An effect that a correction of the CAD's links explains equally well must be as strong as a link error must be.
-    """
-    weak = [term for term in chosen.terms if not strong(search, chosen, term)]
-    if not weak:
+    """Return an equally good hypothesis with strong effects only, if there is one; else the chosen one."""
+    if all(strong(search, chosen, term) for term in chosen.terms):
         return chosen
     level = search.score(chosen) - REST.needed
-    least = REST.least_link_strength if all(term.name == "link_mass" for term in weak) else REST.least_strength
     as_good = [fit for fit in search.pool.values() if search.score(fit) >= level and fit.terms]
-    better = [
-        fit
-        for fit in as_good
-        if all(strong(search, fit, term) and strength(search, fit, term) >= least for term in fit.terms)
-    ]
+    better = [fit for fit in as_good if all(strong(search, fit, term) for term in fit.terms)]
     return pruned(search, search.best(better)) if better else chosen
 
 
@@ -248,13 +239,15 @@ def in_std(gained: Floats) -> float:
 
 
 def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
-    """Return True if the data, not only the prior of the links, prove an effect that exceeds the nuisance priors."""
-    if term.name == UNNAMED:
+    """Return True if the data, not only the prior of the links, prove an effect that exceeds the nuisance priors.
+
+    A body on a link is a correction of the links itself; the evidence decides, with the doubt of all stated errors.
+    """
+    if term.name in (UNNAMED, "link_mass"):
         return True
     if len(_replaced_places(search.problem, term)):
         return exceeds_nuisance_prior(search.problem, hypothesis, term)
-    least = REST.least_link_strength if term.name == "link_mass" else REST.least_strength
-    return strength(search, hypothesis, term) >= least
+    return strength(search, hypothesis, term) >= REST.least_strength
 
 
 def _key(search: Search, hypothesis: Fit) -> Key:

@@ -232,9 +232,9 @@ def test_bare_run_alone_is_judged(clean):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("times", "named"), [(0.8, False), (4.0, True)])
+@pytest.mark.parametrize(("times", "named"), [(0.1, False), (0.8, True), (4.0, True)])
 def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
-    """Light in the torque it is a correction of the drawing, heavy it is named; it is never a mistake of the drives."""
+    """Within the stated error of the drawing nothing is named, beyond it the link; it is never a mistake of the drives."""
     body = Bench(2, []).arm.chain.bodies[3]
     assert body is not None
     moment = [float(value) for value in 0.5 * times * body.mass_kg * np.array([0.5, 0.3, 0.4])]
@@ -242,7 +242,6 @@ def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
     result = diagnose(heavy.both(), heavy.robot, heavy.options)
     assert not result.failed
     assert found(result) == ([("link_mass", (4,))] if named else [])
-    assert ("links" in {finding.where for finding in result.findings}) != named
     tool = heavy.arm.loads["tool"]
     assert abs(result.loads[0].mass_kg - tool.mass_kg) < 4 * result.loads[0].mass_std_kg
 

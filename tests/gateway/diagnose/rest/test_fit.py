@@ -10,7 +10,7 @@ from scipy import stats
 
 from gateway.data.table import Table
 from gateway.diagnose.rest.holdout import left_out
-from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.hypothesis_fit import doubt, fit, over_factors
 from gateway.identify.rest.linear import common_columns, modelled, with_terms
 from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.rest.start_noise import first_noise
@@ -64,8 +64,24 @@ def test_the_evidence_is_the_density_less_the_volume_of_the_priors(problem, fits
         )
         widths = np.log(again.prior_std[problem.nuisance_part.start :]).sum()
         expected = again.mode - 0.5 * np.linalg.slogdet(information)[1] - widths
+        expected += doubt(problem, again, again.covariance, problem.taken_over(again.terms))
         assert again.evidence == pytest.approx(expected, abs=1e-3)
         assert found.evidence == pytest.approx(expected, abs=0.5)
+
+
+def test_wrong_standard_deviations_of_a_prior_are_averaged_over():
+    """Against the density of the rows by scipy, with priors of each width."""
+    rng = np.random.default_rng(3)
+    columns, rows = rng.standard_normal((7, 4)), rng.standard_normal(7) * 3.0
+    information = np.eye(4) + columns.T @ columns
+    covariance = np.linalg.inv(information)
+    factors = 2.0 ** np.linspace(-1.0, 1.0, 5)
+    likely = stats.norm.pdf(np.linspace(-2.0, 2.0, 5))
+    density = [
+        stats.multivariate_normal.pdf(rows, cov=np.eye(7) + factor**2 * columns @ columns.T) for factor in factors
+    ]
+    expected = np.log(density @ likely / likely.sum() / density[2])
+    assert over_factors(covariance @ columns.T @ rows, covariance) == pytest.approx(expected, abs=1e-9)
 
 
 def test_an_offset_that_is_there_is_found_with_its_size(fits):
