@@ -1,6 +1,7 @@
-"""Loads head to head: the gateway, plain least squares, FIGAROH and the system identification of MuJoCo on the same cells.
+"""Loads head to head: the gateway, plain least squares, FIGAROH and MuJoCo sysid on the same cells.
 
-python -m benchmarks.loads [--seeds development|test|FIRST:END] [--cells N] [--motion N] [--methods NAMES] [--out out/loads]
+python -m benchmarks.loads [--seeds development|test|FIRST:END] [--cells N] [--motion N] [--methods NAMES]
+    [--out out/loads]
 
 Of each seed range so many cells are drawn at rest and in motion. Every method answers in a process of its own. The test
 seeds are run once for the published table and never tuned on.

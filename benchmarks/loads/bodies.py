@@ -1,4 +1,4 @@
-"""Load of ten parameters that are linear in the torque, and of a function of other parameters, with standard deviations."""
+"""Mass, centre and inertia of identified parameters, with standard deviations."""
 
 from __future__ import annotations
 

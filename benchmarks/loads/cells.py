@@ -1,4 +1,4 @@
-"""Cells of the benchmark: arms without a missing effect, at rest as in `benchmarks.naming`, and the same files of moving runs.
+"""Cells of the benchmark: arms without a missing effect, at rest and in motion.
 
 Both kinds come from `sim.nature`, which shares no formula with the gateway. The folders have the files of a cell of
 `benchmarks.naming` and are read by its `read_cells`.
@@ -50,7 +50,7 @@ def write_moving_cells(seeds: Sequence[int], folder: Path) -> None:
         write_place(place, cell.stated, None)
         write_csv(cell.table(), place / "table.csv")
         axes = drawn_truth(cell.arm, cell.motion, cell.start_s, {}).axes
-        values = {key: axes[key] if key in axes else cell.arm.gain for key in AXIS_NAMES}
+        values = {key: axes.get(key, cell.arm.gain) for key in AXIS_NAMES}
         entry = {
             "cell": name,
             "seed": seed,

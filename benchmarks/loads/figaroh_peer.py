@@ -1,9 +1,8 @@
 """FIGAROH in the benchmark: its regressor, its base parameters and its weighted least squares, once for each load.
 
-The load is the difference of the last link's parameters between the loaded and the unloaded run. The last link's
-parameters are grouped with those of other links, so the difference is taken through FIGAROH's mapping from standard to
-base parameters, weighted by the covariance of its weighted least squares. FIGAROH's own columns for a payload need its
-true mass, which no cell states.
+The load is the difference of the last link's parameters between the loaded and the unloaded run. FIGAROH groups these
+parameters with those of other links. The difference is taken through its mapping from standard to base parameters, with
+the covariance of its weighted least squares. Its columns for a payload need the true mass, which no cell states.
 """
 
 from __future__ import annotations
@@ -116,8 +115,8 @@ def _difference(bare: _Base, loaded: _Base, joints: list[str], moving: bool) -> 
     lower = np.hstack([loaded.mapping, loaded.mapping[:, places]])
     design = np.vstack([_whitened(bare, upper), _whitened(loaded, lower)])
     target = np.concatenate([_whitened(bare, bare.values), _whitened(loaded, loaded.values)])
-    found = np.linalg.lstsq(design, target, rcond=1e-10)[0]
-    covariance = np.linalg.pinv(design.T @ design, rcond=1e-14)
+    found = np.asarray(np.linalg.lstsq(design, target, rcond=1e-10)[0], dtype=np.float64)
+    covariance = np.asarray(np.linalg.pinv(design.T @ design, rcond=1e-14), dtype=np.float64)
     part = slice(count, count + len(own))
     determined = np.diag(np.linalg.pinv(bare.mapping) @ bare.mapping) > DETERMINED
     alone = dict(zip(bare.names, np.where(determined, found[:count], np.nan), strict=True))
@@ -126,4 +125,4 @@ def _difference(bare: _Base, loaded: _Base, joints: list[str], moving: bool) -> 
 
 
 def _whitened(base: _Base, values: Floats) -> Floats:
-    return np.linalg.solve(np.linalg.cholesky(base.covariance), values)
+    return np.asarray(np.linalg.solve(np.linalg.cholesky(base.covariance), values), dtype=np.float64)

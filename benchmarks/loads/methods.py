@@ -55,6 +55,6 @@ def memory_file(folder: Path, method: str) -> Path:
 
 
 def peak_memory_mib() -> float:
-    """Return the largest resident size of this process, imports included; Linux counts it from the start of the program."""
+    """Return the largest resident size of this process since its start, imports included (Linux)."""
     lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
     return float(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) / 1024.0

@@ -9,30 +9,27 @@ seconds, and has no motion at rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, Final
 
 import mujoco  # pyright: ignore[reportMissingImports]
 import numpy as np
 from mujoco import sysid  # pyright: ignore[reportMissingImports]
 from mujoco.sysid._src.model_modifier import pi_from_theta  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
-from scipy.signal import decimate
 
 from benchmarks.loads.bodies import Identified, identified
-from benchmarks.loads.runs import BARE, TOOL, Run, quiet, runs_of
+from benchmarks.loads.runs import BARE, TOOL, Run, quiet, runs_of, thinned
 from benchmarks.naming.cells import Cell
 
 Floats = NDArray[np.float64]
 
-#: Factor by which samples of 100 Hz are thinned, behind a filter without delay.
-THINNED = 10
 #: Start value of the load: mass over that of the last link, distance of its centre [m].
 START_MASS, START_OUT_M = 1.0, 0.05
 MASS_FACTORS = np.array([0.01, 100.0])
 LINK_FACTORS = np.array([0.5, 2.0])
 OFFSETS_M = np.array([-1.0, 1.0])
-#: Iterations of an optimization.
-MOST_STEPS = 50
+#: Of `sysid.optimize`; its default optimizer stops at once where combinations of links have no effect.
+OPTIONS: Final = {"optimizer": "scipy", "x_scale": "jac", "max_iters": 50, "ftol": 1e-4}
 
 
 def identify(cell: Cell, moving: bool) -> Identified:
@@ -42,25 +39,23 @@ def identify(cell: Cell, moving: bool) -> Identified:
 
 
 def _identify(cell: Cell, moving: bool) -> Identified:
-    runs = {label: _thinned(run) if moving else run for label, run in runs_of(cell, moving).items()}
+    runs = runs_of(cell, moving)
+    if moving:
+        runs = {label: thinned(run) for label, run in runs.items()}
     specs = {BARE: _spec(cell.urdf, False), TOOL: _spec(cell.urdf, True)}
     names = [joint.name for joint in specs[BARE].joints]
     parameters = _parameters(specs[TOOL], names, moving)
     weights = np.ones(len(names))
-    residual, result = np.zeros(0), None
+    residual, jacobian = np.zeros(0), np.zeros((0, 0))
     for _ in range(2):
         function = _residual_function(runs, specs, weights)
-        parameters, result = sysid.optimize(parameters, function, verbose=False, **_options())
+        parameters, result = sysid.optimize(parameters, function, verbose=False, **OPTIONS)
         parts = function(result.x, parameters)[0]
-        residual = np.concatenate(parts)
+        residual, jacobian = np.concatenate(parts), result.jac
         by_axis = np.concatenate([part.reshape(-1, len(names)) for part in parts]) / weights
         weights = 1.0 / np.sqrt((by_axis**2).mean(axis=0))
-    covariance, _ = sysid.calculate_intervals([residual], result.jac)
+    covariance, _ = sysid.calculate_intervals([residual], jacobian)
     return _answer(parameters, covariance, names, moving)
-
-
-def _options() -> dict[str, Any]:
-    return {"optimizer": "mujoco", "max_iters": MOST_STEPS, "x_scale": "jac"}
 
 
 def _spec(urdf: str, loaded: bool) -> Any:
@@ -98,7 +93,7 @@ def _parameters(spec: Any, joints: Sequence[str], moving: bool) -> Any:
             sysid.body_inertia_param(
                 spec.copy(), model, name, kind, mass_bound_mult=MASS_FACTORS if own else LINK_FACTORS,
                 ipos_bound_off=OFFSETS_M, stretch_bound_mult=np.array([0.01, 100.0]),
-                shear_bound_off=OFFSETS_M, modifier=_where_present(name),
+                shear_bound_off=OFFSETS_M, modifier=_body_modifier(name, moving),
             )
         )  # fmt: skip
     scale = {"frictionloss": 1000.0, "damping": 1000.0, "armature": 500.0} if moving else {}
@@ -110,12 +105,21 @@ def _parameters(spec: Any, joints: Sequence[str], moving: bool) -> Any:
     return out
 
 
-def _where_present(body: str) -> Callable[[Any, Any], None]:
+def _body_modifier(name: str, pseudo: bool) -> Callable[[Any, Any], None]:
+    """Write a body of the model, if it has it.
+
+    `sysid.apply_body_inertia` of version 4.0.0 compiles the model for each body, and writes a rotation of NaN with the
+    pseudo-inertia, with which the model does not compile.
+    """
+
     def modifier(spec: Any, parameter: Any) -> None:
-        if any(each.name == body for each in spec.bodies):
-            sysid.apply_body_inertia(spec, body, parameter)
-            if np.isnan(spec.body(body).iquat).any():  # version 4.0.0 does not compile what its function writes
-                spec.body(body).iquat = [1.0, 0.0, 0.0, 0.0]
+        body = spec.body(name)
+        if body is None:
+            return
+        values = _body_of_pseudo_inertia(parameter.value) if pseudo else parameter.value
+        body.mass, body.ipos = values[0], values[1:4]
+        if pseudo:
+            body.inertia, body.iquat, body.fullinertia = np.zeros(3), [1.0, 0.0, 0.0, 0.0], values[4:]
 
     return modifier
 
@@ -195,8 +199,3 @@ def _body_of_pseudo_inertia(theta: Floats) -> Floats:
     mass, centre = linear[0], linear[1:4] / linear[0]
     tensor = linear[4:].reshape(3, 3) - mass * (centre @ centre * np.eye(3) - np.outer(centre, centre))
     return np.array([mass, *centre, *tensor[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
-
-
-def _thinned(run: Run) -> Run:
-    signals = (run.time_s, run.q, run.qd, run.qdd, run.tau)
-    return Run(*(decimate(values, THINNED, axis=0, zero_phase=True) for values in signals))

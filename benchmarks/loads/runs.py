@@ -6,7 +6,7 @@ import contextlib
 import io
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,11 +14,15 @@ from numpy.typing import NDArray
 
 from benchmarks.naming.cells import Cell
 from gateway.model.visits import pair_visits
+from tests.support.moving.cells import PERIODS
 
 Floats = NDArray[np.float64]
 
 #: Labels of the unloaded and of the loaded run.
 BARE, TOOL = "none", "tool"
+
+#: Samples of a period of which one is used.
+THINNED = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +55,14 @@ def _rest_run(cell: Cell, label: str) -> Run:
     return Run(visits.time_s[rows], q, np.zeros_like(q), np.zeros_like(q), tau)
 
 
+def thinned(run: Run) -> Run:
+    """Return every fourth sample of the mean over the periods; a filter would blur where friction reverses."""
+    signals = (run.time_s, run.q, run.qd, run.qdd, run.tau)
+    return Run(*(values.reshape(PERIODS, -1, *values.shape[1:]).mean(axis=0)[::THINNED] for values in signals))
+
+
 @contextlib.contextmanager
-def quiet() -> Iterator[None]:
+def quiet() -> Generator[None]:
     """Suppress what a peer prints, logs and warns."""
     before = logging.root.manager.disable
     logging.disable(logging.ERROR)

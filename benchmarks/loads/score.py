@@ -20,9 +20,9 @@ GAIN_ROW: Final = "torque constants: median error"
 
 def scores(truth: Mapping[str, Mapping[str, Any]], answers: Mapping[str, Answer], memory_mib: float) -> dict[str, str]:
     """Return the text of each row of the table of one method."""
-    found, given = load_errors(truth, answers), {cell for cell, each in answers.items() if each.load is not None}
+    found, answered = load_errors(truth, answers), {cell for cell, each in answers.items() if each.load is not None}
     out = {
-        "cells without a load": f"{len(truth.keys() - given)} of {len(truth)}",
+        "cells without a load": f"{len(truth.keys() - answered)} of {len(truth)}",
         "mass: median error": found.mass_median,
         "mass: rms error": found.mass_rms,
         "centre of gravity: median error": found.centre_median,

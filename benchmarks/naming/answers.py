@@ -17,8 +17,8 @@ class Answer:
     cell : folder name
     named : effects as (name, joints from 1); empty: none
     undecided : whether the effects are alternatives to each other instead of being present together
-    load : mass [kg] and centre of gravity x, y, z [m] of the load `tool` in the frame of the last link, or None; from
-        motion also Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2] about the centre of gravity, in the axes of that frame
+    load : of the load `tool` in the frame of the last link, or None: mass [kg], centre of gravity x, y, z [m]. A method
+        may add Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2] about the centre of gravity.
     load_std : their standard deviations, or None
     time_s : processor time of the method for this cell
     axes : parameters of the axes (N,) by quantity, if the method identifies any
