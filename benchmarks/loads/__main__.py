@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -40,11 +41,14 @@ def main(argv: list[str]) -> int:
 def _run(options: argparse.Namespace) -> int:
     from benchmarks.loads.cells import FIRST, MOTION, REST, write_moving_cells, write_rest_cells
     from benchmarks.loads.methods import METHODS
+    from benchmarks.naming.score import print_columns
 
     if options.seeds in FIRST:
         first, end = FIRST[options.seeds], FIRST[options.seeds] + max(options.cells, options.motion)
-    else:
+    elif re.fullmatch(r"\d+:\d+", options.seeds):
         first, end = map(int, options.seeds.split(":"))
+    else:
+        raise SystemExit(f"--seeds {options.seeds}: {', '.join(FIRST)} or FIRST:END")
     methods = [name for name in METHODS if name.startswith(tuple(options.methods.split(",")))]
     writers = {REST: (write_rest_cells, options.cells), MOTION: (write_moving_cells, options.motion)}
     columns = {}
@@ -52,7 +56,7 @@ def _run(options: argparse.Namespace) -> int:
         if count:
             write(range(first, min(end, first + count)), options.out / kind)
             columns[kind] = {name: _answered(name, options.out / kind) for name in methods}
-            print_table(kind, columns[kind])
+            print_columns(kind, columns[kind])
     (options.out / "summary.json").write_text(json.dumps(columns, indent=1) + "\n", encoding="utf-8")
     return 0
 
@@ -67,15 +71,6 @@ def _answered(method: str, folder: Path) -> dict[str, str]:
     subprocess.run([sys.executable, "-m", "benchmarks.loads", "--answer", method, str(folder)], check=True)
     memory_mib = json.loads(memory_file(folder, method).read_text(encoding="utf-8"))
     return scores(read_truth(folder / "truth"), read_answers(answers_file(folder, method)), memory_mib)
-
-
-def print_table(kind: str, columns: dict[str, dict[str, str]]) -> None:
-    """Print one column per method, as Markdown."""
-    print(f"| {kind} |", " | ".join(columns), "|")
-    print("|---" * (len(columns) + 1) + "|")
-    for row in next(iter(columns.values())):
-        print(f"| {row} |", " | ".join(column[row] for column in columns.values()), "|")
-    print(flush=True)
 
 
 if __name__ == "__main__":

@@ -54,8 +54,16 @@ def _identify(cell: Cell, moving: bool) -> Identified:
         residual, jacobian = np.concatenate(parts), result.jac
         by_axis = np.concatenate([part.reshape(-1, len(names)) for part in parts]) / weights
         weights = 1.0 / np.sqrt((by_axis**2).mean(axis=0))
-    covariance, _ = sysid.calculate_intervals([residual], jacobian)
-    return _answer(parameters, covariance, names, moving)
+    return _answer(parameters, _covariance(residual, jacobian), names, moving)
+
+
+def _covariance(residual: Floats, jacobian: Floats) -> Floats:
+    """Return the covariance of `sysid.calculate_intervals`, with a pseudo-inverse.
+
+    Combinations of links have no effect on any torque. The function's own inverse then gives NaN and infinity.
+    """
+    variance = residual @ residual / (len(residual) - jacobian.shape[1])
+    return variance * np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
 
 
 def _spec(urdf: str, loaded: bool) -> Any:

@@ -56,6 +56,15 @@ def scores(truth: Mapping[str, Mapping[str, Any]], answers: Mapping[str, Answer]
     return out
 
 
+def print_columns(corner: str, columns: Mapping[str, Mapping[str, str]]) -> None:
+    """Print one column per method, as Markdown."""
+    print(f"| {corner} |", " | ".join(columns), "|")
+    print("|---" * (len(columns) + 1) + "|")
+    for row in next(iter(columns.values())):
+        print(f"| {row} |", " | ".join(column[row] for column in columns.values()), "|", flush=True)
+    print()
+
+
 @dataclass(frozen=True, slots=True)
 class LoadErrors:
     """Errors of the loads of all cells: mass and inertia as shares, centre [m]; `inside` by part of the load.
