@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature naming compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature naming loads compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
 
 venv: $(STAMP)
 
@@ -91,6 +91,11 @@ mutants: venv
 naming: venv
 	$(INSTALL) -e ".[naming]"
 	$(BIN)/python -m benchmarks.naming run --seeds test --count 120 --out out/naming
+
+# Loads at rest and in motion: the gateway, plain least squares, FIGAROH and MuJoCo sysid on the same cells; a quarter of an hour.
+loads: venv
+	$(INSTALL) -e ".[loads]"
+	$(BIN)/python -m benchmarks.loads --seeds test --out out/loads
 
 follow: venv
 	$(BIN)/python -m benchmarks.follow --out out/follow

@@ -15,7 +15,7 @@ from pathlib import Path
 from benchmarks.naming.answers import read_answers, write_answers
 from benchmarks.naming.cells import FIRST, read_cells, write_cells
 from benchmarks.naming.methods import BASELINES, GATEWAY, answer_of
-from benchmarks.naming.score import ROWS, read_truth, scores
+from benchmarks.naming.score import print_columns, read_truth, scores
 
 
 def main(arguments: list[str]) -> int:
@@ -62,10 +62,7 @@ def print_table(truth_folder: Path, files: list[Path], summary: Path | None) -> 
     """Print one column per file of answers, as Markdown; write them to `summary`."""
     truth = read_truth(truth_folder)
     columns = {file.stem: scores(truth, read_answers(file)) for file in files}
-    print("| figure |", " | ".join(columns), "|")
-    print("|---" * (len(columns) + 1) + "|")
-    for row in ROWS:
-        print(f"| {row} |", " | ".join(column[row] for column in columns.values()), "|")
+    print_columns("figure", columns)
     if summary is not None:
         summary.write_text(json.dumps(columns, indent=1) + "\n", encoding="utf-8")
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 
@@ -17,9 +17,11 @@ class Answer:
     cell : folder name
     named : effects as (name, joints from 1); empty: none
     undecided : whether the effects are alternatives to each other instead of being present together
-    load : mass [kg] and centre of gravity x, y, z [m] of the load `tool` in the frame of the last link, or None
+    load : of the load `tool` in the frame of the last link, or None: mass [kg], centre of gravity x, y, z [m]. A method
+        may add Ixx, Iyy, Izz, Ixy, Ixz, Iyz [kg m^2] about the centre of gravity.
     load_std : their standard deviations, or None
     time_s : processor time of the method for this cell
+    axes : parameters of the axes (N,) by quantity, if the method identifies any
     """
 
     cell: str
@@ -28,6 +30,7 @@ class Answer:
     load: tuple[float, ...] | None
     load_std: tuple[float, ...] | None
     time_s: float
+    axes: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
 
 def write_answers(answers: Iterable[Answer], file: Path) -> None:
@@ -49,5 +52,6 @@ def read_answers(file: Path) -> dict[str, Answer]:
             None if load is None else tuple(load),
             None if std is None else tuple(std),
             float(entry.get("time_s", "nan")),
+            {name: tuple(values) for name, values in entry.get("axes", {}).items()},
         )
     return found

@@ -7,17 +7,22 @@ the load `tool`) and `statements.json`. The arms come from `sim.nature`, which s
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.data.table import Table, read_csv, write_csv
+from sim.nature.arm import Stated
+from sim.nature.moving_arm import StatedMoving
 from sim.nature.nature_cell import KINDS, NatureCell, draw_cell, drawn_kind
 from tests.support.blind.mechanisms import MECHANISMS
 from tests.support.rigs.tables import simulated_table
+
+Floats = NDArray[np.float64]
 
 #: First seed of the cells for development, and of the test cells, which are run once.
 FIRST = {"dev": 50_000, "test": 60_000}
@@ -57,16 +62,16 @@ def drawn(seed: int) -> NatureCell:
     return draw_cell(seed, condition, "one" if kind == "wiring" else kind)
 
 
-def write_cells(seeds: Sequence[int], folder: Path, truth_folder: Path) -> None:
+def write_cells(
+    seeds: Sequence[int], folder: Path, truth_folder: Path, draw: Callable[[int], NatureCell] = drawn
+) -> None:
     """Write the cells of the seeds to `folder`, and their truth to a file in `truth_folder`."""
     lines = []
     for number, seed in enumerate(seeds):
-        cell, name = drawn(seed), f"cell{number:04}"
+        cell, name = draw(seed), f"cell{number:04}"
         place = folder / name
-        place.mkdir(parents=True, exist_ok=True)
-        (place / "robot.urdf").write_text(cell.stated.urdf, encoding="utf-8")
+        write_place(place, cell.stated, cell.stated.gear_ratio)
         write_csv(simulated_table(cell.measure(cell.visits)[0], name), place / "table.csv")
-        (place / "statements.json").write_text(json.dumps(_statements(cell), indent=1) + "\n", encoding="utf-8")
         lines.append(json.dumps({"cell": name, "seed": seed, **_truth(cell)}))
     truth_folder.mkdir(parents=True, exist_ok=True)
     (truth_folder / TRUTH).write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -88,14 +93,17 @@ def read_cells(folder: Path) -> Iterator[Cell]:
         )
 
 
-def _statements(cell: NatureCell) -> dict[str, Any]:
-    stated = cell.stated
-    return {
+def write_place(place: Path, stated: Stated | StatedMoving, gear_ratio: Floats | None) -> None:
+    """Write the robot model and the statements of a cell to its folder."""
+    place.mkdir(parents=True, exist_ok=True)
+    (place / "robot.urdf").write_text(stated.urdf, encoding="utf-8")
+    statements = {
         "link_std": float(stated.link_std),
         "gain_std": [float(value) for value in stated.gain_std],
         "efficiency": [float(value) for value in stated.efficiency],
-        "gear_ratio": None if stated.gear_ratio is None else [float(value) for value in stated.gear_ratio],
+        "gear_ratio": None if gear_ratio is None else [float(value) for value in gear_ratio],
     }
+    (place / "statements.json").write_text(json.dumps(statements, indent=1) + "\n", encoding="utf-8")
 
 
 def _truth(cell: NatureCell) -> dict[str, Any]:

@@ -193,7 +193,7 @@ def answer_of(method: str, cell: Cell, seed: int) -> Answer:
                 warnings.simplefilter("ignore")
                 data = columns_of(cell)
                 named, undecided = BASELINES[method](data, seed), False
-                load, std = _load(data, named)
+                load, std = load_by_least_squares(data, named)
     except (GatewayError, np.linalg.LinAlgError):
         named, undecided, load, std = (), False, None, None
     return Answer(cell.name, named, undecided, load, std, time.process_time() - begin)
@@ -215,7 +215,9 @@ def _gateway(cell: Cell) -> tuple[Named, bool, tuple[float, ...] | None, tuple[f
     return named, str(result.verdict) == "undecided", load, std
 
 
-def _load(data: Columns, named: Sequence[Label]) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
+def load_by_least_squares(
+    data: Columns, named: Sequence[Label]
+) -> tuple[tuple[float, ...] | None, tuple[float, ...] | None]:
     """Mass and centre of the load by least squares with the columns of the named effects."""
     problem = data.problem
     kept = [k for label in named for k in data.of(label)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,9 +13,12 @@ import numpy as np
 from benchmarks.naming.answers import Answer
 from benchmarks.naming.cells import TRUTH
 from tests.support.blind.strict import STRONG, Said, There, kind, misnamed, right, there
+from tests.support.moving.scores import tensor
 
 #: Half width of a 95 % interval, in standard deviations.
 HALF_WIDTH: Final = 1.96
+#: Places of the parts of a load.
+PARTS: Final = {"mass": slice(0, 1), "centre": slice(1, 4), "inertia": slice(4, 10)}
 ROWS: Final = (
     "one effect of strength 3 and more: named exactly",
     "one effect of strength 1.5 to 3",
@@ -40,25 +44,72 @@ def read_truth(folder: Path) -> dict[str, dict[str, Any]]:
 def scores(truth: Mapping[str, Mapping[str, Any]], answers: Mapping[str, Answer]) -> dict[str, str]:
     """Return the text of each row of the table; a cell without an answer counts as one without names and load."""
     named: dict[str, list[bool]] = {row: [] for row in ROWS[:7]}
-    mass: list[float] = []
-    centre: list[float] = []
-    inside: list[bool] = []
     for cell, entry in truth.items():
         answer = answers.get(cell, Answer(cell, (), False, None, None, float("nan")))
         effects = [there(each["names"], each["joints"], each["strength"]) for each in entry["effects"]]
         _add_names(named, entry["kind"], effects, _said(answer))
-        if answer.load is not None and entry["kind"] != "strange":
-            error = np.array(answer.load) - np.array(entry["load"])
-            mass.append(abs(error[0]) / entry["load"][0])
-            centre.append(float(np.linalg.norm(error[1:])))
-            if answer.load_std is not None:
-                inside += [bool(ok) for ok in np.abs(error) < HALF_WIDTH * np.array(answer.load_std)]
-    out = {row: _share(values) for row, values in named.items()}
-    out[ROWS[7]] = _number(np.median(mass) * 100 if mass else np.nan, "%")
-    out[ROWS[8]] = _number(np.sqrt(np.mean(np.square(mass))) * 100 if mass else np.nan, "%")
-    out[ROWS[9]] = _number(np.median(centre) * 1e3 if centre else np.nan, "mm")
-    out[ROWS[10]] = _share(inside)
-    out[ROWS[11]] = _number(float(np.median([each.time_s for each in answers.values()])), "s")
+    found = load_errors({cell: entry for cell, entry in truth.items() if entry["kind"] != "strange"}, answers)
+    out = {row: share_text(values) for row, values in named.items()}
+    out[ROWS[7]], out[ROWS[8]], out[ROWS[9]] = found.mass_median, found.mass_rms, found.centre_median
+    out[ROWS[10]] = share_text(found.inside["mass"] + found.inside["centre"])
+    out[ROWS[11]] = median_text([each.time_s for each in answers.values()], "s")
+    return out
+
+
+def print_columns(corner: str, columns: Mapping[str, Mapping[str, str]]) -> None:
+    """Print one column per method, as Markdown."""
+    print(f"| {corner} |", " | ".join(columns), "|")
+    print("|---" * (len(columns) + 1) + "|")
+    for row in next(iter(columns.values())):
+        print(f"| {row} |", " | ".join(column[row] for column in columns.values()), "|", flush=True)
+    print()
+
+
+@dataclass(frozen=True, slots=True)
+class LoadErrors:
+    """Errors of the loads of all cells: mass and inertia as shares, centre [m]; `inside` by part of the load.
+
+    The error of an inertia is the largest of its six numbers' over the largest principal inertia.
+    """
+
+    mass: list[float]
+    centre: list[float]
+    inertia: list[float]
+    inside: dict[str, list[bool]]
+
+    @property
+    def mass_median(self) -> str:
+        """Median error of the mass."""
+        return median_text([100.0 * value for value in self.mass], "%")
+
+    @property
+    def mass_rms(self) -> str:
+        """RMS error of the mass."""
+        return number_text(float(np.sqrt(np.mean(np.square(self.mass)))) * 100.0 if self.mass else np.nan, "%")
+
+    @property
+    def centre_median(self) -> str:
+        """Median error of the centre of gravity."""
+        return median_text([1e3 * value for value in self.centre], "mm")
+
+
+def load_errors(truth: Mapping[str, Mapping[str, Any]], answers: Mapping[str, Answer]) -> LoadErrors:
+    """Compare the loads that were given with the truth."""
+    out = LoadErrors([], [], [], {part: [] for part in PARTS})
+    for cell, entry in truth.items():
+        answer = answers.get(cell)
+        if answer is None or answer.load is None:
+            continue
+        error = np.array(answer.load) - np.array(entry["load"])[: len(answer.load)]
+        out.mass.append(abs(error[0]) / entry["load"][0])
+        out.centre.append(float(np.linalg.norm(error[1:4])))
+        if len(error) == 10:
+            largest = np.linalg.eigvalsh(tensor(entry["load"][4:]))[-1]
+            out.inertia.append(float(np.abs(error[4:]).max() / largest))
+        if answer.load_std is not None:
+            held = np.abs(error) < HALF_WIDTH * np.array(answer.load_std)
+            for part, places in PARTS.items():
+                out.inside[part] += [bool(ok) for ok in held[places]]
     return out
 
 
@@ -83,9 +134,16 @@ def _add_names(named: Mapping[str, list[bool]], cell_kind: str, effects: Sequenc
             named[ROWS[3]].append(right(effects, said))
 
 
-def _share(values: Sequence[bool]) -> str:
+def share_text(values: Sequence[bool]) -> str:
+    """Share of the values that are true, and how many there are."""
     return f"{100 * np.mean(values):.0f} % of {len(values)}" if values else "-"
 
 
-def _number(value: float, unit: str) -> str:
+def median_text(values: Sequence[float], unit: str) -> str:
+    """Median of the values."""
+    return number_text(float(np.median(values)) if values else np.nan, unit)
+
+
+def number_text(value: float, unit: str) -> str:
+    """Three digits and the unit."""
     return f"{value:.3g} {unit}" if np.isfinite(value) else "-"

@@ -163,7 +163,7 @@ def test_friction_of_the_truth_is_what_the_motor_has_to_give(few):
 
 def test_plain_least_squares_finds_the_load_of_a_quiet_run():
     cell = draw_cell(5, "known", periods=2, rate_hz=20.0)
-    found = plain_least_squares(cell, cell.table())
+    found, _ = plain_least_squares(cell.stated.urdf, cell.stated.link_std, cell.table())
     tool = cell.arm.tool
     np.testing.assert_allclose(found[60], tool.mass_kg, rtol=0.02)
     np.testing.assert_allclose(found[61:64], tool.mass_kg * tool.com_m, atol=0.005 * tool.mass_kg)

@@ -13,7 +13,7 @@ from gateway.data.rows import Table
 from gateway.estimate import estimate
 from gateway.model.robot import robot_from_urdf
 from tests.support.blind.shares import Figures, reached
-from tests.support.moving.cells import MovingCell, draw_cell
+from tests.support.moving.cells import draw_cell
 
 Floats = NDArray[np.float64]
 
@@ -28,7 +28,9 @@ def timing_figures() -> Figures:
     cell = draw_cell(SEED, "stated", periods=PERIODS, rate_hz=RATE_HZ)
     table, robot = cell.table(), robot_from_urdf(cell.stated.urdf, "timed")
     own = [_seconds(lambda: estimate(table, robot, cell.options)) for _ in range(ROUNDS)]
-    plain = [_seconds(lambda: plain_least_squares(cell, table)) for _ in range(ROUNDS)]
+    plain = [
+        _seconds(lambda: plain_least_squares(cell.stated.urdf, cell.stated.link_std, table)) for _ in range(ROUNDS)
+    ]
     ratio = float(np.median(own) / np.median(plain))
     rows = f"s of {ROUNDS}, {len(table)} rows"
     return {
@@ -44,13 +46,18 @@ def timing_figures() -> Figures:
     }
 
 
-def plain_least_squares(cell: MovingCell, table: Table) -> Floats:
+def plain_least_squares(urdf: str, link_std: float, table: Table) -> tuple[Floats, Floats]:
     """What anyone would write: a row of pinocchio's at a time, links, load, friction and rotors, axes weighted once.
 
     The links keep the CAD's values with the standard deviation that is stated; no gains, no delays, no covariance of
     noise that is autocorrelated.
+
+    Returns
+    -------
+    parameters : links (10 N), load (10), then Coulomb and viscous friction and rotor inertia of every axis (3 N)
+    covariance : of the parameters
     """
-    model = pinocchio.buildModelFromXML(cell.stated.urdf)
+    model = pinocchio.buildModelFromXML(urdf)
     data = model.createData()
     states = zip(table.q_rad, table.qd_rad_s, table.qdd_rad_s2, strict=True)
     links = np.array([pinocchio.computeJointTorqueRegressor(model, data, *state).copy() for state in states])
@@ -60,15 +67,16 @@ def plain_least_squares(cell: MovingCell, table: Table) -> Floats:
     friction = (own[:, :, None] * np.eye(axes)[:, :, None]).reshape(n, axes, -1)
     design = np.concatenate([links, loaded * links[:, :, -10:], friction], axis=2)
     cad = np.concatenate([inertia.toDynamicParameters() for inertia in list(model.inertias)[1:]])
-    size = np.maximum(np.abs(cad).reshape(-1, 10).max(axis=1), 1e-6).repeat(10) * cell.stated.link_std
+    size = np.maximum(np.abs(cad).reshape(-1, 10).max(axis=1), 1e-6).repeat(10) * link_std
     held = np.hstack([np.diag(1.0 / size), np.zeros((count, design.shape[2] - count))])
-    sigma, found = np.ones(axes), np.zeros(0)
+    sigma, found, stacked = np.ones(axes), np.zeros(0), held
     for _ in range(2):
         weighted = (design / sigma[:, None]).reshape(-1, design.shape[2])
         target = (table.tau_nm / sigma).ravel()
-        found = np.linalg.lstsq(np.vstack([weighted, held]), np.concatenate([target, cad / size]), rcond=None)[0]
+        stacked = np.vstack([weighted, held])
+        found = np.linalg.lstsq(stacked, np.concatenate([target, cad / size]), rcond=None)[0]
         sigma = np.sqrt(((table.tau_nm - design @ found) ** 2).mean(axis=0))
-    return found
+    return found, np.linalg.pinv(stacked.T @ stacked)
 
 
 def _seconds(work: Callable[[], object]) -> float:
