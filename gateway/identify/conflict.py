@@ -28,7 +28,7 @@ from gateway.identify.alternatives import (
 from gateway.identify.known_load import least_supported, load_contradicted
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
-from gateway.identify.rest.hypothesis_fit import doubt, fit_without_effects
+from gateway.identify.rest.hypothesis_fit import averaged_over_stds, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
@@ -94,7 +94,7 @@ def settle(
         gained.append(odds)
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)
-    before = doubt(*stated, stated[1].covariance, np.zeros(0, int)) - np.log(PRIOR_ODDS)
+    before = averaged_over_stds(*stated, stated[1].covariance, np.zeros(0, int)) - np.log(PRIOR_ODDS)
     log_odds = gained[0] - before if gained else 0.0
     return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds)
 

@@ -241,7 +241,7 @@ def in_std(gained: Floats) -> float:
 def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
     """Return True if the data, not only the prior of the links, prove an effect that exceeds the nuisance priors.
 
-    A body on a link is a correction of the links itself; the evidence decides, with the doubt of all stated errors.
+    A body on a link is itself a correction of the links: the evidence decides.
     """
     if term.name in (UNNAMED, "link_mass"):
         return True

@@ -3,8 +3,8 @@
 Half-sums and half-differences are rows; the CAD's inertials enter as rows with their standard deviation. The modelled
 reading is fitted by Gauss-Newton steps. Each step re-estimates the noise of each axis by restricted maximum likelihood,
 with the scatter of the half-differences as a weak prior. `evidence` is the logarithm of the Laplace approximation to
-the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows, averaged over factors by which
-the stated standard deviations of links and torque constants may be wrong.
+the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows. It is averaged over
+factors by which the stated standard deviations of links and torque constants may be wrong.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     penalty = _penalty(problem, place, prior, spreads)
     mode = log_density(count[used], squares[used], std[used], noise.start[used], penalty)
     known = prior.std[problem.nuisance_part]
-    doubted = doubt(problem, place, solution.covariance, problem.taken_over(place.terms))
+    averaged = averaged_over_stds(problem, place, solution.covariance, problem.taken_over(place.terms))
     log_spread = sum(float(np.sum(np.log(values))) for values in (*spreads, known))
     found = Fit(
         terms=place.terms,
@@ -138,7 +138,7 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
         covariance=solution.covariance,
         residual=left,
         noise=Noise(noise.start, std, noise.least),
-        evidence=mode - 0.5 * solution.log_determinant - log_spread + doubted,
+        evidence=mode - 0.5 * solution.log_determinant - log_spread + averaged,
         prior_std=prior.std,
         inverse=solution.basis.inverse,
         null=solution.null,
@@ -150,7 +150,7 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     return found
 
 
-def doubt(problem: RestProblem, place: Place, covariance: Floats, replaced: NDArray[np.int_]) -> float:
+def averaged_over_stds(problem: RestProblem, place: Place, covariance: Floats, replaced: NDArray[np.int_]) -> float:
     """Log marginal likelihood averaged over factors on the stated standard deviations, over that at factors 1.
 
     One factor for all links, one for all torque constants but those `replaced` by effects. Wide stated errors explain
@@ -168,8 +168,8 @@ def doubt(problem: RestProblem, place: Place, covariance: Floats, replaced: NDAr
 def over_factors(away: Floats, covariance: Floats) -> float:
     """Log marginal likelihood averaged over the factor on the prior standard deviations, over that at factor 1.
 
-    Posterior mean `away` (k,) from the prior mean and covariance (k, k) at factor 1, in prior standard deviations, give
-    the marginal likelihood at any other factor: exact for a linear model with normal noise.
+    `away` (k,) is the posterior mean from the prior mean, `covariance` (k, k) the posterior one, both at factor 1 and in
+    prior standard deviations. Exact for a linear model with normal noise.
     """
     share, turn = np.linalg.eigh(covariance)
     share = np.clip(share, TOLERANCE, 1.0)

@@ -234,7 +234,7 @@ def test_bare_run_alone_is_judged(clean):
 @pytest.mark.slow
 @pytest.mark.parametrize(("times", "named"), [(0.1, False), (0.8, True), (4.0, True)])
 def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
-    """Within the stated error of the drawing nothing is named, beyond it the link; it is never a mistake of the drives."""
+    """Within the stated error of the CAD nothing is named, beyond it the link; it is never a mistake of the drives."""
     body = Bench(2, []).arm.chain.bodies[3]
     assert body is not None
     moment = [float(value) for value in 0.5 * times * body.mass_kg * np.array([0.5, 0.3, 0.4])]
