@@ -168,7 +168,7 @@ def averaged_over_stds(problem: RestProblem, place: Place, covariance: Floats, r
 def over_factors(away: Floats, covariance: Floats) -> float:
     """Log marginal likelihood averaged over the factor on the prior standard deviations, over that at factor 1.
 
-    `away` (k,) is the posterior mean from the prior mean, `covariance` (k, k) the posterior one, both at factor 1 and in
+    `away` (k,) is the posterior mean from the prior mean and `covariance` (k, k) the posterior one, at factor 1 and in
     prior standard deviations. Exact for a linear model with normal noise.
     """
     share, turn = np.linalg.eigh(covariance)
