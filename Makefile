@@ -92,7 +92,7 @@ naming: venv
 	$(INSTALL) -e ".[naming]"
 	$(BIN)/python -m benchmarks.naming run --seeds test --count 120 --out out/naming
 
-# Loads at rest and in motion: the gateway, plain least squares, FIGAROH and MuJoCo sysid on the same cells; a quarter of an hour.
+# Loads at rest and in motion: the gateway, plain least squares, FIGAROH and MuJoCo sysid on the same cells; a quarter of an hour on an idle machine.
 loads: venv
 	$(INSTALL) -e ".[loads]"
 	$(BIN)/python -m benchmarks.loads --seeds test --out out/loads
