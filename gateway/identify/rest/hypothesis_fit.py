@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import logsumexp
 
 from gateway.identify.rest.linear import (
     Fit,
@@ -34,10 +33,8 @@ from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 
-#: Gauss-Newton steps [-]: the model is nearly linear, the noise settles in four.
-_STEPS = 30
-#: The same for the final fit without effects: gains and losses converge slowly at low noise.
-_STEPS_ALONE = 30
+#: Most Gauss-Newton steps [-]: the noise mostly converges in four, and slowly where losses compete with it.
+_STEPS: Final = 30
 #: Prior standard deviation of a nuisance parameter that an effect of the hypothesis replaces.
 NOTHING = 1e-9
 #: Factors by which stated standard deviations may be wrong together, and their prior probabilities: within a factor of
@@ -78,7 +75,7 @@ def fit(
 
 def fit_without_effects(problem: RestProblem) -> Fit:
     """Fit the model without effects; the noise starts from approach directions and repeats."""
-    return fit(problem, (), first_noise(problem), steps=_STEPS_ALONE)
+    return fit(problem, (), first_noise(problem))
 
 
 def _begin(
@@ -176,7 +173,8 @@ def over_factors(away: Floats, covariance: Floats) -> float:
     squares = (turn.T @ away) ** 2 / share
     ratio = 1.0 + share * (_FACTORS[:, None] ** -2.0 - 1.0)
     log_ratio = 0.5 * np.sum(squares * (1.0 / ratio - 1.0) - np.log(ratio), axis=1) - len(away) * np.log(_FACTORS)
-    return float(logsumexp(log_ratio, b=_LIKELY))
+    top = float(log_ratio.max())
+    return top + float(np.log(_LIKELY @ np.exp(log_ratio - top)))
 
 
 def _left(problem: RestProblem, at: Place) -> Floats:
