@@ -90,6 +90,12 @@ def diagnose_options(cell: NatureCell) -> DiagnoseOptions:
     )
 
 
+def first_diagnosis(cell: NatureCell) -> Result:
+    """Diagnosis of the first recording alone."""
+    table = simulated_table(cell.measure(cell.visits)[0], f"seed {cell.seed}")
+    return diagnose(table, robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}"), diagnose_options(cell))
+
+
 def run_nuisance_only(task: tuple[int, str, bool]) -> dict:
     """Score of an arm with nothing beyond nuisances: seed, condition, whether it is diagnosed too."""
     seed, condition, diagnosed = task

@@ -6,13 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from gateway.diagnose import diagnose
 from gateway.diagnose.rest.verdict import _instead
 from gateway.model.effects.joint_zero_offset import JointZeroOffset
-from gateway.model.robot import robot_from_urdf
 from sim.nature.nature_cell import draw_effect_cell
-from tests.support.blind.nature import diagnose_options
-from tests.support.rigs.tables import simulated_table
+from tests.support.blind.nature import first_diagnosis
 
 FIRST, SECOND = JointZeroOffset(1), JointZeroOffset(2)
 
@@ -32,14 +29,11 @@ def test_a_smaller_set_is_the_rival_of_a_larger_one() -> None:
     assert _instead(SimpleNamespace(), named, rival)  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_two_effects_that_replace_each_other_end_the_search_for_a_smaller_set() -> None:
     """Without the one the other is strong: the smaller set of either is the other one, without end."""
     cell = draw_effect_cell(171)
-    columns, _ = cell.measure(cell.visits)
-    result = diagnose(
-        simulated_table(columns, "either"), robot_from_urdf(cell.stated.urdf, "either"), diagnose_options(cell)
-    )
-    named = {(effect.name, effect.joints) for effect in result.effects}
+    named = {(effect.name, effect.joints) for effect in first_diagnosis(cell).effects}
     assert named <= {("thermal_drift", (2,)), ("torque_constant_scale", (2,))}
 
 
@@ -48,8 +42,4 @@ def test_a_constant_that_drifts_is_no_wrong_constant_besides() -> None:
     """Magnets that weaken as they warm up are off from the first visit on, since the constant was stated cold."""
     cell = draw_effect_cell(25)
     assert [(effect.mechanism, effect.joints) for effect in cell.effects] == [("weak_magnets", (2,))]
-    columns, _ = cell.measure(cell.visits)
-    result = diagnose(
-        simulated_table(columns, "drifts"), robot_from_urdf(cell.stated.urdf, "drifts"), diagnose_options(cell)
-    )
-    assert [(effect.name, effect.joints) for effect in result.effects] == [("thermal_drift", (2,))]
+    assert [(effect.name, effect.joints) for effect in first_diagnosis(cell).effects] == [("thermal_drift", (2,))]
