@@ -94,7 +94,7 @@ def settle(
         gained.append(odds)
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)
-    before = averaged_over_stds(*stated, stated[1].covariance, np.zeros(0, int)) - np.log(PRIOR_ODDS)
+    before = averaged_over_stds(*stated) - np.log(PRIOR_ODDS)
     log_odds = gained[0] - before if gained else 0.0
     return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds)
 

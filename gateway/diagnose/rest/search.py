@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.screen import Derivatives, Screen, pair_log_bayes, screen
-from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.hypothesis_fit import averaged_over_stds, fit
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
@@ -47,6 +47,7 @@ class Search:
     named, unnamed : candidates
     prior : log prior probability of each candidate
     pool : fits by set of effects
+    averaged : evidence of fits, averaged over wrong stated standard deviations
     derivatives : of the modelled rows by the parameters of each candidate, about the model without effects
     """
 
@@ -56,6 +57,7 @@ class Search:
     noise: Noise
     prior: dict[Term, float] = field(default_factory=dict)
     pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
+    averaged: dict[Fit, float] = field(default_factory=dict)
     derivatives: Derivatives | None = None
 
     def __post_init__(self) -> None:
@@ -73,10 +75,13 @@ class Search:
         never chosen.
         """
         rows = self.problem.rows
+        if hypothesis not in self.averaged:
+            self.averaged[hypothesis] = hypothesis.evidence + averaged_over_stds(self.problem, hypothesis)
+        evidence = self.averaged[hypothesis]
         if not all(term.exists(values, std) for term, values, std in self.sized(hypothesis)):
-            return hypothesis.evidence - IMPOSSIBLE
+            return evidence - IMPOSSIBLE
         odd = sum(not term.plausible(v, rows) for term, v in zip(hypothesis.terms, hypothesis.theta, strict=True))
-        return hypothesis.evidence + sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
+        return evidence + sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
 
     def sized(self, hypothesis: Fit) -> Iterator[tuple[Term, Floats, Floats]]:
         """Effects of a hypothesis with their parameters and standard deviations."""

@@ -3,8 +3,8 @@
 Half-sums and half-differences are rows; the CAD's inertials enter as rows with their standard deviation. The modelled
 reading is fitted by Gauss-Newton steps. Each step re-estimates the noise of each axis by restricted maximum likelihood,
 with the scatter of the half-differences as a weak prior. `evidence` is the logarithm of the Laplace approximation to
-the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows. It is averaged over
-factors by which the stated standard deviations of links and torque constants may be wrong.
+the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows. `averaged_over_stds` adds that
+stated standard deviations of links and torque constants may be wrong.
 """
 
 from __future__ import annotations
@@ -35,6 +35,8 @@ Floats = NDArray[np.float64]
 
 #: Most Gauss-Newton steps [-]: the noise mostly converges in four, and slowly where losses compete with it.
 _STEPS: Final = 30
+#: The same for an estimate, whose answer changes little after that.
+_STEPS_ALONE: Final = 12
 #: Prior standard deviation of a nuisance parameter that an effect of the hypothesis replaces.
 NOTHING = 1e-9
 #: Factors by which stated standard deviations may be wrong together, and their prior probabilities: within a factor of
@@ -75,7 +77,7 @@ def fit(
 
 def fit_without_effects(problem: RestProblem) -> Fit:
     """Fit the model without effects; the noise starts from approach directions and repeats."""
-    return fit(problem, (), first_noise(problem))
+    return fit(problem, (), first_noise(problem), steps=_STEPS_ALONE)
 
 
 def _begin(
@@ -119,7 +121,6 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     penalty = _penalty(problem, place, prior, spreads)
     mode = log_density(count[used], squares[used], std[used], noise.start[used], penalty)
     known = prior.std[problem.nuisance_part]
-    averaged = averaged_over_stds(problem, place, solution.covariance, problem.taken_over(place.terms))
     log_spread = sum(float(np.sum(np.log(values))) for values in (*spreads, known))
     found = Fit(
         terms=place.terms,
@@ -135,7 +136,7 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
         covariance=solution.covariance,
         residual=left,
         noise=Noise(noise.start, std, noise.least),
-        evidence=mode - 0.5 * solution.log_determinant - log_spread + averaged,
+        evidence=mode - 0.5 * solution.log_determinant - log_spread,
         prior_std=prior.std,
         inverse=solution.basis.inverse,
         null=solution.null,
@@ -147,18 +148,18 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     return found
 
 
-def averaged_over_stds(problem: RestProblem, place: Place, covariance: Floats, replaced: NDArray[np.int_]) -> float:
+def averaged_over_stds(problem: RestProblem, fitted: Fit) -> float:
     """Log marginal likelihood averaged over factors on the stated standard deviations, over that at factors 1.
 
-    One factor for all links, one for all torque constants but those `replaced` by effects. Wide stated errors explain
+    One factor for all links, one for all torque constants that no effect replaces. Wide stated errors explain
     corrections of many, and narrow ones a single body on a link or a single wrong constant.
     """
     first = problem.nuisance_part.start
-    gains = np.setdiff1d([*range(first, first + problem.axes), first + problem.nuisance.common], replaced)
-    away, std = place.common - problem.common_mean, problem.common_std
+    gains = [*range(first, first + problem.axes), first + problem.nuisance.common]
+    away, std = fitted.common - problem.common_mean, problem.common_std
     return sum(
-        over_factors(away[part] / std[part], covariance[np.ix_(part, part)] / np.outer(std[part], std[part]))
-        for part in (np.arange(problem.links.size), gains)
+        over_factors(away[part] / std[part], fitted.covariance[np.ix_(part, part)] / np.outer(std[part], std[part]))
+        for part in (np.arange(problem.links.size), np.setdiff1d(gains, problem.taken_over(fitted.terms)))
     )
 
 

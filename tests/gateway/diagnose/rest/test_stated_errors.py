@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from gateway.diagnose.rest.search import Search
 from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
 from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.start_noise import settled_noise
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import pair_visits
 from sim.nature.nature_cell import draw_cell, draw_effect_cell
@@ -47,12 +49,11 @@ def test_constants_twice_as_wrong_as_stated_are_no_effect(seed: int) -> None:
     assert not first_diagnosis(cell).effects
 
 
-def test_a_fit_without_effects_is_converged() -> None:
+def test_a_search_starts_from_a_converged_fit() -> None:
     """The noise of an axis once stopped at 13 times its value, so that any effect gained 70 log odds."""
     cell = draw_effect_cell(238)
     options, robot = diagnose_options(cell), robot_from_urdf(cell.stated.urdf, "drawn")
     rows = pair_visits(simulated_table(cell.measure(cell.visits)[0], "drawn"), options.efficiency)
     problem = build_problem(robot, rows, Knowledge(inertials=options.inertials, gain_std=options.gain_std))
-    plain = fit_without_effects(problem)
-    again = fit(problem, (), plain.noise, plain)
-    assert again.evidence == pytest.approx(plain.evidence, abs=0.1)
+    nothing = Search(problem, (), (), settled_noise(problem, fit_without_effects(problem))).fitted(())
+    assert fit(problem, (), nothing.noise, nothing).evidence == pytest.approx(nothing.evidence, abs=0.1)
