@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,6 +92,10 @@ class Still:
     right: Floats
 
 
+#: Share of the weight of a filter that must be on used rows: the rest is less than one row.
+_USED_SHARE: Final = 0.98
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionProblem:
     """Moving rows with their columns.
@@ -123,7 +128,12 @@ class MotionProblem:
         low_pass: csr_array | None = None,
         still: Still | None = None,
     ) -> MotionProblem:
-        """Build the problem from the rows of a table at `used` (n, N), filtered by a matrix (n, n)."""
+        """Build the problem from the rows of a table at `used` (n, N), filtered by a matrix (n, n).
+
+        A row is left out if its filter takes what is not used: rows near a reversal have another friction.
+        """
+        if low_pass is not None:
+            used = used & (low_pass @ used.astype(float) > _USED_SHARE)
         parts = [
             part
             for axis in range(moving.axes)
