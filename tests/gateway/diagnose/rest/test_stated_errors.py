@@ -35,7 +35,7 @@ def test_three_effects_on_links_and_constants_are_no_wrong_statement() -> None:
 
 @pytest.mark.slow
 def test_links_that_differ_by_more_than_stated_are_reported_instead_of_a_body() -> None:
-    """193 kg on a link, one of the CAD's 9 % wide errors: not named, but the CAD is not believed either."""
+    """193 kg on a link, beside a CAD stated to 9 %: not named, but the CAD is not used either."""
     result = first_diagnosis(draw_effect_cell(261))
     assert not result.effects
     assert any("link masses of the robot model are contradicted" in finding.what for finding in result.findings)
