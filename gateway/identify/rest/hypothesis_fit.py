@@ -33,9 +33,9 @@ from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
 
-#: Most Gauss-Newton steps [-]: the noise mostly converges in four, and slowly where losses compete with it.
-_STEPS: Final = 30
-#: The same for an estimate, whose answer changes little after that.
+#: Gauss-Newton steps [-]: the model is nearly linear, the noise mostly settles in four.
+_STEPS: Final = 6
+#: The same for the final fit without effects: gains and losses converge slowly at low noise.
 _STEPS_ALONE: Final = 12
 #: Prior standard deviation of a nuisance parameter that an effect of the hypothesis replaces.
 NOTHING = 1e-9

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from gateway.diagnose.rest.search import Search
-from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
-from gateway.identify.rest.problem import Knowledge, build_problem
-from gateway.identify.rest.start_noise import settled_noise
-from gateway.model.robot import robot_from_urdf
-from gateway.model.visits import pair_visits
 from sim.nature.nature_cell import draw_cell, draw_effect_cell
-from tests.support.blind.nature import diagnose_options, first_diagnosis
-from tests.support.rigs.tables import simulated_table
+from tests.support.blind.nature import first_diagnosis
 
 
 @pytest.mark.slow
@@ -47,13 +40,3 @@ def test_constants_twice_as_wrong_as_stated_are_no_effect(seed: int) -> None:
     cell = draw_cell(seed, "all")
     assert cell.stated.misstated
     assert not first_diagnosis(cell).effects
-
-
-def test_a_search_starts_from_a_converged_fit() -> None:
-    """The noise of an axis once stopped at 13 times its value, so that any effect gained 70 log odds."""
-    cell = draw_effect_cell(238)
-    options, robot = diagnose_options(cell), robot_from_urdf(cell.stated.urdf, "drawn")
-    rows = pair_visits(simulated_table(cell.measure(cell.visits)[0], "drawn"), options.efficiency)
-    problem = build_problem(robot, rows, Knowledge(inertials=options.inertials, gain_std=options.gain_std))
-    nothing = Search(problem, (), (), settled_noise(problem, fit_without_effects(problem))).fitted(())
-    assert fit(problem, (), nothing.noise, nothing).evidence == pytest.approx(nothing.evidence, abs=0.1)
