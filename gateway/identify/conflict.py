@@ -28,7 +28,7 @@ from gateway.identify.alternatives import (
 from gateway.identify.known_load import least_supported, load_contradicted
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
-from gateway.identify.rest.hypothesis_fit import averaged_over_stds, fit_without_effects
+from gateway.identify.rest.hypothesis_fit import averaged_evidence, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
@@ -81,7 +81,7 @@ def settle(
     if stated is None:
         problem = build_problem(robot, rows, trusted)
         stated = problem, fit_without_effects(problem)
-    settled, (problem, fit), gained = trusted, stated, []
+    settled, (problem, fit), log_odds = trusted, stated, 0.0
     for _ in range(_ROUNDS):
         wider, odds = _wider_knowledge(problem, fit, robot, settled)
         if wider is None:
@@ -90,12 +90,11 @@ def settle(
         refitted = fit_without_effects(other)
         if not _shows(robot, other, refitted, settled, wider):
             break
+        if settled is trusted:
+            log_odds = odds + float(np.log(PRIOR_ODDS)) + fit.evidence - averaged_evidence(fit)
         settled, problem, fit = wider, other, refitted
-        gained.append(odds)
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)
-    before = averaged_over_stds(*stated) - np.log(PRIOR_ODDS)
-    log_odds = gained[0] - before if gained else 0.0
     return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds)
 
 

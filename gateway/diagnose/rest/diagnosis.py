@@ -207,7 +207,8 @@ class RestDiagnosis:
         settled = settle(self.robot, found.now.problem.rows, self.knowledge, (found.now.problem, found.now.plain))
         if settled.knowledge is self.knowledge:
             return replace(found, settled=settled)
-        likelier = settled.log_odds > search.score(found.chosen) - search.score(search.fitted(())) if effects else True
+        gained = search.score(found.chosen) - search.score(search.fitted(()))
+        likelier = not effects or settled.log_odds > gained
         if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
         now = replace(found.now, problem=settled.problem, plain=settled.fit)

@@ -19,7 +19,7 @@ from scipy.special import log_ndtr
 from gateway.data.table import Table
 from gateway.diagnose.rest.holdout import Unseen, left_out, pose_of_rows, predicted
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
-from gateway.identify.rest.hypothesis_fit import averaged_over_stds, fit
+from gateway.identify.rest.hypothesis_fit import averaged_evidence, fit
 from gateway.identify.rest.linear import Fit, RestProblem, certain_bands
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.current_rms_peak import FACTOR
@@ -118,8 +118,7 @@ def candidates(measured: NDArray[np.bool_]) -> Iterator[Mistake]:
 def plain_score(problem: RestProblem, rows_scale: float) -> tuple[float, Fit]:
     """Log evidence of the model without effects, reduced for negative friction bands."""
     result = fit(problem, (), first_noise(problem), steps=3)
-    evidence = result.evidence + averaged_over_stds(problem, result)
-    return evidence + band_signs(problem, result) + rows_scale, result
+    return averaged_evidence(result) + band_signs(problem, result) + rows_scale, result
 
 
 def band_signs(problem: RestProblem, result: Fit) -> float:

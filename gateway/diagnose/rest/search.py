@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.screen import Derivatives, Screen, pair_log_bayes, screen
-from gateway.identify.rest.hypothesis_fit import averaged_over_stds, fit
+from gateway.identify.rest.hypothesis_fit import averaged_evidence, fit
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
@@ -76,7 +76,7 @@ class Search:
         """
         rows = self.problem.rows
         if hypothesis not in self.averaged:
-            self.averaged[hypothesis] = hypothesis.evidence + averaged_over_stds(self.problem, hypothesis)
+            self.averaged[hypothesis] = averaged_evidence(hypothesis)
         evidence = self.averaged[hypothesis]
         if not all(term.exists(values, std) for term, values, std in self.sized(hypothesis)):
             return evidence - IMPOSSIBLE

@@ -280,7 +280,9 @@ def _rivals(search: Search, full: Fit, own: Key) -> tuple[Rival, ...]:
     for hypothesis in search.pool.values():
         if search.score(hypothesis) >= level:
             groups.setdefault(_key(search, hypothesis), []).append(hypothesis)
-    total = {key: _log_sum([search.score(member) for member in members]) for key, members in groups.items()}
+    total = {
+        key: float(np.logaddexp.reduce([search.score(member) for member in members])) for key, members in groups.items()
+    }
     reference = max(total[own], search.score(full))
     out = []
     for key, members in groups.items():
@@ -289,11 +291,6 @@ def _rivals(search: Search, full: Fit, own: Key) -> tuple[Rival, ...]:
         if key != own and odds <= (REST.hint_odds if contains else REST.ask_odds):
             out.append(Rival(key, search.best(members), odds, contains))
     return tuple(sorted(out, key=lambda rival: rival.odds))
-
-
-def _log_sum(values: list[float]) -> float:
-    top = max(values)
-    return top + math.log(sum(math.exp(value - top) for value in values))
 
 
 def _odds(search: Search, after: Fit, full: Fit) -> tuple[dict[Label, float], dict[Label, str | None]]:

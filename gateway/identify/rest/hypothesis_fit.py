@@ -3,7 +3,7 @@
 Half-sums and half-differences are rows; the CAD's inertials enter as rows with their standard deviation. The modelled
 reading is fitted by Gauss-Newton steps. Each step re-estimates the noise of each axis by restricted maximum likelihood,
 with the scatter of the half-differences as a weak prior. `evidence` is the logarithm of the Laplace approximation to
-the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows. `averaged_over_stds` adds that
+the marginal likelihood (MacKay 1992), comparable between hypotheses on the same rows. `averaged_evidence` adds that
 stated standard deviations of links and torque constants may be wrong.
 """
 
@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_softmax
 
 from gateway.identify.rest.linear import (
     Fit,
@@ -42,7 +43,7 @@ NOTHING = 1e-9
 #: Factors by which stated standard deviations may be wrong together, and their prior probabilities: within a factor of
 #: two at 95 %.
 _FACTORS: Final = 2.0 ** np.linspace(-1.0, 1.0, 5)
-_LIKELY: Final = np.exp(-0.5 * np.linspace(-2.0, 2.0, 5) ** 2) / np.exp(-0.5 * np.linspace(-2.0, 2.0, 5) ** 2).sum()
+_LOG_PRIOR: Final = log_softmax(-0.5 * np.linspace(-2.0, 2.0, 5) ** 2)
 #: Relative size below which a combination of columns counts as zero.
 TOLERANCE = 1e-10
 
@@ -148,16 +149,16 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     return found
 
 
-def averaged_over_stds(problem: RestProblem, fitted: Fit) -> float:
-    """Log marginal likelihood averaged over factors on the stated standard deviations, over that at factors 1.
+def averaged_evidence(fitted: Fit) -> float:
+    """Evidence averaged over factors on the stated standard deviations.
 
     One factor for all links, one for all torque constants that no effect replaces. Wide stated errors explain
     corrections of many, and narrow ones a single body on a link or a single wrong constant.
     """
-    first = problem.nuisance_part.start
+    problem, first = fitted.problem, fitted.problem.nuisance_part.start
     gains = [*range(first, first + problem.axes), first + problem.nuisance.common]
     away, std = fitted.common - problem.common_mean, problem.common_std
-    return sum(
+    return fitted.evidence + sum(
         over_factors(away[part] / std[part], fitted.covariance[np.ix_(part, part)] / np.outer(std[part], std[part]))
         for part in (np.arange(problem.links.size), np.setdiff1d(gains, problem.taken_over(fitted.terms)))
     )
@@ -174,8 +175,7 @@ def over_factors(away: Floats, covariance: Floats) -> float:
     squares = (turn.T @ away) ** 2 / share
     ratio = 1.0 + share * (_FACTORS[:, None] ** -2.0 - 1.0)
     log_ratio = 0.5 * np.sum(squares * (1.0 / ratio - 1.0) - np.log(ratio), axis=1) - len(away) * np.log(_FACTORS)
-    top = float(log_ratio.max())
-    return top + float(np.log(_LIKELY @ np.exp(log_ratio - top)))
+    return float(np.logaddexp.reduce(log_ratio + _LOG_PRIOR))
 
 
 def _left(problem: RestProblem, at: Place) -> Floats:
