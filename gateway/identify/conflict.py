@@ -28,7 +28,7 @@ from gateway.identify.alternatives import (
 from gateway.identify.known_load import least_supported, load_contradicted
 from gateway.identify.links import parse_inertials
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
-from gateway.identify.rest.hypothesis_fit import averaged_evidence, fit_without_effects
+from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
 from gateway.identify.rest.problem import Knowledge, build_problem, open_link_prior
@@ -91,7 +91,7 @@ def settle(
         if not _shows(robot, other, refitted, settled, wider):
             break
         if settled is trusted:
-            log_odds = odds + float(np.log(PRIOR_ODDS)) + fit.evidence - averaged_evidence(fit)
+            log_odds = odds + float(np.log(PRIOR_ODDS))
         settled, problem, fit = wider, other, refitted
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)

@@ -207,8 +207,7 @@ class RestDiagnosis:
         settled = settle(self.robot, found.now.problem.rows, self.knowledge, (found.now.problem, found.now.plain))
         if settled.knowledge is self.knowledge:
             return replace(found, settled=settled)
-        gained = search.score(found.chosen) - search.score(search.fitted(()))
-        likelier = not effects or settled.log_odds > gained
+        likelier = not effects or settled.log_odds > search.log_odds(found.chosen, found.now.plain)
         if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
         now = replace(found.now, problem=settled.problem, plain=settled.fit)

@@ -74,14 +74,20 @@ class Search:
         An effect with a value that its mechanism cannot have costs `implausible` more; one with an unphysical value is
         never chosen.
         """
-        rows = self.problem.rows
         if hypothesis not in self.averaged:
             self.averaged[hypothesis] = averaged_evidence(hypothesis)
-        evidence = self.averaged[hypothesis]
+        return self.averaged[hypothesis] + self._log_prior(hypothesis)
+
+    def log_odds(self, hypothesis: Fit, plain: Fit) -> float:
+        """Posterior log odds of a hypothesis against a fit without effects, with all statements as they are."""
+        return hypothesis.evidence + self._log_prior(hypothesis) - plain.evidence
+
+    def _log_prior(self, hypothesis: Fit) -> float:
         if not all(term.exists(values, std) for term, values, std in self.sized(hypothesis)):
-            return evidence - IMPOSSIBLE
-        odd = sum(not term.plausible(v, rows) for term, v in zip(hypothesis.terms, hypothesis.theta, strict=True))
-        return evidence + sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
+            return -IMPOSSIBLE
+        rows, effects = self.problem.rows, zip(hypothesis.terms, hypothesis.theta, strict=True)
+        odd = sum(not term.plausible(values, rows) for term, values in effects)
+        return sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
 
     def sized(self, hypothesis: Fit) -> Iterator[tuple[Term, Floats, Floats]]:
         """Effects of a hypothesis with their parameters and standard deviations."""
