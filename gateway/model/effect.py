@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.motion import MovingRows
+from gateway.model.robot import Robot
 from gateway.model.term import Term
 from gateway.model.visits import Visits
 
@@ -38,12 +39,14 @@ class RestSetup:
     common_scale : a load or the links are known, so that a common torque scale is identifiable
     torque_nm : (n, N) modelled torque of the model without effects
     links : (4 N,) links [m, hx, hy, hz] of the robot model, NaN where it has no value; None = not known
+    robot : gives the plausible size of a body on a link; None = any size
     """
 
     gear_ratio: tuple[float, ...]
     common_scale: bool
     torque_nm: Floats
     links: Floats | None = None
+    robot: Robot | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -230,7 +230,7 @@ class RestDiagnosis:
         torque, _ = problem.model.joint_torque(plain.setting, bodies)
         weighed = bool(self.knowledge.weighed) or self.knowledge.inertials == "exact"
         drawn = np.where(np.isfinite(problem.link_std), problem.links, np.nan)
-        setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn)
+        setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn, self.robot)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
         chosen = run(search)

@@ -33,6 +33,7 @@ from gateway.identify.solve import Prior, solve
 from gateway.model.term import Term
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 #: Gauss-Newton steps [-]: the model is nearly linear, the noise mostly settles in four.
 _STEPS: Final = 6
@@ -157,25 +158,28 @@ def averaged_evidence(fitted: Fit) -> float:
     """
     problem, first = fitted.problem, fitted.problem.nuisance_part.start
     gains = [*range(first, first + problem.axes), first + problem.nuisance.common]
-    away, std = fitted.common - problem.common_mean, problem.common_std
-    return fitted.evidence + sum(
-        over_factors(away[part] / std[part], fitted.covariance[np.ix_(part, part)] / np.outer(std[part], std[part]))
-        for part in (np.arange(problem.links.size), np.setdiff1d(gains, problem.taken_over(fitted.terms)))
+    part = np.concatenate([np.arange(problem.links.size), np.setdiff1d(gains, problem.taken_over(fitted.terms))])
+    std = problem.common_std[part]
+    return fitted.evidence + over_factors(
+        (fitted.common[part] - problem.common_mean[part]) / std,
+        fitted.covariance[np.ix_(part, part)] / np.outer(std, std),
+        part < problem.links.size,
     )
 
 
-def over_factors(away: Floats, covariance: Floats) -> float:
-    """Log marginal likelihood averaged over the factor on the prior standard deviations, over that at factor 1.
+def over_factors(away: Floats, covariance: Floats, first: Bools) -> float:
+    """Log marginal likelihood averaged over the factors on the prior standard deviations, over that at factors of 1.
 
-    `away` (k,) is the posterior mean from the prior mean and `covariance` (k, k) the posterior one, at factor 1 and in
-    prior standard deviations. Exact for a linear model with normal noise.
+    `away` (k,) is the posterior mean from the prior mean and `covariance` (k, k) the posterior one, at factors of 1 and
+    in prior standard deviations. One factor scales the parameters of which `first` (k,) is true, another the others.
+    Exact for a linear model with normal noise.
     """
-    share, turn = np.linalg.eigh(covariance)
-    share = np.clip(share, TOLERANCE, 1.0)
-    squares = (turn.T @ away) ** 2 / share
-    ratio = 1.0 + share * (_FACTORS[:, None] ** -2.0 - 1.0)
-    log_ratio = 0.5 * np.sum(squares * (1.0 / ratio - 1.0) - np.log(ratio), axis=1) - len(away) * np.log(_FACTORS)
-    return float(np.logaddexp.reduce(log_ratio + _LOG_PRIOR))
+    factor = np.where(first, *(each.reshape(-1, 1) for each in np.meshgrid(_FACTORS, _FACTORS)))
+    more = factor**-2.0 - 1.0
+    turned = np.eye(len(away)) + more[:, :, None] * covariance
+    squares = np.linalg.solve(turned, (more * away)[:, :, None])[:, :, 0] @ away
+    log_ratio = -0.5 * (np.linalg.slogdet(turned)[1] + squares) - np.log(factor).sum(axis=1)
+    return float(np.logaddexp.reduce(log_ratio + np.add.outer(_LOG_PRIOR, _LOG_PRIOR).ravel()))
 
 
 def _left(problem: RestProblem, at: Place) -> Floats:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from gateway.model.effect import Effect, MotionSetup, RestSetup
 from gateway.model.motion import PER_BODY, Modelled, MovingRows
 from gateway.model.rest import AlteredModel
+from gateway.model.robot import link_lengths_m
 from gateway.model.term import NAN, Named, OnAxis, Seen, Term, plus, propagated
 from gateway.model.visits import Visits
 
@@ -21,17 +22,21 @@ Floats = NDArray[np.float64]
 FARTHEST_M: Final = 2.0
 #: Standard deviations beyond a bound from which a body is impossible: one in a thousand by chance.
 BOUND_SIGMAS: Final = 3.0
+#: Prior standard deviations of a body's mass over that of the arm: a valve block, and a welding unit.
+SHARES: Final = (0.02, 0.1)
 
 
 @dataclass(frozen=True, slots=True)
 class LinkMass(OnAxis):
     """Additional body [m, hx, hy, hz] on one link; identifiable as far as the prior of the links allows.
 
-    `drawn` [m, hx, hy, hz] is the link in the robot model, `arm_kg` the mass of all links; None = not known.
+    `drawn` [m, hx, hy, hz] is the link in the robot model, `arm_kg` the mass of all links; None = not known. `size` are
+    the prior standard deviations of mass [kg] and first moment [kg m].
     """
 
     drawn: tuple[float, float, float, float] | None = None
     arm_kg: float = NAN
+    size: tuple[float, float] = (NAN, NAN)
 
     name: ClassVar[str] = "link_mass"
     parameters: ClassVar[tuple[str, ...]] = (
@@ -42,6 +47,11 @@ class LinkMass(OnAxis):
     )
     linear: ClassVar[tuple[bool, ...]] = (True, True, True, True)
     SPREAD: ClassVar[tuple[float, ...]] = (NAN, NAN, NAN, NAN)
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        mass_kg, moment_kg_m = self.size
+        return mass_kg, moment_kg_m, moment_kg_m, moment_kg_m
 
     def enters(self, axes: int) -> tuple[int, ...]:
         return tuple(range(axes))
@@ -93,10 +103,17 @@ def _at_rest(rows: Visits, setup: RestSetup) -> Iterator[Term]:
         yield from (LinkMass(link) for link in _links(rows.axes))
         return
     drawn = setup.links.reshape(-1, 4)
+    arm_kg = float(np.nansum(drawn[:, 0]))
+    shares, lengths_m = (NAN,), np.full(rows.axes, NAN)
+    if setup.robot is not None and arm_kg > 0.0:
+        lengths_m = link_lengths_m(setup.robot)
+        # a body on a short link may be as far out as on the others
+        shares, lengths_m = SHARES, np.maximum(lengths_m, lengths_m.mean())
     for link in _links(rows.axes):
         m, x, y, z = (float(value) for value in drawn[link])
-        known = np.isfinite([m, x, y, z]).all()
-        yield LinkMass(link, (m, x, y, z) if known else None, float(np.nansum(drawn[:, 0])))
+        known = (m, x, y, z) if np.isfinite([m, x, y, z]).all() else None
+        for mass_kg in (share * arm_kg for share in shares):
+            yield LinkMass(link, known, arm_kg, (mass_kg, mass_kg * float(lengths_m[link])))
 
 
 def _in_motion(motion: MovingRows, setup: MotionSetup) -> Iterator[Term]:

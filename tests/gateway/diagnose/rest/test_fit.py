@@ -68,19 +68,25 @@ def test_the_evidence_is_the_density_less_the_volume_of_the_priors(problem, fits
         assert found.evidence == pytest.approx(expected, abs=0.5)
 
 
-def test_wrong_standard_deviations_of_a_prior_are_averaged_over():
-    """Against the density of the rows by scipy, with priors of each width."""
+def test_wrong_standard_deviations_of_two_priors_are_averaged_over():
+    """Against the density of the rows by scipy, with priors of each pair of widths; both explain the same rows."""
     rng = np.random.default_rng(3)
     columns, rows = rng.standard_normal((7, 4)), rng.standard_normal(7) * 3.0
-    information = np.eye(4) + columns.T @ columns
-    covariance = np.linalg.inv(information)
+    columns[:, 2] = columns[:, 0] + 0.1 * columns[:, 1]
+    covariance = np.linalg.inv(np.eye(4) + columns.T @ columns)
     factors = 2.0 ** np.linspace(-1.0, 1.0, 5)
     likely = stats.norm.pdf(np.linspace(-2.0, 2.0, 5))
+    first, others = columns[:, :2], columns[:, 2:]
     density = [
-        stats.multivariate_normal.pdf(rows, cov=np.eye(7) + factor**2 * columns @ columns.T) for factor in factors
+        [
+            stats.multivariate_normal.pdf(rows, cov=np.eye(7) + one**2 * first @ first.T + other**2 * others @ others.T)
+            for other in factors
+        ]
+        for one in factors
     ]
-    expected = np.log(density @ likely / likely.sum() / density[2])
-    assert over_factors(covariance @ columns.T @ rows, covariance) == pytest.approx(expected, abs=1e-9)
+    expected = np.log(likely @ density @ likely / likely.sum() ** 2 / density[2][2])
+    found = over_factors(covariance @ columns.T @ rows, covariance, np.array([True, True, False, False]))
+    assert found == pytest.approx(expected, abs=1e-9)
 
 
 def test_an_offset_that_is_there_is_found_with_its_size(fits):

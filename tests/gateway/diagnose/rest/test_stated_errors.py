@@ -10,10 +10,15 @@ from tests.support.blind.nature import first_diagnosis
 
 @pytest.mark.slow
 def test_a_body_that_free_links_could_absorb_is_named() -> None:
-    """22 kg on a link: it leaves 0.7 of the noise where links are free, and 3 % of the CAD cannot explain it."""
+    """22 kg on a link: it leaves 0.7 of the noise where links are free, and 3 % of the CAD cannot explain it.
+
+    The torque constant of J4 happens to be 13 % off, 2.6 of its stated standard deviations: it may be named too.
+    """
     cell = draw_effect_cell(323)
     assert [(effect.mechanism, effect.joints) for effect in cell.effects] == [("dressed_link", (4,))]
-    assert [(effect.name, effect.joints) for effect in first_diagnosis(cell).effects] == [("link_mass", (4,))]
+    found = {(effect.name, effect.joints) for effect in first_diagnosis(cell).effects}
+    assert ("link_mass", (4,)) in found
+    assert found <= {("link_mass", (4,)), ("torque_constant_scale", (4,))}
 
 
 @pytest.mark.slow
