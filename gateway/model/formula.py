@@ -8,16 +8,18 @@ friction that varies with an angle, and a gain that varies with the torque.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import combinations
-from typing import ClassVar, Final
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+from typing import ClassVar, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gateway.model.effect import RestSetup, largest_torque_nm, measured_axes
-from gateway.model.term import NAN, PassiveTorque, Term
-from gateway.model.unnamed import BentGain, Pull, UnevenBand, UnevenGain, harmonics
+from gateway.model.kinematics import link_frames
+from gateway.model.rest import AlteredModel
+from gateway.model.term import NAN, OnAxis, PassiveTorque, Term
+from gateway.model.unnamed import BentGain, Pull, Slosh, UnevenBand, UnevenGain, harmonics, sloshing
 from gateway.model.visits import Visits
 
 Floats = NDArray[np.float64]
@@ -26,9 +28,14 @@ FORMULA: Final = "formula"
 #: Multiples of one joint angle, and of the sum or difference of two, that a wave may have.
 SINGLE: Final = (1, 2, 3, 4)
 DOUBLE: Final = (1, 2)
-#: Share of the visited angles beyond which a buffer begins, and powers of its compression.
+#: Share of the visited angles beyond which a buffer begins, or of the torque of a knee; powers of a compression.
 SHARES: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 POWERS: Final = (1, 2)
+
+
+#: Where a hose may be anchored, in units of the arm's reach; shares of the visited distances at which it is taut.
+ANCHORS: Final = tuple(at for at in product((-0.8, 0.0, 0.8), repeat=3) if any(at))
+TAUT: Final = (0.3, 0.5, 0.7)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +81,53 @@ class Buffer(PassiveTorque):
         return np.maximum(self.side * (q_rad[:, [self.axis]] - self.at_rad), 0.0) ** self.power
 
 
+@dataclass(frozen=True, slots=True)
+class Knee(OnAxis):
+    """Gain of one axis that changes beyond a motor torque: a current sensor or a magnetic circuit that saturates."""
+
+    knee_nm: float
+    name: ClassVar[str] = FORMULA
+    SPREAD: ClassVar[tuple[float, ...]] = (0.5,)
+    modelled: ClassVar[bool] = True
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
+        return replace(setting, knees=(*setting.knees, (self.axis, self.knee_nm, float(theta[0]))))
+
+
+@dataclass(frozen=True, slots=True)
+class Hose(Term):
+    """Hose or cable from a fixed point to the origin of a link: slack up to its free length, elastic beyond."""
+
+    link: int
+    anchor_m: tuple[float, ...]
+    free_m: float
+    reach_m: float
+    name: ClassVar[str] = FORMULA
+    linear: ClassVar[tuple[bool, ...]] = (True, False, False, False, False)
+
+    @property
+    def start(self) -> tuple[float, ...]:
+        return (0.0, *self.anchor_m, self.free_m)
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        return (NAN, *(0.5 * self.reach_m,) * 4)
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
+        return replace(setting, hoses=(*setting.hoses, (self.link, theta)))
+
+    def exists(self, theta: Floats, std: Floats) -> bool:
+        """Return True for a hose that pulls."""
+        return bool(theta[0] >= 0.0)
+
+    def shaped(self, values: Floats) -> Self:
+        return replace(self, anchor_m=tuple(values[:3].tolist()), free_m=float(values[3]))
+
+
+#: Terms that act on the whole arm: a formula consists of such a term alone.
+ON_ARM: Final = (Pull, Slosh, Hose)
+
+
 def formula_terms(rows: Visits, setup: RestSetup) -> list[Term]:
     """Return all terms that a formula may have."""
     measured, count = measured_axes(rows), rows.axes
@@ -84,11 +138,27 @@ def formula_terms(rows: Visits, setup: RestSetup) -> list[Term]:
         angles = np.quantile(rows.q_rad[:, axis], SHARES).round(3).tolist()
         terms += [Buffer(axis, at, side, power) for at in angles for side in (-1, 1) for power in POWERS]
         terms.append(UnevenBand(axis, axis))
-    terms += [
-        term for axis in measured if axis > 0 for term in (UnevenGain(axis), BentGain(axis, float(largest[axis])))
-    ]
+    for axis in (axis for axis in measured if axis > 0):
+        terms += [UnevenGain(axis), BentGain(axis, float(largest[axis]))]
+        terms += [
+            Knee(axis, float(np.format_float_positional(share * largest[axis], 3, fractional=False)))
+            for share in SHARES
+        ]
     terms += [Pull(link) for link in range(2, count)]
-    return terms
+    return [*terms, *sloshing(rows), *_hoses(rows, setup)]
+
+
+def _hoses(rows: Visits, setup: RestSetup) -> Iterator[Term]:
+    """Hoses to the last link and to the one that carries the wrist."""
+    if setup.robot is None:
+        return
+    origins = link_frames(setup.robot, rows.q_rad)[:, :, :3, 3]
+    for link in {rows.axes - 1, max(rows.axes - 3, 0)}:
+        reach_m = float(np.linalg.norm(origins[:, link], axis=1).max())
+        for point in ANCHORS:
+            anchor = reach_m * np.array(point)
+            free = np.quantile(np.linalg.norm(origins[:, link] - anchor, axis=1), TAUT).tolist()
+            yield from (Hose(link, tuple(anchor.tolist()), length, reach_m) for length in free)
 
 
 def _multiples(count: int) -> Iterator[tuple[int, ...]]:
@@ -118,13 +188,26 @@ def pieces(term: Term) -> tuple[Piece, ...]:
             return tuple(Piece(f"u*{wave}(q{term.axis + 1})", "") for wave in ("cos", "sin"))
         case BentGain():
             return (Piece("u*abs(u)", "1/Nm", 1.0 / term.largest_nm),)
+        case Knee():
+            return (Piece(f"max(abs(u) - {term.knee_nm:g}, 0)*sign(u)", ""),)
         case UnevenBand():
             waves = [f"{wave}({k}*q{term.joint + 1})" for k in (1, 2) for wave in ("cos", "sin")]
             return tuple(Piece(f"friction*{wave.replace('(1*', '(')}", "") for wave in waves)
+        case Hose():
+            anchor = ", ".join(f"{value:.2f}" for value in term.anchor_m)
+            taut = f"hose from ({anchor}) m to link {term.link + 1}, taut beyond {term.free_m:.2f} m"
+            return (Piece(taut, "N/m"),)
+        case Slosh():
+            return tuple(Piece(f"{axis} of the load by {_slosh(axis, term.steepness)}", "m") for axis in "xyz")
         case Pull():
             return tuple(Piece(f"force_{axis} on the origin of link {term.axis + 1}", "N") for axis in "xyz")
         case _:
             raise TypeError(f"{term!r} cannot be part of a formula")
+
+
+def _slosh(axis: str, steepness: float) -> str:
+    """Return the displacement of a liquid by the direction of gravity in the last link as text."""
+    return f"tanh({steepness:g}*down_{axis})" if steepness > 0.0 else f"down_{axis}"
 
 
 def angle(multiples: tuple[int, ...]) -> str:

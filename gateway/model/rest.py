@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.kinematics import joint_axes_origins
+from gateway.model.kinematics import joint_axes_origins, link_frames
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -48,6 +48,9 @@ class AlteredModel:
     band_gain : (n, N) factor on the friction band
     gain_per_nm : (N,) added to the gain per Nm of motor torque
     pull_n : (N, 3) force in the base frame on the origin of each link
+    knees : of each bent conversion: axis (from 0), motor torque of the knee [Nm], change of the gain beyond it
+    hoses : of each hose: link (from 0); stiffness [N/m], anchor (3) in the base frame and free length [m]
+    slosh : of each liquid: steepness; displacement (3,) of the load's centre [m] by the direction of gravity
     """
 
     tilt_rad: Floats
@@ -67,6 +70,9 @@ class AlteredModel:
     band_gain: Floats
     gain_per_nm: Floats
     pull_n: Floats
+    knees: tuple[tuple[int, float, float], ...] = ()
+    hoses: tuple[tuple[int, Floats], ...] = ()
+    slosh: tuple[tuple[float, Floats], ...] = ()
 
 
 def neutral(n: int, axes: int) -> AlteredModel:
@@ -117,6 +123,11 @@ class _Bent:
     away: Floats
 
 
+def saturating(share: Floats, steepness: float) -> Floats:
+    """Return a share of -1 .. 1 that saturates with the steepness; 0 = in proportion."""
+    return np.tanh(steepness * share) if steepness > 0.0 else share
+
+
 class Model:
     """Model of one robot at fixed visits; regressors of the same geometry are computed once.
 
@@ -132,6 +143,7 @@ class Model:
         self.nominal = gravity_regressor(robot, rows.q_rad, self.gravity)
         self.lossless = bool((rows.gears.efficiency == 1.0).all())
         self._geometry: tuple[bytes, Floats] | None = None
+        self._frames: Floats | None = None
         self._levers: Floats | None = None
         self._bent: tuple[Floats, Floats, Floats] | None = None
 
@@ -152,7 +164,10 @@ class Model:
     def bodies(self, setting: AlteredModel, links: Floats, load: Floats) -> Floats:
         """Return the parameters (n, 4 N) of the links with the load on the last link, for each visit."""
         carried = load + setting.load_extra
-        carried[:, 1:] += carried[:, :1] * setting.moment_factor
+        moved = setting.moment_factor
+        for steepness, path_m in setting.slosh:
+            moved = moved + saturating(self.down, steepness) * path_m
+        carried[:, 1:] += carried[:, :1] * moved
         bodies = np.repeat((links + setting.link_extra)[None], len(load), axis=0)
         bodies[:, -4:] += carried
         return bodies
@@ -168,9 +183,27 @@ class Model:
 
     def passive(self, setting: AlteredModel) -> Floats:
         """Return the torque (n, N) of springs, cables and pulls on the joints."""
-        if not setting.pull_n.any():
-            return setting.passive_nm
-        return setting.passive_nm + np.einsum("nijk,jk->ni", self.levers, setting.pull_n)
+        passive = setting.passive_nm
+        if setting.pull_n.any():
+            passive = passive + np.einsum("nijk,jk->ni", self.levers, setting.pull_n)
+        for link, (stiffness, *anchor, free) in setting.hoses:
+            towards = np.array(anchor) - self.frames[:, link, :3, 3]
+            length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
+            force = (stiffness * np.maximum(length - free, 0.0) / length)[:, None] * towards
+            passive = passive + np.einsum("nik,nk->ni", self.levers[:, :, link], force)
+        return passive
+
+    @property
+    def frames(self) -> Floats:
+        """Return the pose (n, N, 4, 4) of every link in the base frame at the measured angles."""
+        if self._frames is None:
+            self._frames = link_frames(self.robot, self.rows.q_rad)
+        return self._frames
+
+    @property
+    def down(self) -> Floats:
+        """Return the direction (n, 3) of gravity in the last link."""
+        return np.einsum("nji,j->ni", self.frames[:, -1, :3, :3], self.gravity / np.linalg.norm(self.gravity))
 
     @property
     def levers(self) -> Floats:
@@ -273,7 +306,7 @@ class Model:
 
     def _straight(self, setting: AlteredModel) -> bool:
         """Return True if the conversion cancels all effects between gear and reading."""
-        if setting.gain_per_nm.any():
+        if setting.gain_per_nm.any() or setting.knees:
             return False
         return self.lossless or not (setting.offset_nm.any() or np.any(setting.coupling != np.eye(self.rows.axes)))
 
@@ -283,7 +316,11 @@ class Model:
         gain = setting.gain
         if setting.gain_per_nm.any():
             gain = gain + setting.gain_per_nm * np.abs(motor)
-        seen = (gain * motor + setting.offset_nm) @ setting.coupling.T
+        read = gain * motor + setting.offset_nm
+        for axis, knee_nm, more in setting.knees:
+            beyond = np.maximum(np.abs(motor[:, axis]) - knee_nm, 0.0)
+            read[:, axis] += more * beyond * np.sign(motor[:, axis])
+        seen = read @ setting.coupling.T
         return gears.behind(seen, direction)
 
     def sum_by_torque(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Floats:

@@ -11,6 +11,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.data.labels import BARE_LABEL
 from gateway.model.effect import RestSetup, largest_torque_nm, measured_axes
 from gateway.model.rest import AlteredModel
 from gateway.model.term import NAN, OnAxis, PassiveTorque, Term, plus
@@ -21,6 +22,8 @@ Floats = NDArray[np.float64]
 
 #: Name of a shape that no effect explains.
 UNNAMED: Final = "unnamed"
+#: Steepness of a liquid's displacement by the direction of gravity: in proportion, and in flatter tanks.
+STEEPNESSES: Final = (0.0, 2.0, 6.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +62,23 @@ class Pull(OnAxis):
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
         return replace(setting, pull_n=plus(setting.pull_n, self.axis, theta))
+
+
+@dataclass(frozen=True, slots=True)
+class Slosh(Term):
+    """Centre of the load that moves with the direction of gravity in the last link: a liquid, or a loose part.
+
+    With `steepness` the displacement saturates where the liquid has run to one side; 0 = it does not.
+    """
+
+    steepness: float
+    name: ClassVar[str] = UNNAMED
+    linear: ClassVar[tuple[bool, ...]] = (True,) * 3
+    SPREAD: ClassVar[tuple[float, ...]] = (0.1,) * 3
+    modelled: ClassVar[bool] = True
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
+        return replace(setting, slosh=(*setting.slosh, (self.steepness, theta)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,4 +138,10 @@ def unnamed_terms(rows: Visits, setup: RestSetup) -> list[Term]:
     terms += [BentGain(axis, float(largest[axis])) for axis in carrying]
     terms += [UnevenBand(axis, axis) for axis in measured]
     terms += [Pull(link) for link in range(2, count)]
+    terms += sloshing(rows)
     return terms
+
+
+def sloshing(rows: Visits) -> list[Term]:
+    """Return liquids and loose parts in the load."""
+    return [Slosh(steepness) for steepness in STEEPNESSES if (rows.load != BARE_LABEL).any()]

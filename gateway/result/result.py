@@ -131,10 +131,10 @@ class FormulaPiece:
 class Formula:
     """Candidate formula for a torque that no effect of the library explains: what the modelled motor torque lacks.
 
-    `joints` is [] for a force on the arm. `holdout_rms_ratio` and `p_value` are of poses that did not take part in its
-    choice. `runner_up` are the products of the next best formula, `odds` those against it. `after` are residuals and
-    loads with the formula in the model. `predicted_nm` is what the formula of the other poses predicts for each of
-    their rows, `residual_nm` their residual without a formula.
+    `joints` is [] for a force on the arm or a displacement of the load. `holdout_rms_ratio` and `p_value` are of poses
+    that did not take part in its choice. `runner_up` are the products of the next best formula, `odds` those against
+    it. `after` are residuals and loads with the formula in the model. `predicted_nm` is what the formula of the other
+    poses predicts for each of their rows, `residual_nm` their residual without a formula.
     """
 
     joints: tuple[int, ...] = ()

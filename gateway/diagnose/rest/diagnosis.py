@@ -15,7 +15,7 @@ from gateway.data.table import Table
 from gateway.diagnose.options import DiagnoseOptions
 from gateway.diagnose.rest.bias import friction_by_direction
 from gateway.diagnose.rest.deflection import elastic_joints
-from gateway.diagnose.rest.formula import candidate_formula
+from gateway.diagnose.rest.formula import Formulas, candidate_formula, searched_formulas
 from gateway.diagnose.rest.holdout import Unseen, predicted, prediction_covariance
 from gateway.diagnose.rest.pose_selection import questions
 from gateway.diagnose.rest.residual_structure import structure_seen_nm
@@ -46,7 +46,7 @@ from gateway.diagnose.rest.rest_plots import DrawnVisits, pictures
 from gateway.diagnose.rest.ripple import ripple_remarks, with_ripple
 from gateway.diagnose.rest.search import Search, run
 from gateway.diagnose.rest.validation_tests import fresh_misfit, fresh_seen_nm, spare_rows
-from gateway.diagnose.rest.verdict import Decision, decide
+from gateway.diagnose.rest.verdict import Decision, decide, without_names
 from gateway.errors import DataUnusable
 from gateway.estimate import to_result
 from gateway.estimate.describe import bare_of
@@ -307,11 +307,7 @@ class RestDiagnosis:
         decision = decide(search, found.chosen)
         held = self._held(found, holdout)
         decision, findings = self._confirmed(decision, held, problem)
-        judge = Judge.of(search, decision, held)
-        shown = proven(search, decision, judge)
-        if contradicted(decision, shown):
-            decision = replace(decision, verdict="unexplained", after=decision.before, proven=(), rivals=())
-            judge, shown = Judge.of(search, decision, held), []
+        decision, judge, shown, formulas = _named(found, decision, held)
         effects = [entry for mistake in found.mistakes for entry in mistake_effect(mistake, found.gained)]
         effects += shown
         seen_by_encoder = elastic_joints(problem, decision.after) if "joint_elasticity" in self.options.allowed else []
@@ -343,7 +339,7 @@ class RestDiagnosis:
             bare = estimated.bare
             findings += [each for each in estimated.findings if each.severity == "fail" and each.check != REFUSED]
         floor, band = floor_and_band(problem, decision)
-        formula = candidate_formula(search, decision, found.setup, judge, self.robot)
+        formula = candidate_formula(formulas, judge, self.robot) if formulas else None
         findings += corrected_links(decision) + at_the_edge(decision, problem)
         findings += (*self.placeholder, *(settled.findings if settled else ()), *found.read.outliers.findings)
         if "torque_ripple" in self.options.allowed:
@@ -407,6 +403,20 @@ class RestDiagnosis:
             "add their measurements to the data and diagnose again",
         )
         return replace(decision, verdict=verdict), [finding]
+
+
+def _named(
+    found: Found, decision: Decision, held: Unseen | None
+) -> tuple[Decision, Judge, list[EffectResult], Formulas | None]:
+    """Return the decision with the names that neither held-out rows nor a formula take away, and the formulas."""
+    judge = Judge.of(found.search, decision, held)
+    shown = proven(found.search, decision, judge)
+    if contradicted(decision, shown):
+        decision = without_names(decision)
+    formulas, beside = searched_formulas(found.search, decision, found.setup)
+    if beside.proven or not shown:
+        return beside, judge, shown, formulas
+    return beside, Judge.of(found.search, beside, held), [], formulas
 
 
 def _undone(table: Table, mistakes: tuple[Mistake, ...]) -> Table:

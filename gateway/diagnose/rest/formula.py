@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -20,13 +19,12 @@ from gateway.diagnose.rest.holdout import chosen_with_density, left_out_poses, r
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_outcome import LARGEST_ODDS, Judge, summary
 from gateway.diagnose.rest.search import Search
-from gateway.diagnose.rest.verdict import Decision, in_std
+from gateway.diagnose.rest.verdict import Decision, in_std, without_names
 from gateway.identify.rest.linear import Fit
 from gateway.model.effect import RestSetup
-from gateway.model.formula import formula_terms, pieces
+from gateway.model.formula import ON_ARM, formula_terms, pieces
 from gateway.model.robot import Robot
 from gateway.model.term import Term
-from gateway.model.unnamed import Pull
 from gateway.result.result import Formula, FormulaPiece
 
 Floats = NDArray[np.float64]
@@ -45,39 +43,45 @@ class CandidateFormula:
     fits: tuple[Fit, ...]
 
 
-def candidate_formula(
-    search: Search, decision: Decision, setup: RestSetup, judge: Judge, robot: Robot
-) -> CandidateFormula | None:
-    """Return the formula for the structure that a decision leaves unexplained; None if there is none.
+def searched_formulas(search: Search, decision: Decision, setup: RestSetup) -> tuple[Formulas | None, Decision]:
+    """Return the formulas for the structure that a decision leaves unexplained, and the decision beside them.
+
+    The named effects remain in the fit. If one term on the whole arm is more likely in place of all of them, they are
+    no longer named. A formula on one axis may describe the same cause in other words: it leaves the names.
+    """
+    if decision.verdict not in ("unexplained", "improved"):
+        return None, decision
+    terms = formula_terms(search.problem.rows, setup)
+    formulas = Formulas(search, decision.after, terms)
+    if decision.verdict == "improved":
+        alone = Formulas(search, decision.before, terms)
+        if alone.on_arm(alone.best) and alone.score(alone.best) > formulas.score(formulas.best):
+            return alone, without_names(decision)
+    return formulas, decision
+
+
+def candidate_formula(formulas: Formulas, judge: Judge, robot: Robot) -> CandidateFormula | None:
+    """Return the best formula if poses and rows outside its choice confirm it.
 
     Parameters
     ----------
-    search : Search
-    decision : Decision
-        Its named effects stay in the fit.
-    setup : RestSetup
+    formulas : Formulas
     judge : Judge
         Of the decision; held-out rows test the formula too.
     robot : Robot
     """
-    if decision.verdict not in ("unexplained", "improved"):
-        return None
-    base = decision.after
-    formulas = _Formulas(search, base, formula_terms(search.problem.rows, setup))
-    formulas.extend()
-    best = max(formulas.fits, key=formulas.score)
+    best, problem = formulas.best, formulas.problem
     if best is formulas.fits[0]:
         return None
-    problem = search.problem
-    scores = [formulas.score(fit) for fit in formulas.fits]
-    by_others, density = chosen_with_density(problem, formulas.fits, scores)
+    fits = [fit for fit in formulas.fits if formulas.score(fit) >= formulas.score(formulas.fits[0])]
+    by_others, density = chosen_with_density(problem, fits, [formulas.score(fit) for fit in fits])
     without, density_without = left_out_poses(problem, formulas.fits[0])
     # by chance, such a gain of log(1 / p) has a probability of at most p (Markov's inequality)
     gained = float((density - density_without).sum())
     if gained < REST.needed or in_std(reduced_by_pose(problem, by_others, without, best.noise.std)) < REST.unseen:
         return None
     joints = tuple(sorted({joint for term in formulas.own(best) for joint in term.joints}))
-    if any(isinstance(term, Pull) for term in formulas.own(best)):
+    if formulas.on_arm(best):
         joints = ()
     axes = [joint - 1 for joint in joints] or range(problem.axes)
     ratio = Held.of_rows(by_others, problem.axis, problem.axes).over(
@@ -87,15 +91,14 @@ def candidate_formula(
         ratio = judge.ratio(best, formulas.fits[0], joints)
         if ratio >= 1.0:
             return None
-    near = [fit for fit in formulas.fits if fit is not best and formulas.odds(best, fit) < REST.ask_odds]
-    near = sorted(near, key=formulas.score, reverse=True)
+    near = [fit for fit in formulas.different() if fit is not best and formulas.odds(best, fit) < REST.ask_odds]
     shown = np.isin(problem.group, axes)  # half-sums
     result = Formula(
         joints=joints,
         pieces=formulas.pieces(best),
         holdout_rms_ratio=ratio,
         p_value=max(float(np.exp(-gained)), float(np.finfo(float).tiny)),
-        runner_up=_text(formulas.own(near[0])) if near else None,
+        runner_up=formulas.text(near[0]) if near else None,
         odds=formulas.odds(best, near[0]) if near else LARGEST_ODDS,
         after=summary(problem, best, judge, robot),
         predicted_nm=tuple((without - by_others)[shown].tolist()),
@@ -104,13 +107,16 @@ def candidate_formula(
     return CandidateFormula(result, (best, *near))
 
 
-class _Formulas:
+class Formulas:
     """Formulas on top of a fit; the first of `fits` is that fit without a formula."""
 
     def __init__(self, search: Search, base: Fit, terms: Sequence[Term]) -> None:
         self._search = Search(search.problem, search.named, tuple(terms), search.noise)
         self._base = base.terms
+        self.problem = search.problem
         self.fits = [self._search.fitted(base.terms, base)]
+        self._extend()
+        self.best = max(self.fits, key=self.score)
 
     def score(self, fit: Fit) -> float:
         """Log odds of a formula."""
@@ -120,6 +126,10 @@ class _Formulas:
         """Return the terms of the formula of a fit."""
         return tuple(term for term in fit.terms if term not in self._base)
 
+    def on_arm(self, fit: Fit) -> bool:
+        """Return True if the formula acts on the whole arm or its load."""
+        return any(isinstance(term, ON_ARM) for term in self.own(fit))
+
     def pieces(self, fit: Fit) -> tuple[FormulaPiece, ...]:
         """Return the products of the formula of a fit with their coefficients."""
         own = self.own(fit)
@@ -127,14 +137,26 @@ class _Formulas:
             FormulaPiece(each.expression, float(each.sign * value), float(abs(each.sign) * error), each.unit)
             for term, theta, std in self._search.sized(fit)
             if term in own
-            for each, value, error in zip(pieces(term), theta, std, strict=True)
+            for each, value, error in zip(pieces(term.shaped(theta[term.count :])), theta, std, strict=False)
         )
+
+    def different(self) -> list[Fit]:
+        """Return the formulas from the best on, those that differ by start values alone once."""
+        kinds: dict[frozenset[Term], Fit] = {}
+        for fit in sorted(self.fits, key=self.score, reverse=True):
+            kind = frozenset(term.shaped(np.zeros(len(term.linear) - term.count)) for term in self.own(fit))
+            kinds.setdefault(kind, fit)
+        return list(kinds.values())
+
+    def text(self, fit: Fit) -> str:
+        """Return the products of the formula of a fit without coefficients."""
+        return ", ".join(piece.expression for piece in self.pieces(fit)) or "no formula"
 
     def odds(self, best: Fit, other: Fit) -> float:
         """Return the odds of one formula against another."""
         return float(np.exp(min(self.score(best) - self.score(other), np.log(LARGEST_ODDS))))
 
-    def extend(self) -> None:
+    def _extend(self) -> None:
         """Add terms one by one to the leading formulas; all terms of a formula act on one axis."""
         leaders = self.fits[:1]
         for _ in range(MOST_TERMS):
@@ -148,17 +170,12 @@ class _Formulas:
     def _extended(self, leader: Fit) -> list[Fit]:
         own = self.own(leader)
         places = {term.joints for term in own}
-        beside = any(isinstance(term, Pull) for term in own)
+        beside = self.on_arm(leader)
         open_terms = [
             term
             for term in self._search.unnamed
-            if term not in own and (not own or (term.joints in places and not beside and not isinstance(term, Pull)))
+            if term not in own and (not own or (term.joints in places and not beside and not isinstance(term, ON_ARM)))
         ]
         view = self._search.view(leader, open_terms, leader.noise.std)
         best = np.argsort(-view.log_bayes)[: REST.singles]
         return [self._search.fitted((*leader.terms, view.terms[k]), leader) for k in best]
-
-
-def _text(own: Sequence[Term]) -> str:
-    """Return the products of a formula without coefficients."""
-    return ", ".join(each.expression for each in chain.from_iterable(pieces(term) for term in own)) or "no formula"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -111,6 +111,11 @@ def decide(search: Search, chosen: Fit) -> Decision:
     if len(np.unique(problem.rows.pose)) < REST.least_poses:
         verdict, after, proven, rivals = "undecided", before, (), ()
     return Decision(verdict, before, after, full, proven, rivals, near, structure_p, odds, runner_up)
+
+
+def without_names(decision: Decision) -> Decision:
+    """Return the decision without its effects: the residual of the model without effects is unexplained."""
+    return replace(decision, verdict="unexplained", after=decision.before, proven=(), rivals=())
 
 
 def _verdict(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -10,11 +11,14 @@ import pytest
 from gateway.diagnose import close_loop, diagnose
 from gateway.model.effects.torque_offset import TorqueOffset
 from gateway.model.formula import AngleWave, Buffer, pieces
+from gateway.model.kinematics import link_frames
 from gateway.model.unnamed import BentGain, Pull, UnevenBand, UnevenGain
 from gateway.report.render import render
 from gateway.report.summary_text import formula_text
 from gateway.result.result import from_json, to_json
+from sim.nature.nature_cell import draw_effect_cell
 from tests.resting_arm import Bench, effect
+from tests.support.blind.nature import first_diagnosis
 
 #: Mechanism, and the coefficient of each product of its closed form (what the modelled motor torque lacks).
 CLOSED_FORMS = [
@@ -60,6 +64,43 @@ def test_a_mechanism_without_a_name_gets_its_closed_form_and_no_name(hidden, clo
     assert "Candidate formula" in page
     assert all(expression in page for expression in closed)
     assert "names no cause" in formula_text(formula)
+
+
+@pytest.mark.slow
+def test_a_hose_is_found_where_it_is_anchored():
+    tips_m = link_frames(Bench(4, []).robot, Bench(4, []).poses)[:, 5, :3, 3]
+    hook_m = np.array([0.3, 0.5, 1.4]) * np.linalg.norm(tips_m, axis=1).max()
+    free_m = float(np.median(np.linalg.norm(tips_m - hook_m, axis=1)))
+    hidden = effect("bungee", [6], hook_m=hook_m.tolist(), stiffness_n_m=400.0, free_length_m=free_m)
+    bench = Bench(4, [hidden])
+    formula = diagnose(bench.both(), bench.robot, bench.options).formula
+    assert formula is not None
+    (piece,) = formula.pieces
+    *anchor_m, link, length_m = (float(each) for each in re.findall(r"-?\d+(?:\.\d+)?", piece.expression))
+    assert link == 6
+    np.testing.assert_allclose(anchor_m, hook_m, atol=0.05)
+    assert length_m == pytest.approx(free_m, abs=0.05)
+    assert piece.coefficient == pytest.approx(400.0, rel=0.05)
+    assert formula.runner_up is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("seed", "mechanism", "words"),
+    [
+        (2170, "tether", "hose from"),  # the library alone: cable torque and constant of J5
+        (2357, "saturated_current", "max(abs(u)"),
+        (2378, "half_full_tank", "of the load by tanh"),
+    ],
+)
+def test_a_formula_that_explains_more_takes_the_place_of_names(seed, mechanism, words):
+    cell = draw_effect_cell(seed)
+    assert [each.mechanism for each in cell.effects] == [mechanism]
+    result = first_diagnosis(cell)
+    assert not result.effects
+    assert result.verdict == "unexplained"
+    assert result.formula is not None
+    assert all(words in piece.expression for piece in result.formula.pieces)
 
 
 @pytest.mark.slow
