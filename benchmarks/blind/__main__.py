@@ -5,7 +5,8 @@ python -m benchmarks.blind [--tier drawn|nature] [--seeds dev|test|fresh] [--out
 Tier `drawn`, by the simulator's own draws (--limit N, --bus N): development seeds are 0 to 399, and from there to 9999
 where more are needed (--first). Test seeds are 10000 to 10999; fresh seeds for a changed model are 20000 to 20999. Both
 are run once for the published table and never tuned on.
-Tier `nature` (--cells N --diagnosed N --effects N --conditions NAME,..): development seeds from 0, test from 30000.
+Tier `nature` (--cells N --diagnosed N --effects N --conditions NAME,..): development seeds from 0, test seeds from
+30000, fresh seeds from 70000.
 """
 
 from __future__ import annotations
