@@ -56,9 +56,8 @@ def test_what_is_stated_gives_the_model_that_was_fitted(term, theta):
     solved_model = found.apply(neutral(len(Q), 6), solved, rows)
     for name in expected.__slots__:
         want = getattr(expected, name)
-        assert getattr(solved_model, name) == pytest.approx(want, rel=1e-4, abs=1e-4 * max(np.abs(want).max(), 1e-9)), (
-            name
-        )
+        close = pytest.approx(want, rel=1e-4, abs=1e-4 * np.abs(want).max(initial=1e-9))
+        assert getattr(solved_model, name) == close, name
 
 
 def test_every_lasting_effect_is_solved_here():
