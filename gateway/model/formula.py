@@ -28,11 +28,13 @@ FORMULA: Final = "formula"
 #: Multiples of one joint angle, and of the sum or difference of two, that a wave may have.
 SINGLE: Final = (1, 2, 3, 4)
 DOUBLE: Final = (1, 2)
-#: Share of the visited angles beyond which a buffer begins, or of the torque of a knee; powers of a compression.
+#: Share of the visited angles beyond which a buffer begins, and powers of its compression.
 SHARES: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 POWERS: Final = (1, 2)
 
 
+#: Shares of the largest torque at which a knee may be.
+KNEES: Final = (0.25, 0.45, 0.65)
 #: Where a hose may be anchored, in units of the arm's reach; shares of the visited distances at which it is taut.
 ANCHORS: Final = tuple(at for at in product((-0.8, 0.0, 0.8), repeat=3) if any(at))
 TAUT: Final = (0.3, 0.5, 0.7)
@@ -86,12 +88,24 @@ class Knee(OnAxis):
     """Gain of one axis that changes beyond a motor torque: a current sensor or a magnetic circuit that saturates."""
 
     knee_nm: float
+    largest_nm: float
     name: ClassVar[str] = FORMULA
-    SPREAD: ClassVar[tuple[float, ...]] = (0.5,)
+    linear: ClassVar[tuple[bool, ...]] = (True, False)
     modelled: ClassVar[bool] = True
 
+    @property
+    def start(self) -> tuple[float, ...]:
+        return 0.0, self.knee_nm
+
+    @property
+    def spread(self) -> tuple[float, ...]:
+        return 0.5, 0.3 * self.largest_nm
+
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
-        return replace(setting, knees=(*setting.knees, (self.axis, self.knee_nm, float(theta[0]))))
+        return replace(setting, knees=(*setting.knees, (self.axis, float(theta[1]), float(theta[0]))))
+
+    def shaped(self, values: Floats) -> Self:
+        return replace(self, knee_nm=float(values[0]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +140,8 @@ class Hose(Term):
 
 #: Terms that act on the whole arm: a formula consists of such a term alone.
 ON_ARM: Final = (Pull, Slosh, Hose)
+#: Terms that are the law of one mechanism; others are shapes that may describe many.
+MECHANISMS: Final = (*ON_ARM, Knee)
 
 
 def formula_terms(rows: Visits, setup: RestSetup) -> list[Term]:
@@ -140,10 +156,7 @@ def formula_terms(rows: Visits, setup: RestSetup) -> list[Term]:
         terms.append(UnevenBand(axis, axis))
     for axis in (axis for axis in measured if axis > 0):
         terms += [UnevenGain(axis), BentGain(axis, float(largest[axis]))]
-        terms += [
-            Knee(axis, float(np.format_float_positional(share * largest[axis], 3, fractional=False)))
-            for share in SHARES
-        ]
+        terms += [Knee(axis, float(share * largest[axis]), float(largest[axis])) for share in KNEES]
     terms += [Pull(link) for link in range(2, count)]
     return [*terms, *sloshing(rows), *_hoses(rows, setup)]
 
@@ -189,7 +202,7 @@ def pieces(term: Term) -> tuple[Piece, ...]:
         case BentGain():
             return (Piece("u*abs(u)", "1/Nm", 1.0 / term.largest_nm),)
         case Knee():
-            return (Piece(f"max(abs(u) - {term.knee_nm:g}, 0)*sign(u)", ""),)
+            return (Piece(f"max(abs(u) - {float(f'{term.knee_nm:.3g}'):g}, 0)*sign(u)", ""),)
         case UnevenBand():
             waves = [f"{wave}({k}*q{term.joint + 1})" for k in (1, 2) for wave in ("cos", "sin")]
             return tuple(Piece(f"friction*{wave.replace('(1*', '(')}", "") for wave in waves)

@@ -22,7 +22,7 @@ from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.verdict import Decision, in_std, without_names
 from gateway.identify.rest.linear import Fit
 from gateway.model.effect import RestSetup
-from gateway.model.formula import ON_ARM, formula_terms, pieces
+from gateway.model.formula import MECHANISMS, ON_ARM, formula_terms, pieces
 from gateway.model.robot import Robot
 from gateway.model.term import Term
 from gateway.result.result import Formula, FormulaPiece
@@ -46,8 +46,8 @@ class CandidateFormula:
 def searched_formulas(search: Search, decision: Decision, setup: RestSetup) -> tuple[Formulas | None, Decision]:
     """Return the formulas for the structure that a decision leaves unexplained, and the decision beside them.
 
-    The named effects remain in the fit. If one term on the whole arm is more likely in place of all of them, they are
-    no longer named. A formula on one axis may describe the same cause in other words: it leaves the names.
+    The named effects remain in the fit. If the law of a mechanism is more likely in place of all of them, they are no
+    longer named. A wave may describe the same cause in other words: it leaves the names.
     """
     if decision.verdict not in ("unexplained", "improved"):
         return None, decision
@@ -55,7 +55,8 @@ def searched_formulas(search: Search, decision: Decision, setup: RestSetup) -> t
     formulas = Formulas(search, decision.after, terms)
     if decision.verdict == "improved":
         alone = Formulas(search, decision.before, terms)
-        if alone.on_arm(alone.best) and alone.score(alone.best) > formulas.score(formulas.best):
+        lawful = all(isinstance(term, MECHANISMS) for term in alone.own(alone.best))
+        if lawful and alone.score(alone.best) > formulas.score(formulas.best):
             return alone, without_names(decision)
     return formulas, decision
 

@@ -71,8 +71,8 @@ def test_a_knee_changes_the_gain_beyond_it(visits, model):
     _, rows = visits
     none, band = neutral(len(rows), rows.axes), np.zeros(6)
     torque = np.linspace(-300.0, 300.0, rows.q_rad.size).reshape(rows.q_rad.shape)
-    found = model.readings(Knee(1, 100.0).apply(none, np.array([-0.4]), rows), torque, band).sum_nm
-    (piece,) = pieces(Knee(1, 100.0))
+    found = model.readings(Knee(1, 50.0, 300.0).apply(none, np.array([-0.4, 100.0]), rows), torque, band).sum_nm
+    (piece,) = pieces(Knee(1, 50.0, 300.0).shaped(np.array([100.0])))
     names = {"u": torque[:, 1], "max": np.maximum, "abs": np.abs, "sign": np.sign}
     beyond = eval(piece.expression, {"__builtins__": {}}, names)
     expected = torque.copy()
