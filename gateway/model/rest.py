@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.model.kinematics import joint_axes_origins, link_frames
+from gateway.model.kinematics import gravity_in_last_link, joint_axes_origins, link_frames
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -143,7 +143,8 @@ class Model:
         self.nominal = gravity_regressor(robot, rows.q_rad, self.gravity)
         self.lossless = bool((rows.gears.efficiency == 1.0).all())
         self._geometry: tuple[bytes, Floats] | None = None
-        self._frames: Floats | None = None
+        self._down: Floats | None = None
+        self._origins: Floats | None = None
         self._levers: Floats | None = None
         self._bent: tuple[Floats, Floats, Floats] | None = None
 
@@ -187,23 +188,25 @@ class Model:
         if setting.pull_n.any():
             passive = passive + np.einsum("nijk,jk->ni", self.levers, setting.pull_n)
         for link, (stiffness, *anchor, free) in setting.hoses:
-            towards = np.array(anchor) - self.frames[:, link, :3, 3]
+            towards = np.array(anchor) - self.origins[:, link]
             length = np.maximum(np.linalg.norm(towards, axis=1), 1e-9)
             force = (stiffness * np.maximum(length - free, 0.0) / length)[:, None] * towards
             passive = passive + np.einsum("nik,nk->ni", self.levers[:, :, link], force)
         return passive
 
     @property
-    def frames(self) -> Floats:
-        """Return the pose (n, N, 4, 4) of every link in the base frame at the measured angles."""
-        if self._frames is None:
-            self._frames = link_frames(self.robot, self.rows.q_rad)
-        return self._frames
+    def origins(self) -> Floats:
+        """Return the origin (n, N, 3) of every link in the base frame at the measured angles."""
+        if self._origins is None:
+            self._origins = link_frames(self.robot, self.rows.q_rad)[:, :, :3, 3]
+        return self._origins
 
     @property
     def down(self) -> Floats:
         """Return the direction (n, 3) of gravity in the last link."""
-        return np.einsum("nji,j->ni", self.frames[:, -1, :3, :3], self.gravity / np.linalg.norm(self.gravity))
+        if self._down is None:
+            self._down = gravity_in_last_link(self.robot, self.rows.q_rad, self.gravity)
+        return self._down
 
     @property
     def levers(self) -> Floats:

@@ -411,12 +411,11 @@ def _named(
     """Return the decision with the names that neither held-out rows nor a formula take away, and the formulas."""
     judge = Judge.of(found.search, decision, held)
     shown = proven(found.search, decision, judge)
-    if contradicted(decision, shown):
-        decision = without_names(decision)
-    formulas, beside = searched_formulas(found.search, decision, found.setup)
-    if beside.proven or not shown:
-        return beside, judge, shown, formulas
-    return beside, Judge.of(found.search, beside, held), [], formulas
+    kept = without_names(decision) if contradicted(decision, shown) else decision
+    formulas, kept = searched_formulas(found.search, kept, found.setup)
+    if kept is not decision:
+        judge, shown = Judge.of(found.search, kept, held), []
+    return kept, judge, shown, formulas
 
 
 def _undone(table: Table, mistakes: tuple[Mistake, ...]) -> Table:
