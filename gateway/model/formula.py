@@ -85,9 +85,12 @@ class Buffer(PassiveTorque):
 
 @dataclass(frozen=True, slots=True)
 class Knee(OnAxis):
-    """Gain of one axis that changes beyond a motor torque: a current sensor or a magnetic circuit that saturates."""
+    """Gain of one axis that changes beyond a motor torque: a current sensor or a magnetic circuit that saturates.
 
-    knee_nm: float
+    `share` of the largest torque is where.
+    """
+
+    share: float
     largest_nm: float
     name: ClassVar[str] = FORMULA
     linear: ClassVar[tuple[bool, ...]] = (True, False)
@@ -95,17 +98,18 @@ class Knee(OnAxis):
 
     @property
     def start(self) -> tuple[float, ...]:
-        return 0.0, self.knee_nm
+        return 0.0, self.share
 
     @property
     def spread(self) -> tuple[float, ...]:
-        return 0.5, 0.3 * self.largest_nm
+        return 0.5, 0.3
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
-        return replace(setting, knees=(*setting.knees, (self.axis, float(theta[1]), float(theta[0]))))
+        knee = self.axis, float(theta[1]) * self.largest_nm, float(theta[0])
+        return replace(setting, knees=(*setting.knees, knee))
 
     def shaped(self, values: Floats) -> Self:
-        return replace(self, knee_nm=float(values[0]))
+        return replace(self, share=float(values[0]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +160,7 @@ def formula_terms(rows: Visits, setup: RestSetup) -> list[Term]:
         terms.append(UnevenBand(axis, axis))
     for axis in (axis for axis in measured if axis > 0):
         terms += [UnevenGain(axis), BentGain(axis, float(largest[axis]))]
-        terms += [Knee(axis, float(share * largest[axis]), float(largest[axis])) for share in KNEES]
+        terms += [Knee(axis, share, float(largest[axis])) for share in KNEES]
     terms += [Pull(link) for link in range(2, count)]
     return [*terms, *sloshing(rows), *_hoses(rows, setup)]
 
@@ -202,7 +206,7 @@ def pieces(term: Term) -> tuple[Piece, ...]:
         case BentGain():
             return (Piece("u*abs(u)", "1/Nm", 1.0 / term.largest_nm),)
         case Knee():
-            return (Piece(f"max(abs(u) - {float(f'{term.knee_nm:.3g}'):g}, 0)*sign(u)", ""),)
+            return (Piece(f"max(abs(u) - {float(f'{term.share * term.largest_nm:.3g}'):g}, 0)*sign(u)", ""),)
         case UnevenBand():
             waves = [f"{wave}({k}*q{term.joint + 1})" for k in (1, 2) for wave in ("cos", "sin")]
             return tuple(Piece(f"friction*{wave.replace('(1*', '(')}", "") for wave in waves)

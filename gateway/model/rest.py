@@ -8,7 +8,7 @@ this prediction, so it contains modelled torque only, never measured torque.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,8 @@ class AlteredModel:
     Attributes
     ----------
     tilt_rad : (2,) rotation vector (x, y) of the base
-    zero_offset_rad, compliance_rad_nm : (N,) true angle = q + offset - compliance * torque
+    zero_offset_rad, compliance_rad_nm : (N,) true angle = q + offset - compliance * torque; offset (n, N) by visit
+    play_rad : (N,) play between encoder and link: the torque holds the link on one side of it
     link_extra : (4 N,) added to the link parameters
     load_extra : (n, 4) added to the load's [m, hx, hy, hz] visit by visit
     moment_factor : (n, 3) added to the load's first moment, in units of the load's mass [m]
@@ -56,6 +57,7 @@ class AlteredModel:
     tilt_rad: Floats
     zero_offset_rad: Floats
     compliance_rad_nm: Floats
+    play_rad: Floats
     link_extra: Floats
     load_extra: Floats
     moment_factor: Floats
@@ -82,6 +84,7 @@ def neutral(n: int, axes: int) -> AlteredModel:
         tilt_rad=np.zeros(2),
         zero_offset_rad=none,
         compliance_rad_nm=none,
+        play_rad=none,
         link_extra=np.zeros(4 * axes),
         load_extra=np.zeros((n, 4)),
         moment_factor=np.zeros((n, 3)),
@@ -175,12 +178,21 @@ class Model:
 
     def joint_torque(self, setting: AlteredModel, bodies: Floats) -> tuple[Floats, Floats]:
         """Return the torque (n, N) that the gears transmit, and its derivative (n, N, 4 N) by body parameters."""
+        setting = self._without_play(setting, bodies)
         if not setting.compliance_rad_nm.any():
             rows = self.regressor(setting)
             return _dot(rows, bodies) - self.passive(setting), rows
         bent = self._wound_up(setting, bodies)
         rows = bent.rows + np.einsum("nijk,nj->nik", bent.slopes, bent.away)
         return bent.torque, np.linalg.solve(bent.matrix, rows)
+
+    def _without_play(self, setting: AlteredModel, bodies: Floats) -> AlteredModel:
+        """Return the setting with the zeros (n, N) of each visit on the flank that its torque holds."""
+        if not setting.play_rad.any():
+            return setting
+        rigid = replace(setting, play_rad=np.zeros_like(setting.play_rad))
+        flank = np.sign(self.joint_torque(rigid, bodies)[0])
+        return replace(rigid, zero_offset_rad=setting.zero_offset_rad - 0.5 * setting.play_rad * flank)
 
     def passive(self, setting: AlteredModel) -> Floats:
         """Return the torque (n, N) of springs, cables and pulls on the joints."""
@@ -266,7 +278,8 @@ class Model:
         """
         bodies = self.bodies(setting, links, load)
         if setting.compliance_rad_nm.any():
-            return self.readings(setting, self._wound_up(setting, bodies).torque, band_nm)
+            bent = self._wound_up(self._without_play(setting, bodies), bodies)
+            return self.readings(setting, bent.torque, band_nm)
         return self.readings(setting, self.joint_torque(setting, bodies)[0], band_nm)
 
     def readings(self, setting: AlteredModel, torque: Floats, band_nm: Floats) -> Prediction:

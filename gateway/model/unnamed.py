@@ -24,6 +24,8 @@ Floats = NDArray[np.float64]
 UNNAMED: Final = "unnamed"
 #: Steepness of a liquid's displacement by the direction of gravity: in proportion, and in flatter tanks.
 STEEPNESSES: Final = (0.0, 2.0, 6.0)
+#: Usual play of a gear [rad]: 5 arc minutes, as of planetary gears; strain-wave and cycloidal gears have less.
+PLAY_RAD: Final = 0.0015
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +124,19 @@ class UnevenBand(OnAxis):
         return replace(setting, band_gain=band)
 
 
+@dataclass(frozen=True, slots=True)
+class Play(OnAxis):
+    """Play of a gear, which every gear has: an effect is not named if its play explains the data as well."""
+
+    name: ClassVar[str] = UNNAMED
+    SPREAD: ClassVar[tuple[float, ...]] = (PLAY_RAD,)
+    takes_over: ClassVar[str] = "play"
+    modelled: ClassVar[bool] = True
+
+    def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:
+        return replace(setting, play_rad=plus(setting.play_rad, self.axis, theta[0]))
+
+
 def harmonics(angle_rad: Floats, count: int) -> Floats:
     """Return cosine and sine (n, 2 count) of the first `count` multiples of an angle (n,)."""
     return np.column_stack([wave(k * angle_rad) for k in range(1, count + 1) for wave in (np.cos, np.sin)])
@@ -137,6 +152,7 @@ def unnamed_terms(rows: Visits, setup: RestSetup) -> list[Term]:
     terms += [UnevenGain(axis) for axis in carrying]
     terms += [BentGain(axis, float(largest[axis])) for axis in carrying]
     terms += [UnevenBand(axis, axis) for axis in measured]
+    terms += [Play(axis) for axis in carrying]
     terms += [Pull(link) for link in range(2, count)]
     terms += sloshing(rows)
     return terms

@@ -22,7 +22,7 @@ from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.verdict import Decision, in_std, without_names
 from gateway.identify.rest.linear import Fit
 from gateway.model.effect import RestSetup
-from gateway.model.formula import MECHANISMS, ON_ARM, formula_terms, pieces
+from gateway.model.formula import MECHANISMS, ON_ARM, Buffer, Knee, formula_terms, pieces
 from gateway.model.robot import Robot
 from gateway.model.term import Term
 from gateway.result.result import Formula, FormulaPiece
@@ -46,19 +46,32 @@ class CandidateFormula:
 def searched_formulas(search: Search, decision: Decision, setup: RestSetup) -> tuple[Formulas | None, Decision]:
     """Return the formulas for the structure that a decision leaves unexplained, and the decision beside them.
 
-    The named effects remain in the fit. If the law of a mechanism is more likely in place of all of them, they are no
-    longer named. A wave may describe the same cause in other words: it leaves the names.
+    The named effects remain in the fit. If the law of another mechanism is more likely in place of all of them, they
+    are no longer named. Other formulas may describe the same cause in other words: they leave the names.
     """
-    if decision.verdict not in ("unexplained", "improved"):
-        return None, decision
     terms = formula_terms(search.problem.rows, setup)
-    formulas = Formulas(search, decision.after, terms)
-    if decision.verdict == "improved":
-        alone = Formulas(search, decision.before, terms)
-        lawful = all(isinstance(term, MECHANISMS) for term in alone.own(alone.best))
-        if lawful and alone.score(alone.best) > formulas.score(formulas.best):
-            return alone, without_names(decision)
+    left = decision.verdict in ("unexplained", "improved")
+    formulas = Formulas(search, decision.after, terms) if left else None
+    if decision.verdict not in ("improved", "explained"):
+        return formulas, decision
+    if not left:
+        joints = {term.joints for term in decision.proven}
+        terms = [term for term in terms if isinstance(term, (Knee, Buffer)) and term.joints in joints]
+    named, alone = formulas or Formulas(search, decision.after, ()), Formulas(search, decision.before, terms)
+    if alone.score(alone.best) - named.score(named.best) > _least_gain(alone.own(alone.best)):
+        return alone, without_names(decision)
     return formulas, decision
+
+
+def _least_gain(terms: Sequence[Term]) -> float:
+    """Log odds from which a formula takes the place of names; infinite where it is not the law of one mechanism.
+
+    A stop that is touched on one side also looks like a cable, which is more usual.
+    """
+    if all(isinstance(term, MECHANISMS) for term in terms):
+        return 0.0
+    sides = {term.side if isinstance(term, Buffer) else None for term in terms}
+    return float(np.log(REST.ask_odds)) if len(sides) == 1 and None not in sides else np.inf
 
 
 def candidate_formula(formulas: Formulas, judge: Judge, robot: Robot) -> CandidateFormula | None:
@@ -120,8 +133,8 @@ class Formulas:
         self.best = max(self.fits, key=self.score)
 
     def score(self, fit: Fit) -> float:
-        """Log odds of a formula."""
-        return self._search.score(fit) - REST.needed * len(self.own(fit))
+        """Log odds of a formula with the named effects beside it; each of both has to gain as much."""
+        return self._search.score(fit) - REST.needed * len(fit.terms)
 
     def own(self, fit: Fit) -> tuple[Term, ...]:
         """Return the terms of the formula of a fit."""

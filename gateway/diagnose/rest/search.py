@@ -16,6 +16,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.screen import Derivatives, Screen, pair_log_bayes, screen
@@ -66,7 +67,7 @@ class Search:
             held_down = bool(len(self.problem.taken_over([term])))
             self.prior[term] = -np.log(1 if held_down else places) - np.log(shapes)
         for term in self.unnamed:
-            self.prior[term] = -np.log(len(self.unnamed)) - REST.rare
+            self.prior[term] = 0.0 if term.takes_over else -np.log(len(self.unnamed)) - REST.rare
 
     def score(self, hypothesis: Fit) -> float:
         """Evidence plus log prior of a hypothesis.
@@ -83,11 +84,21 @@ class Search:
         return hypothesis.evidence + self._log_prior(hypothesis) - plain.evidence
 
     def _log_prior(self, hypothesis: Fit) -> float:
-        if not all(term.exists(values, std) for term, values, std in self.sized(hypothesis)):
+        effects = tuple(self.sized(hypothesis))
+        if not all(term.exists(values, std) for term, values, std in effects):
             return -IMPOSSIBLE
-        rows, effects = self.problem.rows, zip(hypothesis.terms, hypothesis.theta, strict=True)
-        odd = sum(not term.plausible(values, rows) for term, values in effects)
-        return sum(self.prior[term] for term in hypothesis.terms) - REST.implausible * odd
+        return sum(self.prior[term] + self._log_prior_of_sign(term, values, std) for term, values, std in effects)
+
+    def _log_prior_of_sign(self, term: Term, values: Floats, std: Floats) -> float:
+        """Log of a prior that is all on the side that is plausible, over the normal prior with both sides.
+
+        The size of an effect is its first parameter.
+        """
+        if not term.plausible(values, self.problem.rows):
+            return -REST.implausible
+        if term.plausible(np.append(-values[: term.count], values[term.count :]), self.problem.rows):
+            return 0.0
+        return float(np.log(2.0 * ndtr(abs(values[0]) / std[0])))
 
     def sized(self, hypothesis: Fit) -> Iterator[tuple[Term, Floats, Floats]]:
         """Effects of a hypothesis with their parameters and standard deviations."""
@@ -233,11 +244,15 @@ def _exchange(search: Search) -> None:
 
 
 def _rivals(search: Search) -> None:
-    """Fit unnamed torque curves in addition to the leaders, and in place of each effect of the best one."""
+    """Fit unnamed torque curves in addition to the best hypothesis, and in place of each of its effects.
+
+    The play of a gear is a nuisance and no candidate of its own: it is fitted in place of effects only.
+    """
     best = search.best()
-    sets = [best.terms] + [tuple(t for t in best.terms if t is not term) for term in best.terms]
-    for terms in sets:
-        _extend(search, search.fitted(terms), search.unnamed, REST.unnamed)
+    _extend(search, best, [term for term in search.unnamed if not term.takes_over], REST.unnamed)
+    for term in best.terms:
+        without = search.fitted(tuple(other for other in best.terms if other is not term))
+        _extend(search, without, search.unnamed, REST.unnamed)
 
 
 def pruned(search: Search, chosen: Fit) -> Fit:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from gateway.result.interval import TWO_SIDED_95
 from gateway.result.result import Verdict
 
 Floats = NDArray[np.float64]
+
+#: What the evidence alone decides: a body on a link is itself a correction of the links, and wrong links fit as well.
+BY_EVIDENCE: Final = (UNNAMED, "link_mass")
 
 
 class Key(NamedTuple):
@@ -193,6 +196,9 @@ def exceeds_nuisance_prior(problem: RestProblem, hypothesis: Fit, term: Term) ->
         size = float(np.linalg.norm(hypothesis.theta[position][: term.count])) / np.sqrt(2.0)
         unsure = float(np.sqrt(np.diag(hypothesis.covariance)[at : at + term.count].mean() / 2.0))
         return size - TWO_SIDED_95 * unsure > REST.cogging * float(hypothesis.noise.std[term.joints[0] - 1])
+    if term.takes_over == "play":
+        size, unsure = abs(float(hypothesis.theta[position][0])), float(np.sqrt(hypothesis.covariance[at, at]))
+        return size - TWO_SIDED_95 * unsure > NUISANCE_STD * term.spread[0]
     places = _replaced_places(problem, term)
     if not len(places):
         return True
@@ -219,7 +225,7 @@ def _seen_to_help(search: Search, chosen: Fit) -> Fit:
     An effect that replaces a nuisance parameter competes with that parameter; it only must not be clearly worse.
     """
     while True:
-        terms = [term for term in chosen.terms if term.name != UNNAMED]
+        terms = [term for term in chosen.terms if term.name not in BY_EVIDENCE]
         short = [
             (helped(search, chosen, term) - REST.unseen * (-1.0 if len(search.problem.taken_over([term])) else 1.0), k)
             for k, term in enumerate(terms)
@@ -244,11 +250,8 @@ def in_std(gained: Floats) -> float:
 
 
 def strong(search: Search, hypothesis: Fit, term: Term) -> bool:
-    """Return True if the data, not only the prior of the links, prove an effect that exceeds the nuisance priors.
-
-    A body on a link is itself a correction of the links: the evidence decides.
-    """
-    if term.name in (UNNAMED, "link_mass"):
+    """Return True if the data, not only the prior of the links, prove an effect that exceeds the nuisance priors."""
+    if term.name in BY_EVIDENCE:
         return True
     if len(_replaced_places(search.problem, term)):
         return exceeds_nuisance_prior(search.problem, hypothesis, term)

@@ -1,6 +1,8 @@
-"""Terms of a candidate formula that act on the arm or on its load: hose, liquid, knee of a conversion."""
+"""Terms without a name that act on the arm or on its load: hose, liquid, knee of a conversion, play of a gear."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from gateway.model.formula import Hose, Knee, pieces
 from gateway.model.kinematics import link_frames
 from gateway.model.rest import Model, neutral
 from gateway.model.robot import Robot, robot_from_urdf
-from gateway.model.unnamed import Slosh
+from gateway.model.unnamed import Play, Slosh
 from gateway.model.visits import Visits, pair_visits
 from tests.resting_arm import Bench
 
@@ -67,12 +69,25 @@ def test_a_liquid_runs_to_the_low_side_of_the_load(visits, model, steepness):
     assert len(pieces(Slosh(steepness))) == 3
 
 
+def test_play_holds_each_link_on_the_side_of_its_torque(visits, model):
+    """The readings are those at angles that are half the play off, against the torque, joint by joint."""
+    robot, rows = visits
+    none, load, band = neutral(len(rows), rows.axes), np.tile([4.0, 0.2, 0.1, 0.8], (len(rows), 1)), np.zeros(6)
+    links = np.tile([20.0, 2.0, 1.0, 4.0], 6)
+    play = Play(2).apply(Play(1).apply(none, np.array([0.004]), rows), np.array([0.002]), rows)
+    torque = model.predict(none, links, load, band).sum_nm
+    shift = -0.5 * np.array([0.0, 0.004, 0.002, 0.0, 0.0, 0.0]) * np.sign(torque)
+    expected = Model(robot, replace(rows, q_rad=rows.q_rad + shift), model.gravity).predict(none, links, load, band)
+    assert (np.abs(expected.sum_nm - torque).max(axis=0)[1:3] > 0.01).all()
+    np.testing.assert_allclose(model.predict(play, links, load, band).sum_nm, expected.sum_nm, atol=1e-9)
+
+
 def test_a_knee_changes_the_gain_beyond_it(visits, model):
     _, rows = visits
     none, band = neutral(len(rows), rows.axes), np.zeros(6)
     torque = np.linspace(-300.0, 300.0, rows.q_rad.size).reshape(rows.q_rad.shape)
-    found = model.readings(Knee(1, 50.0, 300.0).apply(none, np.array([-0.4, 100.0]), rows), torque, band).sum_nm
-    (piece,) = pieces(Knee(1, 50.0, 300.0).shaped(np.array([100.0])))
+    found = model.readings(Knee(1, 0.2, 300.0).apply(none, np.array([-0.4, 1.0 / 3.0]), rows), torque, band).sum_nm
+    (piece,) = pieces(Knee(1, 0.2, 300.0).shaped(np.array([1.0 / 3.0])))
     names = {"u": torque[:, 1], "max": np.maximum, "abs": np.abs, "sign": np.sign}
     beyond = eval(piece.expression, {"__builtins__": {}}, names)
     expected = torque.copy()

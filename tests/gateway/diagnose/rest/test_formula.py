@@ -91,6 +91,8 @@ def test_a_hose_is_found_where_it_is_anchored():
         (2170, "tether", "hose from"),  # the library alone: cable torque and constant of J5
         (2357, "saturated_current", "max(abs(u)"),
         (2378, "half_full_tank", "of the load by tanh"),
+        (306, "end_stop", "(q5"),  # the library alone: cable torque and constant of J5, and nothing is left
+        (856, "end_stop", "(q2"),  # a balancer spring of J2 and a mass on its link
     ],
 )
 def test_a_formula_that_explains_more_takes_the_place_of_names(seed, mechanism, words):
@@ -101,6 +103,18 @@ def test_a_formula_that_explains_more_takes_the_place_of_names(seed, mechanism, 
     assert result.verdict == "unexplained"
     assert result.formula is not None
     assert all(words in piece.expression for piece in result.formula.pieces)
+
+
+@pytest.mark.slow
+def test_the_knee_of_a_saturated_current_is_fitted_at_any_torque():
+    """The arm has joint torques above 1000 Nm; the knee is between the start values of the dictionary."""
+    cell = draw_effect_cell(1411)
+    assert [(each.mechanism, each.joints) for each in cell.effects] == [("saturated_current", (2,))]
+    formula = first_diagnosis(cell).formula
+    assert formula is not None
+    (piece,) = formula.pieces
+    assert piece.expression.endswith("*sign(u)")
+    assert abs(piece.coefficient + cell.effects[0].size) < 3.0 * piece.std
 
 
 @pytest.mark.slow

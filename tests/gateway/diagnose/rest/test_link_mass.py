@@ -12,7 +12,9 @@ from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.effects.link_mass import LinkMass
 from gateway.model.visits import pair_visits
+from sim.nature.nature_cell import draw_effect_cell
 from tests.resting_arm import Bench, effect
+from tests.support.blind.nature import first_diagnosis
 
 #: Link 3, from 0.
 LINK = 2
@@ -67,3 +69,12 @@ def test_what_can_be_on_a_link(theta: list[float], std: list[float], exists: boo
     term = LinkMass(LINK, (5.0, 0.5, 0.0, 0.2), 60.0)
     assert term.exists(np.array(theta), np.array(std)) is exists
     assert LinkMass(LINK).exists(np.array(theta), np.array(std))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [546, 919])
+def test_a_body_on_a_link_is_named_where_only_the_drawing_shows_it(seed: int) -> None:
+    """Wrong links fit the poses as well: the body is far beyond what is stated of the drawing."""
+    cell = draw_effect_cell(seed)
+    assert [(each.mechanism, each.joints) for each in cell.effects] == [("dressed_link", (4,))]
+    assert [(each.name, each.joints) for each in first_diagnosis(cell).effects] == [("link_mass", (4,))]

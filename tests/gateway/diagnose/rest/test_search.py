@@ -7,6 +7,7 @@ import pytest
 
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.search import Search, _exchange, run
+from gateway.identify.rest.hypothesis_fit import averaged_evidence
 from gateway.identify.rest.linear import visit_loads
 from gateway.identify.rest.start_noise import settled_noise
 from gateway.model.effect import RestSetup
@@ -15,8 +16,8 @@ from gateway.model.effects.balancer_spring import CoilBalancer, GasBalancer
 from gateway.model.robot import robot_from_urdf
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED, unnamed_terms
-from sim.nature.nature_cell import draw_effect_cell
-from tests.support.blind.nature import diagnose_options
+from sim.nature.nature_cell import draw_cell, draw_effect_cell
+from tests.support.blind.nature import diagnose_options, first_diagnosis
 from tests.support.rigs.tables import simulated_table
 
 
@@ -60,3 +61,28 @@ def test_an_effect_is_exchanged_for_one_that_the_balancer_hides() -> None:
         ("base_tilt", ()),
         ("joint_elasticity", (2,)),
     }
+
+
+def test_a_size_that_cannot_be_negative_has_all_its_prior_on_one_side() -> None:
+    """The evidence of a normal prior, over that of its positive half, by integration over both."""
+    search = searched(113, {"joint_elasticity", "joint_zero_offset"})
+    places: dict[Label, Term] = {term.label: term for term in search.named}
+    for label, one_sided in ((("joint_elasticity", (2,)), True), (("joint_zero_offset", (2,)), False)):
+        hypothesis = search.fitted([places[label]])
+        (size,), std = hypothesis.theta[0], float(np.sqrt(hypothesis.covariance[-1, -1]))
+        away = np.linspace(-9.0, 9.0, 20001)
+        likelihood_and_prior = np.exp(-0.5 * away**2)
+        positive = likelihood_and_prior[size + std * away > 0.0].sum() / likelihood_and_prior.sum()
+        assert (size > 0.0) or not one_sided
+        expected = np.log(2.0 * positive) if one_sided else 0.0
+        shown = search.score(hypothesis) - averaged_evidence(hypothesis) - search.prior[places[label]]
+        assert shown == pytest.approx(expected, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_play_of_a_gear_is_no_elasticity() -> None:
+    """Without it the deflection of joint 3 was named; every gear has play, and it fits as well."""
+    cell = draw_cell(91, "backlash")
+    assert not cell.effects
+    result = first_diagnosis(cell)
+    assert (result.verdict, result.effects) == ("none_needed", ())
