@@ -73,6 +73,8 @@ class Term:
         True if Coulomb and viscous friction of its axis are part of the report.
     takes_over : str
         Nuisance parameter of that axis that the effect replaces: "gain", "bias", "load_friction" or "cogging".
+    looks_like : str
+        Of a nuisance that is not fitted in every hypothesis: effect whose place it takes where it explains as much.
     """
 
     name: ClassVar[str] = ""
@@ -85,6 +87,7 @@ class Term:
     scales_reading: ClassVar[bool] = False
     with_friction: ClassVar[bool] = False
     takes_over: ClassVar[str] = ""
+    looks_like: ClassVar[str] = ""
 
     @property
     def joints(self) -> tuple[int, ...]:

@@ -126,11 +126,11 @@ class UnevenBand(OnAxis):
 
 @dataclass(frozen=True, slots=True)
 class Play(OnAxis):
-    """Play of a gear, which every gear has: an effect is not named if its play explains the data as well."""
+    """Play of a gear, which every gear has: elasticity is not named if its play explains the data as well."""
 
     name: ClassVar[str] = UNNAMED
     SPREAD: ClassVar[tuple[float, ...]] = (PLAY_RAD,)
-    takes_over: ClassVar[str] = "play"
+    looks_like: ClassVar[str] = "joint_elasticity"
     modelled: ClassVar[bool] = True
 
     def apply(self, setting: AlteredModel, theta: Floats, rows: Visits) -> AlteredModel:

@@ -67,7 +67,7 @@ class Search:
             held_down = bool(len(self.problem.taken_over([term])))
             self.prior[term] = -np.log(1 if held_down else places) - np.log(shapes)
         for term in self.unnamed:
-            self.prior[term] = 0.0 if term.takes_over else -np.log(len(self.unnamed)) - REST.rare
+            self.prior[term] = 0.0 if term.looks_like else -np.log(len(self.unnamed)) - REST.rare
 
     def score(self, hypothesis: Fit) -> float:
         """Evidence plus log prior of a hypothesis.
@@ -246,13 +246,14 @@ def _exchange(search: Search) -> None:
 def _rivals(search: Search) -> None:
     """Fit unnamed torque curves in addition to the best hypothesis, and in place of each of its effects.
 
-    The play of a gear is a nuisance and no candidate of its own: it is fitted in place of effects only.
+    A nuisance is fitted in place of the effect only that it looks like.
     """
     best = search.best()
-    _extend(search, best, [term for term in search.unnamed if not term.takes_over], REST.unnamed)
+    _extend(search, best, [curve for curve in search.unnamed if not curve.looks_like], REST.unnamed)
     for term in best.terms:
         without = search.fitted(tuple(other for other in best.terms if other is not term))
-        _extend(search, without, search.unnamed, REST.unnamed)
+        curves = [curve for curve in search.unnamed if curve.looks_like in ("", term.name)]
+        _extend(search, without, curves, REST.unnamed)
 
 
 def pruned(search: Search, chosen: Fit) -> Fit:

@@ -196,7 +196,7 @@ def exceeds_nuisance_prior(problem: RestProblem, hypothesis: Fit, term: Term) ->
         size = float(np.linalg.norm(hypothesis.theta[position][: term.count])) / np.sqrt(2.0)
         unsure = float(np.sqrt(np.diag(hypothesis.covariance)[at : at + term.count].mean() / 2.0))
         return size - TWO_SIDED_95 * unsure > REST.cogging * float(hypothesis.noise.std[term.joints[0] - 1])
-    if term.takes_over == "play":
+    if term.looks_like:
         size, unsure = abs(float(hypothesis.theta[position][0])), float(np.sqrt(hypothesis.covariance[at, at]))
         return size - TWO_SIDED_95 * unsure > NUISANCE_STD * term.spread[0]
     places = _replaced_places(problem, term)
