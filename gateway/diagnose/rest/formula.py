@@ -64,11 +64,11 @@ def searched_formulas(search: Search, decision: Decision, setup: RestSetup) -> t
 
 
 def _least_gain(terms: Sequence[Term]) -> float:
-    """Log odds from which a formula takes the place of names; infinite where it is not the law of one mechanism.
+    """Log odds from which a formula takes the place of names; infinite if it is not the law of one mechanism.
 
     A stop that is touched on one side also looks like a cable, which is more usual.
     """
-    if all(isinstance(term, MECHANISMS) for term in terms):
+    if terms and all(isinstance(term, MECHANISMS) for term in terms):
         return 0.0
     sides = {term.side if isinstance(term, Buffer) else None for term in terms}
     return float(np.log(REST.ask_odds)) if len(sides) == 1 and None not in sides else np.inf
