@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from gateway.diagnose import close_loop, diagnose
+from gateway.diagnose.rest.formula import _least_gain
 from gateway.model.effects.torque_offset import TorqueOffset
-from gateway.model.formula import AngleWave, Buffer, pieces
+from gateway.model.formula import AngleWave, Buffer, Knee, pieces
 from gateway.model.kinematics import link_frames
 from gateway.model.unnamed import BentGain, Pull, UnevenBand, UnevenGain
 from gateway.report.render import render
@@ -144,6 +145,14 @@ def test_an_expression_means_what_the_term_computes():
         for piece, column in zip(pieces(term), columns.T, strict=True):
             assert piece.sign == -1.0
             np.testing.assert_allclose(eval(piece.expression, {"__builtins__": {}}, names), column, atol=1e-12)
+
+
+def test_only_the_law_of_one_mechanism_takes_names():
+    stop, deeper, other_side = Buffer(2, 0.25, 1, 2), Buffer(2, 0.5, 1, 1), Buffer(2, -0.25, -1, 1)
+    assert _least_gain([Knee(1, 0.5, 100.0)]) == 0.0
+    assert _least_gain([stop]) == _least_gain([stop, deeper]) == pytest.approx(math.log(400.0))
+    for none in ([], [stop, other_side], [AngleWave(2, (0, 0, 1, 0, 0, 0))], [stop, UnevenGain(2)]):
+        assert _least_gain(none) == math.inf
 
 
 @pytest.mark.parametrize("term", [UnevenGain(1), BentGain(1, 200.0), UnevenBand(1, 1), Pull(3)])
