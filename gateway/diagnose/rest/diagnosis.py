@@ -200,13 +200,17 @@ class RestDiagnosis:
         """Repeat the search with wider priors for contradicted statements, if these are the more likely cause.
 
         Wrong masses of the robot model look like wrong constants and links on most axes; so one wider prior competes
-        with all effects by evidence. A known load is dropped if fewer effects explain the rows without it. If no effect
-        was found, the result is that of `estimate`.
+        with all effects by evidence. Where that is the prior of the links, the effects have the links as stated, since
+        wrong ones would count twice against them. A known load is dropped if fewer effects explain the rows without
+        it. If no effect was found, the result is that of `estimate`.
         """
-        effects, search = found.chosen.terms, found.search
         settled = settle(self.robot, found.now.problem.rows, self.knowledge, (found.now.problem, found.now.plain))
         if settled.knowledge is self.knowledge:
             return replace(found, settled=settled)
+        if settled.knowledge.inertials != self.knowledge.inertials:
+            search = replace(found.search, links_as_stated=True, averaged={})
+            found = replace(found, search=search, chosen=self._chosen(search, found.setup))
+        effects, search = found.chosen.terms, found.search
         likelier = not effects or settled.log_odds > search.log_odds(found.chosen, found.now.plain)
         if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
@@ -233,10 +237,14 @@ class RestDiagnosis:
         setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn, self.robot)
         named = terms_at_rest(problem.rows, setup, self.options.allowed)
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
+        return Found(read, now, search, self._chosen(search, setup), mistakes, gained, setup)
+
+    def _chosen(self, search: Search, setup: RestSetup) -> Fit:
+        """Return the best hypothesis of a search."""
         chosen = run(search)
         if "torque_ripple" in self.options.allowed:
             chosen = with_ripple(search, chosen, setup.gear_ratio)
-        return Found(read, now, search, chosen, mistakes, gained, setup)
+        return chosen
 
     def _held(self, found: Found, holdout: Table | None) -> Unseen | None:
         if holdout is None or holdout.moving.all():

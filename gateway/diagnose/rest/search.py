@@ -48,6 +48,7 @@ class Search:
     named, unnamed : candidates
     prior : log prior probability of each candidate
     pool : fits by set of effects
+    links_as_stated : the stated standard deviations of the links are right
     averaged : evidence of fits, averaged over wrong stated standard deviations
     derivatives : of the modelled rows by the parameters of each candidate, about the model without effects
     """
@@ -59,6 +60,7 @@ class Search:
     prior: dict[Term, float] = field(default_factory=dict)
     pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
     averaged: dict[Fit, float] = field(default_factory=dict)
+    links_as_stated: bool = False
     derivatives: Derivatives | None = None
 
     def __post_init__(self) -> None:
@@ -76,7 +78,7 @@ class Search:
         never chosen.
         """
         if hypothesis not in self.averaged:
-            self.averaged[hypothesis] = averaged_evidence(hypothesis)
+            self.averaged[hypothesis] = averaged_evidence(hypothesis, self.links_as_stated)
         return self.averaged[hypothesis] + self._log_prior(hypothesis)
 
     def log_odds(self, hypothesis: Fit, plain: Fit) -> float:

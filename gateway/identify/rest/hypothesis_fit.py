@@ -150,15 +150,17 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     return found
 
 
-def averaged_evidence(fitted: Fit) -> float:
+def averaged_evidence(fitted: Fit, links_as_stated: bool = False) -> float:
     """Evidence averaged over factors on the stated standard deviations.
 
-    One factor for all links, one for all torque constants that no effect replaces. Wide stated errors explain
-    corrections of many, and narrow ones a single body on a link or a single wrong constant.
+    One factor for all links, unless these are right as stated, and one for all torque constants that no effect
+    replaces. Wide stated errors explain corrections of many, and narrow ones a single body on a link or a single wrong
+    constant.
     """
     problem, first = fitted.problem, fitted.problem.nuisance_part.start
     gains = [*range(first, first + problem.axes), first + problem.nuisance.common]
-    part = np.concatenate([np.arange(problem.links.size), np.setdiff1d(gains, problem.taken_over(fitted.terms))])
+    links = np.arange(0 if links_as_stated else problem.links.size)
+    part = np.concatenate([links, np.setdiff1d(gains, problem.taken_over(fitted.terms))])
     std = problem.common_std[part]
     return fitted.evidence + over_factors(
         (fitted.common[part] - problem.common_mean[part]) / std,
