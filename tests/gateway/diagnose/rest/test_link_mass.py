@@ -72,12 +72,12 @@ def test_what_can_be_on_a_link(theta: list[float], std: list[float], exists: boo
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "joint"), [(546, 4), (919, 4), (623, 3)])
-def test_a_body_on_a_link_is_named_where_only_the_drawing_shows_it(seed: int, joint: int) -> None:
+@pytest.mark.parametrize("seed", [546, 919, 407])
+def test_a_body_on_a_link_is_named_where_only_the_drawing_shows_it(seed: int) -> None:
     """Wrong links fit the poses as well: the body is far beyond what is stated of the drawing.
 
     In the last arm the links as stated are contradicted; one body is more likely than links that are all wrong.
     """
     cell = draw_effect_cell(seed)
-    assert [(each.mechanism, each.joints) for each in cell.effects] == [("dressed_link", (joint,))]
-    assert [(each.name, each.joints) for each in first_diagnosis(cell).effects] == [("link_mass", (joint,))]
+    assert [(each.mechanism, each.joints) for each in cell.effects] == [("dressed_link", (4,))]
+    assert [(each.name, each.joints) for each in first_diagnosis(cell).effects] == [("link_mass", (4,))]
