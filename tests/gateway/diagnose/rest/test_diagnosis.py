@@ -232,9 +232,12 @@ def test_bare_run_alone_is_judged(clean):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("times", "named"), [(0.1, False), (0.8, True), (4.0, True)])
+@pytest.mark.parametrize(("times", "named"), [(0.03, False), (0.8, True), (4.0, True)])
 def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
-    """Within the stated error of the CAD nothing is named, beyond it the link; it is never a mistake of the drives."""
+    """Within the stated error of the CAD nothing is named, beyond it the link; it is never a mistake of the drives.
+
+    The body is 0.35 m from the joint: at a tenth of the mass of the link its first moment is 4 standard deviations off.
+    """
     body = Bench(2, []).arm.chain.bodies[3]
     assert body is not None
     moment = [float(value) for value in 0.5 * times * body.mass_kg * np.array([0.5, 0.3, 0.4])]
