@@ -33,7 +33,7 @@ class AlteredModel:
     Attributes
     ----------
     tilt_rad : (2,) rotation vector (x, y) of the base
-    zero_offset_rad, compliance_rad_nm : (N,) true angle = q + offset - compliance * torque; offset (n, N) by visit
+    zero_offset_rad, compliance_rad_nm : (N,) true angle = q + offset - compliance * torque (offset also by visit)
     play_rad : (N,) play between encoder and link: the torque holds the link on one side of it
     link_extra : (4 N,) added to the link parameters
     load_extra : (n, 4) added to the load's [m, hx, hy, hz] visit by visit

@@ -49,14 +49,16 @@ def searched_formulas(search: Search, decision: Decision, setup: RestSetup) -> t
     The named effects remain in the fit. If the law of another mechanism is more likely in place of all of them, they
     are no longer named. Other formulas may describe the same cause in other words: they leave the names.
     """
-    terms = formula_terms(search.problem.rows, setup)
-    left = decision.verdict in ("unexplained", "improved")
-    formulas = Formulas(search, decision.after, terms) if left else None
-    if decision.verdict not in ("improved", "explained"):
-        return formulas, decision
-    if not left:
+    if decision.verdict not in ("unexplained", "improved", "explained"):
+        return None, decision
+    terms, formulas = formula_terms(search.problem.rows, setup), None
+    if decision.verdict == "explained":
         joints = {term.joints for term in decision.proven}
         terms = [term for term in terms if isinstance(term, (Knee, Buffer)) and term.joints in joints]
+    else:
+        formulas = Formulas(search, decision.after, terms)
+    if decision.verdict == "unexplained":
+        return formulas, decision
     named, alone = formulas or Formulas(search, decision.after, ()), Formulas(search, decision.before, terms)
     if alone.score(alone.best) - named.score(named.best) > _least_gain(alone.own(alone.best)):
         return alone, without_names(decision)
@@ -66,7 +68,8 @@ def searched_formulas(search: Search, decision: Decision, setup: RestSetup) -> t
 def _least_gain(terms: Sequence[Term]) -> float:
     """Log odds from which a formula takes the place of names; infinite if it is not the law of one mechanism.
 
-    A stop that is touched on one side also looks like a cable, which is more usual.
+    A stop that is touched on one side also looks like a cable, which is more usual: no further measurement of the same
+    size must be able to reverse it.
     """
     if terms and all(isinstance(term, MECHANISMS) for term in terms):
         return 0.0

@@ -196,15 +196,16 @@ def exceeds_nuisance_prior(problem: RestProblem, hypothesis: Fit, term: Term) ->
         size = float(np.linalg.norm(hypothesis.theta[position][: term.count])) / np.sqrt(2.0)
         unsure = float(np.sqrt(np.diag(hypothesis.covariance)[at : at + term.count].mean() / 2.0))
         return size - TWO_SIDED_95 * unsure > REST.cogging * float(hypothesis.noise.std[term.joints[0] - 1])
-    if term.looks_like:
-        size, unsure = abs(float(hypothesis.theta[position][0])), float(np.sqrt(hypothesis.covariance[at, at]))
-        return size - TWO_SIDED_95 * unsure > NUISANCE_STD * term.spread[0]
     places = _replaced_places(problem, term)
-    if not len(places):
+    if term.looks_like:
+        usual, spread = 0.0, term.spread[0]
+    elif len(places):
+        usual, spread = float(problem.common_mean[places[0]]), float(np.linalg.norm(problem.common_std[places]))
+    else:
         return True
-    away = abs(float(hypothesis.theta[position][0] - problem.common_mean[places[0]]))
+    away = abs(float(hypothesis.theta[position][0]) - usual)
     unsure = TWO_SIDED_95 * float(np.sqrt(max(hypothesis.covariance[at, at], 0.0)))
-    return away - unsure > NUISANCE_STD * float(np.linalg.norm(problem.common_std[places]))
+    return away - unsure > NUISANCE_STD * spread
 
 
 def _replaced_places(problem: RestProblem, term: Term) -> NDArray[np.int_]:

@@ -232,7 +232,7 @@ def test_bare_run_alone_is_judged(clean):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("times", "named"), [(0.03, False), (0.8, True), (4.0, True)])
+@pytest.mark.parametrize(("times", "named"), [(0.03, False), (0.1, True), (0.8, True), (4.0, True)])
 def test_one_heavy_link_is_no_factor_on_all_axes(times, named):
     """Within the stated error of the CAD nothing is named, beyond it the link; it is never a mistake of the drives.
 
