@@ -10,6 +10,7 @@ import numpy as np
 from gateway.data.table import Table, concatenate
 from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.identify.rest.linear import RestProblem
 from gateway.identify.solve import Basis, ByGroup
 from gateway.model.robot import Robot, robot_from_urdf
@@ -58,15 +59,16 @@ class Bench:
         return self.table(poses, "tool", self.next_pose)
 
 
-def problems(bench: Bench, table: Table) -> Callable[[Table], RestProblem]:
+def problems(bench: Bench, table: Table) -> Callable[[tuple[Mistake, ...]], RestProblem]:
     """How a diagnosis makes a problem of this table, also with mistakes in it undone; outlier visits are rejected."""
     diagnosis = RestDiagnosis(bench.robot, bench.options)
-    return partial(diagnosis.problem, outliers=diagnosis.outliers(pair_visits(table, bench.options.efficiency)))
+    rejected = diagnosis.outliers(pair_visits(table, bench.options.efficiency)).mask
+    return partial(diagnosis.problem, table, rejected)
 
 
 def problem_of(bench: Bench, table: Table) -> RestProblem:
     """The rows of a table as a diagnosis fits them."""
-    return problems(bench, table)(table)
+    return problems(bench, table)(())
 
 
 def effect(name: str, joints: list[int], **parameters: object) -> dict:

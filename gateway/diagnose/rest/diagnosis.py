@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -154,27 +154,26 @@ class RestDiagnosis:
 
     def read(self, table: Table) -> ReadVisits:
         """Read the visits of a table, reject outliers, and fit the rest without effects."""
-        rows = self._rows(table)
-        return self._fitted(table, rows, self.outliers(rows))
-
-    def _fitted(self, table: Table, rows: Visits, outliers: RejectedTorques) -> ReadVisits:
-        problem = build_problem(self.robot, rows.unmeasured(outliers.mask), self.knowledge)
+        outliers = self.outliers(self._rows(table))
+        problem = self.problem(table, outliers.mask)
         return ReadVisits(table, outliers, problem, fit_without_effects(problem))
 
-    def problem(self, table: Table, outliers: RejectedTorques) -> RestProblem:
-        """Build the problem from the rows of a table, without rejected outliers."""
-        return build_problem(self.robot, self._rows(table).unmeasured(outliers.mask), self.knowledge)
+    def problem(self, table: Table, rejected: NDArray[np.bool_], mistakes: Sequence[Mistake] = ()) -> RestProblem:
+        """Build the problem from the rows of a table without rejected torques (n, N), with the mistakes corrected."""
+        for mistake in mistakes:
+            table, rejected = mistake.undo(table), rejected[:, mistake.reading_of(rejected.shape[1])]
+        return build_problem(self.robot, self._rows(table).unmeasured(rejected), self.knowledge)
 
     def search(self, read: ReadVisits) -> Found:
         """Fit the hypotheses, with commissioning mistakes corrected if the data require it."""
-        build, problem = partial(self.problem, outliers=read.outliers), read.problem
+        build, problem = partial(self.problem, read.table, read.outliers.mask), read.problem
         for label in problem.labels:
             require_postures(problem.rows.q_rad[problem.rows.load == label], label)
         mistakes: tuple[Mistake, ...] = ()
         gained = 0.0
         looked = beyond_any_effect(problem, read.plain)
         if looked:
-            mistakes, gained = find_mistakes(read.table, build, self.options.allowed)
+            mistakes, gained = find_mistakes(build, self.options.allowed)
             if gained > REST.obvious and all(each.factor == 1.0 or each.handicap for each in mistakes):
                 undone = self._undone(read, mistakes)
                 if not suspicious(undone.problem, undone.plain):
@@ -183,7 +182,7 @@ class RestDiagnosis:
                         return at_once
         found = self.searched(read, read, (), 0.0)
         if not looked and (suspicious(problem, found.chosen) or links_far_from_cad(problem, read.plain)):
-            mistakes, gained = find_mistakes(read.table, build, self.options.allowed)
+            mistakes, gained = find_mistakes(build, self.options.allowed)
         if mistakes:
             other = self.searched(read, self._undone(read, mistakes), mistakes, gained)
             if not other.taken_back:
@@ -192,9 +191,9 @@ class RestDiagnosis:
         return self._with_statements_tested(found)
 
     def _undone(self, read: ReadVisits, mistakes: tuple[Mistake, ...]) -> ReadVisits:
-        """Return the visits with the mistakes corrected."""
-        table = _undone(read.table, mistakes)
-        return self._fitted(table, self._rows(table), read.outliers)
+        """Return the visits with the mistakes corrected in the problem."""
+        problem = self.problem(read.table, read.outliers.mask, mistakes)
+        return replace(read, problem=problem, plain=fit_without_effects(problem))
 
     def _with_statements_tested(self, found: Found) -> Found:
         """Repeat the search with wider priors for contradicted statements, if these are the more likely cause.
@@ -281,7 +280,7 @@ class RestDiagnosis:
         table = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         if sided:
             table = replace(table, direction=np.zeros_like(table.direction))
-        problem = self.problem(table, found.read.outliers)
+        problem = self.problem(table, found.read.outliers.mask)
         return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:

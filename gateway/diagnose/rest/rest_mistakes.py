@@ -60,11 +60,19 @@ class Mistake:
         """Prior log odds against the mistake: heavier links look like one factor on all axes."""
         return REST.common_mistake if len(self.joints) > 2 else 0.0
 
+    def reading_of(self, axes: int) -> NDArray[np.int_]:
+        """Index (N,) of the torque reading of each of N axes."""
+        order = np.arange(axes)
+        if self.name == "axes_swapped":
+            swapped = [joint - 1 for joint in self.joints]
+            order[swapped] = order[swapped[::-1]]
+        return order
+
     def undo(self, table: Table) -> Table:
         """Return the table with the mistake corrected."""
         axes = [joint - 1 for joint in self.joints]
         if self.name == "axes_swapped":
-            return _swapped(table, axes, self.with_positions)
+            return _swapped(table, self.reading_of(table.tau_nm.shape[1]), self.with_positions)
         scale = np.ones(table.tau_nm.shape[1])
         if self.name == "angles_coupled":
             first, second = axes
@@ -84,9 +92,7 @@ class Mistake:
         return replace(table, tau_nm=table.tau_nm * scale, tau_std_nm=table.tau_std_nm * np.abs(scale))
 
 
-def _swapped(table: Table, axes: list[int], with_positions: bool) -> Table:
-    order = np.arange(table.tau_nm.shape[1])
-    order[axes] = order[axes[::-1]]
+def _swapped(table: Table, order: NDArray[np.int_], with_positions: bool) -> Table:
     names = ["tau_nm", "tau_std_nm", "temperature_c"]
     if with_positions:
         names += ["q_rad", "direction", "q2nd_rad"]
@@ -212,7 +218,7 @@ def suspicious(problem: RestProblem, plain: Fit) -> bool:
 
 
 def find_mistakes(
-    table: Table, build: Callable[[Table], RestProblem], allowed: frozenset[str]
+    build: Callable[[tuple[Mistake, ...]], RestProblem], allowed: frozenset[str]
 ) -> tuple[tuple[Mistake, ...], float]:
     """Find mistakes whose correction raises the log evidence by `mistake` or more, most likely first.
 
@@ -221,8 +227,7 @@ def find_mistakes(
 
     Parameters
     ----------
-    table : Table
-    build : table -> RestProblem
+    build : mistakes -> RestProblem of the data with these corrected, in order
     allowed : names of mistakes that may be reported
 
     Returns
@@ -231,7 +236,7 @@ def find_mistakes(
     """
     found: list[Mistake] = []
     gained = 0.0
-    problem = build(table)
+    problem = build(())
     if informative_axes(problem).sum() < REST.least_axes:
         return (), 0.0
     before, plain = plain_score(problem, 0.0)
@@ -241,13 +246,12 @@ def find_mistakes(
         for mistake in candidates(measured):
             if mistake.name not in allowed or any(set(mistake.joints) & set(old.joints) for old in found):
                 continue
-            tried.append(_tried(mistake, build(mistake.undo(table))))
+            tried.append(_tried(mistake, build((*found, mistake))))
         best = _most_likely(problem, plain, before + REST.mistake, tried)
         if best is None:
             break
         gained += best.score - before
         before, problem, plain = best.score, best.problem, best.fit
-        table = best.mistake.undo(table)
         found.append(best.mistake)
     return tuple(found), gained
 
