@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.screen import Derivatives, Screen, pair_log_bayes, screen
-from gateway.identify.rest.hypothesis_fit import averaged_evidence, fit
+from gateway.identify.rest.hypothesis_fit import averaged_evidence, fit, iterates
 from gateway.identify.rest.linear import Fit, Noise, RestProblem
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED
@@ -29,6 +29,10 @@ Floats = NDArray[np.float64]
 
 #: Log odds against a hypothesis with an effect that cannot be: more than any data say.
 IMPOSSIBLE: Final = 1e9
+#: A fit is not finished if its log evidence is below the best by more than this plus this many times the gain of its
+#: last step: of 500 fits none gained more after its second step.
+FAR: Final = 100.0
+FAR_GAINS: Final = 20.0
 
 
 def term_shapes(terms: Sequence[Term]) -> list[int]:
@@ -48,6 +52,7 @@ class Search:
     named, unnamed : candidates
     prior : log prior probability of each candidate
     pool : fits by set of effects
+    dropped : sets of effects whose fit was not finished
     links_as_stated : the stated standard deviations of the links are right
     averaged : evidence of fits, averaged over wrong stated standard deviations
     derivatives : of the modelled rows by the parameters of each candidate, about the model without effects
@@ -59,6 +64,7 @@ class Search:
     noise: Noise
     prior: dict[Term, float] = field(default_factory=dict)
     pool: dict[frozenset[Term], Fit] = field(default_factory=dict)
+    dropped: set[frozenset[Term]] = field(default_factory=set)
     averaged: dict[Fit, float] = field(default_factory=dict)
     links_as_stated: bool = False
     derivatives: Derivatives | None = None
@@ -116,6 +122,21 @@ class Search:
             self.pool[key] = fit(self.problem, ordered, self.noise if start is None else start.noise, start)
         return self.pool[key]
 
+    def tried(self, terms: Iterable[Term], start: Fit) -> None:
+        """Add the fit of a set of effects to the pool, unless its evidence stays far below the best."""
+        ordered = tuple(terms)
+        key = frozenset(ordered)
+        if key in self.pool or key in self.dropped:
+            return
+        reach = max(fit.evidence for fit in self.pool.values()) - FAR
+        found, before = start, -np.inf
+        for found in iterates(self.problem, ordered, start.noise, start):
+            if found.evidence + FAR_GAINS * max(found.evidence - before, 0.0) < reach:
+                self.dropped.add(key)
+                return
+            before = found.evidence
+        self.pool[key] = found
+
     def view(self, about: Fit, terms: Sequence[Term], std: Floats, own: Derivatives | None = None) -> Screen:
         """Screen the candidates about a fit; their derivatives are `own` or those about the model without effects."""
         return screen(self.problem, about, terms, std, own or self.derivatives_about())
@@ -149,9 +170,9 @@ def run(search: Search) -> Fit:
     nothing = search.fitted(())
     views = [search.view(nothing, search.named, std) for std in (search.noise.start, nothing.noise.std)]
     for terms in _promising_singles(search, views):
-        search.fitted(terms, nothing)
+        search.tried(terms, nothing)
     for terms in _promising_pairs(search, views[0]):
-        search.fitted(terms, nothing)
+        search.tried(terms, nothing)
     for step in range(REST.most_effects):
         best = search.best()
         leaders = sorted(search.pool.values(), key=search.score, reverse=True)[:3]
@@ -228,7 +249,7 @@ def _extend(
             if (key not in seen and len(seen) >= count) or view.log_bayes[index] + search.prior[term] < -2.0:
                 break
             seen[key] = seen.get(key, 0) + 1
-            search.fitted((*leader.terms, term), leader)
+            search.tried((*leader.terms, term), leader)
 
 
 def _exchange(search: Search) -> None:

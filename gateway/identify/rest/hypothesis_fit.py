@@ -9,7 +9,7 @@ stated standard deviations of links and torque constants may be wrong.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 import numpy as np
@@ -65,16 +65,25 @@ def fit(
     steps : int
         Gauss-Newton steps at most.
     """
+    *_, found = iterates(problem, terms, noise, start, steps)
+    return found
+
+
+def iterates(
+    problem: RestProblem, terms: Sequence[Term], noise: Noise, start: Fit | None = None, steps: int = _STEPS
+) -> Iterator[Fit]:
+    """Iterate over the Gauss-Newton steps of a fit."""
     begin, spreads = _begin(problem, tuple(terms), start, noise)
     current = _linearised(problem, begin, noise, spreads)
+    yield current
     if not all(linear for term in terms for linear in term.linear):
         steps = 2 * steps
     for step in range(1, steps):
         before = current.mode
         current = _linearised(problem, current, current.noise, spreads)
+        yield current
         if step >= 2 and abs(current.mode - before) < 0.02:
             break
-    return current
 
 
 def fit_without_effects(problem: RestProblem) -> Fit:
