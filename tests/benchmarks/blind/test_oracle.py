@@ -75,6 +75,16 @@ def test_evidence_for_an_effect_grows_with_the_square_of_its_size_and_falls_wher
     assert ratio(size_nm, friction=uneven) < 0.2 * ratio(size_nm)
 
 
+def test_evidence_for_a_body_on_a_link_is_at_most_what_the_drawing_excludes():
+    # the links may do what the body does, at the price of their priors; the losses follow either
+    cell = draw_cell(3, "all")
+    body = np.zeros(24)
+    body[12:16] = 5.0 * cell.arm.links_std[12:16] * np.array([1.0, 1.0, -1.0, 1.0])
+    dressed = replace(cell, effects=(Mechanism("dressed", (4,), 1.0, links=body),))
+    most = 0.5 * 4 * 5.0**2
+    assert 0.1 * most < oracle.log_likelihood_ratios(dressed, cell.visits, ())[0] < most
+
+
 def test_a_mass_whose_constants_share_one_error_is_as_uncertain_as_they_are():
     # free links, no noise to speak of: what is left is the gain of the axes that carry the mass
     cell = draw_cell(4, "base")

@@ -6,7 +6,7 @@ priors of the cell, the load and the amplitudes none. The noise of every row is 
 left out. The model is evaluated at the truth; `load_std` is the standard deviation of mass and centre.
 
 `log_likelihood_ratios` is the evidence for each true effect. Half-differences take part in it: a constant, the loss per
-transmitted torque and both courses of warm-up of each axis are their nuisances.
+transmitted torque and both courses of warm-up of each axis are their nuisances, and the only ones.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from numpy.typing import NDArray
 from sim.nature.arm import NatureArm
 from sim.nature.effect import Mechanism, TableRows, rows_of
 from sim.nature.levels import levels_of
-from sim.nature.measuring import OutlierVisit, equilibrium
+from sim.nature.measuring import OutlierVisit, equilibrium, quiet, reported_nm
 from sim.nature.nature_cell import NatureCell
-from sim.nature.strength import added, efficiency_slopes
+from sim.nature.strength import added, efficiency_slopes, halves
 from sim.offline import PlannedVisit, gravity_columns
 
 Floats = NDArray[np.float64]
 
-STEP_RAD, STEP_NM = 1e-5, 1e-3
+STEP_RAD = 1e-5
 #: A curve below this share of the floor is none.
 NO_CURVE = 1e-6
 
@@ -60,8 +60,8 @@ def log_likelihood_ratios(
             weight[visit] = _without(weight[visit], wrong.joint - 1)
     design, precision = _design(arm, rows, (), tau)
     lost, std = _lost(cell, rows, tau)
-    design = np.concatenate([design, design * _loss_slope(arm, rows)[:, :, None]])
-    design = np.concatenate([design, np.concatenate([np.zeros_like(lost), lost])], axis=2)
+    below, above = ((0, len(tau)), (0, 0), (0, 0)), ((len(tau), 0), (0, 0), (0, 0))
+    design = np.concatenate([np.pad(design, below), np.pad(lost, above)], axis=2)
     precision = np.concatenate([precision, std**-2.0])
     curves = {number: _curve(arm, rows, effect) for number, effect in enumerate(cell.effects) if effect.wired is None}
     ratios = [float("inf")] * len(cell.effects)
@@ -76,9 +76,18 @@ def log_likelihood_ratios(
 
 
 def _curve(arm: NatureArm, rows: TableRows, effect: Mechanism) -> Floats:
-    """What an effect adds to the half-sums and then to the half-differences (2 visits, 6) [Nm]."""
-    more = added(arm, rows, effect)
-    return np.concatenate([more.half_sum_nm, more.half_difference_nm])
+    """What an effect adds to the half-sums and then to the half-differences (2 visits, 6) [Nm].
+
+    The half-sums have the torque that it adds to the joints. Both have what the drives then report beyond an arm
+    without the effect whose joints carry the same torque: losses that follow a torque tell nothing of its cause.
+    """
+    stops, eta = quiet(arm, rows), arm.friction.declared_efficiency
+    seen, carried = reported_nm(arm, rows, (effect,), stops)
+    own = equilibrium(arm, rows, (), stops.angle_rad)[0]
+    equal = Mechanism("", (), 0.0, on_joint=lambda _, tau: tau - carried)
+    with_, without = halves(seen, eta), halves(reported_nm(arm, rows, (equal,), stops)[0], eta)
+    half_sum = with_.half_sum_nm - without.half_sum_nm + (carried - own)[0::2]
+    return np.concatenate([half_sum, with_.half_difference_nm - without.half_difference_nm])
 
 
 def posterior(design: Floats, weight: Floats, precision: Floats) -> Floats:
@@ -143,12 +152,6 @@ def _scatter(arm: NatureArm, rows: TableRows, tau: Floats) -> Floats:
     rounding = np.where(arm.noise_nm > 0.5 * arm.resolution_nm, 0.0, arm.resolution_nm / np.sqrt(24.0))
     spread = arm.friction.half_sum_std_nm(arm.friction.band_nm(tau, time_s), cold)
     return np.eye(6) * (spread**2 + noise**2 + rounding**2)[:, :, None]
-
-
-def _loss_slope(arm: NatureArm, rows: TableRows) -> Floats:
-    """Change (visits, 6) of the half-differences with the half-sums: losses grow with the torque."""
-    small = added(arm, rows, Mechanism("", (), STEP_NM, on_joint=lambda _, tau: np.full_like(tau, STEP_NM)))
-    return small.half_difference_nm / small.half_sum_nm
 
 
 def _lost(cell: NatureCell, rows: TableRows, tau: Floats) -> tuple[Floats, Floats]:
