@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions
-from gateway.diagnose import diagnose as _diagnosed
+from gateway.diagnose import diagnose as _diagnose
 from gateway.errors import InputError
-from gateway.estimate import run as _estimated
+from gateway.estimate import Coefficient
+from gateway.estimate import run as _estimate
 from gateway.model.effects import LIBRARY
 from gateway.pipeline.accept import accept
 from gateway.pipeline.finalize import finalize
@@ -89,8 +90,7 @@ def estimate(data: Files, model: ModelRequest, *, method: str = "joint") -> Resu
     paths = _paths(data)
     about = collect_inputs(model, paths)
     table = read_rows(paths, about)
-    options = replace(estimate_options(about), pose_choice=_postures(about))
-    return accept(finalize(_estimated(table, about.robot, options, method), about, table, paths), (), about.arm)
+    return accept(finalize(estimated(about, table, method), about, table, paths), (), about.arm)
 
 
 def diagnose(
@@ -126,19 +126,29 @@ def diagnose(
         raise InputError(f"'{name}' is not an effect; choose from {', '.join(sorted(LIBRARY))}")
     about = collect_inputs(model, [*paths, *unseen_paths])
     table = read_rows(paths, about)
-    seen, unseen = (table, read_rows(unseen_paths, about)) if unseen_paths else split_validation(table)
+    found = diagnosed(about, table, unseen_paths, *names)
+    return accept(finalize(found, about, table, [*paths, *unseen_paths]), (), about.arm)
+
+
+def estimated(about: AnalysisInputs, table: Table, method: str, coefficient: Coefficient | None = None) -> Result:
+    """Return the estimate of all loads in the rows of a table."""
+    options = replace(estimate_options(about), pose_choice=postures(about), coefficient=coefficient)
+    return _estimate(table, about.robot, options, method)
+
+
+def diagnosed(
+    about: AnalysisInputs, table: Table, holdout: Sequence[Path], only: frozenset[str], without: frozenset[str]
+) -> Result:
+    """Return the diagnosis of the rows of a table, judged on the files `holdout` or on visits of validation poses."""
+    seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
+    choice = partial(postures, about)
     options = DiagnoseOptions(
-        holdout=unseen,
-        only=names[0],
-        without=names[1],
-        pose_choice=partial(_postures, about),
-        **diagnose_arguments(about),
+        holdout=unseen, only=only, without=without, pose_choice=choice, **diagnose_arguments(about)
     )
-    found = finalize(_diagnosed(seen, about.model, options), about, table, [*paths, *unseen_paths])
-    return accept(found, (), about.arm)
+    return _diagnose(seen, about.model, options)
 
 
-def _postures(about: AnalysisInputs) -> NDArray[np.float64] | None:
+def postures(about: AnalysisInputs) -> NDArray[np.float64] | None:
     """Postures (k, N) [rad] that a result may ask for, within the limits of the cell; None without a cell."""
     if about.arm is None:
         return None

@@ -13,7 +13,6 @@ import click
 from drives.files import replace_file
 from gateway.commands.console import findings_table, grid
 from gateway.commands.guided import MeasuringOptions, Terminal
-from gateway.commands.identification import postures
 from gateway.commands.measure import arm_option
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable
 from gateway.commands.result_output import fail_on_findings
@@ -72,6 +71,7 @@ def calibrate(
 
     The result is stored beside the cell file as CELL.calibration.toml; estimate, diagnose and commission use it.
     """
+    from gateway.api.analysis import postures
     from gateway.cell.calibration import calibration_path
     from gateway.cell.config import load_cell
     from gateway.model.arm_model import arm_named

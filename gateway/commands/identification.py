@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,9 +25,6 @@ from gateway.commands.shared_options import (
 )
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from gateway.estimate import Coefficient
     from gateway.pipeline.inputs import AnalysisInputs, ModelRequest
     from gateway.result.acceptance import Expected
@@ -120,24 +116,20 @@ def estimate(
     json_out: str | None,
 ) -> None:
     """Estimate mass and centre of gravity of each unknown load, with 95 % intervals; name what is not identifiable."""
-    from dataclasses import replace
-
-    from gateway.estimate import run
+    from gateway.api.analysis import estimated
     from gateway.pipeline.accept import accept, check_against_data
     from gateway.pipeline.finalize import finalize
-    from gateway.pipeline.inputs import collect_inputs, estimate_options, read_rows
+    from gateway.pipeline.inputs import collect_inputs, read_rows
 
     request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
     about = collect_inputs(request, data)
     note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
-    options = replace(estimate_options(about), pose_choice=None if about.arm is None else postures(about))
-    if method == "coefficient":
-        wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
-        options = replace(options, coefficient=wanted.of(about))
+    wanted = _Coefficient(axis, lever, gear_ratio, gear_efficiency, rated_torque)
+    coefficient = wanted.of(about) if method == "coefficient" else None
     with session_of().working("estimation"):
-        result = run(table, about.robot, options, method)
+        result = estimated(about, table, method, coefficient)
     result = accept(finalize(result, about, table, data, operator), expected, about.arm)
     _hand_over(result, json_out, junit_file, archive)
 
@@ -232,29 +224,17 @@ def diagnose(
 
     The verdict is one of: model complete, explained, improved, unexplained, undecided.
     """
-    from gateway.diagnose import DiagnoseOptions
-    from gateway.diagnose import diagnose as run
+    from gateway.api.analysis import diagnosed
     from gateway.pipeline.accept import accept, check_against_data
     from gateway.pipeline.finalize import finalize
-    from gateway.pipeline.inputs import collect_inputs, diagnose_arguments, read_rows, split_validation
+    from gateway.pipeline.inputs import collect_inputs, read_rows
 
     request = model_request(robot, cell_file, inertials, known, bare, arm_name, torque_gain, tip, is_warm)
     about = collect_inputs(request, [*data, *holdout])
     note_remarks(about.robot)
     table = read_rows(data, about)
     check_against_data(expected, [table], about)
-    seen, unseen = (table, read_rows(holdout, about)) if holdout else split_validation(table)
-    arguments = diagnose_arguments(about)
-    choice = None if about.arm is None else partial(postures, about)
-    options = DiagnoseOptions(holdout=unseen, only=only, without=without, pose_choice=choice, **arguments)
     with session_of().working("diagnosis"):
-        result = run(seen, about.model, options)
+        result = diagnosed(about, table, holdout, only, without)
     result = accept(finalize(result, about, table, [*data, *holdout], operator), expected, about.arm)
     _hand_over(result, json_out, junit_file, archive)
-
-
-def postures(about: AnalysisInputs) -> NDArray[np.float64] | None:
-    """Return postures (k, N) that a result may propose; the planning code is imported only here."""
-    from gateway.acquire.requested_poses import postures_to_ask
-
-    return postures_to_ask(about)
