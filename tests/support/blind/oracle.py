@@ -79,7 +79,7 @@ def _curve(arm: NatureArm, rows: TableRows, effect: Mechanism) -> Floats:
     """What an effect adds to the half-sums and then to the half-differences (2 visits, 6) [Nm].
 
     The half-sums have the torque that it adds to the joints. Both have what the drives then report beyond an arm
-    without the effect whose joints carry the same torque: losses that follow a torque tell nothing of its cause.
+    without the effect whose joints carry the same torque: losses that follow a torque do not depend on its cause.
     """
     stops, eta = quiet(arm, rows), arm.friction.declared_efficiency
     seen, carried = reported_nm(arm, rows, (effect,), stops)
