@@ -15,7 +15,7 @@ from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_ou
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.diagnose.rest.search import Search
-from gateway.diagnose.rest.verdict import Decision, noise_floor, strong, unseen_by_choice
+from gateway.diagnose.rest.verdict import BY_EVIDENCE, Decision, noise_floor, strong, unseen_by_choice
 from gateway.identify.rest.hypothesis_fit import NOTHING, fit
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.rest_loads import loads_of
@@ -112,10 +112,11 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
 
 
 def contradicted(decision: Decision, effects: Sequence[EffectResult]) -> bool:
-    """Return True if structure remains and no effect improves the fit to held-out rows."""
-    if decision.verdict != "improved" or not effects:
+    """Return True if structure remains and no effect that held-out rows can judge improves the fit to them."""
+    judged = [effect for effect in effects if effect.name not in BY_EVIDENCE]
+    if decision.verdict != "improved" or not judged:
         return False
-    return all(effect.evidence.holdout_rms_ratio >= 1.0 for effect in effects)
+    return all(effect.evidence.holdout_rms_ratio >= 1.0 for effect in judged)
 
 
 def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResult:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from gateway.diagnose.rest.rest_outcome import contradicted
 from gateway.diagnose.rest.search import Search
 from gateway.identify.rest.problem import Knowledge, build_problem
 from gateway.identify.rest.start_noise import first_noise
@@ -81,3 +84,20 @@ def test_a_body_on_a_link_is_named_where_only_the_drawing_shows_it(seed: int) ->
     cell = draw_effect_cell(seed)
     assert [(each.mechanism, each.joints) for each in cell.effects] == [("dressed_link", (4,))]
     assert [(each.name, each.joints) for each in first_diagnosis(cell).effects] == [("link_mass", (4,))]
+
+
+@pytest.mark.parametrize(
+    ("ratios", "taken"),
+    [
+        ({"link_mass": 1.0}, False),  # wrong links fit the held-out rows as well
+        ({"cable_torque": 1.0}, True),
+        ({"link_mass": 0.9, "cable_torque": 1.0}, True),
+        ({"link_mass": 1.0, "cable_torque": 0.9}, False),
+    ],
+)
+def test_held_out_rows_take_no_body_on_a_link_away(ratios: dict[str, float], taken: bool) -> None:
+    named = [
+        SimpleNamespace(name=name, evidence=SimpleNamespace(holdout_rms_ratio=value)) for name, value in ratios.items()
+    ]
+    assert contradicted(SimpleNamespace(verdict="improved"), named) == taken  # type: ignore[arg-type]
+    assert not contradicted(SimpleNamespace(verdict="explained"), named)  # type: ignore[arg-type]
