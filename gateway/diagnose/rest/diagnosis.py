@@ -418,7 +418,7 @@ def _named(
     """Return the decision with the names that neither held-out rows nor a formula take away, and the formulas."""
     judge = Judge.of(found.search, decision, held)
     shown = proven(found.search, decision, judge)
-    kept = without_names(decision) if contradicted(decision, shown) else decision
+    kept = without_names(decision) if contradicted(found.search, decision, judge, shown) else decision
     formulas, kept = searched_formulas(found.search, kept, found.setup)
     if kept is not decision:
         judge, shown = Judge.of(found.search, kept, held), []

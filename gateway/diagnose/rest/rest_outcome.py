@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from gateway.diagnose.held_out_residuals import Held, listed
-from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_out_with, predicted
+from gateway.diagnose.rest.holdout import Unseen, WithoutPose, left_out, left_out_with, predicted, prediction_covariance
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
 from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.diagnose.rest.search import Search
@@ -111,12 +111,29 @@ def proven(search: Search, decision: Decision, judge: Judge) -> list[EffectResul
     return out
 
 
-def contradicted(decision: Decision, effects: Sequence[EffectResult]) -> bool:
-    """Return True if structure remains and no effect that held-out rows can judge improves the fit to them."""
-    judged = [effect for effect in effects if effect.name not in BY_EVIDENCE]
-    if decision.verdict != "improved" or not judged:
+def contradicted(search: Search, decision: Decision, judge: Judge, effects: Sequence[EffectResult]) -> bool:
+    """Return True if structure remains and held-out rows leave no effect likely."""
+    if decision.verdict != "improved" or not effects:
         return False
-    return all(effect.evidence.holdout_rms_ratio >= 1.0 for effect in judged)
+    return not any(_stays_likely(search, decision.after, judge, effect) for effect in effects)
+
+
+def _stays_likely(search: Search, after: Fit, judge: Judge, effect: EffectResult) -> bool:
+    """Return True if the odds of an effect with the rows given as held-out are still those of a name.
+
+    Rows that the search has seen cannot raise its odds: an effect then has to improve their cross-validation.
+    """
+    if judge.held is None:
+        return effect.name in BY_EVIDENCE or effect.evidence.holdout_rms_ratio < 1.0
+    others = [term for term in after.terms if term.label != (effect.name, effect.joints)]
+    gain = _log_density(judge.held, after) - _log_density(judge.held, search.fitted(others, after))
+    return bool(np.log(effect.evidence.odds) + gain >= np.log(REST.naming_odds))
+
+
+def _log_density(held: Unseen, fitted: Fit) -> float:
+    """Log density of the held-out rows as a fit predicts them, without its constant."""
+    residual, covariance = predicted(held, fitted), prediction_covariance(held, fitted)
+    return -0.5 * float(residual @ np.linalg.solve(covariance, residual) + np.linalg.slogdet(covariance)[1])
 
 
 def _with_shapes(effect: EffectResult, search: Search, after: Fit) -> EffectResult:

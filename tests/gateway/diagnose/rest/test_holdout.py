@@ -11,9 +11,22 @@ from scipy import stats
 
 from gateway.diagnose import diagnose
 from gateway.diagnose.rest import verdict
-from gateway.diagnose.rest.holdout import chosen_by_others, gained_by_pose, left_out, left_out_poses
+from gateway.diagnose.rest.diagnosis import RestDiagnosis
+from gateway.diagnose.rest.holdout import (
+    Unseen,
+    chosen_by_others,
+    gained_by_pose,
+    left_out,
+    left_out_poses,
+    prediction_covariance,
+)
+from gateway.diagnose.rest.rest_outcome import contradicted
+from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.verdict import helped
+from gateway.identify.rest.hypothesis_fit import fit
+from gateway.model.effects.torque_offset import TorqueOffset
 from tests.resting_arm import Bench, basis_of, effect, found
+from tests.support.blind.nature import run_effect
 
 POSES, ROWS = 7, 5
 NOISE = np.array([0.5, 2.0, 1.0])
@@ -177,3 +190,34 @@ def test_an_effect_is_compared_with_the_nuisance_parameters(hidden, axis):
     result = diagnose(bench.both(), bench.robot, bench.options)
     assert found(result) == [(hidden["name"], (axis,))]
     assert result.effects[0].evidence.holdout_rms_ratio < 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "label"), [(94044, ("thermal_drift", [6])), (94226, ("balancer_spring", [2]))])
+def test_a_name_stays_while_its_odds_with_fresh_poses_are_large_enough(seed, label):
+    """Fresh poses deviate by more than the noise, and do not fit better with the effect; they hardly lower its odds."""
+    said = run_effect(seed)
+    assert said["verdict"] == "improved"
+    assert said["found"] == [label]
+
+
+@pytest.mark.parametrize(("miss_nm", "likely"), [(0.0, True), (30.0, False)])
+def test_fresh_poses_that_deny_an_effect_take_its_name_away(miss_nm, likely):
+    """The odds of the search times the ratio of the densities of the fresh rows, by scipy."""
+    bench = Bench(4, [effect("torque_offset", [2], offset_nm=40.0)])
+    read = RestDiagnosis(bench.robot, bench.options).read(bench.both())
+    problem, term = read.problem, TorqueOffset(1)
+    after = fit(problem, (term,), read.plain.noise)
+    fresh = problem.group == 1  # half-sums of J2, as if they were others
+    held = Unseen(replace(problem, target=problem.target - np.where(fresh, miss_nm, 0.0)), fresh)
+    search = Search(problem, (term,), (), read.plain.noise)
+    log_density = []
+    for each in (after, search.fitted(())):
+        residual = each.residual[fresh] - miss_nm
+        log_density.append(stats.multivariate_normal.logpdf(residual, cov=prediction_covariance(held, each)))
+    odds = 20.0 * np.exp(log_density[1] - log_density[0])
+    for factor in (1.1, 0.9):
+        named = SimpleNamespace(name="torque_offset", joints=(2,), evidence=SimpleNamespace(odds=odds * factor))
+        decision = SimpleNamespace(verdict="improved", after=after)
+        assert contradicted(search, decision, SimpleNamespace(held=held), [named]) == (factor < 1.0)
+    assert (odds < 1.0) == likely
