@@ -6,7 +6,7 @@ Tier `drawn`, by the simulator's own draws (--limit N, --bus N): development see
 where more are needed (--first). Test seeds are 10000 to 10999; fresh seeds for a changed model are 20000 to 20999. Both
 are run once for the published table and never tuned on.
 Tier `nature` (--cells N --diagnosed N --effects N --conditions NAME,..): development seeds from 0, test seeds from
-30000, fresh seeds from 94000.
+30000, fresh seeds from 96000.
 """
 
 from __future__ import annotations
