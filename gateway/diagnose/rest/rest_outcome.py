@@ -119,12 +119,14 @@ def contradicted(search: Search, decision: Decision, judge: Judge, effects: Sequ
 
 
 def _stays_likely(search: Search, after: Fit, judge: Judge, effect: EffectResult) -> bool:
-    """Return True if the odds of an effect with the rows given as held-out are still those of a name.
+    """Return True if an effect improves the fit to held-out rows, or keeps the odds of a name with them.
 
-    Rows that the search has seen cannot raise its odds: an effect then has to improve their cross-validation.
+    Rows that the search has seen do not change its odds.
     """
+    if effect.evidence.holdout_rms_ratio < 1.0:
+        return True
     if judge.held is None:
-        return effect.name in BY_EVIDENCE or effect.evidence.holdout_rms_ratio < 1.0
+        return effect.name in BY_EVIDENCE
     others = [term for term in after.terms if term.label != (effect.name, effect.joints)]
     gain = _log_density(judge.held, after) - _log_density(judge.held, search.fitted(others, after))
     return bool(np.log(effect.evidence.odds) + gain >= np.log(REST.naming_odds))

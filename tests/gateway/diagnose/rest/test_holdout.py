@@ -217,7 +217,10 @@ def test_fresh_poses_that_deny_an_effect_take_its_name_away(miss_nm, likely):
         log_density.append(stats.multivariate_normal.logpdf(residual, cov=prediction_covariance(held, each)))
     odds = 20.0 * np.exp(log_density[1] - log_density[0])
     for factor in (1.1, 0.9):
-        named = SimpleNamespace(name="torque_offset", joints=(2,), evidence=SimpleNamespace(odds=odds * factor))
         decision = SimpleNamespace(verdict="improved", after=after)
-        assert contradicted(search, decision, SimpleNamespace(held=held), [named]) == (factor < 1.0)
+        for ratio in (0.9, 1.0):
+            evidence = SimpleNamespace(odds=odds * factor, holdout_rms_ratio=ratio)
+            named = SimpleNamespace(name="torque_offset", joints=(2,), evidence=evidence)
+            taken = contradicted(search, decision, SimpleNamespace(held=held), [named])
+            assert taken == (factor < 1.0 and ratio == 1.0)
     assert (odds < 1.0) == likely
