@@ -154,15 +154,16 @@ class RestDiagnosis:
 
     def read(self, table: Table) -> ReadVisits:
         """Read the visits of a table, reject outliers, and fit the rest without effects."""
-        outliers = self.outliers(self._rows(table))
-        problem = self.problem(table, outliers.mask)
+        rows = self._rows(table)
+        outliers = self.outliers(rows)
+        problem = build_problem(self.robot, rows.unmeasured(outliers.mask), self.knowledge)
         return ReadVisits(table, outliers, problem, fit_without_effects(problem))
 
     def problem(self, table: Table, rejected: NDArray[np.bool_], mistakes: Sequence[Mistake] = ()) -> RestProblem:
         """Build the problem from the rows of a table without rejected torques (n, N), with the mistakes corrected."""
         for mistake in mistakes:
-            table, rejected = mistake.undo(table), rejected[:, mistake.reading_of(rejected.shape[1])]
-        return build_problem(self.robot, self._rows(table).unmeasured(rejected), self.knowledge)
+            rejected = rejected[:, mistake.reading_of(rejected.shape[1])]
+        return build_problem(self.robot, self._rows(_undone(table, mistakes)).unmeasured(rejected), self.knowledge)
 
     def search(self, read: ReadVisits) -> Found:
         """Fit the hypotheses, with commissioning mistakes corrected if the data require it."""
@@ -425,7 +426,7 @@ def _named(
     return kept, judge, shown, formulas
 
 
-def _undone(table: Table, mistakes: tuple[Mistake, ...]) -> Table:
+def _undone(table: Table, mistakes: Sequence[Mistake]) -> Table:
     for mistake in mistakes:
         table = mistake.undo(table)
     return table
