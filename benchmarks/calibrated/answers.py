@@ -1,0 +1,59 @@
+"""One table of a condition and what the estimator states of its load."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.calibrated.conditions import CONDITIONS
+from benchmarks.calibrated.nature import (
+    OCCASION_S,
+    as_table,
+    at_rest,
+    draw,
+    excitation,
+    in_motion,
+    occasion_gain,
+    place_torques,
+    poses,
+    stated_urdf,
+)
+from gateway.errors import GatewayError
+from gateway.estimate import EstimateOptions, run
+from gateway.model.robot import robot_from_urdf
+
+
+def answer_of(task: tuple[int, str]) -> dict:
+    """Deviation of the estimate of one table, in stated standard deviations, and these.
+
+    Returns
+    -------
+    dict
+        `refused`: why there is no estimate, else ""; `z`: (4,) of mass and centre, `std`: (4,), `warnings`: keys.
+    """
+    seed, name = task
+    condition = CONDITIONS[name]
+    cell = draw(seed, condition.gain_std)
+    q_rad, motion = poses(cell, condition.poses), excitation(cell)
+    place_nm = place_torques(cell, condition.poses, condition.repeats)
+    rows: list[dict] = []
+    occasions = [("none", k) for k in range(condition.unloaded)] + [("tool", k) for k in range(condition.loaded)]
+    for number, (load, k) in enumerate(sorted(occasions, key=lambda entry: entry[1])):
+        recording = f"r{k}" if condition.paired else f"{load}{k}"
+        gain, start_s = occasion_gain(cell), number * OCCASION_S
+        if condition.kind != "motion":
+            rows += at_rest(cell, q_rad, load, recording, start_s, gain, place_nm, condition.repeats)
+        if condition.kind != "rest":
+            rows += in_motion(cell, motion, load, recording, start_s + 0.5 * OCCASION_S, gain)
+    options = EstimateOptions(inertials="prior:0.05", gain_std=(condition.gain_std,) * 6)
+    answer: dict = {"seed": seed, "condition": name, "refused": "", "z": None, "std": None, "warnings": []}
+    try:
+        result = run(as_table(rows), robot_from_urdf(stated_urdf(cell), "drawn.urdf"), options, condition.method)
+    except GatewayError as error:
+        return answer | {"refused": str(error)}
+    load = result.loads[0]
+    answer["warnings"] = [finding.what for finding in result.findings if finding.severity != "info"]
+    if load.mass_kg is None or load.com_m is None or None in load.com_m:
+        return answer | {"refused": load.refused or "not determined"}
+    values = np.array([load.mass_kg, *load.com_m], dtype=float)
+    stds = np.array([load.mass_std_kg, *load.com_std_m], dtype=float)
+    return answer | {"z": ((values - cell.load) / stds).tolist(), "std": (stds / np.abs(cell.load)).tolist()}
