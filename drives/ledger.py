@@ -27,8 +27,6 @@ from drives.objects import STRUCT_CODE, object_name
 from drives.values import Identity
 
 SCHEMA: Final = 2
-#: Schemas that are read; the first knew neither bus nor product.
-_READ: Final = (1, SCHEMA)
 #: Serial numbers that are none.
 _NO_SERIAL: Final = (0, 0xFFFFFFFF)
 #: Longest wait for another process that writes the same ledger [s].
@@ -292,7 +290,7 @@ class WriteLedger:
         """Read the file if another process has changed it."""
         stamp = None if self.path is None else _stamp(self.path)
         if self.path is not None and stamp is not None and stamp != self._stamp:
-            self._entries = load_entries(self.path)
+            self._entries = _read_entries(self.path)
             self._stamp, self._text = stamp, ""
 
 
@@ -329,39 +327,6 @@ def _stamp(path: Path) -> tuple[int, ...] | None:
     return found.st_ino, found.st_mtime_ns, found.st_size
 
 
-def take_over(ledger: WriteLedger, path: Path, bus: str | None) -> None:
-    """Move the entries of a file of the first schema into a ledger; entries without a drive identity stay there.
-
-    Parameters
-    ----------
-    ledger : WriteLedger
-    path : Path
-        A file of one cell, arm and bus.
-    bus : str or None
-        That bus; None = not known, then entries without serial number are left.
-
-    Raises
-    ------
-    ConfigurationRefused
-        It is not a ledger.
-    """
-    found = load_entries(path)
-    left = [entry for entry in found if entry.serial_number in (None, *_NO_SERIAL) and bus is None]
-    known = {
-        (each.serial_number, each.address, each.bus if each.serial_number is None else None) for each in ledger.entries
-    }
-    moved: list[LedgerEntry] = []
-    for entry in found:
-        serial = None if entry.serial_number in _NO_SERIAL else entry.serial_number
-        if entry not in left and (serial, entry.address, bus if serial is None else None) not in known:
-            moved.append(replace(entry, serial_number=serial, bus=bus, open=True))
-    ledger.exchange((), moved)
-    if not left:
-        path.unlink()
-    elif len(left) < len(found):
-        replace_file(path, json.dumps({"schema": SCHEMA, "entries": [asdict(entry) for entry in left]}, indent=1))
-
-
 @contextmanager
 def _locked(path: Path) -> Generator[None]:
     """Lock a ledger against changes by other processes."""
@@ -382,8 +347,8 @@ def _locked(path: Path) -> Generator[None]:
         os.close(lock)
 
 
-def load_entries(path: Path) -> list[LedgerEntry]:
-    """Return the entries of a ledger file, of old schemas too.
+def _read_entries(path: Path) -> list[LedgerEntry]:
+    """Return the entries of a ledger file.
 
     Raises
     ------
@@ -392,7 +357,7 @@ def load_entries(path: Path) -> list[LedgerEntry]:
     """
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(document, dict) or document.get("schema") not in _READ:
+        if not isinstance(document, dict) or document.get("schema") != SCHEMA:
             raise ValueError(f"schema {SCHEMA} expected")
         return [_entry(item) for item in document["entries"]]
     except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
 import shlex
 from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -13,10 +12,10 @@ from pathlib import Path
 from typing import Final
 
 from drives.bus import Bus, BusSpec, open_bus
-from drives.errors import ConfigurationRefused, DriveError
+from drives.errors import DriveError
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
-from drives.ledger import WriteLedger, take_over
+from drives.ledger import WriteLedger
 from drives.profile import DriveProfile
 from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
@@ -37,8 +36,6 @@ MOVING_SYNC_S: Final = 0.004
 SLOWEST_MOVING_SYNC_S: Final = 0.01
 #: The write ledger in the state folder.
 LEDGER: Final = "ledger.json"
-#: A write ledger of an earlier version: one per cell file, arm and bus.
-_OLD_LEDGER: Final = re.compile(r"-[0-9a-f]{12}\.json$")
 #: Object of the interpolation period.
 INTERPOLATION: Final = 0x60C2
 
@@ -107,24 +104,10 @@ class CellContext:
         """Return the measuring devices on the bus of an arm."""
         return instruments_on(arm.bus, self.loaded.cell.pair)
 
-    def ledger(self, arm: ArmConfig) -> Path:
-        """Return the path of the write ledger (one for all drives); files of earlier versions are merged into it.
-
-        Raises
-        ------
-        ConfigurationRefused
-            The file that an earlier version wrote for this arm is damaged.
-        """
-        path, own = _state_folder() / LEDGER, self._state(arm, "")
-        for old in sorted(path.parent.glob("*.json")):
-            if _OLD_LEDGER.search(old.name) is None:
-                continue
-            try:
-                take_over(WriteLedger(path), old, self.bus_spec(arm).name if old == own else None)
-            except ConfigurationRefused:
-                if old == own:
-                    raise
-        return path
+    @property
+    def ledger(self) -> Path:
+        """Return the path of the write ledger, one file for all drives."""
+        return _state_folder() / LEDGER
 
     def check(self, arm: ArmConfig) -> list[Finding]:
         """Run the pre-flight check of an arm: connection and drives. Nothing is written."""
@@ -133,7 +116,7 @@ class CellContext:
     def check_drives(self, arm: ArmConfig) -> list[Finding]:
         """Check the drives of an arm against profile and cell, without the computer. Nothing is written."""
         with self.open_bus(arm) as bus:
-            items = check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger(arm)))
+            items = check_arm(bus, arm, self.profiles(arm), WriteLedger(self.ledger))
         typed = self.move_command(arm.name, "home")
         return [replace(item, advice=item.advice.replace(MOVE_HOME, typed)) for item in items]
 
@@ -204,7 +187,7 @@ class CellContext:
 
     def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
         """Return the overrides for the bus of an arm."""
-        return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger(arm))
+        return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger)
 
     @contextmanager
     def with_move_command(self) -> Generator[None]:
@@ -240,7 +223,7 @@ class CellContext:
     def _group(self, arm: ArmConfig) -> Generator[DriveGroup]:
         config = self.loaded.cell.bus[arm.bus]
         options = GroupOptions(
-            ledger_path=self.ledger(arm),
+            ledger_path=self.ledger,
             instruments=self.instruments(arm),
             allow_real_drive=config.allow_real_drive,
         )

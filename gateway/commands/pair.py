@@ -57,11 +57,6 @@ def _context(cell: Path, pair: PairCell, bus_spec: str | None, pacing: str | Non
     return CellContext(pair.loaded, cell, specs, typed_options(bus_spec, pacing))
 
 
-def _ledgers(context: CellContext, pair: PairCell) -> tuple[Path, Path]:
-    first, second = (context.ledger(arm.config) for arm in pair.arms)
-    return first, second
-
-
 def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveOptions:
     """Refuse unless the stop of both arms was proven before, in slow motion with open grippers."""
     from gateway.check.proofs import require_proven
@@ -111,7 +106,7 @@ def teach(
     session = session_of()
     _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
-    with context.with_move_command(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+    with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
         options = _proven(context, link, options)
         with context.last_seconds(options, *link.opened):
             function = teach_pair(
@@ -182,7 +177,7 @@ def run_pair(
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
     _ask(pair, f"run {cycles} cycles at speed {at:g}", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
-    with context.with_move_command(), stoppable(moving) as options, open_link(pair, _ledgers(context, pair)) as link:
+    with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
         options = _proven(context, link, options)
         with context.last_seconds(options, *link.opened):
             result = run(

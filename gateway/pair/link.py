@@ -58,7 +58,7 @@ def _skew(skew_s: Sequence[float]) -> Skew:
 
 
 @contextmanager
-def open_link(cell: PairCell, ledgers: tuple[Path | None, Path | None] = (None, None)) -> Generator[PairLink]:
+def open_link(cell: PairCell, ledger: Path | None = None) -> Generator[PairLink]:
     """Connect and configure both arms; on leaving all drives are disabled and both buses closed.
 
     Raises
@@ -68,7 +68,7 @@ def open_link(cell: PairCell, ledgers: tuple[Path | None, Path | None] = (None, 
     """
     with ExitStack() as opened:
         arms = []
-        for arm, spec, ledger in zip(cell.arms, cell.specs, ledgers, strict=True):
+        for arm, spec in zip(cell.arms, cell.specs, strict=True):
             beside = instruments_on(arm.config.bus, cell.config)
             override = BusOverride(spec=spec, ledger=ledger, instruments=beside)
             arms.append(opened.enter_context(open_arm(cell.loaded, override, arm.config.name)))

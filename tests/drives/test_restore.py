@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from collections.abc import Callable
 
@@ -15,7 +14,7 @@ from drives.configuration.applying import NodeWrites, write_all
 from drives.errors import ConfigurationRefused, DriveError, IdentityMismatch
 from drives.files import replace_file
 from drives.group import DriveGroup, GroupOptions
-from drives.ledger import KnownDevice, LedgerEntry, WriteLedger, take_over
+from drives.ledger import KnownDevice, LedgerEntry, WriteLedger
 from drives.pdo import Step
 from drives.values import AxisSetup
 
@@ -266,23 +265,6 @@ def test_entries_are_found_from_another_spelling_of_the_bus_and_not_on_another_b
     assert unnumbered.is_of(device("socketcan:can0", serial=None))
     assert not unnumbered.is_of(device("socketcan:can1", serial=None))
     assert not unnumbered.is_of(device("socketcan:can0", serial=None, node=4))
-
-
-def test_a_ledger_of_an_earlier_version_is_taken_over_once(path, tmp_path):
-    old = tmp_path / "cell-main-0123456789ab.json"
-    entries = [
-        {"node_id": node, "index": 0x6072, "subindex": 0, "data_type": "u16", "old": 3000, "new": 500, "reason": "run"}
-        | {"serial_number": serial}
-        for node, serial in ((1, 111), (2, None))
-    ]
-    old.write_text(json.dumps({"schema": 1, "entries": entries}))
-    take_over(WriteLedger(path), old, None)
-    assert [entry.serial_number for entry in WriteLedger(path).entries] == [111]
-    take_over(WriteLedger(path), old, "socketcan:can0")
-    assert not old.exists()
-    found = WriteLedger(path)
-    assert [entry.old for entry in found.of(KnownDevice(7, "pcan:PCAN_USBBUS1", 2, 7, 1, 111))] == [3000]
-    assert [entry.old for entry in found.of(KnownDevice(2, "socketcan:can0"))] == [3000]
 
 
 def test_two_ledgers_of_one_file_keep_each_others_entries(path):
