@@ -195,7 +195,7 @@ def report_error(error: BaseException) -> int:
         # a command that had an arm under power adds its state as a note
         why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
         notes = [note.removesuffix(".") for note in getattr(error, "__notes__", [])]
-        known = sorted(notes, key=lambda note: note not in (IN_BRAKES, NOT_CONFIRMED))
+        known = sorted(notes, key=lambda note: note not in (IN_BRAKES, NOT_CONFIRMED.removesuffix(".")))
         _say(f"{why}: {'. '.join(known)}" if known else why)
         return CTRL_C
     if isinstance(error, click.ClickException):

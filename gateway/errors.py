@@ -38,7 +38,7 @@ ENDING_SIGNALS: Final = tuple(
 )
 #: What is known of an arm that was under power, among the notes of what ended the command.
 IN_BRAKES: Final = "the arm is in its brakes, what was measured is kept"
-NOT_CONFIRMED: Final = "the stop of the arm is not confirmed: use the emergency stop"
+NOT_CONFIRMED: Final = "The state of the arm is not known: use the emergency stop."
 
 
 class GatewayError(Exception):

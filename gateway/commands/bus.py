@@ -214,7 +214,7 @@ def _in_motion(
                 return items, seen
         if wanted.brakes:
             items += try_brakes(opened, options, support_asked(moving))
-        if wanted.move:
+        if wanted.move and not any(item.severity == "fail" for item in items):  # a brake that does not hold: no power
             items += _small_moves(opened, slow_at_first(opened, path, options))
     return items, seen
 
