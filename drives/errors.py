@@ -157,7 +157,7 @@ class NotOperational(DriveError):  # noqa: N818 - reads as what happened
 
 
 class StopRequested(DriveError):  # noqa: N818 - reads as what happened
-    """A person requested a stop while the drives were being enabled; all of them have been disabled."""
+    """A person requested a stop while the drives were being enabled; all of them are disabled again."""
 
     exit_code = 130
 

@@ -448,7 +448,7 @@ class DriveGroup(DriveSetup):
 
 
 def _not_stood_down(failures: list[DriveError]) -> NotStoodDown:
-    """Return the error for drives that were read as disabled and could not be told that the master leaves."""
+    """Return the error for drives that were read as disabled and whose heartbeat watch could not be ended."""
     what = "; ".join(str(failure) for failure in failures)
     advice = (
         "a drive that still monitors the master may report a lost heartbeat: `servo-gateway restore CELL` ends that"

@@ -8,7 +8,7 @@
     5    plan refused, or motion stopped
     6    data insufficient for the result
     7    finished with a failing finding
-    130  stopped by the operator, a signal or a closed terminal; brakes engaged, measured data kept
+    130  stopped by the operator, a signal or a closed terminal; measured data kept
 
 Each command lives in `gateway/commands` and is imported when it is called, so that `--help` stays fast.
 """

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from gateway.commands.shared_options import Function, confirm, one_of, session_of
+from gateway.commands.shared_options import NOT_AGREED, Function, confirm, one_of, session_of
 from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 
 if TYPE_CHECKING:
@@ -47,9 +47,9 @@ class MoveChoice:
     pacing: str | None
     live: bool = False
 
-    def ask(self, question: str) -> None:
+    def ask(self, question: str, declined: str = NOT_AGREED) -> None:
         """Ask for confirmation before motion; no answer means no."""
-        confirm(question, yes=self.yes)
+        confirm(question, yes=self.yes, declined=declined)
 
 
 #: Names of the options.

@@ -118,7 +118,7 @@ def _report_end(stream: Stream, failure: BaseException | None, confirmed: bool) 
     if failure is None:
         state.enter(Phase.IN_BRAKES, stream.sync_index)
         return
-    failure.add_note(f"Stopped at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
+    failure.add_note(f"The motion ended at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
     phase = Phase.STOPPED
     if not confirmed:
         phase = Phase.UNKNOWN
