@@ -219,6 +219,7 @@ def test_parameters_are_stored_only_where_that_is_asked_for(config, drives, plac
     assert [store_of(drives, node).number((0x1010, 1)) for node in (1, 2)] == [0x65766173, 0x65766173]
 
 
+@pytest.mark.slow
 def test_values_of_a_run_are_never_stored_in_a_drive(config, gateway, drives, place):
     declined = gateway("move", place.cell, "--bus", drives.bus, "--to", "home", input="n\n")
     assert declined.exit_code == 130, "the drives are configured, and the ledger holds what a run has written"
