@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Final
@@ -13,6 +14,10 @@ from drives.errors import BusError
 NETWORKS: Final = frozenset({"udp_multicast", "virtual", "socketcand"})
 #: Options that belong to the address of a bus, and what they are where they are not given.
 _ADDRESS: Final = {"port": {"udp_multicast": 43113}, "host": {}}
+#: Further options by which python-can's interfaces select one of several adapters.
+_ADAPTER: Final = (
+    "index", "bus", "address", "device", "device_id", "device_number", "serial", "unique_hardware_id", "app_name"
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,13 @@ class BusSpec:
         found = {key: self.options.get(key, known.get(self.interface)) for key, known in _ADDRESS.items()}
         address = [f"{key}={value}" for key, value in found.items() if value is not None]
         return ",".join([f"{self.interface}:{self.channel}", *address])
+
+    @property
+    def wire(self) -> str:
+        """Return the identity of the bus: interface, channel (a device file without links), port, host and adapter."""
+        channel = os.path.realpath(self.channel) if self.channel.startswith("/") else self.channel
+        address = self.name.replace(self.channel, channel, 1)
+        return ",".join([address, *(f"{key}={self.options[key]}" for key in _ADAPTER if key in self.options)])
 
     def __str__(self) -> str:
         return ",".join(

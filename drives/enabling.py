@@ -58,7 +58,7 @@ class EnableSequence:
         StopRequested
         """
         if self._stop_requested():
-            raise StopRequested("stopped while the drives were being enabled", advice="all axes have been disabled")
+            raise StopRequested("a stop was requested while the drives were being enabled")
 
     def walk(self, start: Epoch) -> Epoch:
         """Command the transitions to OPERATION ENABLED, and return the first epoch with every axis enabled.

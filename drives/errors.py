@@ -22,6 +22,8 @@ DriveError (4)
 +-- TransitionTimeout       a CiA 402 transition did not happen in time (also TimeoutError)
 +-- IncompleteEpochs        an axis did not answer several SYNCs in a row
 +-- MasterStalled           this computer stalled while the axes moved
++-- BrakeDropped            a joint dropped after its drive was disabled
++-- NotStoodDown            the drives are disabled, but a write or a read after that failed
 +-- ProfileError (3)        a drive profile that cannot be used (also ValueError)
 +-- SeveralFailures         every drive's failure at once
 """
@@ -155,7 +157,7 @@ class NotOperational(DriveError):  # noqa: N818 - reads as what happened
 
 
 class StopRequested(DriveError):  # noqa: N818 - reads as what happened
-    """A person requested a stop while the drives were being enabled; all of them have been disabled."""
+    """A person requested a stop while the drives were being enabled; all of them are disabled again."""
 
     exit_code = 130
 
@@ -170,6 +172,14 @@ class IncompleteEpochs(DriveError):  # noqa: N818 - reads as what happened
 
 class MasterStalled(DriveError):  # noqa: N818 - reads as what happened
     """This computer stalled while the axes moved: the setpoint was overdue and was not sent."""
+
+
+class BrakeDropped(DriveError):  # noqa: N818 - reads as what happened
+    """A joint dropped after its drive was disabled: its brake does not hold."""
+
+
+class NotStoodDown(DriveError):  # noqa: N818 - reads as what happened
+    """Every drive was read as disabled; what follows a stop (heartbeat time, position at rest) failed."""
 
 
 class ProfileError(DriveError, ValueError):

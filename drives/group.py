@@ -22,6 +22,7 @@ from drives.errors import (
     ConfigurationRefused,
     DriveError,
     DriveRebooted,
+    NotStoodDown,
     SdoTimeout,
     raise_failures,
     while_stopping,
@@ -339,9 +340,14 @@ class DriveGroup(DriveSetup):
         except Exception as failed:
             failures.append(while_stopping(failed))
         if self._running and self._exchange is not None:
-            failures += self._stopped(stop)
+            unconfirmed = self._stopped(stop)
+            failures += unconfirmed
             if stop is stopping.disable:
-                failures += self._stand_down(failures)
+                later = self._stand_down(unconfirmed)
+                if later and not unconfirmed:
+                    error.add_note(f"after the stop: {_not_stood_down(later)}")
+                else:
+                    failures += later
         for failure in failures:
             _add(error, failure)
 
@@ -388,11 +394,16 @@ class DriveGroup(DriveSetup):
         self.enabled = False
         if self._running and self._exchange is not None:
             failures = self._stopped(stopping.disable)
-            failures += self._stand_down(failures)
-            raise_failures(failures)
+            later = self._stand_down(failures)
+            if later and not failures:
+                raise _not_stood_down(later)
+            raise_failures(failures + later)
 
     def _stand_down(self, unreached: list[DriveError]) -> list[DriveError]:
-        """Disarm the heartbeat consumers of the drives that respond, then stop the heartbeat."""
+        """Disarm the heartbeat consumers of the drives that respond, then stop the heartbeat.
+
+        A failure here says nothing about the axes: whether they are disabled was read before.
+        """
         not_responding = {error.node for error in unreached if isinstance(error, SdoTimeout)}
         failures: list[DriveError] = []
         for drive in self.drives:
@@ -400,8 +411,11 @@ class DriveGroup(DriveSetup):
                 if drive.node_id not in not_responding:
                     drive.disarm()
                     drive.note_rest()
+            except DriveError as error:
+                failures.append(error)
             except Exception as error:
-                failures.append(while_stopping(error, drive.node_id))
+                what = f"{type(error).__name__}: {error}"
+                failures.append(DriveError(what, node=drive.node_id, advice="report this"))
         self._producer.stop()
         self._running = False
         self._bus.free_count = self._bus.foreign_count
@@ -431,6 +445,15 @@ class DriveGroup(DriveSetup):
             if error is None:
                 raise
             _add(error, failure)
+
+
+def _not_stood_down(failures: list[DriveError]) -> NotStoodDown:
+    """Return the error for drives that were read as disabled and whose heartbeat watch could not be ended."""
+    what = "; ".join(str(failure) for failure in failures)
+    advice = (
+        "a drive that still monitors the master may report a lost heartbeat: `servo-gateway restore CELL` ends that"
+    )
+    return NotStoodDown(f"every drive was read as disabled; then: {what}", advice=advice)
 
 
 def _add(error: BaseException, failure: DriveError) -> None:

@@ -21,7 +21,7 @@ from drives.reactions import DRIVE_RULES
 from drives.status_monitor import StatusMonitor
 
 _EVERY: Final = 16
-_BUSY: Final = "all axes were stopped; end other work on this computer, lower the bus load, or raise sync_period_s"
+_BUSY: Final = "end other work on this computer, lower the bus load, or raise sync_period_s"
 _SECOND: Final = frozenset({SYNC_ID, NMT_ID})
 
 

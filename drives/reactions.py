@@ -77,7 +77,7 @@ class Rule:
 
 _ONE: Final = "SYNC"
 _ROW: Final = "SYNCs in a row"
-_FIND: Final = "all axes were stopped; find and remove the cause before enabling again"
+_FIND: Final = "find and remove the cause before enabling again"
 
 DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
     {
@@ -88,7 +88,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             1,
             "heartbeat",
-            "all axes were stopped; see its error register 0x1001, and look for another master that sends NMT commands",
+            "see its error register 0x1001, and look for another master that sends NMT commands",
             NotOperational,
         ),
         "silent": Rule(
@@ -96,7 +96,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             5,
             _ROW,
-            "all axes were stopped; check power and cabling of this drive",
+            "check power and cabling of this drive",
             IncompleteEpochs,
             0.1,
         ),
@@ -105,7 +105,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             2,
             _ROW,
-            "all axes were stopped; see its torque, current, speed limits",
+            "see its torque, current, speed limits",
             DriveFault,
             0.03,
         ),
@@ -114,7 +114,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             2,
             _ROW,
-            "all axes were stopped; look for contact, a brake that drags, the tuning",
+            "look for contact, a brake that drags, the tuning",
             DriveFault,
             0.03,
         ),
@@ -123,7 +123,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             2,
             _ROW,
-            "all axes were stopped; a panel or tool has taken it: release it there",
+            "a panel or tool has taken it: release it there",
             DriveFault,
             0.03,
         ),
@@ -132,7 +132,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             2,
             _ROW,
-            "all axes were stopped; see what in the drive overrides the target: halt, limit switch, its own mode",
+            "see what in the drive overrides the target: halt, limit switch, its own mode",
             DriveFault,
             0.03,
         ),
@@ -141,7 +141,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             25,
             _ROW,
-            "all axes were stopped; its answers to SYNC are not fresh: restart the drive, check its firmware",
+            "its answers to SYNC are not fresh: restart the drive, check its firmware",
             DriveFault,
         ),
         "heartbeat_lost": Rule(
@@ -165,7 +165,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             1,
             "frame",
-            "all axes were stopped; stop the other master before enabling again",
+            "stop the other master before enabling again",
             ForeignMaster,
         ),
         "foreign_master": Rule(
@@ -173,7 +173,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             3,
             "frames",
-            "all axes were stopped; stop the other master before enabling again",
+            "stop the other master before enabling again",
             ForeignMaster,
         ),
         "stalled": Rule(
@@ -181,8 +181,7 @@ DRIVE_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             2,
             "SYNC periods late",
-            "all axes were stopped; end other work on this computer, give it a real-time scheduler, "
-            "or raise sync_period_s",
+            "end other work on this computer, give it a real-time scheduler, or raise sync_period_s",
             MasterStalled,
         ),
         "bus_off": Rule(

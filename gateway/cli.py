@@ -8,7 +8,7 @@
     5    plan refused, or motion stopped
     6    data insufficient for the result
     7    finished with a failing finding
-    130  stopped by the operator, a signal or a closed terminal; brakes engaged, measured data kept
+    130  stopped by the operator, a signal or a closed terminal; measured data kept
 
 Each command lives in `gateway/commands` and is imported when it is called, so that `--help` stays fast.
 """
@@ -195,7 +195,7 @@ def report_error(error: BaseException) -> int:
         # a command that had an arm under power adds its state as a note
         why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
         notes = [note.removesuffix(".") for note in getattr(error, "__notes__", [])]
-        known = sorted(notes, key=lambda note: note not in (IN_BRAKES, NOT_CONFIRMED))
+        known = sorted(notes, key=lambda note: note not in (IN_BRAKES, NOT_CONFIRMED.removesuffix(".")))
         _say(f"{why}: {'. '.join(known)}" if known else why)
         return CTRL_C
     if isinstance(error, click.ClickException):

@@ -30,7 +30,8 @@ EXIT_CODES: Final[Mapping[int, str]] = {
     6: "the data cannot answer: rank, too few poses, nothing to hold out",
     7: "finished with a failing finding: a load refused, not accepted, or not mounted, a commissioning mistake"
     " found, a failed check",
-    130: "stopped by a person, a signal or a closed terminal; the arm is in its brakes, what was finished is kept",
+    130: "stopped by a person, a signal or a closed terminal; what was finished is kept; of an arm that was under power"
+    " the message states whether all its drives were read as disabled",
 }
 #: Signals by which a person or a system ends a program; Windows has no SIGHUP.
 ENDING_SIGNALS: Final = tuple(
@@ -38,7 +39,7 @@ ENDING_SIGNALS: Final = tuple(
 )
 #: What is known of an arm that was under power, among the notes of what ended the command.
 IN_BRAKES: Final = "the arm is in its brakes, what was measured is kept"
-NOT_CONFIRMED: Final = "the stop of the arm is not confirmed: use the emergency stop"
+NOT_CONFIRMED: Final = "The state of the arm is not known: use the emergency stop."
 
 
 class GatewayError(Exception):

@@ -111,7 +111,7 @@ def _commission(demo: Demo, bus: str, simulator: subprocess.Popen[str]) -> int:
             asked = LOAD_PROMPT.search(line)
             if asked:
                 click.echo(_mount(simulator, asked.group(1)))
-                gateway.stdin.write("\n")
+                gateway.stdin.write(f"{asked.group(1)}\n")
                 gateway.stdin.flush()
         return gateway.wait()
 

@@ -314,8 +314,8 @@ class QueuedStore:
         """Return the reason if the disk cannot be written or is too slow."""
         if self._queue.failed is None and self._queue.full:
             return InputError(
-                f"{self._queue.path}: {self._queue.waiting} visits wait for the disk, which is too slow: the arm was"
-                " stopped, no visit is lost; free the disk or record to another disk, then continue with --resume"
+                f"{self._queue.path}: {self._queue.waiting} visits wait for the disk, which is too slow; no visit is"
+                " lost; free the disk or record to another disk, then continue with --resume"
             )
         return self._queue.failed
 

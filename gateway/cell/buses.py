@@ -19,15 +19,23 @@ def bus_specs(cell: Cell, stated: str | None) -> dict[str, BusSpec]:
     Raises
     ------
     ConfigError
-        A single SPEC for several buses, or a bus that the cell does not have, or one twice.
+        A single SPEC for several buses, or a bus that the cell does not have, or one twice, or two names for one bus.
     BusError
         A SPEC is not understood.
     """
-    specs = {
-        name: BusSpec(config.interface, config.channel, config.bitrate_bit_s, dict(config.options))
-        for name, config in cell.bus.items()
-    }
-    return specs if stated is None else specs | _stated(stated, tuple(cell.bus))
+    specs = {name: config.spec for name, config in cell.bus.items()}
+    if stated is None:
+        return specs
+    specs |= _stated(stated, tuple(cell.bus))
+    wires: dict[str, str] = {}
+    for name, spec in specs.items():
+        other = wires.setdefault(spec.wire, name)
+        if other != name:
+            raise ConfigError(
+                f"--bus '{stated}': buses '{other}' and '{name}' are both {spec.wire}: one bus has one master; give"
+                " each its own bus"
+            )
+    return specs
 
 
 def _stated(stated: str, names: tuple[str, ...]) -> dict[str, BusSpec]:

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Final, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
+from drives.bus_spec import BusSpec
 from drives.profile_parts import is_assumed
 from drives.toml_lines import KeyPath, key_lines
 from drives.validation import Refused, Strict, Unfit, read_strict, refuse
@@ -72,10 +73,6 @@ class TorqueConstant(SourcedNumber):
         return self
 
 
-#: Options of an interface that do not choose which bus it is.
-_NOT_OF_THE_WIRE: Final = frozenset({"receive_own_messages", "hop_limit", "fd", "txqueuelen"})
-
-
 class BusConfig(Strict):
     """One CAN bus; `options` are passed to the python-can interface unchanged."""
 
@@ -97,10 +94,9 @@ class BusConfig(Strict):
     )
 
     @property
-    def wire(self) -> tuple[object, ...]:
-        """Return the identity of the bus: interface, channel, and options that select the adapter."""
-        options = sorted((key, value) for key, value in self.options.items() if key not in _NOT_OF_THE_WIRE)
-        return (self.interface, self.channel, *options)
+    def spec(self) -> BusSpec:
+        """Return the address of the bus."""
+        return BusSpec(self.interface, self.channel, self.bitrate_bit_s, dict(self.options))
 
 
 class KeepOut(Strict):
@@ -508,9 +504,9 @@ class Cell(Strict):
 
     def _slips(self) -> plausible.Found:
         names = [arm.name for arm in self.arm]
-        wires: dict[tuple[object, ...], str] = {}
+        wires: dict[str, str] = {}
         for name, bus in self.bus.items():
-            other = wires.setdefault(bus.wire, name)
+            other = wires.setdefault(bus.spec.wire, name)
             if other != name:
                 what = f"[bus.{name}] and [bus.{other}] are both {bus.interface} {bus.channel}: one bus has one master"
                 yield ("bus", name, "channel"), f"{what}; write one table, and its name to each arm's bus"

@@ -318,7 +318,7 @@ def _judge(opened: OpenArm, traces: tuple[StopTrace, ...], speed_rad_s: float, l
             advice = "find and remove the cause, then reset it at the drive"
             items.append(Finding("fail", f"J{joint} node {trace.node_id}", left[trace.node_id], advice))
     about = f"arm {opened.config.name}"
-    what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint; the settings of the drives are restored"
+    what = f"heartbeat withheld at {speed_rad_s:.3f} rad/s on every joint"
     items.insert(0, Finding("info", about, what))
     return StopProof(opened.config.name, traces, tuple(moved.tolist()), tuple(coast.tolist()), tuple(items))
 

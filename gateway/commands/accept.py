@@ -177,7 +177,7 @@ def _measured(job: _Job, how: MeasuringOptions) -> Path:
         chosen = _planned(job)
     show_plan(chosen.plan)
     session.show(f"expected standard deviation of any error: at most {chosen.resolution:.2g} of the tolerance")
-    first = "" if context.stop_proof(job.arm).exists() else " At first its drives lose the heartbeat on purpose."
+    first = context.before_motion(job.arm)
     how.moving.ask(
         f"Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Arm '{job.arm.name}' of cell "
         f"'{job.loaded.cell.name}' will move.{first} Is the load mounted, and is the area around the arm clear?"

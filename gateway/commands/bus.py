@@ -12,11 +12,13 @@ import click
 from gateway.commands.console import findings_table, grid
 from gateway.commands.motion_options import MoveChoice, move_options, stoppable, support_asked
 from gateway.commands.shared_options import (
+    NOT_AGREED,
     bus_option,
     cell_argument,
     common,
     confirm,
     json_option,
+    reserve,
     session_of,
     write_json,
 )
@@ -33,6 +35,8 @@ if TYPE_CHECKING:
 
 
 DEFAULT_BUS = "socketcan:can0"
+#: Message when the operator declines for a further arm.
+ONE_NOT_MOVED = "declined: this arm has not moved"
 #: Number of remaining ledger objects that are listed without -v.
 _LISTED = 6
 
@@ -50,7 +54,9 @@ def scan(bus_spec: str, listen_s: float, json_out: str | None) -> None:
     from drives.errors import BusError
     from drives.probe import scan as scan_bus
 
-    with open_bus(BusSpec.parse(bus_spec)) as bus:
+    spec = BusSpec.parse(bus_spec)
+    reserve(spec)
+    with open_bus(spec) as bus:
         nodes = scan_bus(bus, listen_s=listen_s)
     if not nodes:
         advice = "check supply, wiring, termination and bit rate, and that the drives are on this bus"
@@ -142,7 +148,7 @@ def check(
     wanted = _Wanted(move, prove_stop, brakes)
     if wanted.any and not failed:
         for arm in context.arms:
-            moving.ask(_question(context, arm, wanted))
+            moving.ask(_question(context, arm, wanted), NOT_AGREED if arm is context.arms[0] else ONE_NOT_MOVED)
             found, seen = _in_motion(context, arm, wanted, moving)
             items[arm.name] += found
             proofs += seen
@@ -177,11 +183,13 @@ class _Wanted:
 
 def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
     text = f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move a little on every joint"
-    if wanted.prove_stop or not context.stop_proof(arm).exists():
+    is_certain = wanted.prove_stop or not context.stop_proof(arm).exists()
+    if is_certain:
         text += ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
     if wanted.brakes:
         text += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
-    return f"{text}.{context.grippers} Is the area clear of people and the emergency stop within reach?"
+    besides = context.grippers if is_certain else context.before_motion(arm)
+    return f"{text}.{besides} Is the area clear of people and the emergency stop within reach?"
 
 
 def _in_motion(
@@ -214,7 +222,7 @@ def _in_motion(
                 return items, seen
         if wanted.brakes:
             items += try_brakes(opened, options, support_asked(moving))
-        if wanted.move:
+        if wanted.move and not any(item.severity == "fail" for item in items):  # a brake that does not hold: no power
             items += _small_moves(opened, slow_at_first(opened, path, options))
     return items, seen
 
@@ -280,6 +288,7 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
                 confirm(
                     f"{len(left)} objects of arm '{arm.name}' keep their current values. Remove them from the ledger?",
                     yes=yes,
+                    declined="declined: the entries stay in the write ledger",
                 )
                 group.ledger.forget(*left)
                 left, wrong = (), []

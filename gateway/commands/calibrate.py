@@ -30,7 +30,7 @@ from gateway.commands.shared_options import (
     warm_option,
     write_json,
 )
-from gateway.data.labels import label_refused
+from gateway.data.labels import BARE_LABEL, label_refused
 from gateway.errors import GatewayError, PlanRefused
 
 if TYPE_CHECKING:
@@ -112,10 +112,12 @@ def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: Measur
         )
     context = open_cell(how.cell, how.bus_spec, how.moving.pacing)
     recording = how.recording(_RECORDING, context.loaded)
-    terminal = Terminal(session_of(), context.loaded.cell.name, how.moving, partial(_refuse_plan, arm, about, weight))
+    refuse = partial(_refuse_plan, arm, about, weight)
     try:
         with context.with_move_command(), stoppable(how.moving) as options:
-            measure(Job(context, arm, (weight.label,), recording, options, is_bracketed=True), terminal)
+            job = Job(context, arm, (weight.label,), recording, options, is_bracketed=True)
+            besides = context.before_motion(arm, BARE_LABEL if job.begins_bare else None)
+            measure(job, Terminal(session_of(), context.loaded.cell.name, how.moving, besides, refuse))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
             error.add_note(f"Measured data is in {recording}; continue with calibrate --resume.")

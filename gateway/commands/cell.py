@@ -21,6 +21,7 @@ from gateway.commands.shared_options import (
     note_remarks,
     output_option,
     refuse_to_replace,
+    reserve,
     session_of,
     write_json,
 )
@@ -129,7 +130,7 @@ def cell_new(
     )
     said = CellAnswers(answered, str(answers or "answers"), None if answers is not None else _ask, resumed)
     try:
-        draft = interview(said, BusEyes(listen_s), output.stem, session.note)
+        draft = interview(said, BusEyes(listen_s, reserve), output.stem, session.note)
         _write(draft, output)
     except BaseException as error:
         if said.typed:  # the answers are kept, so that they need not be typed again when a drive does not answer

@@ -21,6 +21,8 @@ from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing, with_sync_period
 from gateway.check.proofs import ensure_proven, proven_on
+from gateway.commands.shared_options import reserve
+from gateway.data.labels import BARE_LABEL
 from gateway.errors import PlanRefused, WrongPlace
 from gateway.motion.opening import BusOverride, OpenArm, axis_setups, frame_log_watched
 from gateway.motion.stream import MoveOptions
@@ -38,6 +40,12 @@ SLOWEST_MOVING_SYNC_S: Final = 0.01
 LEDGER: Final = "ledger.json"
 #: Object of the interpolation period.
 INTERPOLATION: Final = 0x60C2
+#: What the question before motion says of the proof of the stop, if there is none, or one that may be void.
+FIRST_PROOF: Final = " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
+PROOF_IF_VOID: Final = (
+    " If a drive or one of its settings was changed since the proof of its stop, the master's heartbeat is first"
+    " stopped on purpose to prove it again."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +81,37 @@ class CellContext:
         """Additional question before one arm of a pair moves alone; empty for a single arm."""
         return "" if self.loaded.cell.pair is None else " Are both grippers open?"
 
+    def before_motion(self, arm: ArmConfig, load: str | None = None, opened: OpenArm | None = None) -> str:
+        """Return what the question before motion adds; from now on no other command may use the bus of the arm.
+
+        Parameters
+        ----------
+        arm : ArmConfig
+        load : str, optional
+            Label of the first load to be measured: of the unloaded arm the flange has to be empty.
+        opened : OpenArm, optional
+            If its drives are read already, it is known whether their stop is proven.
+        """
+        self.reserve(arm)
+        text = FIRST_PROOF
+        if opened is not None and proven_on(self.stop_proof(arm), opened) is not None:
+            text = ""
+        elif opened is None and self.stop_proof(arm).exists():
+            text = PROOF_IF_VOID
+        return text + self.grippers + (" Is the flange empty?" if load == BARE_LABEL else "")
+
     def bus_spec(self, arm: ArmConfig) -> BusSpec:
         """The bus of an arm."""
         return self.specs[arm.bus]
 
     def open_bus(self, arm: ArmConfig) -> Bus:
-        """Open the bus of an arm."""
+        """Open the bus of an arm; until the command ends no other command may use it."""
+        self.reserve(arm)
         return open_bus(self.bus_spec(arm))
+
+    def reserve(self, arm: ArmConfig) -> None:
+        """Lock the bus of an arm until the command ends: before the first question about the arm."""
+        reserve(self.bus_spec(arm))
 
     def profiles(self, arm: ArmConfig) -> tuple[DriveProfile, ...]:
         """Drive profiles of the axes."""
@@ -186,7 +218,8 @@ class CellContext:
             yield
 
     def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
-        """Return the overrides for the bus of an arm."""
+        """Return the overrides for the bus of an arm; until the command ends no other command may use it."""
+        self.reserve(arm)
         return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger)
 
     @contextmanager

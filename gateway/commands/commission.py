@@ -136,10 +136,12 @@ class Job:
 
     @property
     def begins_bare(self) -> bool:
-        """Return whether the flange is known to be empty at the start; a continued job may have had a load mounted."""
-        if not self.recording.exists():
-            return self.repetition == 1
-        return self.thermal is None and not self.is_bracketed
+        """Return whether the question before motion covers the empty flange.
+
+        A continued job may have had a load mounted: it asks for an empty flange by a prompt if the unloaded arm is not
+        complete.
+        """
+        return self.repetition == 1 and not self.recording.exists()
 
     @property
     def pose_seed(self) -> int:

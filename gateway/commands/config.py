@@ -20,6 +20,7 @@ from gateway.commands.shared_options import (
     cell_argument,
     common,
     confirm,
+    drop_typed_ahead,
     json_option,
     output_option,
     refuse_to_replace,
@@ -28,9 +29,10 @@ from gateway.commands.shared_options import (
     write_json,
     writes,
 )
-from gateway.errors import ConfigError, FindingFailed
+from gateway.errors import ConfigError, FindingFailed, PlanRefused
 
 if TYPE_CHECKING:
+    from drives.access import ObjectAccess
     from drives.configuration.dcf import BeyondLimit, NodeConfiguration
     from drives.configuration.difference import Compared
     from drives.configuration.object_reading import Readout
@@ -406,7 +408,8 @@ def config_apply(
     """Write the values of the DCF that differ to the drives and read them back. Asks first.
 
     `restore` undoes this until the next run configures the drives; from then on these values are the originals. Objects
-    that a run has written and that are not yet restored are refused: run `restore` first.
+    that a run has written and that are not yet restored are refused: run `restore` first. So is --store while a drive
+    holds any value of a run (exit code 5), because a drive stores all its parameters.
 
     Node ids, bit rates and COB-IDs of other nodes are confirmed one by one, also with --yes. Objects that trigger an
     action (save, load, reset) are never written. The drives must be disabled. If a drive refuses a value, all values
@@ -423,6 +426,8 @@ def config_apply(
         with context.connected(arm) as group:
             accesses = [drive.access for drive in group.drives]
             require_at_rest(accesses)
+            if store:
+                _refuse_values_of_runs(context, accesses)
             nodes = _compared(arm, group, files[arm.name])
             _show(nodes)
             ids = [axis.node_id for each in context.arms if each.bus == arm.bus for axis in each.axis]
@@ -433,7 +438,11 @@ def config_apply(
             ]
             counts = [len(node.different) - len(left_out[node.drive.node_id]) for node in nodes]
             if any(counts) or store:
-                confirm(_question(arm, counts, store), yes=yes)
+                confirm(
+                    _question(arm, counts, store),
+                    yes=yes,
+                    declined=f"declined: nothing was written to the drives of arm '{arm.name}'",
+                )
                 require_at_rest(accesses)
             write_all(work, _report)
             for access in accesses if store else ():
@@ -447,6 +456,26 @@ def config_apply(
         session_of().show(f"arm {arm.name}: {said}{'; stored' if store else ''}")
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "nodes": done})
+
+
+def _refuse_values_of_runs(context: CellContext, accesses: Sequence[ObjectAccess]) -> None:
+    """Refuse to store the parameters of a drive that still holds a value written by a run of the gateway.
+
+    A drive stores all its parameters at once. Values of an earlier `config apply` are the engineer's own.
+
+    Raises
+    ------
+    PlanRefused
+    """
+    for access in accesses:
+        entries = [entry for entry in access.noted if entry.writer != "applied"]
+        if entries:
+            more = f" and {len(entries) - 1} more objects" if len(entries) > 1 else ""
+            raise PlanRefused(
+                f"--store: {entries[0].where}{more} hold values of a run (write ledger), which the drive would keep for"
+                f" ever; nothing was written to the drives of this arm; type `servo-gateway restore {context.path}`"
+                " first, then `config apply --store`"
+            )
 
 
 def _report(node_id: int, step: Step) -> None:
@@ -464,6 +493,7 @@ def _left_out(node: ComparedNode, ids: Collection[int], also: Sequence[str], *, 
         where = f"node {node.drive.node_id}:{row.name}: {row.text(row.drive)} becomes {row.text(row.file)}"
         if row.address in allowed:
             continue
+        drop_typed_ahead()
         if ask and sys.stdin.isatty() and click.confirm(f"{where}: {why}. Write it anyway?", err=True):
             continue
         left_out.add(row.address)

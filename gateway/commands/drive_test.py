@@ -77,6 +77,7 @@ def drive_test(
     session = session_of()
     for name in [PAGE, *(f"J{number + 1}.json" for number in numbers)]:
         refuse_to_replace(folder / name, "-o", session)
+    context.reserve(arm)
     moving.ask(
         f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move a little on every joint, the master's "
         "heartbeat is stopped on purpose (the resulting drive faults are reset), and each tested axis in turn is held "

@@ -99,11 +99,7 @@ def follow(
     prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
     session = session_of()
     _announce(prepared, session)
-    first = (
-        ""
-        if context.stop_proof(arm).exists()
-        else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
-    )
+    first = context.before_motion(arm)
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is the area clear of people?")
     override = replace(context.override(arm, trace), feedforward=True)
     opening = open_arm(context.loaded, override, arm.name)

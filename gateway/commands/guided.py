@@ -22,6 +22,7 @@ from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
+    drop_typed_ahead,
     load_option,
     note_remarks,
     operator_option,
@@ -49,6 +50,8 @@ if TYPE_CHECKING:
     from gateway.result.acceptance import Expected
     from gateway.result.result import Finding, Result
 
+#: Answers that do not confirm a prompt, after which the command ends: a program writes them, not a person.
+MOST_ANSWERS: Final = 100
 #: Recording in the folder of a measurement.
 RECORDING: Final = "run.h5"
 
@@ -146,7 +149,8 @@ class _Commissioning:
         try:
             with job.context.with_move_command(), stoppable(self.moving) as options:
                 job = replace(job, recording=recording, options=options, repetition=repetition)
-                result = run(job, Terminal(session_of(), job.context.loaded.cell.name, self.moving))
+                besides = job.context.before_motion(job.arm, BARE_LABEL if job.begins_bare else None)
+                result = run(job, Terminal(session_of(), job.context.loaded.cell.name, self.moving, besides))
         except (GatewayError, DriveError, KeyboardInterrupt) as error:
             if recording.exists():
                 error.add_note(f"Measured data is in {recording}; continue with commission --resume.")
@@ -215,11 +219,23 @@ class MeasuringOptions:
 
 @dataclass(frozen=True, slots=True)
 class Terminal:
-    """Dialogue at the terminal; `refuse` checks a plan before the operator is asked for permission."""
+    """Dialogue at the terminal.
+
+    Attributes
+    ----------
+    session : Session
+    cell : str
+    moving : MoveChoice
+    besides : str
+        What the first question before motion adds (`CellContext.before_motion`).
+    refuse : callable
+        Checks a plan before the operator is asked for permission.
+    """
 
     session: Session
     cell: str
     moving: MoveChoice
+    besides: str = ""
     refuse: Callable[[Plan], None] = lambda _plan: None
 
     def checked(self, items: Sequence[Finding]) -> None:
@@ -234,22 +250,38 @@ class Terminal:
         """Show the plan and ask for permission to move."""
         self.refuse(plan)
         show_plan(plan)
-        self.moving.ask(f"Arm '{plan.arm}' of cell '{self.cell}' will move. Is the area clear of people?")
+        self.moving.ask(
+            f"Arm '{plan.arm}' of cell '{self.cell}' will move.{self.besides} Is the area clear of people?",
+            "declined: nothing has moved in this measurement",
+        )
 
     def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
         """Announce the target, ask for permission, and move there."""
         announce(self.session, opened, target, plan, options)
-        self.moving.ask(f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is the area clear of people?")
+        self.moving.ask(
+            f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is the area clear of people?",
+            f"declined: the motion to {target} was not started",
+        )
         go_with_progress(self.session, opened, target, plan, options)
 
     def mount(self, label: str) -> None:
-        """Ask for a load, or for an empty flange; a line on stdin confirms it."""
+        """Ask for a load, or for an empty flange; its label or `yes` confirms it, typed after the prompt."""
         do = "Remove everything from the flange" if label == BARE_LABEL else f"Mount load '{label}' on the flange"
-        self.session.note(f"Brakes engaged. {do}, then press Enter.")
+        answer = f"type {label} or yes, and press Enter"
+        self.session.settle()
+        drop_typed_ahead()
+        self.session.note(f"All drives are disabled. {do}, then {answer}.")
         self.session.settle()
         click.echo(f"HANG LOAD {label}")
-        if not sys.stdin.readline():
-            raise click.Abort
+        for _ in range(MOST_ANSWERS):
+            line = sys.stdin.readline()
+            if not line:
+                raise click.Abort
+            if line.strip() == label or line.strip().lower() == "yes":
+                return
+            self.session.note(f"This does not confirm it: once it is done, {answer}.", -1)
+            self.session.settle()
+        raise click.Abort
 
     def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
         """Record with a progress bar."""

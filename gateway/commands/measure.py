@@ -253,11 +253,7 @@ def record(
     note_remarks(arm_robot(context.loaded, arm))
     if not moving.yes:
         asked.show(session)
-    first = (
-        ""
-        if context.stop_proof(arm).exists()
-        else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
-    )
+    first = context.before_motion(arm, label)
     moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is the area clear of people?")
     opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
     with context.with_move_command(), stoppable(moving) as options, opening as opened:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from gateway.commands.shared_options import Function, confirm, one_of, session_of
+from gateway.commands.shared_options import NOT_AGREED, Function, confirm, one_of, session_of
 from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 
 if TYPE_CHECKING:
@@ -47,9 +47,9 @@ class MoveChoice:
     pacing: str | None
     live: bool = False
 
-    def ask(self, question: str) -> None:
+    def ask(self, question: str, declined: str = NOT_AGREED) -> None:
         """Ask for confirmation before motion; no answer means no."""
-        confirm(question, yes=self.yes)
+        confirm(question, yes=self.yes, declined=declined)
 
 
 #: Names of the options.
@@ -117,7 +117,7 @@ def _moves(named: Mapping[str, Any]) -> bool:
 
 
 class _Power:
-    """Observer that records whether arms were under power and whether their stop was confirmed."""
+    """Observer that records whether arms were under power and whether all their drives were read as disabled."""
 
     def __init__(self) -> None:
         self.was_on = self.is_off = False
@@ -133,10 +133,9 @@ class _Power:
         """Record an event of the run."""
 
     def ended(self, failure: BaseException | None) -> None:
-        """Record the end of the shutdown; its errors are part of the failure."""
-        notes = getattr(failure, "__notes__", [])
-        failed = getattr(failure, "while_stopping", ()) or any(note.startswith("while stopping") for note in notes)
-        self.is_off = not failed
+        """Record the end of the shutdown; its errors are part of the failure (`gateway.motion.power`)."""
+        unknown = NOT_CONFIRMED in getattr(failure, "__notes__", ()) or getattr(failure, "while_stopping", ())
+        self.is_off = not unknown
 
 
 @contextmanager
@@ -150,7 +149,9 @@ def _arm_reported(power: _Power) -> Generator[None]:
             hasattr(error, "exit_code") or isinstance(error, OSError | click.Abort)
         )
         if power.was_on and (stopped or defect):
-            error.add_note(IN_BRAKES if power.is_off else NOT_CONFIRMED)
+            known = IN_BRAKES if power.is_off else NOT_CONFIRMED
+            if known not in getattr(error, "__notes__", ()):
+                error.add_note(known)
         raise
 
 

@@ -71,22 +71,19 @@ def move(
     note_remarks(robot)
     target = destination(arm, workspace_of(arm, robot), to)
     session = session_of()
-    proof = context.stop_proof(arm)
     with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
         plan = plan_transfer(opened, target)
         announce(session, opened, target, plan, options)
-        besides = (
-            ""
-            if proof.exists()
-            else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
-        ) + context.grippers
+        besides = context.before_motion(arm, opened=opened)
         moving.ask(
-            f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is the area clear of people?"
+            f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is the area clear of people?",
+            "declined: nothing has moved; the drives keep the settings that were written for this motion until"
+            " `servo-gateway restore CELL`",
         )
         options = context.proven(opened, session.note, options)
         with context.last_seconds(options, opened):
             go_with_progress(session, opened, target, plan, options)
-    session.show(f"arm '{arm.name}' is at {target}, brakes engaged")
+    session.show(f"arm '{arm.name}' is at {target}, all drives disabled")
 
 
 def announce(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:

@@ -54,7 +54,10 @@ def _context(cell: Path, pair: PairCell, bus_spec: str | None, pacing: str | Non
     from gateway.commands.cell_context import CellContext, typed_options
 
     specs = {arm.config.bus: spec for arm, spec in zip(pair.arms, pair.specs, strict=True)}
-    return CellContext(pair.loaded, cell, specs, typed_options(bus_spec, pacing))
+    context = CellContext(pair.loaded, cell, specs, typed_options(bus_spec, pacing))
+    for arm in pair.arms:
+        context.reserve(arm.config)
+    return context
 
 
 def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveOptions:
@@ -104,8 +107,8 @@ def teach(
     pair, kept = _open(cell, bus_spec, store, moving.pacing)
     lesson = open_taught_path(pair, kept, resume)
     session = session_of()
-    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
+    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving, session)
     with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
         options = _proven(context, link, options)
         with context.last_seconds(options, *link.opened):
@@ -175,8 +178,8 @@ def run_pair(
     _, origin = first_function(pair, kept, row, at)
     session = session_of()
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
-    _ask(pair, f"run {cycles} cycles at speed {at:g}", moving, session)
     context = _context(cell, pair, bus_spec, moving.pacing)
+    _ask(pair, f"run {cycles} cycles at speed {at:g}", moving, session)
     with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
         options = _proven(context, link, options)
         with context.last_seconds(options, *link.opened):

@@ -15,6 +15,7 @@ from gateway.commands.shared_options import (
     json_option,
     key_values,
     output_option,
+    reserve,
     session_of,
     show_remarks,
     write_json,
@@ -141,7 +142,9 @@ def _ask_drive(device: Device, node_id: int, bus_spec: str) -> Device:
     from drives.bus import BusSpec, open_bus
     from drives.draft.device import ask_drive
 
-    with open_bus(BusSpec.parse(bus_spec)) as bus:
+    spec = BusSpec.parse(bus_spec)
+    reserve(spec)
+    with open_bus(spec) as bus:
         return ask_drive(bus, node_id, device)
 
 

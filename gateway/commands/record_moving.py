@@ -77,11 +77,7 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     passes = passes_of(chosen, wish.label, driven, moving.override / 100.0, period_s)
     session = session_of()
     _show(arm.name, passes, period_s)
-    first = (
-        ""
-        if context.stop_proof(arm).exists()
-        else " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
-    )
+    first = context.before_motion(arm, wish.label)
     moving.ask(
         f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move fast.{first} Is the area clear of people?"
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
+import sys
 import tempfile
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +20,7 @@ from gateway.data.labels import label_refused
 from gateway.errors import ConfigError, InputError
 
 if TYPE_CHECKING:
+    from drives.bus_spec import BusSpec
     from drives.datasheet.sheet import Remark
     from gateway.cell.config import ArmConfig
     from gateway.model.robot import Robot
@@ -338,29 +341,59 @@ def key_values(option: str, pairs: Sequence[str], keys: Collection[str] = ()) ->
     return found
 
 
-#: Message when the operator declines.
+def reserve(spec: BusSpec) -> None:
+    """Lock a bus against other commands on this computer until the running command ends.
+
+    Raises
+    ------
+    BusError
+        Another command uses this bus.
+    """
+    from drives.bus_lock import bus_locked
+
+    context = click.get_current_context(silent=True)
+    if context is None:  # called as a function: the caller decides
+        return
+    reserved: set[str] = context.meta.setdefault("servo-gateway.buses", set())
+    if spec.wire not in reserved:
+        context.with_resource(bus_locked(spec, context.command_path))
+        reserved.add(spec.wire)
+
+
+#: Message when the operator declines before anything was sent that moves an arm or writes to a drive.
 NOT_AGREED = "declined: nothing has moved, nothing was written"
 
 
-def confirm(question: str, *, yes: bool) -> None:
-    """Ask for confirmation before motion; no answer means no.
+def drop_typed_ahead() -> None:
+    """Drop what was typed at the terminal before a prompt; input from a pipe or a file is kept."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return
+    with contextlib.suppress(ImportError):  # Windows has no termios; no command moves an arm there
+        import termios
+
+        termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
+
+
+def confirm(question: str, *, yes: bool, declined: str = NOT_AGREED) -> None:
+    """Ask for confirmation before motion; no answer means no, and an answer typed before the question does not count.
 
     Raises
     ------
     click.Abort
-        The message states that nothing has moved.
+        With the text `declined`.
     """
     if yes:
         return
     context = click.get_current_context(silent=True)
     if context is not None:
         session_of(context).settle()
+    drop_typed_ahead()
     try:
         agreed = click.confirm(question, err=True)
     except click.Abort:
         agreed = False
     if not agreed:
-        raise click.Abort(NOT_AGREED)
+        raise click.Abort(declined)
 
 
 def _unit(ctx: click.Context, _param: click.Parameter, value: str) -> None:

@@ -150,7 +150,7 @@ class FedArm(Arm):
             axis, value = excess
             raise LimitExceeded(
                 f"arm '{self.name}', axis {axis + 1}: the feedforward requires {value:.2f} Nm at the motor, its "
-                f"limit is {self._law.limits_nm[axis]:.2f} Nm: stopped, offsets zero; check load and torque_limit_nm",
+                f"limit is {self._law.limits_nm[axis]:.2f} Nm; check load and torque_limit_nm",
                 joint=axis + 1,
             )
         if self.recorder is not None:

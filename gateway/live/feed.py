@@ -18,7 +18,7 @@ from gateway.live.drawing import stage_of
 from gateway.live.wire import HEAD, PER_AXIS, ROW, SHOWN, CommandOver, Ended, Happened, PoseSeen, ShownCell, pieces
 from gateway.motion.observed_fields import fill
 from gateway.motion.observer import MotionProgress, Observed, Scene
-from gateway.motion.state import Phase, StateTracker
+from gateway.motion.state import SAFE, Phase, StateTracker
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
 
 #: Least time between two samples [s], enough for a screen.
@@ -121,8 +121,9 @@ class Feed:
         self._say(Happened(event))
 
     def ended(self, failure: BaseException | None) -> None:
-        """Report that the arms are disabled."""
-        self._say(Ended("" if failure is None else str(failure) or type(failure).__name__))
+        """Report the end of a motion, and whether every drive was read as disabled."""
+        disabled = self._state is None or self._state.state.phase in SAFE
+        self._say(Ended("" if failure is None else str(failure) or type(failure).__name__, disabled))
 
     # -- who asks ------------------------------------------------------------------------------------------------------
 

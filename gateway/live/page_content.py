@@ -137,7 +137,8 @@ class Show:
         elif isinstance(message, Happened):
             self._happened(message.event)
         elif isinstance(message, Ended):
-            self._standing |= {"phase": str(Phase.STOPPED if message.reason else Phase.IN_BRAKES), "what": ""}
+            at_rest = Phase.STOPPED if message.reason else Phase.IN_BRAKES
+            self._standing |= {"phase": str(at_rest if message.disabled else Phase.UNKNOWN), "what": ""}
             self._changed = True
             if message.reason:
                 self._say(FAIL, message.reason)

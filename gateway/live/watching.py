@@ -71,7 +71,7 @@ class WatchedArm:
         self._side = JointSide(self._axes)
         self.sample: ArmSample | None = None
         self.target_rad: Floats = np.full(workspace.robot.axes, np.nan)
-        self.phase = Phase.IN_BRAKES
+        self.phase = Phase.UNKNOWN
 
     def listen(self) -> bool:
         """Process received frames; return whether a SYNC is complete."""
@@ -100,7 +100,7 @@ def _phase(epoch: Epoch, moves: bool) -> Phase:
     if State.QUICK_STOP_ACTIVE in states or State.FAULT_REACTION_ACTIVE in states:
         return Phase.STOPPING
     if State.OPERATION_ENABLED not in states:
-        return Phase.IN_BRAKES
+        return Phase.IN_BRAKES if len(states) == len(epoch.readings) else Phase.UNKNOWN
     return Phase.MOVING if moves else Phase.HOLDING
 
 
@@ -138,7 +138,8 @@ class Watching:
         elif not self._silent and self._clock() - self._heard_s > SILENT_S:
             self._silent = True
             self._feed.reported(Heard("warn", "no SYNC received: no master is controlling these drives"))
-            self._state.enter(Phase.IN_BRAKES)
+            self._state.enter(Phase.UNKNOWN)
+            self._feed.ended(None)
 
     def _hand_on(self) -> None:
         for arm in self._arms:
@@ -150,7 +151,7 @@ class Watching:
         if len(samples) < len(self._arms):
             return
         phases = [arm.phase for arm in self._arms]
-        for phase in (Phase.STOPPING, Phase.MOVING, Phase.HOLDING, Phase.IN_BRAKES):
+        for phase in (Phase.STOPPING, Phase.MOVING, Phase.HOLDING, Phase.UNKNOWN, Phase.IN_BRAKES):
             if phase in phases:
                 self._state.enter(phase, samples[0].sync_index)
                 break

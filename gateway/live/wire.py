@@ -132,9 +132,13 @@ class PoseSeen:
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The brakes are engaged; the reason is empty after normal completion."""
+    """The motion has ended; the reason is empty after normal completion.
+
+    `disabled` is True where every drive was read as disabled.
+    """
 
     reason: str
+    disabled: bool = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from drives.drive import DriveCommand
-from drives.errors import StopRequested
+from drives.errors import DriveError, NotStoodDown, StopRequested
 from drives.exchange import Pacing
 from gateway.data.sample import ArmSample
 from gateway.motion.arm import Arm
@@ -38,9 +38,16 @@ _KEPT: Final = 100_000
 
 
 def _first_cause(failures: Sequence[BaseException]) -> BaseException:
-    """Return the first cause with the other failures as notes; arms stopped by another arm are not a cause."""
+    """Return the first cause with the other failures as notes; arms stopped by another arm are not a cause.
+
+    Failures while stopping of every arm are kept: with one of them the state of the arms is not known.
+    """
     first_hand = [error for error in failures if not isinstance(error, StopRequested)]
+    first_hand.sort(key=lambda error: isinstance(error, NotStoodDown))
     cause = (first_hand or failures)[0]
+    for error in failures:
+        if error is not cause and isinstance(error, DriveError) and isinstance(cause, DriveError):
+            cause.while_stopping += error.while_stopping
     for error in first_hand:
         if error is not cause:
             cause.add_note(f"another arm: {error}")

@@ -251,9 +251,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     _refuse_placeholders(config)
     setups = tuple(replace(setup, feedforward=override.feedforward) for setup in setups)
     bus_config = loaded.cell.bus[config.bus]
-    spec = override.spec or BusSpec(
-        bus_config.interface, bus_config.channel, bus_config.bitrate_bit_s, dict(bus_config.options)
-    )
+    spec = override.spec or bus_config.spec
     options = GroupOptions(
         ledger_path=override.ledger,
         instruments=override.instruments,

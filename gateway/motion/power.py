@@ -6,15 +6,19 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from typing import Final
 
-from drives.errors import DriveError
+from drives.errors import BrakeDropped, DriveError, NotStoodDown
 from drives.realtime import RealTime
-from gateway.errors import LimitExceeded
+from gateway.errors import NOT_CONFIRMED, LimitExceeded
 from gateway.motion.arms import Arms
 from gateway.motion.state import Phase
 from gateway.motion.stream import Stream
 
-#: A joint that moves farther once its brake has closed is reported [rad].
+#: A joint that moves farther once its drive is disabled is an error: its brake does not hold [rad].
 BRAKE_DROP_RAD: Final = 0.005
+_KEEP_AWAY: Final = (
+    "keep away from this arm: no person mounts a load or works at it; support it mechanically, then check these brakes"
+    " and brake_closing_s of the drive profile (test: `servo-gateway check CELL --brakes`)"
+)
 
 
 @contextmanager
@@ -33,16 +37,21 @@ def powered(stream: Stream) -> Generator[Stream]:
 
     The stop depends on the cause. After a stop along the path the arms are already at rest. While setpoints are being
     sent, and after an error of a drive or of a limit, all axes are stopped by their quick stop ramps at once. An
-    unconfirmed stop ends the heartbeat (`drives.stopping`). Observers are notified afterwards.
+    unconfirmed stop ends the heartbeat (`drives.stopping`). Observers are notified afterwards; the phase is
+    `Phase.UNKNOWN` unless every drive was read as disabled.
 
     Raises
     ------
+    BrakeDropped
+        A joint dropped after its drive was disabled, also where the motion has ended without error or was stopped on
+        request.
     DriveError, LimitExceeded, KeyboardInterrupt
-        The cause that ended the motion, once the arms are safe; failures while stopping are in its notes.
+        The cause that ended the motion; failures while stopping are in its notes.
     """
     station = stream.station
     desk, observers = station.options.desk, station.options.observers
     failure: BaseException | None = None
+    confirmed = False
     station.options.ready()
     with _on_time(station.arms):
         try:
@@ -56,14 +65,19 @@ def powered(stream: Stream) -> Generator[Stream]:
             raise
         finally:
             try:
-                _make_safe(stream, failure)
+                confirmed = _make_safe(stream, failure)
             except BaseException as error:
+                confirmed = isinstance(error, NotStoodDown)
                 failure = failure or error
                 raise
             finally:
                 desk.under_power = False
-                _report_end(stream, failure)
+                dropped = _brake_dropped(stream, failure)
+                failure = dropped or failure
+                _report_end(stream, failure, confirmed)
                 observers.ended(failure)
+                if dropped is not None:
+                    raise dropped
             if stream.first_moved and station.options.first_done is not None:
                 station.options.first_done()
     wish = desk.look()
@@ -71,47 +85,66 @@ def powered(stream: Stream) -> Generator[Stream]:
         raise wish.cause
 
 
-def _make_safe(stream: Stream, failure: BaseException | None) -> None:
+def _make_safe(stream: Stream, failure: BaseException | None) -> bool:
+    """Stop and disable the arms; return whether every drive was read as disabled."""
     arms = stream.station.arms
     quick = stream.moving or stream.urgent or isinstance(failure, DriveError | LimitExceeded)
     try:
         if quick:
             _attempt(arms.quick_stop, failure)
     finally:
-        _attempt(arms.disable, failure)
+        disabled = _attempt(arms.disable, failure)
+    # drives that were disabled by their own error path are not read again
+    return disabled and not getattr(failure, "while_stopping", ())
 
 
-def _attempt(action: Callable[[], None], failure: BaseException | None) -> None:
+def _attempt(action: Callable[[], None], failure: BaseException | None) -> bool:
+    """Call a function; its error becomes a note of an earlier failure. Return whether the axes did what it commands."""
     try:
         action()
     except Exception as error:
         if failure is None:
             raise
-        failure.add_note(f"while stopping: {error}")
+        disabled = isinstance(error, NotStoodDown)
+        failure.add_note(f"{'after the stop' if disabled else 'while stopping'}: {error}")
+        return disabled
+    return True
 
 
-def _report_end(stream: Stream, failure: BaseException | None) -> None:
+def _report_end(stream: Stream, failure: BaseException | None, confirmed: bool) -> None:
     state = stream.station.state
     state.enter(Phase.STOPPING, stream.sync_index)
     since = state.state
-    drop_text = _brake_drop_text(stream)
     if failure is None:
-        state.enter(Phase.IN_BRAKES, stream.sync_index, drop_text)
+        state.enter(Phase.IN_BRAKES, stream.sync_index)
         return
-    if drop_text:
-        failure.add_note(drop_text)
-    failure.add_note(f"Stopped at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
-    state.enter(Phase.STOPPED, stream.sync_index, str(failure) or type(failure).__name__)
+    failure.add_note(f"The motion ended at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
+    phase = Phase.STOPPED
+    if not confirmed:
+        phase = Phase.UNKNOWN
+        failure.add_note(NOT_CONFIRMED)
+    state.enter(phase, stream.sync_index, str(failure) or type(failure).__name__)
 
 
-def _brake_drop_text(stream: Stream) -> str:
-    """Return the text about joints that have dropped after the brakes were applied."""
-    found = []
-    for arm in stream.station.arms.members:
-        brake_drop_rad = arm.brake_drop_rad()
-        found += [
-            f"arm '{arm.name}', joint {joint} sank by {value:.4f} rad in its brake"
-            for joint, value in enumerate(brake_drop_rad.tolist(), start=1)
-            if value > BRAKE_DROP_RAD
-        ]
-    return "; ".join(found) + ("; check its brake and the brake's delay" if found else "")
+def _brake_dropped(stream: Stream, failure: BaseException | None) -> BrakeDropped | None:
+    """Return the error for joints that have dropped since their drives were disabled.
+
+    An error of a drive stays the cause; the drop is then among its notes.
+    """
+    drops = [
+        f"arm '{arm.name}', joint {joint} sank by {value:.4f} rad in its brake after its drive was disabled"
+        for arm in stream.station.arms.members
+        for joint, value in enumerate(arm.brake_drop_rad().tolist(), start=1)
+        if value > BRAKE_DROP_RAD
+    ]
+    if not drops:
+        return None
+    dropped = BrakeDropped("; ".join(drops), advice=_KEEP_AWAY)
+    if isinstance(failure, DriveError):
+        failure.add_note(str(dropped))
+        return None
+    if failure is not None:
+        dropped.add_note(f"The motion had ended before: {str(failure) or type(failure).__name__}")
+        for note in getattr(failure, "__notes__", ()):
+            dropped.add_note(note)
+    return dropped

@@ -14,7 +14,6 @@ from drives.errors import IncompleteEpochs
 from drives.reactions import DRIVE_RULES, Rule
 
 _ROW: Final = "SYNCs in a row"
-_STOPPED: Final = "stopped; "
 
 ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
     {
@@ -23,28 +22,28 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             1,
             "SYNC",
-            _STOPPED + "check position_sign, gear_ratio and zero_offset_rad of this axis",
+            "check position_sign, gear_ratio and zero_offset_rad of this axis",
         ),
         "limits": Rule(
             "following error, speed or torque of a joint beyond its limit",
             "stop",
             3,
             _ROW,
-            _STOPPED + "look for contact, a brake that drags, or a wrong limit or torque constant",
+            "look for contact, a brake that drags, or a wrong limit or torque constant",
         ),
         "contact": Rule(
             "a jump of the torque that the model and the gear's reversal do not explain",
             "stop",
             3,
             _ROW,
-            _STOPPED + "look for contact, a load that slips, a cable that is caught",
+            "look for contact, a load that slips, a cable that is caught",
         ),
         "rhythm": Rule(
             "SYNCs delayed by more than half a period",
             "stop",
             0.2,
             "of those within 2 s",
-            _STOPPED + "this computer does not keep the SYNC rhythm: end other work on it, or raise sync_period_s",
+            "this computer does not keep the SYNC rhythm: end other work on it, or raise sync_period_s",
             IncompleteEpochs,
         ),
         "late_sync": Rule(
@@ -58,7 +57,7 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "stop",
             0.04,
             "rad of commanded movement",
-            _STOPPED + "look for a brake that is engaged, commands that do not reach the drive, position_sign and "
+            "look for a brake that is engaged, commands that do not reach the drive, position_sign and "
             "gear_ratio of this axis",
         ),
         "sinks": Rule(

@@ -9,7 +9,7 @@ from enum import Enum
 
 
 class Phase(Enum):
-    """Phase of an arm."""
+    """Phase of an arm; `IN_BRAKES` and `STOPPED` only where every drive was read as disabled."""
 
     IN_BRAKES = "in its brakes"
     HOLDING = "under power, holding"
@@ -18,6 +18,7 @@ class Phase(Enum):
     SAMPLING = "being sampled"
     STOPPING = "being stopped"
     STOPPED = "stopped, in its brakes"
+    UNKNOWN = "in an unknown state"
 
     def __str__(self) -> str:
         return self.value

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from drives.bus import Bus, BusSpec, open_bus
@@ -25,13 +25,16 @@ class BusEyes:
     ----------
     listen_s : float
         Time limit for an answer [s].
+    reserve : callable
+        Called with a bus before it is opened.
     """
 
-    def __init__(self, listen_s: float) -> None:
-        self._listen_s = listen_s
+    def __init__(self, listen_s: float, reserve: Callable[[BusSpec], None] = lambda _spec: None) -> None:
+        self._listen_s, self._reserve = listen_s, reserve
 
     def nodes(self, spec: BusSpec) -> tuple[SeenNode, ...]:
         """Drives on a bus."""
+        self._reserve(spec)
         with open_bus(spec) as bus:
             found = nodes_on(bus, self._listen_s)
         if not found:
@@ -41,6 +44,7 @@ class BusEyes:
 
     def values(self, spec: BusSpec, wanted: Mapping[int, Mapping[Address, str]]) -> dict[int, dict[Address, Read]]:
         """Objects of some nodes."""
+        self._reserve(spec)
         with open_bus(spec) as bus:
             return {node_id: values_of(bus, node_id, addresses) for node_id, addresses in wanted.items()}
 

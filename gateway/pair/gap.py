@@ -141,7 +141,7 @@ class SensorCheck:
                 f"sensor {number[worst]} moved by {1e3 * moved[worst]:.2f} mm where the hand motion gives"
                 f" {1e3 * expected[worst]:.2f} mm: check its place, direction and wiring"
             )
-        return f"distance {why}; both arms were stopped"
+        return f"distance {why}"
 
 
 def _exchanged(values: Floats, swap: tuple[int, int]) -> Floats:
@@ -187,7 +187,7 @@ class GapWatch:
             if not low <= value <= high:
                 return GapTrouble(
                     f"distance sensor {channel.subindex} measures {1e3 * value:.2f} mm, its range is {1e3 * low:g} to"
-                    f" {1e3 * high:g} mm: both arms were stopped; move them apart, then check grasps and bases",
+                    f" {1e3 * high:g} mm; move the arms apart, then check grasps and bases",
                     urgent=True,
                 )
         if len(known) == len(config.channel):
@@ -200,7 +200,7 @@ class GapWatch:
         without = [one.subindex for one, value in zip(config.channel, values, strict=False) if value is None]
         why = f"sensor {without[0]} reports no valid value" if without else "its frames are missing or delayed"
         return GapTrouble(
-            f"node {config.node_id} on bus '{config.bus}': no distances for {self._missing} cycles, {why}: both arms"
-            " were stopped; check the measuring device",
+            f"node {config.node_id} on bus '{config.bus}': no distances for {self._missing} cycles, {why};"
+            " check the measuring device",
             urgent=False,
         )

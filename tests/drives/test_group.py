@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import math
+import shutil
 
 import pytest
 
@@ -22,6 +23,7 @@ from drives.errors import (
     IncompleteEpochs,
     NodeMissing,
     NotOperational,
+    NotStoodDown,
     SdoTimeout,
     SeveralFailures,
     TransitionTimeout,
@@ -534,3 +536,26 @@ def test_an_adapter_that_dies_in_a_run_is_one_error_in_bounded_time(group, slave
     wire.send_errors = 0
     group.disable()
     assert {slave.state for slave in slaves} == {"switch on disabled"}
+
+
+@pytest.mark.parametrize("in_fault", [False, True])
+def test_a_ledger_that_cannot_be_written_does_not_hide_that_all_drives_are_disabled(
+    bus, slaves, setups, tmp_path, in_fault
+):
+    folder = tmp_path / "state"
+    group = DriveGroup(bus, setups(6), PERIOD_S, options=GroupOptions(ledger_path=folder / "ledger.json"))
+    group.connect()
+    group.configure()
+    group.enable()
+    shutil.rmtree(folder)
+    folder.write_text("not a folder: the ledger cannot be written")
+    if in_fault:
+        slaves[1].state = "fault"
+        with pytest.raises(DriveFault):
+            group.hold()
+    with pytest.raises(NotStoodDown, match="every drive was read as disabled; then: .*cannot be written") as failed:
+        group.disable()
+    assert {slave.state for slave in slaves} <= {"switch on disabled", "fault"}
+    assert "emergency stop" not in str(failed.value)
+    folder.unlink()
+    group.close()

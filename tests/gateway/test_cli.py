@@ -318,7 +318,7 @@ def test_a_defect_says_nothing_of_motion(capsys):
         (False, None, "stopped"),
         (True, KeyboardInterrupt(), "stopped: the arm is in its brakes, what was measured is kept"),
         (True, BusError("x"), "stopped: the arm is in its brakes, what was measured is kept"),
-        (True, "not confirmed", "stopped: the stop of the arm is not confirmed: use the emergency stop"),
+        (True, "not confirmed", "stopped: The state of the arm is not known: use the emergency stop"),
     ],
 )
 def test_an_arm_that_was_under_power_is_reported_as_far_as_its_stop_is_confirmed(capsys, began, failure, said):

@@ -160,7 +160,7 @@ def serve(place) -> Iterator[Callable[..., Drives]]:
 
 
 class Hands:
-    """Replacement of stdin: mounts the load that was asked for, or forgets it, then presses Enter."""
+    """Replacement of stdin: mounts the load that was asked for, or forgets it, then types its label."""
 
     def __init__(self, drives, capsys, mounts, forgets):
         self.drives, self.capsys, self.mounts, self.forgets = drives, capsys, mounts, forgets
@@ -175,7 +175,7 @@ class Hands:
         self.asked.append(label)
         if not self.forgets:
             self.drives.mount(label)
-        return "\n"
+        return f"{label}\n"
 
     def isatty(self):
         return False

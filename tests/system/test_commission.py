@@ -80,6 +80,25 @@ def test_the_check_stops_the_job_before_anything_moves(place, serve, commission)
 
 
 @pytest.mark.slow
+def test_no_person_is_called_to_an_arm_whose_brake_does_not_hold(place, serve, commission, fast_arm):
+    with_few_poses(place)
+    drives = fast_arm(serve(fault='[[fault]]\nkind = "brake_falls"\nnode = 2\naccel_rad_s2 = 2.0\n'))
+    code, result, hands, output = commission(drives)
+    assert (code, result, hands.asked) == (4, None, [])
+    assert "joint 2 sank by 0." in output.err
+    assert "keep away from this arm" in output.err
+
+
+@pytest.mark.slow
+def test_a_move_after_which_a_brake_does_not_hold_fails(serve, fast_arm, gateway, place):
+    drives = fast_arm(serve(fault='[[fault]]\nkind = "brake_falls"\nnode = 2\naccel_rad_s2 = 2.0\n'))
+    done = gateway("move", place.cell, "--bus", drives.bus, "--to", "0,0.3,0.2,0,0.4,0", "--yes")
+    assert done.exit_code == 4
+    assert "joint 2 sank by 0." in done.stderr
+    assert "is at" not in done.stdout
+
+
+@pytest.mark.slow
 def test_a_job_that_broke_is_gone_on_with(place, serve, commission, fast_arm):
     with_few_poses(place)
     broken = fast_arm(serve(fault='[[fault]]\nkind = "drive_fault"\nnode = 2\nat_sync = 1000\n'))

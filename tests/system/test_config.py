@@ -219,6 +219,23 @@ def test_parameters_are_stored_only_where_that_is_asked_for(config, drives, plac
     assert [store_of(drives, node).number((0x1010, 1)) for node in (1, 2)] == [0x65766173, 0x65766173]
 
 
+@pytest.mark.slow
+def test_values_of_a_run_are_never_stored_in_a_drive(config, gateway, drives, place):
+    declined = gateway("move", place.cell, "--bus", drives.bus, "--to", "home", input="n\n")
+    assert declined.exit_code == 130, "the drives are configured, and the ledger holds what a run has written"
+    assert config("dump").exit_code == 0
+    set_value(place.folder / "dcf" / "6.dcf", "6065", 70000)
+    window = store_of(drives, 6).number((0x6065, 0))
+    done = config("apply", "--yes", "--store")
+    assert done.exit_code == 5, done.output
+    assert "servo-gateway restore" in done.stderr
+    assert store_of(drives, 6).number((0x6065, 0)) == window
+    assert {store_of(drives, node).number((0x1010, 1)) for node in range(1, 7)} == {1}
+    assert gateway("restore", place.cell, "--bus", drives.bus).exit_code == 0
+    assert config("apply", "--yes", "--store").exit_code == 0
+    assert store_of(drives, 6).number((0x1010, 1)) == 0x65766173
+
+
 @pytest.mark.parametrize(
     ("section", "old", "new", "code", "says"),
     [

@@ -164,7 +164,7 @@ function receive(message) {
 function showStill(frame) {
   const phase = byId("phase");
   phase.textContent = frame.phase || "-";
-  phase.classList.toggle("fail", frame.phase.startsWith("stopped"));
+  phase.classList.toggle("fail", /^(stopped|in an unknown)/.test(frame.phase));
   byId("what").textContent = frame.what;
   byId("left").textContent = frame.left_s == null ? "-" : clock(frame.left_s);
   byId("sync").textContent = frame.sync;

@@ -33,6 +33,14 @@ def test_one_spec_for_a_cell_with_one_bus(text):
     assert bus_specs(ONE, f"{name}={text}") == {name: BusSpec.parse(text)}
 
 
+@pytest.mark.parametrize(
+    "text", ["left=socketcan:can1;right=socketcan:can1", f"right={own(TWO, 'left')}", f"right={own(TWO, 'left')},fd=0"]
+)
+def test_one_bus_under_two_names_is_refused(text):
+    with pytest.raises(ConfigError, match="one bus has one master"):
+        bus_specs(TWO, text)
+
+
 def test_every_bus_by_its_name():
     found = bus_specs(TWO, "right=socketcan:can1; left=udp_multicast:239.74.163.2,port=5")
     assert found == {

@@ -92,12 +92,13 @@ def test_events_progress_and_poses(show, workspace):
     assert (frame["what"], frame["left_s"]) == ("approach pose 2", 63.2)
 
 
-def test_a_stop_is_reported_with_its_reason(show):
+@pytest.mark.parametrize(("disabled", "phase"), [(True, "stopped, in its brakes"), (False, "in an unknown state")])
+def test_a_stop_is_reported_with_its_reason_and_as_far_as_it_is_known(show, disabled, phase):
     show.take(Happened(Stopped("joint 3 is 0.12 rad off its target")))
-    show.take(Ended("joint 3 is 0.12 rad off its target"))
+    show.take(Ended("joint 3 is 0.12 rad off its target", disabled))
     messages = [json.loads(text) for text in show.news()]
     assert [each["event"]["grave"] for each in messages if "event" in each] == ["fail"]
-    assert messages[-1]["frame"]["phase"] == "stopped, in its brakes"
+    assert messages[-1]["frame"]["phase"] == phase
 
 
 def test_a_page_that_is_opened_later_sees_the_same(show):

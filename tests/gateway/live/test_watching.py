@@ -17,7 +17,7 @@ from gateway.cell.conversion import AxisConversion
 from gateway.errors import ConfigError, InputError
 from gateway.live.feed import PHASES
 from gateway.live.watching import SILENT_S, WatchedArm, Watching, stored_constants, watch
-from gateway.live.wire import HEAD, PER_AXIS, Happened, Heard, ShownCell
+from gateway.live.wire import HEAD, PER_AXIS, Ended, Happened, Heard, ShownCell
 from gateway.motion.state import Phase
 
 ENABLED, QUICK_STOP, READY = 0x1237, 0x1217, 0x1231
@@ -122,6 +122,18 @@ def test_the_state_of_an_arm_is_read_from_its_drives_and_their_commands(watching
         rig.later(0.01)
         watching.turn()
     assert PHASES[int(rows(rig)[-1][3])] is phase
+
+
+def test_an_arm_is_in_its_brakes_only_if_every_drive_says_so(watching, rig, received):
+    received.sync(1, READY, unresponsive=2)
+    watching.turn()
+    assert PHASES[int(rows(rig)[-1][3])] is Phase.UNKNOWN
+    received.sync(2, ENABLED)
+    rig.later(0.01)
+    watching.turn()
+    rig.later(1.1 * SILENT_S)
+    watching.turn()
+    assert [each.disabled for each in rig.received() if isinstance(each, Ended)] == [False], "SYNC has ended"
 
 
 def test_without_frames_nothing_is_reported_until_that_is_news(watching, rig, received):
