@@ -372,7 +372,10 @@ class NodeAccess:
         if not self.noted:
             return failures
         if self._busy():
-            return [*failures, DriveFault("is enabled", node=self.node_id, advice="disable it before restoring")]
+            return [
+                *failures,
+                DriveFault("is enabled: its objects are not restored", node=self.node_id, advice="disable it first"),
+            ]
         send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         moved = [entry for entry in self.noted if entry.node_id != self.node_id and _names_node(entry.index)]
         failures += _of_another_node(moved, self.node_id)

@@ -18,6 +18,10 @@ from drives.values import Identity
 #: Time between two readings of what a drive takes a moment to do.
 POLL_S: Final = 0.005
 _SYNC_PRODUCER: Final = 1 << 30
+#: Quick stop options (0x605A) with which the drive goes to SWITCH ON DISABLED at the end of its quick stop (CiA 402-2).
+ENDING_OPTIONS: Final = (1, 2, 3)
+#: The one that is written for a run where the drive holds another one: quick stop ramp 0x6085.
+RAMP_OPTION: Final = 2
 #: Value of object 0x5FFE of a simulated node.
 SIMULATOR_NAME: Final = "servo-sim"
 #: 0x1014: the emergency object does not exist; and: it has an identifier of 29 bits.
@@ -126,7 +130,7 @@ def check_at_rest(access: ObjectAccess) -> None:
             node=access.node_id,
             index=0x6041,
             code=status,
-            advice="another master controls it, or a run was interrupted: disable it first",
+            advice="another master controls it, or a run was interrupted: disable it with `servo-gateway restore CELL`",
         )
 
 
@@ -158,20 +162,23 @@ def read_constants(access: Readable) -> Constants:
         An object cannot be read.
     """
     profile = access.profile
-    counts = profile.position.counts_per_revolution
-    if isinstance(counts, CountsFromObjects):
-        per = 1 if counts.per is None else access.read(counts.per)
-        if counts.per is not None and per == 0:
-            access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
-        turn = access.read(counts.object) / per
-    else:
-        turn = counts.value
     return Constants(
         torque_rated=_rated(access, profile.torque.rated),
         current_rated_a=None if profile.current is None else _rated(access, profile.current.rated),
         offset_rated=None if profile.torque_offset is None else _rated(access, profile.torque_offset.rated),
-        counts_per_revolution=turn,
+        counts_per_revolution=read_resolution(access),
     )
+
+
+def read_resolution(access: Readable) -> float:
+    """Return the position counts of one motor revolution; raises as `read_constants`."""
+    counts = access.profile.position.counts_per_revolution
+    if not isinstance(counts, CountsFromObjects):
+        return counts.value
+    per = 1 if counts.per is None else access.read(counts.per)
+    if counts.per is not None and per == 0:
+        access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
+    return access.read(counts.object) / per
 
 
 def _rated(access: Readable, rated: Rated | None) -> float | None:
@@ -232,6 +239,40 @@ def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
         access.write(entry, 0, reason)
     except SdoAbort:
         access.write(entry, period_us, reason)
+
+
+def settle_quick_stop(access: NodeAccess) -> None:
+    """Write quick stop option 2 (0x605A) where the drive's own does not end in SWITCH ON DISABLED (1 to 3 do).
+
+    With 5 to 8 the drive stays in QUICK STOP ACTIVE, from where the next controlword of the motion would enable it
+    again (transition 16) although it has stopped by itself. With 0 it coasts.
+
+    Raises
+    ------
+    ConfigurationRefused
+        The drive holds another option, and it cannot be written.
+    SdoError
+        A transfer failed.
+    """
+    entry = OBJECTS["quick_stop_option"]
+    option = access.read_optional(entry)
+    if option is None:
+        return
+    ends = option in ENDING_OPTIONS
+    if not access.may_write(entry.index):
+        if not ends:
+            advice = "set 1, 2 or 3 in the drive, or add 0x605A to write.allow of its profile"
+            access.refuse(entry, f"holds {option}: a quick stop does not end in SWITCH ON DISABLED", advice)
+        return
+    try:
+        access.write(entry, option if ends else RAMP_OPTION, "a quick stop ends in SWITCH ON DISABLED")
+    except SdoAbort as abort:
+        what = (
+            f"holds {option} and refuses {RAMP_OPTION} ({abort.what}): a quick stop does not end in SWITCH ON DISABLED"
+        )
+        access.refuse(
+            entry, what, "set 1, 2 or 3 with the maker's tool; this drive cannot be moved with another option"
+        )
 
 
 def set_mode(access: ObjectAccess, mode: Mode) -> None:

@@ -153,6 +153,7 @@ class Cia402Drive:
         bringup.set_interpolation_period(access, sync_period_s)
         if heartbeat.producer_ms is not None:
             access.write(OBJECTS["producer_heartbeat"], heartbeat.producer_ms, "heartbeat of the drive")
+        bringup.settle_quick_stop(access)
         reason = "reaction of the drive when the master's heartbeat stops"
         access.write(OBJECTS["abort_connection_option"], heartbeat.abort_connection, reason)
         self._sync_period_s = sync_period_s

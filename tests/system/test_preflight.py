@@ -21,7 +21,6 @@ STOPPED = 4
 WRONG = {
     "polarity": ((0x607E, 0), 0xC0, "inverts position"),
     "gear": ((0x6091, 1), 50, "applies a gear ratio"),
-    "quick stop": ((0x605A, 0), 0, "coasts"),
     "fault reaction": ((0x605E, 0), 0, "coasts"),
     "ramp": ((0x6085, 0), 1, "more than 1 s is refused"),
 }
