@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Final
 
-from drives.bringup import POLL_S
+from drives.bringup import POLL_S, read_identity
+from drives.bus import Bus
 from drives.cia402 import (
     AT_REST,
     DISABLE_VOLTAGE,
@@ -22,11 +24,14 @@ from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
     DriveFault,
+    DriveRebooted,
+    IdentityMismatch,
     IncompleteEpochs,
     raise_failures,
 )
 from drives.exchange import SyncExchange
 from drives.guard import Guard
+from drives.heartbeat import HeartbeatWatch
 from drives.objects import OBJECTS, object_name
 from drives.pdo import differences
 from drives.values import DriveReading
@@ -34,9 +39,8 @@ from drives.values import DriveReading
 _FIRST_TRIES: Final = 10
 #: Differences of one drive that a message names beside the first one.
 _NAMED: Final = 8
-_LOST: Final = (
-    "the drive restarted, was exchanged, or was written by another master: check its supply, then run the command again"
-)
+_AGAIN: Final = "check its supply, then run the command again"
+_LOST: Final = f"the drive restarted, was exchanged, or was written by another master: {_AGAIN}"
 #: How far the first TPDO may be from SDO at standstill, in motor revolutions.
 _AGREEMENT_REVOLUTIONS: Final = 0.01
 
@@ -129,6 +133,37 @@ def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda 
         [IncompleteEpochs(what, node=exchange.drives[axis].node_id, advice=advice) for axis in epoch.missing]
     )
     return epoch
+
+
+def refuse_exchanged(drive: Cia402Drive) -> None:
+    """Refuse a device that reports another identity than the one that was connected.
+
+    Raises
+    ------
+    IdentityMismatch
+        Vendor, product, revision, serial number, names or versions differ.
+    """
+    before, now = drive.identity, read_identity(drive.access.sdo)
+    if before is None or now == before:
+        return
+    names = [field.name for field in fields(now) if getattr(now, field.name) != getattr(before, field.name)]
+    changes = [f"{name.replace('_', ' ')} was {getattr(before, name)}, {getattr(now, name)} is read" for name in names]
+    what = f"is not the device that was connected: {'; '.join(changes)}"
+    raise IdentityMismatch(what, node=drive.node_id, index=0x1018, advice=f"it was not enabled: {_AGAIN}")
+
+
+def refuse_rebooted(watch: HeartbeatWatch, bus: Bus) -> None:
+    """Refuse drives whose boot-up was received since they were configured, once all of them have been read back.
+
+    Raises
+    ------
+    DriveRebooted, SeveralFailures
+        One error for each of them.
+    """
+    bus.listen(POLL_S)
+    what = "restarted (boot-up message) after it was configured"
+    advice = f"it was not enabled: {_AGAIN}"
+    raise_failures([DriveRebooted(what, node=node, advice=advice) for node in sorted(watch.booted)])
 
 
 def refuse_lost_configuration(drive: Cia402Drive) -> None:
