@@ -217,6 +217,10 @@ class Cia402Drive:
         """End the drive's monitoring of the master's heartbeat."""
         self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer monitors the master's heartbeat")
 
+    def check_interpolation_period(self) -> None:
+        """Refuse a drive that does not interpolate over the SYNC period; raises `ConfigurationRefused`."""
+        bringup.check_interpolation_period(self.access, self._sync_period_s)
+
     def note_rest(self) -> None:
         """Store the position of the axis at rest with its brake closed."""
         self.rest_count = self.access.read(self.setup.profile.position.object)

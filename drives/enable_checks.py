@@ -176,7 +176,8 @@ def refuse_lost_configuration(drive: Cia402Drive) -> None:
     Raises
     ------
     ConfigurationRefused
-        Every object and PDO that differs, with its value as configured and as read; the error names the first one.
+        Every object and PDO that differs, with its value as configured and as read; the error names the first one. Or
+        an interpolation period that is not the SYNC period.
     """
     mapped = {(each.index, each.subindex) for plan in drive.commands for each in plan.entries}
     lost = [
@@ -194,6 +195,7 @@ def refuse_lost_configuration(drive: Cia402Drive) -> None:
         more = [f"and {len(others) - _NAMED} more"] if len(others) > _NAMED else []
         what = "; ".join([first, *named, *more])
         raise ConfigurationRefused(what, node=drive.node_id, index=index, subindex=subindex, advice=_LOST)
+    drive.check_interpolation_period()
     position = drive.setup.profile.position.object
     if drive.rest_count is not None:
         count = drive.access.read(position)
