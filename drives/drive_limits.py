@@ -15,7 +15,6 @@ from drives.scaling import Constants
 #: the master's limit ends before the drive's. Behind a gear of 100 it is 0.03 rad of the joint.
 LIMIT_MARGIN_REVOLUTIONS: Final = 0.5
 _I32_MAX: Final = 0x7FFFFFFF
-_U16_MAX: Final = 0xFFFF
 #: 0x607E: the sign of positions is turned round in the drive.
 _POSITION_REVERSED: Final = 0x80
 
@@ -80,19 +79,21 @@ def _narrowed(found: Counts, wanted: Counts) -> Counts:
     return low, high
 
 
-def limit_torque(access: ObjectAccess, permille: int) -> bool:
+def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
     """Lower the largest torque that the drive gives (0x6072), where profile and drive allow it.
+
+    The limit of an earlier run is replaced: the drive gets the smaller one of its original value and the present need.
 
     Parameters
     ----------
     access : ObjectAccess
-    permille : int
-        Of the rated torque; above what the drive was found with it is left alone.
+    permille : int or None
+        Of the rated torque; None = the need is not known, and the drive gets its original value.
 
     Returns
     -------
     bool
-        Whether the drive holds this limit now.
+        Whether the drive holds a limit of `permille` now.
 
     Raises
     ------
@@ -102,7 +103,7 @@ def limit_torque(access: ObjectAccess, permille: int) -> bool:
         As the drive answers.
     """
     entry = OBJECTS["max_torque"]
-    if not access.may_write(entry.index) or not 0 < permille <= _U16_MAX:
+    if not access.may_write(entry.index):
         return False
     status = access.read(OBJECTS["statusword"])
     if decode_state(status) not in AT_REST:
@@ -111,10 +112,11 @@ def limit_torque(access: ObjectAccess, permille: int) -> bool:
     held = access.read_optional(entry)
     if held is None:
         return False
-    if permille > access.original(entry, held):
-        return False
-    access.write(entry, permille, "lowest torque that the motion needs")
-    return True
+    original = access.original(entry, held)
+    limit = original if permille is None or permille <= 0 else min(permille, original)
+    if permille is not None or limit != held:
+        access.write(entry, limit, "lowest torque that the motion needs")
+    return limit == permille
 
 
 def rated_torque_nm(access: ObjectAccess, constants: Constants) -> float | None:
