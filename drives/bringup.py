@@ -9,7 +9,7 @@ from typing import Final, NoReturn, Protocol
 
 from drives.access import Entry, NodeAccess, ObjectAccess
 from drives.cia402 import AT_REST, Mode, decode_state, describe
-from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort
+from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort, SdoProtocolError
 from drives.objects import OBJECTS
 from drives.pdo import Step
 from drives.profile import CountsFromObjects, DriveProfile, Rated
@@ -34,19 +34,19 @@ _LONG_ID: Final = 1 << 29
 
 
 def read_identity(sdo: SdoClient) -> Identity:
-    """Read identity and version objects of a node; an object that it does not have is None."""
+    """Read identity and version objects of a node; an object that it does not have, or refuses, is None."""
 
     def number(name: str) -> int | None:
         entry = OBJECTS[name]
         try:
             return sdo.read(entry.index, entry.subindex, entry.type)
-        except SdoAbort:
+        except (SdoAbort, SdoProtocolError):
             return None
 
     def text(name: str) -> str | None:
         try:
             return sdo.read_text(OBJECTS[name].index)
-        except SdoAbort:
+        except (SdoAbort, SdoProtocolError):
             return None
 
     return Identity(

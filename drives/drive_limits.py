@@ -7,7 +7,7 @@ from typing import Final
 
 from drives.access import ObjectAccess
 from drives.cia402 import AT_REST, decode_state, describe
-from drives.errors import DriveFault
+from drives.errors import DriveFault, SdoAbort, SdoProtocolError
 from drives.objects import OBJECTS
 from drives.scaling import Constants
 
@@ -33,7 +33,8 @@ def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts
     """Let the drive refuse targets far outside the axis' limits (0x607D), where profile and drive allow it.
 
     The drive's own limits are narrowed, never widened. They are left unchanged where their meaning is not certain (home
-    offset 0x607C or reversed positions 0x607E), and where the axis is outside the limits that would be written.
+    offset 0x607C or reversed positions 0x607E, or one of these cannot be read), and where the axis is outside the
+    limits that would be written.
 
     Parameters
     ----------
@@ -52,11 +53,15 @@ def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts
     low, high = OBJECTS["position_limit_min"], OBJECTS["position_limit_max"]
     if not access.may_write(low.index):
         return False
-    held = access.read_optional(low), access.read_optional(high)
+    held = access.read_readable(low), access.read_readable(high)
     if held[0] is None or held[1] is None:
         return False
-    shifted = access.read_optional(OBJECTS["home_offset"]) or 0
-    if shifted or (access.read_optional(OBJECTS["polarity"]) or 0) & _POSITION_REVERSED:
+    try:
+        shifted = access.read_optional(OBJECTS["home_offset"]) or 0
+        polarity = access.read_optional(OBJECTS["polarity"]) or 0
+    except (SdoAbort, SdoProtocolError):
+        return False
+    if shifted or polarity & _POSITION_REVERSED:
         return False
     margin = round(LIMIT_MARGIN_REVOLUTIONS * revolution_counts)
     found = access.original(low, held[0]), access.original(high, held[1])
@@ -109,7 +114,7 @@ def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
     if decode_state(status) not in AT_REST:
         what = f"is in {describe(status)}: its torque limit is changed only while it is disabled"
         raise DriveFault(what, node=access.node_id, index=entry.index, code=status, advice="disable it first")
-    held = access.read_optional(entry)
+    held = access.read_readable(entry)
     if held is None:
         return False
     original = access.original(entry, held)

@@ -129,7 +129,7 @@ def _ramp(lines: Lines, readings: Readings) -> None:
     option = value_of(readings, "quick_stop_option")
     if raw is None:
         if option not in (None, BY_LIMIT):
-            what = "missing: duration of a quick stop unknown"
+            what = "missing or not readable: duration of a quick stop unknown"
             lines.add("fail", address, what, "set 0x605A to 3 (current limit) in the drive, if it takes that")
         return
     if raw == 0:
@@ -158,6 +158,6 @@ def _ramp(lines: Lines, readings: Readings) -> None:
 
 
 def _missing(lines: Lines, readings: Readings) -> None:
-    absent = [f"{OBJECTS[name]}" for name in _OPTIONAL if value_of(readings, name) is None]
+    absent = [f"{OBJECTS[name]}" for name in _OPTIONAL if readings.get(OBJECTS[name].address, 0) is None]
     if absent:
         lines.add("info", None, f"the drive does not have {', '.join(absent)}")
