@@ -32,9 +32,9 @@ def limits_in_counts(limit_rad: tuple[float, float] | None, count_rad: float) ->
 def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts: float) -> bool:
     """Let the drive refuse targets far outside the axis' limits (0x607D), where profile and drive allow it.
 
-    The drive's own limits are narrowed, never widened. They are left unchanged where the axis is outside the limits that
-    would be written. The same holds where their meaning is not certain: with a home offset (0x607C), with reversed
-    positions (0x607E), or where one of these cannot be read.
+    The drive's own limits are narrowed, never widened. They are left unchanged where the axis is outside the limits
+    that would be written. The same holds where their meaning is not certain: with a home offset (0x607C), with
+    reversed positions (0x607E), or where one of these cannot be read.
 
     Parameters
     ----------

@@ -173,6 +173,37 @@ def test_a_slave_without_data_in_an_optional_object(bus, slaves, setups, pacing,
     enabled(bus, setups(2), pacing).close()
 
 
+@BOTH
+@pytest.mark.parametrize(("option", "in_run"), [(0, 2), (1, 1), (2, 2), (3, 3), (4, 2), (5, 2), (6, 2), (-1, 2)])
+def test_a_quick_stop_option_that_does_not_end_disabled_is_replaced_for_the_run(
+    bus, slaves, setups, pacing, option, in_run
+):
+    put(slaves[1], (0x605A, 0), "i16", option)
+    group = enabled(bus, setups(2), pacing)
+    assert slaves[1].values[0x605A, 0] == in_run
+    group.disable()
+    group.restore()
+    group.close()
+    assert slaves[1].values[0x605A, 0] == option
+
+
+def test_a_drive_that_keeps_another_quick_stop_option_is_refused_by_name(bus, slaves, setups):
+    put(slaves[1], (0x605A, 0), "i16", 6)
+    plain = slaves[1]._sdo_download
+
+    def download(request, address):
+        if address == (0x605A, 0):
+            slaves[1]._abort(request, 0x06010002)
+        else:
+            plain(request, address)
+
+    slaves[1]._sdo_download = download
+    with DriveGroup(bus, setups(2), PERIOD_S) as group:
+        group.connect()
+        with pytest.raises(ConfigurationRefused, match=r"node 2:605A.*holds 6 and refuses 2.*SWITCH ON DISABLED"):
+            group.configure()
+
+
 class Interpolating(Slave):
     """A drive that applies an interpolation period once both subindices of 0x60C2 were sent, and may refuse some.
 
