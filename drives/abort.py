@@ -43,7 +43,7 @@ ABORT_CODES: Final[dict[int, tuple[str, str]]] = {
     0x06090031: ("value too high", "the drive does not accept this value; see its manual"),
     0x06090032: ("value too low", "the drive does not accept this value; see its manual"),
     0x06090036: ("maximum below minimum", "the limits already in the drive contradict this one"),
-    0x060A0023: ("resource not available", "another SDO client holds the channel"),
+    0x060A0023: ("resource not available", "another SDO client holds the channel, or the object has no value"),
     0x08000000: ("general error", "read the drive's error history 0x1003"),
     0x08000020: ("data cannot be stored", "read the drive's error history 0x1003"),
     0x08000021: ("local control", "release the local control: another tool or panel holds the drive"),

@@ -18,6 +18,7 @@ from drives.errors import (
     IdentityMismatch,
     SdoAbort,
     SdoError,
+    SdoProtocolError,
     SdoTimeout,
 )
 from drives.heartbeat import NmtCommand, send_nmt
@@ -83,6 +84,13 @@ class NodeAccess:
             if abort.code in ABSENT:
                 return None
             raise
+
+    def read_readable(self, entry: Entry) -> int | None:
+        """Read an object that only informs; return None if the drive refuses it or answers too short."""
+        try:
+            return self.read(entry)
+        except (SdoAbort, SdoProtocolError):
+            return None
 
     def write(self, entry: Entry, value: int, reason: str, options: Transfer = NORMAL) -> None:
         """Write an object and read it back; nothing is written if it holds the value already.
@@ -372,7 +380,10 @@ class NodeAccess:
         if not self.noted:
             return failures
         if self._busy():
-            return [*failures, DriveFault("is enabled", node=self.node_id, advice="disable it before restoring")]
+            return [
+                *failures,
+                DriveFault("is enabled: its objects are not restored", node=self.node_id, advice="disable it first"),
+            ]
         send_nmt(self.bus, NmtCommand.ENTER_PREOPERATIONAL, self.node_id)
         moved = [entry for entry in self.noted if entry.node_id != self.node_id and _names_node(entry.index)]
         failures += _of_another_node(moved, self.node_id)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+from contextlib import suppress
 from typing import Final, NoReturn, Protocol
 
 from drives.access import Entry, NodeAccess, ObjectAccess
 from drives.cia402 import AT_REST, Mode, decode_state, describe
-from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort
+from drives.errors import ConfigurationRefused, DriveFault, IdentityMismatch, SdoAbort, SdoProtocolError
 from drives.objects import OBJECTS
+from drives.pdo import Step
 from drives.profile import CountsFromObjects, DriveProfile, Rated
 from drives.scaling import Constants
 from drives.sdo import SdoClient
@@ -18,6 +20,12 @@ from drives.values import Identity
 #: Time between two readings of what a drive takes a moment to do.
 POLL_S: Final = 0.005
 _SYNC_PRODUCER: Final = 1 << 30
+#: Quick stop options (0x605A) with which the drive goes to SWITCH ON DISABLED at the end of its quick stop (CiA 402-2).
+ENDING_OPTIONS: Final = (1, 2, 3)
+#: The one that is written for a run where the drive holds another one: quick stop ramp 0x6085.
+RAMP_OPTION: Final = 2
+#: Exponents of 0x60C2:02 in the order in which they are tried after the drive's own.
+PERIOD_EXPONENTS: Final = (-3, -4, -5, -6, -2, -1)
 #: Value of object 0x5FFE of a simulated node.
 SIMULATOR_NAME: Final = "servo-sim"
 #: 0x1014: the emergency object does not exist; and: it has an identifier of 29 bits.
@@ -26,19 +34,19 @@ _LONG_ID: Final = 1 << 29
 
 
 def read_identity(sdo: SdoClient) -> Identity:
-    """Read identity and version objects of a node; an object that it does not have is None."""
+    """Read identity and version objects of a node; an object that it does not have, or refuses, is None."""
 
     def number(name: str) -> int | None:
         entry = OBJECTS[name]
         try:
             return sdo.read(entry.index, entry.subindex, entry.type)
-        except SdoAbort:
+        except (SdoAbort, SdoProtocolError):
             return None
 
     def text(name: str) -> str | None:
         try:
             return sdo.read_text(OBJECTS[name].index)
-        except SdoAbort:
+        except (SdoAbort, SdoProtocolError):
             return None
 
     return Identity(
@@ -126,7 +134,7 @@ def check_at_rest(access: ObjectAccess) -> None:
             node=access.node_id,
             index=0x6041,
             code=status,
-            advice="another master controls it, or a run was interrupted: disable it first",
+            advice="another master controls it, or a run was interrupted: disable it with `servo-gateway restore CELL`",
         )
 
 
@@ -158,20 +166,23 @@ def read_constants(access: Readable) -> Constants:
         An object cannot be read.
     """
     profile = access.profile
-    counts = profile.position.counts_per_revolution
-    if isinstance(counts, CountsFromObjects):
-        per = 1 if counts.per is None else access.read(counts.per)
-        if counts.per is not None and per == 0:
-            access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
-        turn = access.read(counts.object) / per
-    else:
-        turn = counts.value
     return Constants(
         torque_rated=_rated(access, profile.torque.rated),
         current_rated_a=None if profile.current is None else _rated(access, profile.current.rated),
         offset_rated=None if profile.torque_offset is None else _rated(access, profile.torque_offset.rated),
-        counts_per_revolution=turn,
+        counts_per_revolution=read_resolution(access),
     )
+
+
+def read_resolution(access: Readable) -> float:
+    """Return the position counts of one motor revolution; raises as `read_constants`."""
+    counts = access.profile.position.counts_per_revolution
+    if not isinstance(counts, CountsFromObjects):
+        return counts.value
+    per = 1 if counts.per is None else access.read(counts.per)
+    if counts.per is not None and per == 0:
+        access.refuse(counts.per, "is 0", "set the encoder resolution in the drive")
+    return access.read(counts.object) / per
 
 
 def _rated(access: Readable, rated: Rated | None) -> float | None:
@@ -234,6 +245,40 @@ def settle_sync_period(access: NodeAccess, sync_period_s: float) -> None:
         access.write(entry, period_us, reason)
 
 
+def settle_quick_stop(access: NodeAccess) -> None:
+    """Write quick stop option 2 (0x605A) where the drive's own does not end in SWITCH ON DISABLED (1 to 3 do).
+
+    With 5 to 8 the drive stays in QUICK STOP ACTIVE, from where the next controlword of the motion would enable it
+    again (transition 16) although it has stopped by itself. With 0 it coasts.
+
+    Raises
+    ------
+    ConfigurationRefused
+        The drive holds another option, and it cannot be written.
+    SdoError
+        A transfer failed.
+    """
+    entry = OBJECTS["quick_stop_option"]
+    option = access.read_optional(entry)
+    if option is None:
+        return
+    ends = option in ENDING_OPTIONS
+    if not access.may_write(entry.index):
+        if not ends:
+            advice = "set 1, 2 or 3 in the drive, or add 0x605A to write.allow of its profile"
+            access.refuse(entry, f"holds {option}: a quick stop does not end in SWITCH ON DISABLED", advice)
+        return
+    try:
+        access.write(entry, option if ends else RAMP_OPTION, "a quick stop ends in SWITCH ON DISABLED")
+    except SdoAbort as abort:
+        what = (
+            f"holds {option} and refuses {RAMP_OPTION} ({abort.what}): a quick stop does not end in SWITCH ON DISABLED"
+        )
+        access.refuse(
+            entry, what, "set 1, 2 or 3 with the maker's tool; this drive cannot be moved with another option"
+        )
+
+
 def set_mode(access: ObjectAccess, mode: Mode) -> None:
     """Set the mode of operation; wait for it in 0x6061 if the drive displays it before it is enabled."""
     access.write(OBJECTS["mode"], mode.value, f"mode {mode.name.lower().replace('_', ' ')}")
@@ -259,8 +304,11 @@ def check_mode(access: ObjectAccess, mode: Mode) -> None:
         access.bus.listen(POLL_S)
 
 
-def set_interpolation_period(access: ObjectAccess, sync_period_s: float) -> None:
+def set_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:
     """Set the interpolation period (0x60C2) to the SYNC period; where it may not be written, it has to be that already.
+
+    The exponent of the drive is kept where the period is a whole number in it; else others are tried. Exponent and
+    value are both written, in this order, if one of them differs: some drives apply a value only then.
 
     Raises
     ------
@@ -269,32 +317,73 @@ def set_interpolation_period(access: ObjectAccess, sync_period_s: float) -> None
     SdoError
         A transfer failed.
     """
-    entry, exponent_entry = OBJECTS["interpolation_time_value"], OBJECTS["interpolation_time_index"]
-    held = access.read_optional(entry)
+    value_entry, exponent_entry = OBJECTS["interpolation_time_value"], OBJECTS["interpolation_time_index"]
+    held = access.read_optional(value_entry)
     if held is None:
         return
-    if entry.index not in access.profile.write.allow:
-        held_s = held * 10.0 ** access.read(exponent_entry)
-        if not math.isclose(held_s, sync_period_s, rel_tol=1e-6):
-            what = f"the drive interpolates over {held_s:g} s, the master sends a SYNC every {sync_period_s:g} s"
-            access.refuse(entry, what, "set 0x60C2 to the SYNC period in the drive, or add 0x60C2 to write.allow")
+    if not access.may_write(value_entry.index):
+        check_interpolation_period(access, sync_period_s)
         return
-    value, exponent = decimal_period(sync_period_s)
-    access.write(exponent_entry, exponent, "interpolation over one SYNC period")
-    access.write(entry, value, "interpolation over one SYNC period")
+    reason, own = "interpolation over one SYNC period", access.read(exponent_entry)
+    refusals: list[SdoAbort | ConfigurationRefused] = []
+    for value, exponent in decimal_periods(sync_period_s, own):
+        exponent_step = Step(*exponent_entry.address, exponent_entry.type, exponent, reason)
+        value_step = Step(*value_entry.address, value_entry.type, value, reason)
+        try:
+            if (value, exponent) != (held, own):
+                access.note_steps([exponent_step, value_step])
+                with suppress(SdoAbort):  # a fixed exponent; `write` refuses where it is another one
+                    access.write_step(exponent_step)
+            access.write(exponent_entry, exponent, reason)
+            if (value, exponent) != (held, own):
+                access.write_step(value_step)
+            access.write(value_entry, value, reason)
+            return
+        except (SdoAbort, ConfigurationRefused) as error:
+            refusals.append(error)
+    raise refusals[0]
 
 
-def decimal_period(seconds: float) -> tuple[int, int]:
-    """Return a period as value and decimal exponent of 0x60C2, e.g. 0.004 -> (4, -3).
+def check_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:
+    """Refuse a drive whose interpolation period (0x60C2) is not the SYNC period.
+
+    Raises
+    ------
+    ConfigurationRefused
+    """
+    entry = OBJECTS["interpolation_time_value"]
+    value = access.read_optional(entry)
+    if value is None:
+        return
+    held_s = value * 10.0 ** access.read(OBJECTS["interpolation_time_index"])
+    if not math.isclose(held_s, sync_period_s, rel_tol=1e-6):
+        what = f"the drive interpolates over {held_s:g} s, the master sends a SYNC every {sync_period_s:g} s"
+        access.refuse(entry, what, "set 0x60C2 to the SYNC period in the drive, or add 0x60C2 to write.allow")
+
+
+def decimal_periods(seconds: float, own_exponent: int = PERIOD_EXPONENTS[0]) -> tuple[tuple[int, int], ...]:
+    """Return a period as pairs of value and decimal exponent of 0x60C2, e.g. 0.004 -> (4, -3), (40, -4).
+
+    Parameters
+    ----------
+    seconds : float
+    own_exponent : int
+        Exponent that the drive holds; it comes first.
 
     Raises
     ------
     ConfigurationRefused
         It is not an integer of at most 255 times a power of ten.
     """
-    for exponent in range(-1, -7, -1):
-        value = seconds / 10.0**exponent
-        if 1 <= round(value) <= 255 and abs(value - round(value)) < 1e-9 * value:
-            return round(value), exponent
-    what = f"SYNC period {seconds} s cannot be written as 0x60C2"
-    raise ConfigurationRefused(what, index=0x60C2, subindex=1, advice="choose a period such as 0.004 s or 0.0025 s")
+    exponents = dict.fromkeys((own_exponent, *PERIOD_EXPONENTS))
+    values = [(seconds / 10.0**exponent, exponent) for exponent in exponents]
+    pairs = [
+        (round(value), exponent)
+        for value, exponent in values
+        if 1 <= round(value) <= 255 and abs(value - round(value)) < 1e-9 * value
+    ]
+    if not pairs:
+        what = f"SYNC period {seconds} s cannot be written as 0x60C2"
+        advice = "choose a period such as 0.004 s or 0.0025 s"
+        raise ConfigurationRefused(what, index=0x60C2, subindex=1, advice=advice)
+    return tuple(pairs)

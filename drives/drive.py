@@ -153,6 +153,7 @@ class Cia402Drive:
         bringup.set_interpolation_period(access, sync_period_s)
         if heartbeat.producer_ms is not None:
             access.write(OBJECTS["producer_heartbeat"], heartbeat.producer_ms, "heartbeat of the drive")
+        bringup.settle_quick_stop(access)
         reason = "reaction of the drive when the master's heartbeat stops"
         access.write(OBJECTS["abort_connection_option"], heartbeat.abort_connection, reason)
         self._sync_period_s = sync_period_s
@@ -167,21 +168,21 @@ class Cia402Drive:
         if setup.position_limit_rad is not None:
             drive_limits.write_position_limits(self.access, limit, constants.counts_per_revolution)
         rated_nm = drive_limits.rated_torque_nm(self.access, constants)
-        if setup.torque_limit_nm is not None and rated_nm is not None:
-            self.limit_torque(drive_limits.permille_of(setup.torque_limit_nm, rated_nm))
+        need_nm = setup.torque_limit_nm
+        self.limit_torque(None if need_nm is None or rated_nm is None else drive_limits.permille_of(need_nm, rated_nm))
 
-    def limit_torque(self, permille: int) -> bool:
+    def limit_torque(self, permille: int | None) -> bool:
         """Lower the drive's own torque limit (0x6072); `restore` puts it back.
 
         Parameters
         ----------
-        permille : int
-            Of the rated torque; above what the drive was found with it is left alone.
+        permille : int or None
+            Of the rated torque; above the drive's original value, and with None, the drive gets that value.
 
         Returns
         -------
         bool
-            Whether the drive holds this limit now; False where profile or drive do not allow it.
+            Whether the drive holds this limit now; False where profile, drive or its original value do not allow it.
 
         Raises
         ------
@@ -215,6 +216,10 @@ class Cia402Drive:
     def disarm(self) -> None:
         """End the drive's monitoring of the master's heartbeat."""
         self.access.write(OBJECTS["consumer_heartbeat"], 0, "the drive no longer monitors the master's heartbeat")
+
+    def check_interpolation_period(self) -> None:
+        """Refuse a drive that does not interpolate over the SYNC period; raises `ConfigurationRefused`."""
+        bringup.check_interpolation_period(self.access, self._sync_period_s)
 
     def note_rest(self) -> None:
         """Store the position of the axis at rest with its brake closed."""

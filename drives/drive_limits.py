@@ -7,7 +7,7 @@ from typing import Final
 
 from drives.access import ObjectAccess
 from drives.cia402 import AT_REST, decode_state, describe
-from drives.errors import DriveFault
+from drives.errors import DriveFault, SdoAbort, SdoProtocolError
 from drives.objects import OBJECTS
 from drives.scaling import Constants
 
@@ -15,7 +15,6 @@ from drives.scaling import Constants
 #: the master's limit ends before the drive's. Behind a gear of 100 it is 0.03 rad of the joint.
 LIMIT_MARGIN_REVOLUTIONS: Final = 0.5
 _I32_MAX: Final = 0x7FFFFFFF
-_U16_MAX: Final = 0xFFFF
 #: 0x607E: the sign of positions is turned round in the drive.
 _POSITION_REVERSED: Final = 0x80
 
@@ -33,8 +32,9 @@ def limits_in_counts(limit_rad: tuple[float, float] | None, count_rad: float) ->
 def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts: float) -> bool:
     """Let the drive refuse targets far outside the axis' limits (0x607D), where profile and drive allow it.
 
-    The drive's own limits are narrowed, never widened. They are left unchanged where their meaning is not certain (home
-    offset 0x607C or reversed positions 0x607E), and where the axis is outside the limits that would be written.
+    The drive's own limits are narrowed, never widened. They are left unchanged where the axis is outside the limits
+    that would be written. The same holds where their meaning is not certain: with a home offset (0x607C), with
+    reversed positions (0x607E), or where one of these cannot be read.
 
     Parameters
     ----------
@@ -53,11 +53,15 @@ def write_position_limits(access: ObjectAccess, limit: Counts, revolution_counts
     low, high = OBJECTS["position_limit_min"], OBJECTS["position_limit_max"]
     if not access.may_write(low.index):
         return False
-    held = access.read_optional(low), access.read_optional(high)
+    held = access.read_readable(low), access.read_readable(high)
     if held[0] is None or held[1] is None:
         return False
-    shifted = access.read_optional(OBJECTS["home_offset"]) or 0
-    if shifted or (access.read_optional(OBJECTS["polarity"]) or 0) & _POSITION_REVERSED:
+    try:
+        shifted = access.read_optional(OBJECTS["home_offset"]) or 0
+        polarity = access.read_optional(OBJECTS["polarity"]) or 0
+    except (SdoAbort, SdoProtocolError):
+        return False
+    if shifted or polarity & _POSITION_REVERSED:
         return False
     margin = round(LIMIT_MARGIN_REVOLUTIONS * revolution_counts)
     found = access.original(low, held[0]), access.original(high, held[1])
@@ -80,19 +84,21 @@ def _narrowed(found: Counts, wanted: Counts) -> Counts:
     return low, high
 
 
-def limit_torque(access: ObjectAccess, permille: int) -> bool:
+def limit_torque(access: ObjectAccess, permille: int | None) -> bool:
     """Lower the largest torque that the drive gives (0x6072), where profile and drive allow it.
+
+    The limit of an earlier run is replaced: the drive gets the smaller one of its original value and the present need.
 
     Parameters
     ----------
     access : ObjectAccess
-    permille : int
-        Of the rated torque; above what the drive was found with it is left alone.
+    permille : int or None
+        Of the rated torque; None = the need is not known, and the drive gets its original value.
 
     Returns
     -------
     bool
-        Whether the drive holds this limit now.
+        Whether the drive holds a limit of `permille` now.
 
     Raises
     ------
@@ -102,19 +108,20 @@ def limit_torque(access: ObjectAccess, permille: int) -> bool:
         As the drive answers.
     """
     entry = OBJECTS["max_torque"]
-    if not access.may_write(entry.index) or not 0 < permille <= _U16_MAX:
+    if not access.may_write(entry.index):
         return False
     status = access.read(OBJECTS["statusword"])
     if decode_state(status) not in AT_REST:
         what = f"is in {describe(status)}: its torque limit is changed only while it is disabled"
         raise DriveFault(what, node=access.node_id, index=entry.index, code=status, advice="disable it first")
-    held = access.read_optional(entry)
+    held = access.read_readable(entry)
     if held is None:
         return False
-    if permille > access.original(entry, held):
-        return False
-    access.write(entry, permille, "lowest torque that the motion needs")
-    return True
+    original = access.original(entry, held)
+    limit = original if permille is None or permille <= 0 else min(permille, original)
+    if permille is not None or limit != held:
+        access.write(entry, limit, "lowest torque that the motion needs")
+    return limit == permille
 
 
 def rated_torque_nm(access: ObjectAccess, constants: Constants) -> float | None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from typing import Final
 
-from drives.bringup import POLL_S
+from drives.bringup import POLL_S, read_identity
+from drives.bus import Bus
 from drives.cia402 import (
     AT_REST,
     DISABLE_VOLTAGE,
@@ -22,11 +24,14 @@ from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
     DriveFault,
+    DriveRebooted,
+    IdentityMismatch,
     IncompleteEpochs,
     raise_failures,
 )
 from drives.exchange import SyncExchange
 from drives.guard import Guard
+from drives.heartbeat import HeartbeatWatch
 from drives.objects import OBJECTS, object_name
 from drives.pdo import differences
 from drives.values import DriveReading
@@ -34,9 +39,8 @@ from drives.values import DriveReading
 _FIRST_TRIES: Final = 10
 #: Differences of one drive that a message names beside the first one.
 _NAMED: Final = 8
-_LOST: Final = (
-    "the drive restarted, was exchanged, or was written by another master: check its supply, then run the command again"
-)
+_AGAIN: Final = "check its supply, then run the command again"
+_LOST: Final = f"the drive restarted, was exchanged, or was written by another master: {_AGAIN}"
 #: How far the first TPDO may be from SDO at standstill, in motor revolutions.
 _AGREEMENT_REVOLUTIONS: Final = 0.01
 
@@ -131,6 +135,37 @@ def first_epoch(exchange: SyncExchange, again: Callable[[Epoch], bool] = lambda 
     return epoch
 
 
+def refuse_exchanged(drive: Cia402Drive) -> None:
+    """Refuse a device that reports another identity than the one that was connected.
+
+    Raises
+    ------
+    IdentityMismatch
+        Vendor, product, revision, serial number, names or versions differ.
+    """
+    before, now = drive.identity, read_identity(drive.access.sdo)
+    if before is None or now == before:
+        return
+    names = [field.name for field in fields(now) if getattr(now, field.name) != getattr(before, field.name)]
+    changes = [f"{name.replace('_', ' ')} was {getattr(before, name)}, {getattr(now, name)} is read" for name in names]
+    what = f"is not the device that was connected: {'; '.join(changes)}"
+    raise IdentityMismatch(what, node=drive.node_id, index=0x1018, advice=f"it was not enabled: {_AGAIN}")
+
+
+def refuse_rebooted(watch: HeartbeatWatch, bus: Bus) -> None:
+    """Refuse drives whose boot-up was received since they were configured, once all of them have been read back.
+
+    Raises
+    ------
+    DriveRebooted, SeveralFailures
+        One error for each of them.
+    """
+    bus.listen(POLL_S)
+    what = "restarted (boot-up message) after it was configured"
+    advice = f"it was not enabled: {_AGAIN}"
+    raise_failures([DriveRebooted(what, node=node, advice=advice) for node in sorted(watch.booted)])
+
+
 def refuse_lost_configuration(drive: Cia402Drive) -> None:
     """Refuse a drive that no longer holds what was configured, or is not where it came to rest.
 
@@ -141,7 +176,8 @@ def refuse_lost_configuration(drive: Cia402Drive) -> None:
     Raises
     ------
     ConfigurationRefused
-        Every object and PDO that differs, with its value as configured and as read; the error names the first one.
+        Every object and PDO that differs, with its value as configured and as read; the error names the first one. Or
+        an interpolation period that is not the SYNC period.
     """
     mapped = {(each.index, each.subindex) for plan in drive.commands for each in plan.entries}
     lost = [
@@ -159,6 +195,7 @@ def refuse_lost_configuration(drive: Cia402Drive) -> None:
         more = [f"and {len(others) - _NAMED} more"] if len(others) > _NAMED else []
         what = "; ".join([first, *named, *more])
         raise ConfigurationRefused(what, node=drive.node_id, index=index, subindex=subindex, advice=_LOST)
+    drive.check_interpolation_period()
     position = drive.setup.profile.position.object
     if drive.rest_count is not None:
         count = drive.access.read(position)

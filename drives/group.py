@@ -67,6 +67,8 @@ class DriveGroup(DriveSetup):
 
         Raises
         ------
+        IdentityMismatch, DriveRebooted, ConfigurationRefused
+            A drive was exchanged, restarted or written since it was configured; no axis was enabled.
         DriveFault, NotOperational, TransitionTimeout, IncompleteEpochs, SeveralFailures
             All axes are disabled again. A drive in FAULT is refused and never reset; one that falls back while being
             enabled is not enabled again.
@@ -78,6 +80,7 @@ class DriveGroup(DriveSetup):
         self._for_each(lambda drive: enable_checks.refuse_fault(drive, guard))
         self._for_each(enable_checks.refuse_unsafe)
         try:
+            self._for_each(enable_checks.refuse_exchanged)
             self._for_each(enable_checks.refuse_lost_configuration)
         except Exception:
             self._configured = False
@@ -92,6 +95,8 @@ class DriveGroup(DriveSetup):
 
     def _enable(self, exchange: SyncExchange, guard: Guard, sequence: EnableSequence) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
+        if self._watch is not None:
+            enable_checks.refuse_rebooted(self._watch, self._bus)
         guard.forgive()
         self._bus.free_count = None  # from now on the guard watches for other masters
         exchange.restart()

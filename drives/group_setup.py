@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from drives import discovery, enable_checks
+from drives import discovery, enable_checks, stopping
 from drives.access import ObjectAccess
 from drives.admission import Admission, EmergencyListener
-from drives.bus import Bus
+from drives.bus import SYNC_ID, Bus
 from drives.busload import frame_bits_worst, load_percent
 from drives.cia402 import ENABLE_OPERATION
 from drives.drive import AxisSetup, Cia402Drive, Identity
@@ -35,6 +35,8 @@ from drives.reactions import DRIVE_RULES
 from drives.statistics import GroupStatistics, group_statistics
 
 _SHORTEST_LISTENING_S: Final = DRIVE_RULES["heartbeat_lost"].limit
+#: Lockstep: time for the simulator to process a SYNC.
+_SYNC_PAUSE_S: Final = 0.002
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,6 +119,8 @@ class DriveSetup:
         self.ledger = WriteLedger(self.options.ledger_path)
         self.drives: tuple[Cia402Drive, ...] = ()
         self.instruments: tuple[Instrument, ...] = ()
+        #: What `restore` read of each drive that it found energised and disabled.
+        self.taken_down: tuple[str, ...] = ()
         #: Text about PDOs that the gateway does not use and must not switch off, as found by `configure`.
         self.left_pdos: tuple[str, ...] = ()
         #: Every axis is in OPERATION ENABLED and follows `exchange`.
@@ -319,16 +323,21 @@ class DriveSetup:
         enable_checks.reset_fault(drive)
 
     def restore(self) -> None:
-        """Restore every object of the connected drives that is in the ledger.
+        """Disable drives that an interrupted run left energised, then restore every object that is in the ledger.
+
+        What was read of a drive that was disabled is in `taken_down`.
 
         Raises
         ------
         SeveralFailures or DriveError
-            Objects that could not be restored; they stay in the ledger.
+            Drives that were not disabled, and objects that could not be restored; they stay in the ledger.
         """
         self._require(not self._running, "disable() before restoring")
         self._require(bool(self.drives or self.instruments), "connect() first")
         failures: list[DriveError] = []
+        taken_down: list[str] = []
+        failures += self._failures(lambda drive: taken_down.append(stopping.take_down(drive, self._pause)))
+        self.taken_down = tuple(filter(None, taken_down))
 
         def put_back(node: Cia402Drive | Instrument) -> None:
             failures.extend(node.access.restore())
@@ -336,6 +345,15 @@ class DriveSetup:
         failures += self._failures(put_back, put_back)
         self._close_exchange()
         raise_failures(failures)
+
+    def _pause(self, seconds: float) -> None:
+        """Wait; in lockstep a simulated drive goes on only with SYNC."""
+        if self.timing.pacing == "real":
+            self._bus.listen(seconds)
+            return
+        for _ in range(math.ceil(seconds / self.timing.period_s)):
+            self._bus.send(SYNC_ID, b"")
+            self._bus.listen(_SYNC_PAUSE_S)
 
     @property
     def noted(self) -> tuple[LedgerEntry, ...]:

@@ -1,7 +1,9 @@
 """Quick stop and disable. No controlword of this module energises an axis or resets a fault.
 
-A drive is disabled only at rest: a holding brake must not stop a moving axis. An unconfirmed command (no answer,
-OPERATION ENABLED not left, axis not at rest) ends the master's heartbeat at once, so that the drives stop themselves.
+A drive is disabled only at rest: a holding brake must not stop a moving axis. Standstill is read from the drive, by
+SYNC or, where SYNC does not work, by SDO. An axis that answers SYNC and does not slow down in its quick stop is
+disabled although it moves. An unconfirmed command (no answer, OPERATION ENABLED not left, axis not at rest) ends the
+master's heartbeat at once, so that the drives stop themselves.
 
 No error ends the sequence: an exception of one axis or SYNC is stored as a failure, the heartbeat ends, and the other
 axes are stopped.
@@ -15,7 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from drives import bringup
 from drives.cia402 import (
+    AT_REST,
     DISABLE_OPERATION,
     DISABLE_VOLTAGE,
     QUICK_STOP,
@@ -27,7 +31,7 @@ from drives.cia402 import (
 )
 from drives.drive import Cia402Drive
 from drives.epoch import Epoch
-from drives.errors import DriveError, TransitionTimeout, while_stopping
+from drives.errors import DriveError, SdoAbort, TransitionTimeout, while_stopping
 from drives.exchange import SyncExchange
 from drives.objects import OBJECTS
 from drives.sdo import ONCE
@@ -36,6 +40,11 @@ from drives.sdo import ONCE
 _SILENT: Final = 3
 #: Longest quick stop ramp that is waited for.
 _RAMP_S: Final = 2.0
+#: An axis that still slows down after that is waited for: longest time, and time over which its movement is compared.
+_SLOWING_S: Final = 10.0
+_SLOWING_STEP_S: Final = 0.25
+#: Movement in that time, as a share of that in the time before, from which an axis does not slow down.
+_SLOWING_SHARE: Final = 0.99
 #: What an axis is given beyond the time that a step should take, until the step counts as not confirmed.
 _PATIENCE_S: Final = 0.2
 #: Time for which positions are monitored after the brakes have closed; by SYNCs, and at most by wall clock.
@@ -44,6 +53,11 @@ _DROP_WATCH_MAX_S: Final = 1.0
 #: Where only SDO is left: time between two readings, and by how much they differ at rest, in motor revolutions.
 _SDO_PAUSE_S: Final = 0.02
 _SDO_STILL_REVOLUTIONS: Final = 0.005
+#: Readings in a row that have to show that.
+_SDO_STILL_READINGS: Final = 3
+#: Controlwords that lead from OPERATION ENABLED to SWITCH ON DISABLED, and one to spare.
+_SDO_WORDS: Final = 4
+_EMERGENCY: Final = "use the emergency stop; then check the drive"
 _DOWN: Final = frozenset({State.SWITCH_ON_DISABLED, State.NOT_READY, State.FAULT})
 _STOPPED: Final = _DOWN | {State.QUICK_STOP_ACTIVE, State.READY_TO_SWITCH_ON, State.SWITCHED_ON}
 #: States in which the drive itself holds or brakes the axis.
@@ -117,9 +131,9 @@ def disabling_controlword(state: State) -> int:
 
 
 class _DisableSequence:
-    """Controlwords to SWITCH ON DISABLED; an axis stays in SWITCHED ON until its brake has had its time to close.
+    """Controlwords to SWITCH ON DISABLED, once the brake has had its time to close.
 
-    Without the voltage a drive cannot hold the axis while the brake closes.
+    Until then an axis stays in SWITCHED ON or QUICK STOP ACTIVE: without the voltage a drive cannot hold the axis.
 
     Parameters
     ----------
@@ -134,9 +148,9 @@ class _DisableSequence:
 
     def word(self, axis: int, state: State) -> int:
         """Return the next controlword of an axis; one call per SYNC."""
-        if state is State.SWITCHED_ON and self._left[axis] > 0:
+        if state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE) and self._left[axis] > 0:
             self._left[axis] -= 1
-            return DISABLE_OPERATION
+            return _braking_word(axis, state)
         return disabling_controlword(state)
 
 
@@ -156,16 +170,37 @@ def quick_stop(exchange: SyncExchange) -> list[DriveError]:
     def done(axis: int) -> bool:
         return exchange.states[axis] in _STOPPED and exchange.is_at_rest(axis)
 
-    def word(_axis: int, state: State) -> int:
-        # a brake that is closing is given its time by `disable`
-        return DISABLE_OPERATION if state is State.SWITCHED_ON else stopping_controlword(state)
-
-    step = _Step(word, False, done, _PATIENCE_S, _RAMP_S + _PATIENCE_S, _STOPPED)
+    step = _Step(_braking_word, False, done, _PATIENCE_S, _RAMP_S + _PATIENCE_S, _STOPPED)
     return _run(exchange, step, lambda epoch: None)
+
+
+def _braking_word(_axis: int, state: State) -> int:
+    """Return the controlword of a quick stop; a brake that is closing is given its time by `disable`."""
+    return DISABLE_OPERATION if state is State.SWITCHED_ON else stopping_controlword(state)
+
+
+def _wait_while_slowing(exchange: SyncExchange) -> list[DriveError]:
+    """Go on with the quick stop while an axis that moves in QUICK STOP ACTIVE still slows down."""
+    span = math.ceil(_SLOWING_STEP_S / exchange.timing.period_s)
+    history: list[list[int | None]] = []
+
+    def slows(axis: int) -> bool:
+        counts = [row[axis] or 0 for row in history[::-span][:3]]
+        return len(counts) < 3 or abs(counts[0] - counts[1]) < _SLOWING_SHARE * abs(counts[1] - counts[2])
+
+    def done(axis: int) -> bool:
+        return exchange.states[axis] is not State.QUICK_STOP_ACTIVE or exchange.is_at_rest(axis) or not slows(axis)
+
+    if all(map(done, range(len(exchange.drives)))):
+        return []
+    step = _Step(_braking_word, False, done, _PATIENCE_S, _SLOWING_S, _STOPPED)
+    return _run(exchange, step, lambda _epoch: history.append(list(exchange.position_count)))
 
 
 def disable(exchange: SyncExchange) -> list[DriveError]:
     """Bring every axis to SWITCH ON DISABLED, moving axes by their quick stop ramp; a drive in fault stays there.
+
+    An axis that does not come to rest in the time of a ramp is waited for as long as it slows down.
 
     Afterwards the positions are watched for a while: `SyncExchange.brake_drop_rad`.
 
@@ -176,18 +211,23 @@ def disable(exchange: SyncExchange) -> list[DriveError]:
         master's heartbeat has ended.
     """
     failures = quick_stop(exchange) if _moves(exchange) else []
+    _add_new(failures, _wait_while_slowing(exchange))
     brake_drop, sequence = _BrakeDrop(exchange), _DisableSequence(exchange)
     leave_s = _PATIENCE_S + max(drive.setup.profile.state_machine.transition_timeout_s for drive in exchange.drives)
     limit_s = leave_s + sequence.closing_s
     step = _Step(sequence.word, True, lambda axis: exchange.states[axis] in _DOWN, leave_s, limit_s, _DOWN)
-    later = _run(exchange, step, brake_drop.note)
-    reported = {(type(error), error.node) for error in failures}
-    failures += [error for error in later if (type(error), error.node) not in reported]
+    _add_new(failures, _run(exchange, step, brake_drop.note))
     if exchange.powered:
         exchange.powered = False
         failures += _watch(exchange, brake_drop)
         exchange.brake_drop_rad = brake_drop.rad()
     return failures
+
+
+def _add_new(failures: list[DriveError], later: list[DriveError]) -> None:
+    """Append failures of a later step, except those of the same kind and node."""
+    reported = {(type(error), error.node) for error in failures}
+    failures += [error for error in later if (type(error), error.node) not in reported]
 
 
 def _moves(exchange: SyncExchange) -> bool:
@@ -239,34 +279,107 @@ def _run(exchange: SyncExchange, step: _Step, note: Callable[[Epoch], None]) -> 
                 break
     except Exception as error:
         failures.append(while_stopping(error))
-    rest = [axis for axis in axes if exchange.unanswered[axis] or not step.done(axis) or failures]
+    broken = bool(failures)
+    rest = [axis for axis in axes if exchange.unanswered[axis] or not step.done(axis) or broken]
     if rest:
         exchange.end_heartbeat()
     for axis in rest:
-        failures += _by_sdo(exchange, axis, step)
+        failures += _by_sdo(exchange, axis, step, broken or exchange.unanswered[axis] > 0)
     return failures
 
 
-def _by_sdo(exchange: SyncExchange, axis: int, step: _Step) -> list[DriveError]:
-    """Run the step by SDO for an axis that does not respond to SYNC."""
+def _by_sdo(exchange: SyncExchange, axis: int, step: _Step, without_sync: bool) -> list[DriveError]:
+    """Run the step by SDO for an axis that does not respond to SYNC, or has not done the step."""
     drive = exchange.drives[axis]
     try:
-        for _ in range(4):
+        if step.disables:
+            allowed = drive.scale.revolutions(_SDO_STILL_REVOLUTIONS)
+            _lead_down(drive, allowed if without_sync else None, time.sleep)
+            return []
+        for _ in range(_SDO_WORDS):
             state = _state(drive)
             if state in step.reached:
-                return [] if _seen_at_rest(exchange, axis, step) else [_still_moving(drive)]
-            if state is State.OPERATION_ENABLED and step.disables:
-                _send(drive, QUICK_STOP)
-                _wait_for_rest(drive)
-                state = _state(drive)
-            if state is State.SWITCHED_ON and step.disables:
-                time.sleep(_closing_s(drive))
-            _send(drive, disabling_controlword(state) if step.disables else step.word(axis, state))
-        what = f"stays in {_state(drive)}"
-        advice = "use the emergency stop; then check the drive"
-        return [TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice)]
+                return [] if _seen_at_rest(exchange, axis, step, without_sync) else [_still_moving(drive)]
+            _send(drive, step.word(axis, state))
+        return [_stays(drive)]
     except Exception as error:
-        return [while_stopping(error, drive.node_id)]
+        return [_unknown(while_stopping(error, drive.node_id))]
+
+
+def _unknown(failure: DriveError) -> DriveError:
+    """Add to a failure of an axis, of which nothing more can be read, what a person has to do."""
+    if "emergency stop" not in failure.advice:
+        failure.what += "; it is not known whether the axis is at rest"
+        failure.advice = f"{_EMERGENCY}; {failure.advice}" if failure.advice else _EMERGENCY
+    return failure
+
+
+def _lead_down(drive: Cia402Drive, allowed_count: float | None, pause: Callable[[float], None]) -> None:
+    """Bring a drive to SWITCH ON DISABLED by SDO, once its standstill has been read.
+
+    Parameters
+    ----------
+    drive : Cia402Drive
+    allowed_count : float or None
+        Difference of two readings of the position at rest; None = standstill was read, or waited for, by SYNC.
+    pause : callable
+        Waits for a number of seconds.
+
+    Raises
+    ------
+    TransitionTimeout
+        It does not come to rest, or stays in another state. An axis that moves is not disabled.
+    """
+    for _ in range(_SDO_WORDS):
+        state = _state(drive)
+        if state in _DOWN:
+            return
+        if state in _HELD:
+            if state is State.OPERATION_ENABLED:
+                _send(drive, QUICK_STOP)
+            if allowed_count is not None and not _wait_for_rest(drive, allowed_count, pause):
+                raise _still_moving(drive, "; it was not disabled")
+            state = _state(drive)
+        if state in (State.SWITCHED_ON, State.QUICK_STOP_ACTIVE):
+            pause(_closing_s(drive))
+        _send(drive, disabling_controlword(state))
+    if _state(drive) not in _DOWN:
+        raise _stays(drive)
+
+
+def take_down(drive: Cia402Drive, pause: Callable[[float], None]) -> str:
+    """Disable a drive that an interrupted run left energised, by SDO: quick stop, standstill, brake time, voltage off.
+
+    Parameters
+    ----------
+    drive : Cia402Drive
+        Connected; it need not be configured.
+    pause : callable
+        Waits for a number of seconds.
+
+    Returns
+    -------
+    str
+        What was read, and what was done; empty where the drive was disabled.
+
+    Raises
+    ------
+    DriveError
+        It does not come to rest or cannot be read; then it is not disabled.
+    """
+    found = _state(drive)
+    if found in AT_REST and found is not State.SWITCHED_ON:
+        return ""
+    position = drive.setup.profile.position.object
+    try:
+        allowed = _SDO_STILL_REVOLUTIONS * bringup.read_resolution(drive.access)
+        before = drive.access.read(position, ONCE)
+        _lead_down(drive, allowed, pause)
+        after = drive.access.read(position, ONCE)
+    except Exception as error:
+        raise _unknown(while_stopping(error, drive.node_id)) from error
+    text = f"node {drive.node_id}: was in {found} at {before} counts; at rest and in {_state(drive)}"
+    return f"{text} at {after} counts, read from the drive"
 
 
 def _send(drive: Cia402Drive, word: int) -> None:
@@ -278,30 +391,56 @@ def _state(drive: Cia402Drive) -> State:
     return decode_state(drive.access.read(OBJECTS["statusword"], ONCE))
 
 
-def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step) -> bool:
+def _seen_at_rest(exchange: SyncExchange, axis: int, step: _Step, without_sync: bool) -> bool:
     """Return whether a stopped axis is at rest, by its answers to SYNC or, without any, by SDO."""
-    if step.disables or step.done(axis):
-        return True
-    if not exchange.unanswered[axis]:
-        return exchange.states[axis] not in step.reached
-    return _wait_for_rest(exchange.drives[axis])
+    if without_sync:
+        drive = exchange.drives[axis]
+        return _wait_for_rest(drive, drive.scale.revolutions(_SDO_STILL_REVOLUTIONS), time.sleep)
+    return step.done(axis) or exchange.states[axis] not in step.reached
 
 
-def _wait_for_rest(drive: Cia402Drive) -> bool:
-    """Wait until two SDO readings show that the axis is at rest; return whether they do in time."""
-    allowed = max(1.0, drive.scale.revolutions(_SDO_STILL_REVOLUTIONS))
+def _wait_for_rest(drive: Cia402Drive, allowed_count: float, pause: Callable[[float], None]) -> bool:
+    """Wait until SDO readings of position and velocity show that the axis is at rest; return whether they do in time.
+
+    The velocity is read where the profile states its unit.
+    """
+    position, allowed = drive.setup.profile.position.object, max(1.0, allowed_count)
+    turn = allowed_count / _SDO_STILL_REVOLUTIONS
     until_s = time.monotonic() + _RAMP_S
     before: int | None = None
+    still = 0
     while time.monotonic() < until_s:
-        count = drive.access.read(drive.setup.profile.position.object, ONCE)
-        if before is not None and abs(count - before) <= allowed:
+        count = drive.access.read(position, ONCE)
+        at_rest = before is not None and abs(count - before) <= allowed and _velocity_is_zero(drive, turn)
+        still = still + 1 if at_rest else 0
+        if still >= _SDO_STILL_READINGS:
             return True
         before = count
-        time.sleep(_SDO_PAUSE_S)
+        pause(_SDO_PAUSE_S)
     return False
 
 
-def _still_moving(drive: Cia402Drive) -> DriveError:
+def _velocity_is_zero(drive: Cia402Drive, turn_count: float) -> bool:
+    """Return whether the drive reports no speed (0x606C) above that of `_SDO_STILL_REVOLUTIONS` per reading.
+
+    Without a known unit, or where the drive refuses the object, the position alone decides.
+    """
+    velocity = drive.setup.profile.velocity
+    unit_rad_s = None if velocity is None else velocity.rad_s(turn_count)
+    if velocity is None or unit_rad_s is None:
+        return True
+    limit_rad_s = 2.0 * math.pi * _SDO_STILL_REVOLUTIONS / _SDO_PAUSE_S
+    try:
+        return abs(drive.access.read(velocity.object, ONCE) * unit_rad_s) <= limit_rad_s
+    except SdoAbort:
+        return True
+
+
+def _stays(drive: Cia402Drive) -> TransitionTimeout:
+    return TransitionTimeout(f"stays in {_state(drive)}", node=drive.node_id, index=0x6041, advice=_EMERGENCY)
+
+
+def _still_moving(drive: Cia402Drive, and_so: str = "") -> DriveError:
     advice = "use the emergency stop; then check its quick stop ramp (0x605A, 0x6085) and its brake"
-    what = f"still moves {_RAMP_S + _PATIENCE_S:.1f} s after the stop command"
+    what = f"still moves {_RAMP_S + _PATIENCE_S:.1f} s after the stop command{and_so}"
     return TransitionTimeout(what, node=drive.node_id, index=0x6064, advice=advice)

@@ -85,7 +85,7 @@ class TorqueSignalReader:
         bits = 0
         for role, reference in wanted:
             known = any(reference == other for _, other in found)
-            if known or bits + reference.size_bits > _MAX_BITS or drive.access.read_optional(reference) is None:
+            if known or bits + reference.size_bits > _MAX_BITS or drive.access.read_readable(reference) is None:
                 continue
             found.append((role, reference))
             bits += reference.size_bits

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -13,7 +14,7 @@ from drives.bus import Bus
 from drives.datasheet.building import read_sheet
 from drives.datasheet.sheet import Sheet
 from drives.discovery import nmt_states, require_one
-from drives.errors import IdentityMismatch, SdoAbort
+from drives.errors import IdentityMismatch, SdoAbort, SdoProtocolError
 from drives.foreign_master import refuse_foreign
 from drives.objects import OBJECTS, DataType, object_name
 from drives.probe import probe
@@ -131,7 +132,11 @@ def ask_drive(bus: Bus, node_id: int, device: Device) -> Device:
     try:
         identity = read_identity(sdo)
         _require_same(identity, device.sheet)
-        return Device(device.sheet, identity, {address: _answer(sdo, device.sheet, address) for address in ASKED})
+        live: dict[Address, int | None] = {}
+        for address in ASKED:
+            with suppress(SdoAbort, SdoProtocolError):  # it cannot be read: an open question, or the value of the sheet
+                live[address] = _answer(sdo, device.sheet, address)
+        return Device(device.sheet, identity, live)
     finally:
         sdo.close()
 

@@ -19,7 +19,7 @@ from drives.profile_parts import NEEDED_WRITES
 from drives.toml_text import toml_string
 
 #: Written beside what bringing up needs, where the drive has it.
-USEFUL_WRITES: Final = (0x1006, 0x1017, 0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803, 0x1A01, 0x1A02, 0x60C2)
+USEFUL_WRITES: Final = (0x1006, 0x1017, 0x1401, 0x1402, 0x1403, 0x1801, 0x1802, 0x1803, 0x1A01, 0x1A02, 0x605A, 0x60C2)
 #: Placeholder for an unknown encoder resolution; such a drive is not moved.
 COUNTS_ASSUMED: Final = 65536
 _ABORT_CONNECTION: Final = {"quick stop": 3, "disable voltage": 2}

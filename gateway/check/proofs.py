@@ -1,7 +1,8 @@
 """Proofs that the drives stop on loss of the master, stored beside the write ledger and required before any motion.
 
 A proof is valid for these drives (serial number, firmware) with these settings, SYNC and gears. Any change makes it
-invalid, together with the record that these drives have moved before.
+invalid, together with the record that these drives have moved before. The exchange of a drive without a serial number
+cannot be detected: its proof is valid only in the session in which it was made.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from drives.files import replace_file
+from drives.ledger import KnownDevice, without_shared_serials
 from drives.profile import DriveProfile
 from drives.values import Identity
 from gateway.cell.config import AxisConfig
@@ -30,16 +32,23 @@ SCHEMA: Final = 2
 
 def fingerprint(opened: OpenArm) -> dict[str, Any]:
     """Return the fingerprint of a proof: SYNC, and for each axis the drive, its settings, gear and commands."""
-    timing = opened.group.timing
-    axes = zip(opened.config.axis, opened.profiles, opened.identities, opened.readings, strict=True)
+    timing, serials = opened.group.timing, _serial_numbers(opened)
+    axes = zip(opened.config.axis, opened.profiles, opened.identities, opened.readings, serials, strict=True)
     return {
         "pacing": timing.pacing,
         "sync_period_s": timing.period_s,
         "axes": [
             _axis(config, profile, identity, _settings(profile, readings))
-            for config, profile, identity, readings in axes
+            | {"serial_number": f"none; session {opened.session}" if serial is None else serial}
+            for config, profile, identity, readings, serial in axes
         ],
     }
+
+
+def _serial_numbers(opened: OpenArm) -> list[int | None]:
+    """Return the serial number of each drive; None where it has none, or shares it with another one."""
+    devices = [KnownDevice.of(identity, None) for identity in opened.identities]
+    return [device.serial_number for device in without_shared_serials(devices)]
 
 
 def _axis(
@@ -50,7 +59,6 @@ def _axis(
         "vendor_id": identity.vendor_id,
         "product_code": identity.product_code,
         "revision": identity.revision,
-        "serial_number": identity.serial_number,
         "firmware": identity.software_version,
         "consumer_ms": profile.heartbeat.consumer_ms,
         "abort_connection": profile.heartbeat.abort_connection,
@@ -179,6 +187,13 @@ def require_proven(opened: OpenArm, path: Path) -> None:
     FindingFailed
         There is no proof for these drives with these settings.
     """
+    unknown = [f"J{joint}" for joint, serial in enumerate(_serial_numbers(opened), start=1) if serial is None]
+    if unknown:
+        raise FindingFailed(
+            f"nothing has moved: arm '{opened.config.name}', {', '.join(unknown)}: a drive without a serial number of"
+            " its own has to be proven to stop in each session, which is not possible while two arms hold a part; use"
+            " drives with serial numbers (0x1018:04)"
+        )
     if proven_on(path, opened) is None:
         raise FindingFailed(
             f"nothing has moved: it is not proven that the drives of arm '{opened.config.name}', with their present"

@@ -260,7 +260,10 @@ def _count(lines: Sequence[Finding]) -> str:
 @json_option
 @common
 def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out: str | None) -> None:
-    """Restore the drive parameters recorded in the write ledger and read them back. The drives must be disabled.
+    """Disable drives that are still energised, then restore the parameters recorded in the write ledger.
+
+    A drive in OPERATION ENABLED, QUICK STOP ACTIVE or SWITCHED ON is stopped by its quick stop ramp. Once its
+    standstill is read and its brake has had its time to close, its voltage is disabled. Every parameter is read back.
 
     If a drive does not answer or refuses an object, the others are still restored. The entry stays in the ledger, is
     listed, and the exit code is 4. An object that another tool has written since keeps its value.
@@ -280,6 +283,8 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
                     group.restore()
                 except DriveError as error:
                     wrong.append(error)
+            for line in group.taken_down:
+                session_of().show(f"arm {arm.name}: {line}")
             superseded = [entry for node in (*group.drives, *group.instruments) for entry in node.access.superseded]
             left = group.noted
             back = [entry for entry in before if entry not in left and entry not in superseded]
@@ -294,7 +299,8 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
                 left, wrong = (), []
             failures += wrong
         listed = {"put_back": back, "written_by_others": superseded, "left": left}
-        arms.append({"arm": arm.name} | {key: [str(entry) for entry in each] for key, each in listed.items()})
+        texts = {key: [str(entry) for entry in each] for key, each in listed.items()}
+        arms.append({"arm": arm.name} | texts | {"disabled": list(group.taken_down)})
     if json_out:
         write_json(json_out, {"schema": 1, "cell": context.loaded.cell.name, "arms": arms})
     raise_failures(failures)

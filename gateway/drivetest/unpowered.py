@@ -57,8 +57,10 @@ def run_unpowered(opened: OpenArm, sheets: Sequence[DriveSheet], record: FrameRe
                 _at_period(opened, usable(sheets), record, period_s, count)
     finally:
         bench.command(NmtCommand.ENTER_PREOPERATIONAL, 0.02)
-        for sheet in usable(sheets):
-            _with_period(sheet, group.timing.period_s)
+        for sheet in sheets:
+            refused = _with_period(sheet, group.timing.period_s)
+            if refused:  # `DriveGroup.enable` refuses such a drive: nothing moves
+                sheet.findings.append(f"the interpolation period of the cell was not restored: {refused}")
     for sheet in sheets:
         _heartbeat(sheet, record)
 

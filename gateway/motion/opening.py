@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from uuid import uuid4
 
 import numpy as np
 
@@ -79,6 +80,8 @@ class OpenArm:
         Findings of the pre-flight check before anything was written.
     readings : tuple of Readings, one per axis
         Objects of each drive before configuration, (index, subindex) -> value.
+    session : str
+        Unique for each connection to the drives.
     """
 
     loaded: LoadedCell
@@ -92,6 +95,7 @@ class OpenArm:
     constants: tuple[Constants, ...]
     preflight: tuple[Finding, ...]
     readings: tuple[Readings, ...]
+    session: str = field(default_factory=lambda: uuid4().hex)
 
 
 class _GroupDrives:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from drives.bringup import ENDING_OPTIONS, RAMP_OPTION
 from drives.objects import OBJECTS
 from gateway.preflight.rules import Axis, Lines, Readings, counts_per_revolution, value_of
 from gateway.result.result import Finding
@@ -14,10 +15,9 @@ from gateway.result.result import Finding
 #: Duration of a quick stop from the cell's speed limit [s] above which motion is refused.
 TOO_LONG_S: Final = 1.0
 LONG_S: Final = 0.5
-#: Quick stop options by deceleration method (CiA 402-2, table 22).
-BY_SLOW_RAMP: Final = (1, 5)
-BY_QUICK_RAMP: Final = (2, 6)
-BY_LIMIT: Final = (3, 4, 7, 8)
+#: Quick stop options used in a run that stop by the ramp 0x6084, and at the current limit (CiA 402-2, table 22).
+BY_SLOW_RAMP: Final = 1
+BY_LIMIT: Final = 3
 #: Options that may be missing or hold a manufacturer-specific value.
 _OPTIONAL: Final = (
     "quick_stop_option",
@@ -56,16 +56,28 @@ def judge_coasting(axis: Axis, readings: Readings) -> list[Finding]:
 
 
 def _quick_stop(lines: Lines, readings: Readings) -> None:
-    option, address = value_of(readings, "quick_stop_option"), OBJECTS["quick_stop_option"].address
+    option, entry = value_of(readings, "quick_stop_option"), OBJECTS["quick_stop_option"]
+    if option is None:
+        return
+    if option == BY_LIMIT:
+        lines.add("ok", entry.address, f"{option}: stops at the current limit, without a ramp")
+    elif option in ENDING_OPTIONS:
+        lines.add("ok", entry.address, f"{option}: stops on a ramp")
+    elif entry.index in lines.axis.profile.write.allow:
+        what = f"{option}: {_after_quick_stop(option)}; {RAMP_OPTION} (quick stop ramp) is written for each run"
+        lines.add("info", entry.address, what)
+    else:
+        advice = "set 1, 2 or 3 in the drive, or add 0x605A to write.allow of the profile"
+        lines.add("fail", entry.address, f"{option}: {_after_quick_stop(option)}", advice)
+
+
+def _after_quick_stop(option: int) -> str:
+    """Return what a drive does in or after a quick stop with an option that is not used in a run."""
     if option == 0:
-        what = "0: a quick stop disables the drive; the axis coasts until the brake engages"
-        lines.add("fail", address, what, "set 2 (quick stop ramp) in the drive")
-    elif option in (*BY_SLOW_RAMP, *BY_QUICK_RAMP):
-        lines.add("ok", address, f"{option}: stops on a ramp")
-    elif option in BY_LIMIT:
-        lines.add("ok", address, f"{option}: stops at the current or voltage limit, without a ramp")
-    elif option is not None:
-        _of_the_maker(lines, "quick_stop_option", option)
+        return "a quick stop disables the drive; the axis coasts until the brake engages"
+    if option in (5, 6, 7, 8):
+        return "after a quick stop the drive stays energised, and the next controlword would enable it again"
+    return "the effect of this quick stop option is not defined by CiA 402 or not known"
 
 
 def _fault_reaction(lines: Lines, readings: Readings) -> None:
@@ -104,18 +116,22 @@ def _of_the_maker(lines: Lines, name: str, option: int) -> None:
 
 
 def quick_stop_ramp(readings: Readings) -> tuple[str, int | None]:
-    """Return name and value of the object with the quick stop ramp; None if missing or unknown."""
+    """Return name and value of the object with the quick stop ramp of a run; None if missing or not used."""
     option = value_of(readings, "quick_stop_option")
-    name = "profile_deceleration" if option in BY_SLOW_RAMP else "quick_stop_deceleration"
-    return name, None if option in BY_LIMIT else value_of(readings, name)
+    name = "profile_deceleration" if option == BY_SLOW_RAMP else "quick_stop_deceleration"
+    return name, None if option == BY_LIMIT else value_of(readings, name)
 
 
 def _ramp(lines: Lines, readings: Readings) -> None:
     """Check the quick stop ramp and its duration from the cell's speed limit."""
     name, raw = quick_stop_ramp(readings)
-    if raw is None:
-        return
     address, velocity = OBJECTS[name].address, lines.axis.profile.velocity
+    option = value_of(readings, "quick_stop_option")
+    if raw is None:
+        if option not in (None, BY_LIMIT):
+            what = "missing or not readable: duration of a quick stop unknown"
+            lines.add("fail", address, what, "set 0x605A to 3 (current limit) in the drive, if it takes that")
+        return
     if raw == 0:
         lines.add("fail", address, "0: the quick stop has no ramp", "set the deceleration in the drive")
         return
@@ -123,7 +139,10 @@ def _ramp(lines: Lines, readings: Readings) -> None:
     unit_rad_s2 = None if velocity is None else velocity.ramp_rad_s2(counts)
     if unit_rad_s2 is None:
         what = f"{raw}: duration of a quick stop unknown, because the profile has no [velocity]"
-        lines.add("info", address, what)
+        advice = (
+            "copy the profile and state [velocity] from the manual, or set 0x605A to 3 (current limit) in the drive"
+        )
+        lines.add("fail", address, what, advice)
         return
     config = lines.axis.config
     speed_rad_s = config.speed_limit_rad_s * abs(config.gear_ratio.value)
@@ -139,6 +158,6 @@ def _ramp(lines: Lines, readings: Readings) -> None:
 
 
 def _missing(lines: Lines, readings: Readings) -> None:
-    absent = [f"{OBJECTS[name]}" for name in _OPTIONAL if value_of(readings, name) is None]
+    absent = [f"{OBJECTS[name]}" for name in _OPTIONAL if readings.get(OBJECTS[name].address, 0) is None]
     if absent:
         lines.add("info", None, f"the drive does not have {', '.join(absent)}")

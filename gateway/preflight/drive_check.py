@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -11,7 +11,7 @@ from drives.bringup import read_identity
 from drives.bus import Bus
 from drives.busload import cycle_bits_worst, load_percent
 from drives.discovery import LISTEN_S, nmt_states
-from drives.errors import DriveError, SdoAbort, SdoError, raise_failures
+from drives.errors import DriveError, SdoAbort, SdoError, SdoProtocolError, raise_failures
 from drives.foreign_master import refuse_foreign
 from drives.group import DriveGroup
 from drives.heartbeat import NmtState
@@ -30,6 +30,7 @@ from gateway.preflight.limits import judge_place, judge_ranges
 from gateway.preflight.rules import (
     Address,
     Axis,
+    Lines,
     Readings,
     conditions,
     judge_identity,
@@ -79,6 +80,28 @@ READ_SETTINGS: Final = (
     "supported_modes",
 )
 
+#: Of these, what has to be readable; and of the others, whose values are checked where they are readable.
+NEEDED: Final = (
+    "statusword",
+    "position",
+    "abort_connection_option",
+    "consumer_heartbeat",
+    "quick_stop_option",
+    "fault_reaction_option",
+)
+CHECKED: Final = (
+    "polarity",
+    "gear_motor_revolutions",
+    "gear_shaft_revolutions",
+    "feed_constant_feed",
+    "feed_constant_revolutions",
+    "position_offset",
+    "max_torque",
+    "max_current",
+    "positive_torque_limit",
+    "negative_torque_limit",
+)
+
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
@@ -102,6 +125,11 @@ class Preflight:
 def addresses(profile: DriveProfile) -> dict[Address, str]:
     """Return the objects to read, with their types, for a drive of this profile."""
     wanted = {OBJECTS[name].address: OBJECTS[name].type for name in (*READ_LIVE, *READ_SETTINGS)}
+    return wanted | _references(profile)
+
+
+def _references(profile: DriveProfile) -> dict[Address, str]:
+    """Return the objects that the profile names, with their types."""
     references: list[ObjectReference] = [profile.torque.object]
     rated = [signal.rated for signal in (profile.torque, profile.current) if signal is not None]
     references += [each.object for each in rated if each is not None and each.object is not None]
@@ -109,7 +137,7 @@ def addresses(profile: DriveProfile) -> dict[Address, str]:
     if isinstance(counts, CountsFromObjects):
         references += [counts.object] if counts.per is None else [counts.object, counts.per]
     references += [condition.object for condition in conditions(profile)]
-    return wanted | {(reference.index, reference.subindex): reference.type for reference in references}
+    return {(reference.index, reference.subindex): reference.type for reference in references}
 
 
 def live_addresses(profile: DriveProfile) -> frozenset[Address]:
@@ -119,30 +147,50 @@ def live_addresses(profile: DriveProfile) -> frozenset[Address]:
     return frozenset(named | {(reference.index, reference.subindex) for reference in shown})
 
 
-def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings]:
-    """Read identity and every relevant object; None if the drive does not have it.
+def needed_addresses(profile: DriveProfile) -> frozenset[Address]:
+    """Return the objects of `addresses` without which a drive is not moved; the others only inform."""
+    return frozenset(_references(profile)) | {OBJECTS[name].address for name in NEEDED}
+
+
+def read_axis(bus: Bus, axis: Axis) -> tuple[Identity, Readings, dict[Address, str]]:
+    """Read identity and every relevant object, as `read_objects`.
 
     Raises
     ------
     SdoError
-        The drive does not answer, or refuses an object that it has.
+        The drive does not answer, or refuses an object that is needed.
     """
     sdo = SdoClient(bus, axis.config.node_id, axis.profile.sdo.timeout_s, axis.profile.sdo.slow_timeout_s)
     try:
-        return read_identity(sdo), read_objects(sdo, axis.profile)
+        return read_identity(sdo), *read_objects(sdo, axis.profile)
     finally:
         sdo.close()
 
 
-def read_objects(sdo: SdoClient, profile: DriveProfile) -> Readings:
-    """Read every relevant object; None if the drive does not have it.
+def read_objects(sdo: SdoClient, profile: DriveProfile) -> tuple[Readings, dict[Address, str]]:
+    """Read every relevant object.
+
+    Returns
+    -------
+    readings : mapping
+        (index, subindex) -> value; None if the drive does not have the object.
+    unread : dict
+        (index, subindex) -> why an object that only informs could not be read; it is not in `readings`.
 
     Raises
     ------
     SdoError
-        The drive does not answer, or refuses an object that it has.
+        The drive does not answer, or refuses an object that is needed.
     """
-    return {address: _read(sdo, address, kind) for address, kind in addresses(profile).items()}
+    needed, readings, unread = needed_addresses(profile), dict[Address, int | None](), dict[Address, str]()
+    for address, kind in addresses(profile).items():
+        try:
+            readings[address] = _read(sdo, address, kind)
+        except (SdoAbort, SdoProtocolError) as error:
+            if address in needed:
+                raise
+            unread[address] = error.what
+    return readings, unread
 
 
 def _read(sdo: SdoClient, address: Address, kind: str) -> int | None:
@@ -204,8 +252,8 @@ def check_arm(
             items.append(_stopped(axis))
             continue
         try:
-            identity, readings = read_axis(bus, axis)
-            seen.append(SeenDrive(axis, identity, as_left(readings, identity, ledger, bus.spec.name)))
+            identity, readings, unread = read_axis(bus, axis)
+            seen.append(SeenDrive(axis, identity, as_left(readings, identity, ledger, bus.spec.name), unread))
         except SdoError as error:
             items.append(_unreachable(axis, error))
     return [*items, *judge_drives(arm, seen).items]
@@ -231,8 +279,9 @@ def look_over(arm: ArmConfig, group: DriveGroup, identities: Sequence[Identity])
     axes = _axes(arm, [access.profile for access in group.access])
     for axis, identity, access in zip(axes, identities, group.access, strict=True):
         try:
-            readings = read_objects(access.sdo, axis.profile)
-            seen.append(SeenDrive(axis, identity, as_left(readings, identity, group.ledger, group.bus.spec.name)))
+            readings, unread = read_objects(access.sdo, axis.profile)
+            left = as_left(readings, identity, group.ledger, group.bus.spec.name)
+            seen.append(SeenDrive(axis, identity, left, unread))
         except DriveError as error:
             failures.append(error)
     raise_failures(failures)
@@ -247,6 +296,7 @@ def judge_drives(arm: ArmConfig, seen: Sequence[SeenDrive]) -> Preflight:
         axis, readings = drive.axis, drive.readings
         items += [*judge_identity(axis, drive.identity), *judge_state(axis, readings)]
         items += judge_place(axis, arm, readings)
+        items += _unreadable(axis, drive.unread)
         settings = [
             *judge_settings(axis, readings),
             *judge_coasting(axis, readings),
@@ -315,6 +365,15 @@ def judge_bus_load(
         return Finding("ok", "bus", what)
     advice = f"set sync_period_s to at least {shortest_s:.4f}"
     return Finding("fail" if config.pacing == "real" else "warn", "bus", what, advice)
+
+
+def _unreadable(axis: Axis, unread: Mapping[Address, str]) -> list[Finding]:
+    """Return one item per object that could not be read; it warns where the value would have been checked."""
+    lines, checked = Lines(axis), {OBJECTS[name].address for name in CHECKED}
+    for address, why in unread.items():
+        advice = "compare it with the manual: it is not checked" if address in checked else ""
+        lines.add("warn" if advice else "info", address, f"not readable: {why}", advice)
+    return lines.items
 
 
 def _twice(axis: Axis, answers: int) -> Finding:

@@ -139,8 +139,12 @@ def _state(lines: Lines, readings: Readings) -> None:
     state = decode_state(word)
     if state in FAULTED:
         lines.add("fail", address, describe(word), "read the fault, remove its cause, reset it at the drive")
-    elif state is State.OPERATION_ENABLED:
-        lines.add("warn", address, describe(word), "another master has enabled this drive; find and stop it")
+    elif state in (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE):
+        what = f"{describe(word)}: the drive is energised, although this command has not enabled it"
+        advice = "stop the other master; after an interrupted run `servo-gateway restore CELL` disables the drive"
+        lines.add("fail", address, what, advice)
+    elif state is State.SWITCHED_ON:
+        lines.add("warn", address, describe(word), "`servo-gateway restore CELL` disables it, unless a master uses it")
     else:
         lines.add("ok", address, describe(word))
 

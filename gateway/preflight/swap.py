@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
 
@@ -18,7 +18,7 @@ from drives.objects import OBJECTS
 from drives.values import Identity
 from gateway.cell.config import ArmConfig
 from gateway.preflight.limits import software_range_rad
-from gateway.preflight.rules import Axis, Readings, joint_torque_limit_nm
+from gateway.preflight.rules import Address, Axis, Readings, joint_torque_limit_nm
 from gateway.result.result import Finding
 
 #: Allowed excess of a drive range over the cell's range, as a share of the cell's span.
@@ -46,11 +46,14 @@ class SeenDrive:
     identity : Identity
     readings : mapping
         (index, subindex) -> value; None if the drive has no such object.
+    unread : mapping
+        (index, subindex) -> why an object that only informs could not be read.
     """
 
     axis: Axis
     identity: Identity
     readings: Readings
+    unread: Mapping[Address, str] = field(default_factory=dict[Address, str])
 
     def at(self, axis: Axis) -> SeenDrive:
         """Return the same drive, assigned to another axis."""

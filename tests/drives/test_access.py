@@ -10,7 +10,7 @@ import pytest
 from drives.access import AccessRules, NodeAccess
 from drives.bringup import check_mode, settle_sync_period
 from drives.cia402 import Mode
-from drives.errors import ConfigurationRefused, DriveFault, SdoAbort, SdoProtocolError, SdoTimeout, SeveralFailures
+from drives.errors import ConfigurationRefused, SdoAbort, SdoProtocolError, SdoTimeout, SeveralFailures
 from drives.files import replace_file
 from drives.group import DriveGroup, GroupOptions
 from drives.ledger import LedgerEntry, WriteLedger
@@ -180,16 +180,17 @@ def test_what_cannot_be_put_back_stays_in_the_ledger_and_is_named(bus, add_slave
     assert slaves[1].values[0x6060, 0] == 0
 
 
-def test_a_drive_that_is_enabled_is_not_put_back(bus, add_slaves, setups):
+def test_a_drive_that_stays_enabled_is_not_put_back(bus, add_slaves, setups):
     slaves = add_slaves(2)
     with DriveGroup(bus, setups(2), 0.004) as group:
         group.connect()
         group.configure()
-        slaves[0].state = "operation enabled"
+        slaves[0].state = slaves[0].stuck_in = "operation enabled"
         written = len(slaves[0].written)
-        with pytest.raises(DriveFault, match="node 1.*is enabled.*disable it"):
+        with pytest.raises(SeveralFailures, match="node 1.*stays in OPERATION ENABLED.*emergency stop") as refused:
             group.restore()
-        assert len(slaves[0].written) == written
+        assert "node 1: is enabled: its objects are not restored" in str(refused.value)
+        assert {index for index, _, _ in slaves[0].written[written:]} == {0x6040}
         assert {entry.node_id for entry in group.ledger.entries} == {1}
         slaves[0].state = "switch on disabled"
 

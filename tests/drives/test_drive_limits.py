@@ -190,7 +190,7 @@ def test_the_torque_limit_is_never_raised(bus, slave, generic, limit_nm, allowed
 
 def test_a_later_run_may_need_more_but_never_more_than_was_found(bus, slave, generic, tmp_path):
     options = GroupOptions(ledger_path=tmp_path / "ledger.json")
-    for limit_nm, after in ((1.0, 500), (2.0, 1000), (8.0, 1000)):
+    for limit_nm, after in ((1.0, 500), (2.0, 1000), (8.0, 3000), (1.0, 500), (None, 3000)):
         ready(bus, generic, options, torque_limit_nm=limit_nm).close()
         assert slave.values[0x6072, 0] == after
 

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from drives.errors import ConfigurationRefused, SeveralFailures
+from drives.errors import ConfigurationRefused, DriveRebooted, IdentityMismatch, SeveralFailures
 from drives.group import DriveGroup
 from drives.values import AxisSetup
 
@@ -67,6 +67,39 @@ def test_a_drive_that_restarted_is_refused_before_power(bus, slaves, waiting, ke
     group.enable()
     assert slaves[1].values[0x6060, 0] == 8
     assert slaves[1].values[0x6072, 0] < 3000
+
+
+@pytest.mark.parametrize("keeps", [True, False], ids=["stored configuration", "as delivered"])
+def test_a_drive_that_restarts_while_the_last_one_is_read_back_is_refused(slaves, waiting, keeps):
+    group, delivered = waiting
+    first, last = slaves
+    plain = last.get
+
+    def get(address):
+        if address == (0x6064, 0) and first.values[0x1016, 1] == 0:
+            last.get = plain
+            restart(first, delivered[0], lambda _index: keeps)
+        return plain(address)
+
+    last.get = get
+    with pytest.raises(DriveRebooted, match="node 1: restarted.*it was not enabled"):
+        group.enable()
+    assert not any(slave.state == "operation enabled" for slave in slaves)
+    with pytest.raises(ConfigurationRefused, match="configure"):
+        group.enable()
+    group.configure()
+    group.enable()
+    assert first.values[0x6060, 0] == 8
+
+
+def test_a_drive_that_was_exchanged_for_one_with_the_same_settings_is_refused(slaves, waiting):
+    group, _ = waiting
+    slaves[1].values[0x1018, 4], slaves[1].texts[0x100A, 0] = 2222, b"v2"
+    with pytest.raises(
+        IdentityMismatch, match="serial number was 2, 2222 is read; software version was v1, v2 is read"
+    ):
+        group.enable()
+    assert not any(slave.state == "operation enabled" for slave in slaves)
 
 
 def test_two_drives_that_restarted_are_both_named(bus, slaves, waiting):

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drives.bringup import decimal_period
+from drives.bringup import decimal_periods
 from drives.bus import Bus, BusSpec
 from drives.busload import cycle_bits_worst, frame_bits, frame_bits_worst, largest_rate_hz
 from drives.clock import SyncClock
@@ -122,17 +122,28 @@ def test_restore_switches_a_pdo_off_empties_and_fills_it_and_switches_it_on():
 
 
 @pytest.mark.parametrize(
-    ("period_s", "pair"), [(0.004, (4, -3)), (0.01, (1, -2)), (0.0025, (25, -4)), (0.1, (1, -1)), (0.000125, (125, -6))]
+    ("period_s", "own", "pair"),
+    [
+        (0.004, -3, (4, -3)),
+        (0.01, -3, (10, -3)),
+        (0.01, -2, (1, -2)),
+        (0.02, -6, (20, -3)),
+        (0.0025, -3, (25, -4)),
+        (0.0025, -5, (250, -5)),
+        (0.1, -3, (100, -3)),
+        (0.5, -3, (50, -2)),
+        (0.000125, -3, (125, -6)),
+    ],
 )
-def test_period_of_0x60c2(period_s, pair):
-    assert decimal_period(period_s) == pair
+def test_period_of_0x60c2_in_the_exponent_of_the_drive_or_in_milliseconds(period_s, own, pair):
+    assert decimal_periods(period_s, own)[0] == pair
     assert pair[0] * 10.0 ** pair[1] == pytest.approx(period_s)
 
 
 @pytest.mark.parametrize("period_s", [0.0033333, 1 / 300, 1e-9])
 def test_a_period_that_0x60c2_cannot_hold(period_s):
     with pytest.raises(ConfigurationRefused, match="60C2"):
-        decimal_period(period_s)
+        decimal_periods(period_s)
 
 
 # -- emergencies ------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 
+import can
 import pytest
 
 from drives.bus import Bus, BusSpec
@@ -210,6 +211,32 @@ def test_the_voltage_stays_on_until_the_brake_has_had_its_time_to_close(bus, sla
         assert slave.state == "switch on disabled"
 
 
+def test_the_brake_has_its_time_to_close_after_a_quick_stop_too(group, slaves):
+    """The drives stay in QUICK STOP ACTIVE; `brake_closing_s` is 0.1 s, and three SYNCs show the standstill."""
+    move(group, 3)
+    for slave in slaves:
+        slave.controlwords.clear()
+    group.quick_stop()
+    group.disable()
+    for slave in slaves:
+        assert slave.controlwords.index(0x00) >= 3 + 10
+        assert set(slave.controlwords) == {0x02, 0x00}
+
+
+@pytest.mark.parametrize(("movements", "at_rest"), [([800 - step for step in range(801)], True), ([500] * 3000, False)])
+def test_an_axis_that_still_slows_down_is_not_disabled(group, slaves, movements, at_rest):
+    """One needs 8 s, more than a ramp is given; one does not slow down: its brake has to stop it.
+
+    Standstill is 0.001 revolutions between two SYNCs.
+    """
+    move(group, 3)
+    slaves[3].moves_in = {"quick stop": list(movements)}
+    with pytest.raises(TransitionTimeout, match=r"node 4.*still moves.*emergency stop"):
+        group.disable()
+    assert slaves[3].state == "switch on disabled"
+    assert (slaves[3].moves_in["quick stop"][0] <= 0.001 * 65536) == at_rest
+
+
 def test_the_time_of_a_brake_that_was_never_opened_is_not_waited_for(bus, slaves, setups):
     asked: list[int] = []
 
@@ -358,6 +385,107 @@ def test_arms_that_all_stop_responding_are_not_monitored_for_a_drop(group, slave
     with contextlib.suppress(DriveError):
         group.disable()
     assert syncs.count("switch on disabled") <= len(slaves) * 6
+
+
+# -- without SYNC, or after an interrupted run -------------------------------------------------------------------------
+
+
+class Decelerating(Slave):
+    """Its quick stop takes 1 s from 50 rad/s, in the time of the wire; it reports position and velocity."""
+
+    ramp_s, speed_rad_s = 1.0, 50.0
+    began_s: float | None = None
+    #: Speed and time when it left the energised states.
+    off_rad_s: float | None = None
+    off_s = 0.0
+
+    def speed_now_rad_s(self) -> float:
+        if self.began_s is None:
+            return self.speed_rad_s
+        return self.speed_rad_s * max(0.0, 1.0 - (self.wire.now_s - self.began_s) / self.ramp_s)
+
+    def _control(self, word: int) -> None:
+        before = self.state
+        super()._control(word)
+        if self.state == "quick stop" and self.began_s is None:
+            self.began_s = self.wire.now_s
+        if before in ("operation enabled", "quick stop") and self.state not in ("operation enabled", "quick stop"):
+            self.off_rad_s, self.off_s = self.speed_now_rad_s(), self.wire.now_s
+
+    def get(self, address: tuple[int, int]) -> int:
+        if self.began_s is not None and address == (0x6064, 0):
+            passed_s = min(self.wire.now_s - self.began_s, self.ramp_s)
+            turned_rad = self.speed_rad_s * (passed_s - passed_s**2 / 2.0 / self.ramp_s)
+            return self.position + round(turned_rad * 65536 / (2.0 * math.pi))
+        if address == (0x606C, 0):
+            return round(self.speed_now_rad_s() / 0.0010471975511965976)
+        return super().get(address)
+
+
+@pytest.mark.parametrize("state", ["operation enabled", "quick stop", "switched on"])
+def test_a_drive_left_energised_is_disabled_once_its_standstill_was_read_and_its_brake_has_closed(
+    bus, wire, setups, state
+):
+    """Of a killed master, say. `brake_closing_s` of the profile is 0.1 s."""
+    slave = Decelerating(wire, 1)
+    wire.slaves.append(slave)
+    slave.state = state
+    if state == "quick stop":
+        slave.began_s = wire.now_s
+    elif state == "switched on":
+        slave.speed_rad_s = 0.0
+    with DriveGroup(bus, setups(1), 0.01, "real") as group:
+        group.connect()
+        group.restore()
+        (text,) = group.taken_down
+        assert f"node 1: was in {state.replace('quick stop', 'quick stop active').upper()}" in text
+        group.restore()
+        assert group.taken_down == ()
+    assert slave.state == "switch on disabled"
+    assert not slave.off_rad_s
+    assert slave.controlwords[0] == (0x02 if state == "operation enabled" else 0x00)
+    if state == "operation enabled":
+        assert slave.off_s - slave.began_s >= slave.ramp_s + 0.1
+
+
+def test_without_sync_a_drive_is_disabled_by_sdo_once_its_standstill_was_read(bus, wire, setups):
+    """The adapter refuses SYNC while the axis moves; SDO works."""
+    slave = Decelerating(wire, 1)
+    wire.slaves.append(slave)
+    with DriveGroup(bus, setups(1), 0.01, "real") as group:
+        group.connect()
+        group.configure()
+        slave.speed_rad_s = 0.0
+        group.enable()
+        slave.speed_rad_s = 50.0
+        count_rad, send = group.drives[0].scale.count_rad, wire.send
+        for _ in range(5):
+            group.exchange([DriveCommand(group.drives[0].target_count * count_rad + 0.5)])
+
+        def without_sync(message: can.Message, timeout: float | None = None) -> None:
+            if message.arbitration_id == 0x080:
+                raise can.CanOperationError("no SYNC")
+            send(message, timeout)
+
+        wire.send = without_sync  # type: ignore[method-assign]
+        with pytest.raises(DriveError, match="no SYNC"):
+            group.hold()
+        with contextlib.suppress(DriveError):
+            group.disable()
+        wire.send = send  # type: ignore[method-assign]
+    assert slave.state == "switch on disabled"
+    assert slave.off_rad_s == 0.0
+
+
+def test_an_axis_whose_standstill_cannot_be_read_is_not_disabled_and_the_emergency_stop_is_named(bus, wire, setups):
+    slave = Decelerating(wire, 1)
+    wire.slaves.append(slave)
+    slave.state, slave.refused = "operation enabled", {(0x6064, 0): 0x08000000}
+    with DriveGroup(bus, setups(1), 0.01, "real") as group:
+        group.connect()
+        with pytest.raises(DriveError, match=r"node 1:6064.*not known whether the axis is at rest; use the emergency"):
+            group.restore()
+        assert slave.off_rad_s is None
 
 
 # -- what fails while disabling ----------------------------------------------------------------------------------------

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import struct
+
 import pytest
 
+from drives.bringup import set_interpolation_period
 from drives.discovery import nmt_states
 from drives.errors import (
     ConfigurationRefused,
@@ -17,6 +20,7 @@ from drives.group import DriveGroup
 from drives.heartbeat import NmtState
 from drives.profile_file import load_profile
 from drives.values import AxisSetup
+from tests.drives.conftest import Slave
 
 PERIOD_S = 0.004
 BOTH = pytest.mark.parametrize("pacing", ["lockstep", "real"])
@@ -167,6 +171,101 @@ def test_another_sync_period_that_must_not_be_written_is_refused(bus, slaves, ge
 def test_a_slave_without_data_in_an_optional_object(bus, slaves, setups, pacing, address):
     slaves[0].refused[address] = 0x08000024
     enabled(bus, setups(2), pacing).close()
+
+
+@BOTH
+@pytest.mark.parametrize(("option", "in_run"), [(0, 2), (1, 1), (2, 2), (3, 3), (4, 2), (5, 2), (6, 2), (-1, 2)])
+def test_a_quick_stop_option_that_does_not_end_disabled_is_replaced_for_the_run(
+    bus, slaves, setups, pacing, option, in_run
+):
+    put(slaves[1], (0x605A, 0), "i16", option)
+    group = enabled(bus, setups(2), pacing)
+    assert slaves[1].values[0x605A, 0] == in_run
+    group.disable()
+    group.restore()
+    group.close()
+    assert slaves[1].values[0x605A, 0] == option
+
+
+def test_a_drive_that_keeps_another_quick_stop_option_is_refused_by_name(bus, slaves, setups):
+    put(slaves[1], (0x605A, 0), "i16", 6)
+    plain = slaves[1]._sdo_download
+
+    def download(request, address):
+        if address == (0x605A, 0):
+            slaves[1]._abort(request, 0x06010002)
+        else:
+            plain(request, address)
+
+    slaves[1]._sdo_download = download
+    with DriveGroup(bus, setups(2), PERIOD_S) as group:
+        group.connect()
+        with pytest.raises(ConfigurationRefused, match=r"node 2:605A.*holds 6 and refuses 2.*SWITCH ON DISABLED"):
+            group.configure()
+
+
+class Interpolating(Slave):
+    """A drive that applies an interpolation period once both subindices of 0x60C2 were sent, and may refuse some.
+
+    Attributes
+    ----------
+    fixed : int or None
+        The only exponent that it takes; any write of another one is aborted with `refusal`, of itself too if read-only.
+    """
+
+    fixed: int | None = None
+    refusal = 0x06090030
+    applied_s = 0.0
+
+    def power_up(self, value: int, exponent: int) -> None:
+        self.values[0x60C2, 1], self.values[0x60C2, 2] = value, exponent
+        self.applied_s, self.sent_subindices = value * 10.0**exponent, set()
+
+    def _sdo_download(self, request: bytes, address: tuple[int, int]) -> None:
+        if address[0] == 0x60C2:
+            self.sent_subindices.add(address[1])
+            (sent,) = struct.unpack_from("<b" if address[1] == 2 else "<B", request, 4)
+            if address[1] == 2 and self.fixed is not None and (sent != self.fixed or self.refusal == 0x06010002):
+                self._abort(request, self.refusal)
+                return
+        super()._sdo_download(request, address)
+        if self.sent_subindices == {1, 2}:
+            self.applied_s = self.values[0x60C2, 1] * 10.0 ** self.values[0x60C2, 2]
+
+
+@pytest.mark.parametrize("period_ms", [4, 10, 20])
+@pytest.mark.parametrize("found", [(1, -3), (0, -3), (8, -3), (10, -3), (1, -2), (100, -4)])
+@pytest.mark.parametrize("fixed", [None, 0x06090030, 0x06010002], ids=["any exponent", "-3 only", "-3 read-only"])
+def test_the_interpolation_period_is_applied_in_the_exponent_that_the_drive_takes(
+    bus, wire, setups, period_ms, found, fixed
+):
+    slave = Interpolating(wire, 1)
+    wire.slaves.append(slave)
+    slave.fixed, slave.refusal = (None, 0) if fixed is None else (-3, fixed)
+    slave.power_up(found[0], -3 if fixed else found[1])
+    with DriveGroup(bus, setups(1), period_ms / 1000.0, "real") as group:
+        group.connect()
+        group.configure()
+        assert slave.applied_s == pytest.approx(period_ms / 1000.0)
+        assert slave.values[0x60C2, 1] * 10.0 ** slave.values[0x60C2, 2] == pytest.approx(period_ms / 1000.0)
+        if fixed or found[1] == -3:
+            assert (slave.values[0x60C2, 1], slave.values[0x60C2, 2]) == (period_ms, -3)
+        group.restore()
+        assert slave.values[0x60C2, 1] == found[0]
+
+
+def test_an_axis_whose_interpolation_period_was_left_at_another_one_is_not_enabled(bus, slaves, setups):
+    """The timing test changes it, and its drive may refuse to take the period of the cell back."""
+    with DriveGroup(bus, setups(2), PERIOD_S, "real") as group:
+        group.connect()
+        group.configure()
+        set_interpolation_period(group.drives[1].access, 0.010)
+        with pytest.raises(ConfigurationRefused, match=r"node 2:60C2.*interpolates over 0\.01 s.*every 0\.004 s"):
+            group.enable()
+        assert not any(slave.state == "operation enabled" for slave in slaves)
+        set_interpolation_period(group.drives[1].access, PERIOD_S)
+        group.configure()
+        group.enable()
 
 
 @BOTH

@@ -148,8 +148,8 @@ def serve(place) -> Iterator[Callable[..., Drives]]:
             with running(place.cell, bus, payload=place.payload, **options) as handle:
                 yield Drives(handle)
 
-        def start(fault: str = "", effect: str = "") -> Drives:
-            options: dict[str, object] = {}
+        def start(fault: str = "", effect: str = "", pacing: str = "lockstep") -> Drives:
+            options: dict[str, object] = {"pacing": pacing}
             for key, text in (("fault", fault), ("undeclared", effect)):
                 if text:
                     options[key] = place.folder / f"{key}.toml"

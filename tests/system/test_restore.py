@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 
 import pytest
+
+from drives.values import DriveCommand
+from gateway.commands.cell_context import open_cell
+from gateway.motion.opening import open_arm
+from sim.states import PdsState
 
 
 def configured(gateway, place, drives):
@@ -52,3 +58,58 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
     done = gateway("restore", place.cell, "--bus", drives.bus)
     assert done.exit_code == 0, done.output
     assert "nothing to restore" in done.stdout
+
+
+def interrupt_motion(place, bus, pacing):
+    """Enable the arm, move every motor at 2 rad/s, and send no other frame, as a killed master; return what is left."""
+    context = open_cell(place.cell, bus, pacing)
+    (arm,) = context.arms
+    opening = open_arm(context.loaded, context.override(arm), arm.name)
+    group = opening.__enter__().group
+    group.enable()
+    period_s = group.timing.period_s
+    start_rad = [drive.target_count * drive.scale.count_rad for drive in group.drives]
+    for sync in range(1, math.ceil(0.3 / period_s)):
+        group.exchange([DriveCommand(position_rad + 2.0 * period_s * sync) for position_rad in start_rad])
+    group.bus._adapter.shutdown()
+    return opening
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("pacing", ["lockstep", "real"])
+def test_drives_that_an_interrupted_run_left_energised_are_reported_and_disabled_at_rest(
+    gateway, serve, place, monkeypatch, pacing
+):
+    """Speeds are those of the simulated axes at the transition out of the energised states."""
+    drives = serve(pacing=pacing)
+    simulated = drives.handle.simulation.arms[0].drives
+    speeds_rad_s = {}
+
+    def watch(drive):
+        changed = drive.motion.state_changed
+
+        def state_changed(before):
+            if before in (PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE) and not drive.automaton.energised:
+                speeds_rad_s[drive.node_id] = abs(drive.axis.omega_rad_s)
+            changed(before)
+
+        drive.motion.state_changed = state_changed
+
+    for drive in simulated:
+        drive.node.on_heartbeat_lost = lambda _node: None
+        watch(drive)
+    _interrupted = interrupt_motion(place, drives.bus, pacing)
+    assert {drive.automaton.state for drive in simulated} == {PdsState.OPERATION_ENABLED}
+    cell = (place.cell, "--bus", drives.bus)
+    checked = gateway("check", *cell, "--pacing", pacing)
+    assert checked.exit_code == 7
+    assert "the drive is energised" in " ".join(checked.output.split())
+    moved = gateway("move", *cell, "--pacing", pacing, "--to", "home", "--yes")
+    assert moved.exit_code == 4
+    assert "servo-gateway restore CELL" in " ".join(moved.stderr.split())
+    restored = gateway("restore", *cell)
+    assert restored.exit_code == 0, restored.output
+    assert restored.stdout.count("was in OPERATION ENABLED") == 6
+    assert {drive.automaton.state for drive in simulated} == {PdsState.SWITCH_ON_DISABLED}
+    assert max(speeds_rad_s.values(), default=0.0) < 1e-3
+    assert "energised" not in gateway("check", *cell, "--pacing", pacing).output

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drives.draft.answers import ProfileAnswers, address_of, read_answers, with_answers
-from drives.draft.device import Device, device_of_sheet
+from drives.draft.device import Device, ask_drive, device_of_sheet
 from drives.draft.draft_units import unit_rad_s
 from drives.draft.questions import QUESTIONS, next_question, open_questions
 from drives.draft.text import draft, profile_name
@@ -183,6 +183,16 @@ def test_what_the_drive_says_goes_before_its_sheet(device):
     assert "read from node 3 = 0x1" in profile.no_motion[0]
     denied = Device(sheet, identity, {(0x6007, 0): None})
     assert any("0x6007" in reason for reason in profile_of(denied, **TORQUE).no_motion)
+
+
+@pytest.mark.parametrize("code", [0x060A0023, 0x08000020, 0x06060000, 0x06010001, 0x08000000, 0x06020000])
+def test_an_object_that_the_drive_refuses_to_give_stays_an_open_question(bus, make_slave, code):
+    """0x6075, the rated current, of a drive that the sheet of the package describes."""
+    slave = make_slave(1)
+    slave.refused[0x6075, 0] = code
+    asked = ask_drive(bus, 1, device_of_sheet(PROFILE_FOLDER / "generic-cia402.eds"))
+    assert asked.live.get((0x6075, 0)) is None
+    assert asked.live[0x6076, 0] == 2000
 
 
 def test_a_sheet_without_torque_is_asked_for_one(device):

@@ -38,6 +38,7 @@ def opened(**changes):
         identities=tuple(identities),
         profiles=tuple(profiles),
         readings=tuple(readings),
+        session=changes.get("session", ""),
         group=SimpleNamespace(
             timing=SimpleNamespace(pacing=changes.get("pacing", "real"), period_s=changes.get("period_s", 0.004))
         ),
@@ -117,6 +118,16 @@ def test_any_setting_of_a_drive_that_changes_makes_the_proof_void(path, name, va
 def test_sync_drive_gear_and_watchdog_belong_to_the_proof(path, changes):
     keep_proof(path, opened(), PASSED)
     assert proven_on(path, opened(**changes)) is None
+
+
+@pytest.mark.parametrize("serial", [None, 0, 0xFFFFFFFF, 101], ids=["none", "0", "unset", "that of another drive"])
+def test_without_a_serial_number_of_its_own_a_drive_is_proven_in_each_session(path, serial):
+    missing = {"identity": {"serial_number": serial}}
+    keep_proof(path, opened(**missing, session="a"), PASSED)
+    assert proven_on(path, opened(**missing, session="a"))
+    assert proven_on(path, opened(**missing, session="b")) is None
+    keep_proof(path, opened(session="a"), PASSED)
+    assert proven_on(path, opened(session="b"))
 
 
 @pytest.mark.parametrize("name", ["statusword", "position", "digital_inputs", "torque_offset", "torque"])

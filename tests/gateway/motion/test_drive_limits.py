@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drives.objects import OBJECTS
-from drives.profile_file import load_profile, parse_profile
+from drives.profile_file import load_profile
 from gateway.cell.config import ArmConfig
 from gateway.cell.conversion import AxisConversion
 from gateway.motion.drive_limits import ROUNDING_RAD, motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
@@ -78,6 +77,5 @@ def test_one_ramp_that_is_not_known_leaves_all_unknown(changes):
 
 
 def test_a_ramp_in_an_unknown_unit_is_not_known():
-    text = (Path(__file__).parents[3] / "examples" / "pair" / "drive.toml").read_text(encoding="utf-8")
-    profiles = [*[PROFILE] * 5, parse_profile(text, "drive.toml")]
+    profiles = [*[PROFILE] * 5, load_profile("elmo-gold")]
     assert quick_stop_rad_s2(arm(), profiles, ramps()) is None

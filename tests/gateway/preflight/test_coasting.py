@@ -51,17 +51,26 @@ def test_a_drive_that_stops_by_ramps_passes():
     assert not [item for item in items() if item.severity in ("warn", "fail")]
 
 
-@pytest.mark.parametrize("name", ["quick_stop_option", "fault_reaction_option"])
-def test_a_drive_that_cuts_the_power_instead_of_stopping_is_refused(name):
-    (found,) = [item for item in items(**{name: 0}) if item.severity == "fail"]
+def test_a_drive_that_cuts_the_power_in_a_fault_is_refused():
+    (found,) = [item for item in items(fault_reaction_option=0) if item.severity == "fail"]
     assert "coasts" in found.what
     assert found.advice
     assert found.where.startswith("J4 node 4")
 
 
-@pytest.mark.parametrize(("option", "severity"), [(1, "ok"), (4, "ok"), (7, "ok"), (-2, "info"), (12, "warn")])
-def test_other_quick_stop_options(option, severity):
-    assert severities("quick_stop_option", quick_stop_option=option, profile_deceleration=10**9) == [severity]
+@pytest.mark.parametrize("option", [0, 4, 5, 6, 7, 8, -2, 12])
+@pytest.mark.parametrize("may_be_written", [True, False])
+def test_a_quick_stop_option_that_does_not_end_disabled_is_written_for_the_run_or_refused(option, may_be_written):
+    profile = PROFILE if may_be_written else parse_profile(PROFILE.text.replace("0x605A, ", ""), "p.toml")
+    (found,) = [item for item in items(profile, quick_stop_option=option) if "605A" in item.where]
+    assert found.severity == ("info" if may_be_written else "fail")
+    assert found.what.startswith(f"{option}: ")
+    assert ("written for each run" in found.what) == may_be_written
+
+
+@pytest.mark.parametrize("option", [1, 2, 3])
+def test_a_quick_stop_option_that_ends_disabled_passes(option):
+    assert severities("quick_stop_option", quick_stop_option=option, profile_deceleration=10**9) == ["ok"]
 
 
 @pytest.mark.parametrize("name", ["shutdown_option", "disable_operation_option"])
@@ -83,19 +92,23 @@ def test_a_ramp_of_zero_is_none():
 
 
 def test_the_ramp_that_the_quick_stop_option_names_is_judged():
-    """Options 1 and 5 stop by the profile's own deceleration 0x6084, which is 2 s here; 3 stops by none."""
+    """Option 1 stops by the profile's own deceleration 0x6084, which is 2 s here; 3 by none; 2 is written for 5."""
     assert severities("profile_deceleration", quick_stop_option=1) == ["fail"]
+    assert severities("quick_stop_deceleration", quick_stop_option=5) == ["ok"]
+    assert severities("quick_stop_deceleration", quick_stop_option=2, quick_stop_deceleration=None) == ["fail"]
     assert severities("quick_stop_deceleration", quick_stop_option=1) == []
     assert severities("quick_stop_deceleration", quick_stop_option=3, quick_stop_deceleration=1) == []
 
 
-def test_a_ramp_in_an_unknown_unit_is_reported():
+def test_a_ramp_in_an_unknown_unit_is_refused():
     start, end = PROFILE.text.index("[velocity]"), PROFILE.text.index("[position]")
     text = PROFILE.text[:start] + PROFILE.text[end:]
     text = text[: text.index("[feedforward]")] + text[text.index("[state_machine]") :]
-    (found,) = [item for item in items(parse_profile(text, "p.toml")) if "deceleration" in item.where]
-    assert found.severity == "info"
+    profile = parse_profile(text, "p.toml")
+    (found,) = [item for item in items(profile) if "deceleration" in item.where]
+    assert found.severity == "fail"
     assert "no [velocity]" in found.what
+    assert not [item for item in items(profile, quick_stop_option=3) if item.severity == "fail"]
 
 
 def test_what_a_drive_does_not_have_is_one_line():

@@ -80,7 +80,9 @@ def test_a_healthy_drive_passes_every_rule():
     ("changes", "severity", "says"),
     [
         ({"statusword": 0x0008}, "fail", "FAULT"),
-        ({"statusword": 0x0637}, "warn", "OPERATION ENABLED"),
+        ({"statusword": 0x0637}, "fail", "OPERATION ENABLED"),
+        ({"statusword": 0x0617}, "fail", "QUICK STOP ACTIVE"),
+        ({"statusword": 0x0633}, "warn", "SWITCHED ON"),
         ({"statusword": None}, "fail", "no statusword"),
         ({"supported_modes": 0x2D}, "fail", "no cyclic synchronous position"),
         ({"rated_torque": 0}, "fail", "all torques would be zero"),
