@@ -170,7 +170,8 @@ class RestDiagnosis:
         for mistake in mistakes:
             rejected = rejected[:, mistake.reading_of(rejected.shape[1])]
         visits = self._rows(_undone(table, mistakes))
-        return build_problem(self.robot, visits.unmeasured(rejected[visits.rows].any(axis=1)), self.knowledge)
+        one, other = visits.rows.T
+        return build_problem(self.robot, visits.unmeasured(rejected[one] | rejected[other]), self.knowledge)
 
     def search(self, read: ReadVisits) -> Found:
         """Fit the hypotheses, with commissioning mistakes corrected if the data require it."""
