@@ -179,6 +179,20 @@ def test_diagnose_finds_nothing_missing_in_what_the_model_made(table):
     assert body["effects"] == []
 
 
+@pytest.mark.parametrize(
+    "options", [("estimate",), ("diagnose", "--only", "axes_swapped")], ids=["estimate", "diagnose"]
+)
+def test_labels_that_differ_by_case_are_reported_with_their_rows(table, options):
+    name, *more = options
+    path = table(loads=("none", "tool", "Tool"))
+    done = run(name, path, "--robot", URDF, *more, "--json", "-")
+    assert done.exit_code == 0, done.output
+    (finding,) = [each for each in json.loads(done.stdout)["findings"] if each["where"] == "load labels"]
+    assert finding["severity"] == "warn"
+    assert f"'tool' (16 rows, the first is {path}:18)" in finding["what"]
+    assert f"'Tool' (16 rows, the first is {path}:34)" in finding["what"]
+
+
 @pytest.mark.slow
 def test_diagnose_finds_a_reversed_sign_and_ends_with_seven(table):
     path = table(change=lambda line: line if line.startswith("load") else _turned(line))
