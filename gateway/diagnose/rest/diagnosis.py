@@ -110,7 +110,8 @@ class Found:
     """Finished search: the visits as `read`, and `now` with the commissioning mistakes corrected.
 
     `settled` is the knowledge as tested against these visits, if it was tested. `rival` is the wrong constant or the
-    factor of sqrt 2 that explains an axis about as well.
+    factor of sqrt 2 that explains an axis about as well. `conflict` is the knowledge whose robot model the visits
+    contradict so far that no load may be given.
     """
 
     read: ReadVisits
@@ -122,6 +123,7 @@ class Found:
     setup: RestSetup
     settled: SettledKnowledge | None = None
     rival: EffectResult | None = None
+    conflict: SettledKnowledge | None = None
 
     @property
     def score(self) -> float:
@@ -220,6 +222,8 @@ class RestDiagnosis:
             found = replace(found, search=search, chosen=self._chosen(search, found.setup))
         effects, search = found.chosen.terms, found.search
         likelier = not effects or settled.log_odds > search.log_odds(found.chosen, found.now.plain)
+        if settled.conflict is not None and (likelier or settled.conflict.cause != "link_masses"):
+            return replace(found, conflict=settled)
         if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
         now = replace(found.now, problem=settled.problem, plain=settled.fit)
@@ -315,6 +319,10 @@ class RestDiagnosis:
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Build the result of a search; `holdout` are held-out rows, `kind` is their origin."""
+        if found.conflict is not None:
+            result = self._as_estimated(found.now.problem.rows, found.conflict)
+            reported = (*found.read.outliers.findings, *mistake_findings(found.mistakes), *result.findings)
+            return replace(result, verdict="unexplained", findings=reported)
         settled = found.settled
         if settled is not None and settled.knowledge is not self.knowledge:
             return self._knowing(settled.knowledge).report(found, holdout, kind)
