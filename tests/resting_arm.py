@@ -14,7 +14,6 @@ from gateway.diagnose.rest.rest_mistakes import Mistake
 from gateway.identify.rest.linear import RestProblem
 from gateway.identify.solve import Basis, ByGroup
 from gateway.model.robot import Robot, robot_from_urdf
-from gateway.model.visits import pair_visits
 from gateway.result.result import Result
 from sim.draw import DrawnArm, choose_poses, draw_arm
 from sim.effects import apply_effects
@@ -62,8 +61,7 @@ class Bench:
 def problems(bench: Bench, table: Table) -> Callable[[tuple[Mistake, ...]], RestProblem]:
     """How a diagnosis makes a problem of this table, also with mistakes in it undone; outlier visits are rejected."""
     diagnosis = RestDiagnosis(bench.robot, bench.options)
-    rejected = diagnosis.outliers(pair_visits(table, bench.options.efficiency)).mask
-    return partial(diagnosis.problem, table, rejected)
+    return partial(diagnosis.problem, table, diagnosis.read(table).rejected)
 
 
 def problem_of(bench: Bench, table: Table) -> RestProblem:

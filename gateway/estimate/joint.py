@@ -16,6 +16,7 @@ from gateway.identify.conflict import SettledKnowledge, settle, two_bodies
 from gateway.identify.gravity_sign import reversed_gravity
 from gateway.identify.load_estimate import LoadEstimate, refused_load
 from gateway.identify.mass_change import mass_changes
+from gateway.identify.model_conflict import ModelConflict
 from gateway.identify.prior_loads import require_postures, unknown_labels
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -62,9 +63,11 @@ def estimate_joint(
     }
     refused |= refused_loads(problem, fit, robot, options)
     if not refused:
+        gravity = reversed_gravity(robot, *settled.stated, options)
+        if settled.conflict is not None and not gravity:
+            return _without_loads(settled, settled.conflict, robot, options)
         trusted = replace(options, inertials=settled.knowledge.inertials)
         found = describe(settled.problem, settled.fit, robot, trusted, settled.spread)
-        gravity = reversed_gravity(robot, *settled.stated, options)
         return replace(found, findings=(*found.findings, *settled.findings, *gravity))
     kept = visits.take(~np.isin(visits.load, list(refused)))
     others = tuple(refused[label] for label in problem.labels if label in refused)
@@ -73,6 +76,16 @@ def estimate_joint(
         return Estimate(method="joint", loads=others, sigma_nm=unknown, band_nm=unknown)
     rest = estimate_joint(kept, robot, options.of_loads(kept.load))
     return replace(rest, loads=(*rest.loads, *others))
+
+
+def _without_loads(
+    settled: SettledKnowledge, conflict: ModelConflict, robot: Robot, options: EstimateOptions
+) -> Estimate:
+    """Return the estimate of data that contradict the robot model: every load is refused with the reason."""
+    trusted = replace(options, inertials=settled.knowledge.inertials)
+    found = describe(settled.problem, settled.fit, robot, trusted, settled.spread)
+    loads = tuple(refused_load(load.label, conflict.reason) for load in found.loads)
+    return replace(found, loads=loads, findings=(*found.findings, *settled.findings, conflict.finding), bare=None)
 
 
 def refused_loads(problem: RestProblem, fit: Fit, robot: Robot, options: EstimateOptions) -> dict[str, LoadEstimate]:

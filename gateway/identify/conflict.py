@@ -27,6 +27,7 @@ from gateway.identify.alternatives import (
 )
 from gateway.identify.known_load import least_supported, load_contradicted
 from gateway.identify.links import parse_inertials
+from gateway.identify.model_conflict import ModelConflict, model_conflict
 from gateway.identify.nuisance import CHANGE_AXIS, gain_stds
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -53,7 +54,8 @@ class SettledKnowledge:
 
     `stated` is the problem and the fit with the stated knowledge. `spread` (labels, 4, 4) is, by source, the covariance
     of [m, h] due to possible errors of statements that are not contradicted. `log_odds` are the posterior log odds of
-    the first widened group against the model without effects.
+    the first widened group against the model without effects. `conflict` is one with the robot model so large that no
+    load may be given.
     """
 
     stated: tuple[RestProblem, Fit]
@@ -63,6 +65,7 @@ class SettledKnowledge:
     findings: tuple[Finding, ...]
     spread: Mapping[str, Floats] = field(default_factory=dict)
     log_odds: float = 0.0
+    conflict: ModelConflict | None = None
 
 
 def settle(
@@ -95,7 +98,10 @@ def settle(
         settled, problem, fit = wider, other, refitted
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)
-    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds)
+    large = None
+    if (settled.inertials, settled.gain_std) != (trusted.inertials, trusted.gain_std):
+        large = model_conflict(robot, *stated, trusted)
+    return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds, large)
 
 
 def _shows(robot: Robot, problem: RestProblem, fit: Fit, stated: Knowledge, wider: Knowledge) -> bool:

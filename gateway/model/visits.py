@@ -119,6 +119,8 @@ class Visits:
         Angle of the secondary encoder minus that of the motor encoder; NaN without one.
     where : str array of shape (n,)
         `file:line` of the first row, for messages.
+    rows : int array of shape (n, 2)
+        Rows of both approaches among the rest rows of their table; the same row twice for a single approach.
     gears : Gears
         Gears used to convert the reported torque.
     """
@@ -137,6 +139,7 @@ class Visits:
     temperature_c: Floats
     wind_up_rad: Floats
     where: NDArray[np.str_]
+    rows: NDArray[np.int_]
     gears: Gears
 
     def __len__(self) -> int:
@@ -156,6 +159,13 @@ class Visits:
     def take(self, rows: NDArray[Any]) -> Visits:
         """Return the chosen visits (mask or indices)."""
         return Visits(gears=self.gears, **{name: getattr(self, name)[rows] for name in _OF_VISITS})
+
+    def of_rows(self, entries: NDArray[np.bool_], rows: int) -> NDArray[np.bool_]:
+        """Return which torques (rows, N) of the table's rest rows the entries (n, N) of the visits were made from."""
+        mask = np.zeros((rows, self.axes), dtype=bool)
+        for approach in self.rows.T:
+            mask[approach] |= entries
+        return mask
 
     def unmeasured(self, entries: NDArray[np.bool_]) -> Visits:
         """Return a copy of the visits with entries (n, N) marked as not measured."""
@@ -182,6 +192,7 @@ def visits_at(q_rad: Floats, gears: Gears) -> Visits:
         gear_nm=np.zeros((n, axes)),
         wind_up_rad=unknown,
         where=np.full(n, "next"),
+        rows=np.repeat(np.arange(n)[:, None], 2, axis=1),
         gears=gears,
     )
 
@@ -255,6 +266,7 @@ def pair_visits(table: Table, efficiency: ArrayLike | None = None, coupling: Arr
         temperature_c=(rest.temperature_c[one] + rest.temperature_c[other]) / 2.0,
         wind_up_rad=np.where(seen, joint_rad - motor_rad, np.nan),
         where=np.array([rest.where(int(row)) for row in one], dtype=str),
+        rows=np.stack([one, other], axis=1),
         gears=gears,
     )
 

@@ -36,12 +36,14 @@ from gateway.pipeline.calibration_checks import (
     Places,
     Weight,
     carried_by_none,
+    common_finding,
     load_torque,
     mass_finding,
     stated_findings,
     stated_std,
     unknown_axes,
 )
+from gateway.pipeline.finalize import data_findings
 from gateway.pipeline.inputs import WARM_CHANGE, AnalysisInputs, estimate_options, profile_of
 from gateway.result.result import Finding
 
@@ -127,8 +129,10 @@ def calibrate(
         axis=tuple(_stored(arm, about, axes, fitted_rows(problem, fit).rms_nm, visits)),
     )
     places = Places(robot, options.gravity_m_s2, moment, postures)
+    mismatch = mismatch or tuple(common_finding(axes, weight))
     findings = (*mismatch, *stated_findings(axes), *unknown_axes(axes, noise_nm, weight, places))
-    return Calibration(axes, stored, (*findings, *rejected.findings, *drift_findings(drifts)))
+    about_data = (*data_findings(about, table), *rejected.findings, *drift_findings(drifts))
+    return Calibration(axes, stored, (*findings, *about_data))
 
 
 def _best(axes: Sequence[AxisCalibration]) -> str:

@@ -13,7 +13,7 @@ from gateway.cell.calibration import ArmCalibration, CalibratedAxis
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.joint import estimate_joint
 from gateway.estimate.options import EstimateOptions
-from gateway.identify.nuisance import gain_stds
+from gateway.identify.nuisance import COMMON_SHARE, gain_stds
 from gateway.model.regressor import gravity_regressor
 from gateway.model.robot import Robot
 from gateway.model.visits import Visits
@@ -30,6 +30,10 @@ _STATED_STD: Final = 0.01
 PRIOR_STD: Final = 0.05
 #: Difference in standard deviations from which two statements contradict each other.
 CONFLICT: Final = 3.5
+#: The same of a factor that all calibrated axes have in common: a wrong weight looks like this on every arm.
+COMMON_CONFLICT: Final = 3.0
+#: Least number of calibrated axes that have a factor in common.
+_COMMON_AXES: Final = 2
 #: Visits of a proposed pose, and variance of the difference between one visit and the mean of two, in visit variances.
 _VISITS, _VARIANCES = 3, 1.5
 #: Torque of the load relative to its largest on any axis, below which gravity does not act on an axis.
@@ -143,6 +147,37 @@ def mass_finding(visits: Visits, robot: Robot, options: EstimateOptions, weight:
             " constants (rms or peak, ratio); if all are right, --force stores the calibration",
             "known_load",
         )
+
+
+def common_finding(axes: Sequence[AxisCalibration], weight: Weight) -> Iterator[Finding]:
+    """Test the factor that the calibrated axes have in common against the common part of the stated constants' errors.
+
+    A wrong weight scales all axes by one factor. Its estimate is more certain than the deviation of any single axis,
+    since the independent half of the stated variance averages out.
+    """
+    known = [axis for axis in axes if axis.is_known]
+    if len(known) < _COMMON_AXES:
+        return
+    stated = np.array([axis.stated_std for axis in known])
+    independent = np.square([axis.std for axis in known]) + (1.0 - COMMON_SHARE) * stated**2
+    weights = (1.0 / independent) / np.sum(1.0 / independent)
+    common = float(weights @ np.array([axis.scale - 1.0 for axis in known]))
+    std = float(np.sqrt(weights**2 @ independent + COMMON_SHARE * (weights @ stated) ** 2))
+    if abs(common) <= COMMON_CONFLICT * std:
+        return
+    names = ", ".join(f"J{axis.joint}" for axis in known)
+    yield Finding(
+        "fail",
+        names,
+        f"the ratio of true to stated torque is {1.0 + common:.3f} in common on these axes, {abs(common) / std:.1f}"
+        f" standard deviations ({100 * std:.2g} %) from 1: a wrong weight gives one factor on all axes, wrong constants"
+        " rarely do; nothing is stored",
+        f"in this order: weigh load {weight.label} again (a true mass of {weight.mass_kg / (1.0 + common):.4g} kg"
+        f" instead of {weight.mass_kg:.4g} kg would explain it); check that it was mounted alone, and its unit (kg);"
+        " check the constants of all axes (rms or peak value, voltage, gear ratio); if all are right, --force stores"
+        " the calibration",
+        "known_load",
+    )
 
 
 def stated_findings(axes: Sequence[AxisCalibration]) -> Iterator[Finding]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from drives.errors import ProfileError
 from gateway.cell.provenance import provenance
 from gateway.data.reading import is_recording
+from gateway.data.recording.reader import FINISHED
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.identify.load_estimate import load_result, refused_findings, refused_load
@@ -23,6 +25,9 @@ from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
 from gateway.result.interval import half_width
 from gateway.result.origin import DriveOrigin, drives_of, file_sha256, in_words, software
 from gateway.result.result import Finding, LoadResult, Result
+
+#: Characters in which two spellings of one label may differ.
+_SEPARATORS: Final = re.compile(r"[\s_-]+")
 
 
 def finalize(
@@ -54,7 +59,13 @@ def finalize(
     constants = _provenance(about)
     return replace(
         result,
-        findings=(*result.findings, *about.assumed, *_corrected(about), *not_hung(result.loads)),
+        findings=(
+            *result.findings,
+            *about.assumed,
+            *_corrected(about),
+            *data_findings(about, table),
+            *not_hung(result.loads),
+        ),
         provenance={**constants, **result.provenance},
         data=replace(
             drawn,
@@ -114,6 +125,37 @@ def _corrected(about: AnalysisInputs) -> list[Finding]:
         Finding("info", f"J{each.joint}", f"{each.what}: recomputed with the constants of the cell file", "")
         for each in about.corrections
     ]
+
+
+def data_findings(about: AnalysisInputs, table: Table) -> Iterator[Finding]:
+    """Report recordings that were not finished, and labels of loads that differ only in their spelling."""
+    for recording in about.recordings:
+        if recording.exit_status != FINISHED:
+            yield Finding(
+                "warn",
+                "recording",
+                f"{recording.path}: this recording ended with status {recording.exit_status}: {recording.reason}; its"
+                " complete visits are used",
+                "check whether the cause affected the complete visits too (a collision, a load that slipped, a drive"
+                " fault), and complete the recording with `servo-gateway record --resume`",
+                "recording_unfinished",
+            )
+    labels = np.asarray(table.load, dtype=str)
+    spellings: dict[str, list[str]] = {}
+    for label in np.unique(labels).tolist():
+        at = np.flatnonzero(labels == label)
+        text = f"'{label}' ({len(at)} rows, the first is {table.where(int(at[0]))})"
+        spellings.setdefault(_SEPARATORS.sub("", label.casefold()), []).append(text)
+    for similar in spellings.values():
+        if len(similar) > 1:
+            yield Finding(
+                "warn",
+                "load labels",
+                f"the labels {' and '.join(similar)} differ only in case, spaces, hyphens or underscores; each is"
+                " estimated as a load of its own",
+                "if they are one load, write one label in all rows; the load is then estimated from all of them",
+                "similar_labels",
+            )
 
 
 def _poses(result: Result, about: AnalysisInputs, roles: Sequence[str]) -> tuple[DrawnPose, ...]:

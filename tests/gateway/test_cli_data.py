@@ -179,6 +179,20 @@ def test_diagnose_finds_nothing_missing_in_what_the_model_made(table):
     assert body["effects"] == []
 
 
+@pytest.mark.parametrize(
+    "options", [("estimate",), ("diagnose", "--only", "axes_swapped")], ids=["estimate", "diagnose"]
+)
+def test_labels_that_differ_by_case_are_reported_with_their_rows(table, options):
+    name, *more = options
+    path = table(loads=("none", "tool", "Tool"))
+    done = run(name, path, "--robot", URDF, *more, "--json", "-")
+    assert done.exit_code == 0, done.output
+    (finding,) = [each for each in json.loads(done.stdout)["findings"] if each["where"] == "load labels"]
+    assert finding["severity"] == "warn"
+    assert f"'tool' (16 rows, the first is {path}:18)" in finding["what"]
+    assert f"'Tool' (16 rows, the first is {path}:34)" in finding["what"]
+
+
 @pytest.mark.slow
 def test_diagnose_finds_a_reversed_sign_and_ends_with_seven(table):
     path = table(change=lambda line: line if line.startswith("load") else _turned(line))
@@ -215,6 +229,44 @@ def test_measured_runs_fit_and_every_axis_has_its_residual(measured_data, name):
     assert done.exit_code == 0, done.output
     assert all(value is not None and value > 0 for value in json.loads(done.stdout)["after"]["rms_nm"])
     assert "residual" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.data
+@pytest.mark.parametrize("command", ["estimate", "diagnose"])
+@pytest.mark.parametrize("name", ["kr300", "tx40", "ur10", "qh165"])
+def test_every_measured_table_ends_with_an_exit_code_of_the_reference(measured_data, name, command):
+    folder = measured_data / name
+    robot = ["--robot", folder / "robot.urdf"] if (folder / "robot.urdf").exists() else []
+    for path in sorted(folder.glob("*.csv")):
+        done = run(command, path, *robot)
+        assert done.exit_code in {0, 3, 6, 7}, done.output
+        assert "Traceback" not in done.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", ["estimate", "diagnose"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_table_with_outliers_and_single_approaches_ends_without_a_traceback(table, seed, command):
+    """Torques that are pushed by 60 Nm at random, a third of the approaches missing, labels that differ by case."""
+    rng = np.random.default_rng(seed)
+
+    def change(line):
+        cells = line.split(",")
+        if cells[0] == "load":
+            return line
+        if rng.random() < 0.05:
+            joint = 14 + int(rng.integers(6))
+            cells[joint] = repr(float(cells[joint]) + 60.0)
+        cells[0] = "Tool" if cells[0] == "tool" and rng.random() < 0.5 else cells[0]
+        return ",".join(cells) if rng.random() > 1 / 3 else None
+
+    path = table(poses=rng.uniform(-1.2, 1.2, (12, 6)), rng=rng)
+    lines = map(change, path.read_text(encoding="utf-8").splitlines())
+    path.write_text("\n".join(line for line in lines if line) + "\n", encoding="utf-8")
+    done = run(command, path, "--robot", URDF)
+    assert done.exit_code in {0, 3, 6, 7}, done.output
+    assert "Traceback" not in done.output
 
 
 @pytest.mark.slow

@@ -187,7 +187,8 @@ def recording_page() -> str:
         "|---|---|",
         "| `schema`, `created`, `software` | version of this layout; date; program and version |",
         "| `cell`, `profiles`, `robot` | text of the cell file, of each drive profile (JSON by name), of the URDF |",
-        f"| `exit_status`, `reason` | {', '.join(f'`{word}`' for word in STATUSES)}; and why |",
+        f"| `exit_status`, `reason` | {', '.join(f'`{word}`' for word in STATUSES)}; and why. Every"
+        " result of a recording that is not `success` gives the reason |",
         "",
         "| attribute of `/arms/NAME` | what it is (JSON) |",
         "|---|---|",

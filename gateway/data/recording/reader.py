@@ -27,7 +27,8 @@ from gateway.errors import ConfigError, InputError
 __all__ = ["SCHEMA", "ArmRecording", "Recording", "read"]
 
 SCHEMA = 1
-STATUSES = ("success", "abort", "fail")
+FINISHED = "success"
+STATUSES = (FINISHED, "abort", "fail")
 
 
 def read(path: Path) -> Recording:

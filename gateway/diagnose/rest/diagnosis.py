@@ -92,10 +92,15 @@ LESS: Final[Mapping[Verdict, Verdict]] = {
 
 @dataclass(frozen=True, slots=True)
 class ReadVisits:
-    """Visits of a table without rejected outliers, and the fit without effects."""
+    """Visits of a table without rejected outliers, and the fit without effects.
+
+    `rejected` (rows, N) marks the torques of the table's rows that are rejected: a correction of the rows can change
+    which of them make a visit.
+    """
 
     table: Table
     outliers: RejectedTorques
+    rejected: NDArray[np.bool_]
     problem: RestProblem
     plain: Fit
 
@@ -105,7 +110,8 @@ class Found:
     """Finished search: the visits as `read`, and `now` with the commissioning mistakes corrected.
 
     `settled` is the knowledge as tested against these visits, if it was tested. `rival` is the wrong constant or the
-    factor of sqrt 2 that explains an axis about as well.
+    factor of sqrt 2 that explains an axis about as well. `conflict` is the knowledge whose robot model the visits
+    contradict so far that no load may be given.
     """
 
     read: ReadVisits
@@ -117,6 +123,7 @@ class Found:
     setup: RestSetup
     settled: SettledKnowledge | None = None
     rival: EffectResult | None = None
+    conflict: SettledKnowledge | None = None
 
     @property
     def score(self) -> float:
@@ -157,17 +164,20 @@ class RestDiagnosis:
         rows = self._rows(table)
         outliers = self.outliers(rows)
         problem = build_problem(self.robot, rows.unmeasured(outliers.mask), self.knowledge)
-        return ReadVisits(table, outliers, problem, fit_without_effects(problem))
+        rejected = rows.of_rows(outliers.mask, len(table))
+        return ReadVisits(table, outliers, rejected, problem, fit_without_effects(problem))
 
     def problem(self, table: Table, rejected: NDArray[np.bool_], mistakes: Sequence[Mistake] = ()) -> RestProblem:
-        """Build the problem from the rows of a table without rejected torques (n, N), with the mistakes corrected."""
+        """Build the problem from a table without its rejected torques (rows, N), with the mistakes corrected."""
         for mistake in mistakes:
             rejected = rejected[:, mistake.reading_of(rejected.shape[1])]
-        return build_problem(self.robot, self._rows(_undone(table, mistakes)).unmeasured(rejected), self.knowledge)
+        visits = self._rows(_undone(table, mistakes))
+        one, other = visits.rows.T
+        return build_problem(self.robot, visits.unmeasured(rejected[one] | rejected[other]), self.knowledge)
 
     def search(self, read: ReadVisits) -> Found:
         """Fit the hypotheses, with commissioning mistakes corrected if the data require it."""
-        build, problem = partial(self.problem, read.table, read.outliers.mask), read.problem
+        build, problem = partial(self.problem, read.table, read.rejected), read.problem
         for label in problem.labels:
             require_postures(problem.rows.q_rad[problem.rows.load == label], label)
         mistakes: tuple[Mistake, ...] = ()
@@ -193,7 +203,7 @@ class RestDiagnosis:
 
     def _undone(self, read: ReadVisits, mistakes: tuple[Mistake, ...]) -> ReadVisits:
         """Return the visits with the mistakes corrected in the problem."""
-        problem = self.problem(read.table, read.outliers.mask, mistakes)
+        problem = self.problem(read.table, read.rejected, mistakes)
         return replace(read, problem=problem, plain=fit_without_effects(problem))
 
     def _with_statements_tested(self, found: Found) -> Found:
@@ -212,6 +222,8 @@ class RestDiagnosis:
             found = replace(found, search=search, chosen=self._chosen(search, found.setup))
         effects, search = found.chosen.terms, found.search
         likelier = not effects or settled.log_odds > search.log_odds(found.chosen, found.now.plain)
+        if settled.conflict is not None and (likelier or settled.conflict.cause != "link_masses"):
+            return replace(found, conflict=settled)
         if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found
         now = replace(found.now, problem=settled.problem, plain=settled.fit)
@@ -281,7 +293,7 @@ class RestDiagnosis:
         table = replace(table, q2nd_rad=np.full_like(table.q2nd_rad, np.nan))
         if sided:
             table = replace(table, direction=np.zeros_like(table.direction))
-        problem = self.problem(table, found.read.outliers.mask)
+        problem = self.problem(table, found.read.rejected)
         return summary(problem, fit_without_effects(problem), Judge(problem, None), self.robot)
 
     def _as_estimated(self, visits: Visits, settled: SettledKnowledge | None) -> Result:
@@ -307,6 +319,10 @@ class RestDiagnosis:
 
     def report(self, found: Found, holdout: Table | None = None, kind: HoldoutKind = "given") -> Result:
         """Build the result of a search; `holdout` are held-out rows, `kind` is their origin."""
+        if found.conflict is not None:
+            result = self._as_estimated(found.now.problem.rows, found.conflict)
+            reported = (*found.read.outliers.findings, *mistake_findings(found.mistakes), *result.findings)
+            return replace(result, verdict="unexplained", findings=reported)
         settled = found.settled
         if settled is not None and settled.knowledge is not self.knowledge:
             return self._knowing(settled.knowledge).report(found, holdout, kind)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -109,6 +110,24 @@ def test_the_constants_are_found_and_stored_beside_the_cell(place, known):
     config = load_cell(place.folder / "cell.toml").cell.arm[0].axis[2]
     assert axis.stated_nm_per_a == config.torque_constant_nm_per_a.value
     assert axis.residual_nm > 0
+
+
+@pytest.mark.parametrize(("typed", "is_stored"), [(5.0, True), (5.42, False), (4.56, False)])
+def test_a_weight_typed_wrong_is_not_stored(place, typed, is_stored):
+    """Less than 3 standard deviations on any axis at a stated 3 %, but one factor on all of them."""
+    text = (place.folder / "cell.toml").read_text(encoding="utf-8")
+    stated = re.sub(
+        r"(torque_constant_nm_per_a = {[^}]*?)(, std_percent = [\d.]+)?\s*}", r"\1, std_percent = 3 }", text
+    )
+    (place.folder / "cell.toml").write_text(stated, encoding="utf-8")
+    done = calibrated(place, known=f"weight={typed},0.02,-0.01,0.1", content=bracket(gain=np.zeros(6)))
+    findings = json.loads(done.stdout)["findings"]
+    failed = [finding for finding in findings if finding["severity"] == "fail"]
+    assert done.exit_code == (0 if is_stored else 7)
+    assert calibration_path(place.folder / "cell.toml").exists() == is_stored
+    assert bool(failed) == (not is_stored)
+    for finding in failed:
+        assert finding["advice"].index("weigh") < finding["advice"].index("rms")
 
 
 def test_the_next_load_is_measured_with_them_and_the_result_says_so(place):

@@ -53,6 +53,19 @@ def test_loads_and_standard_deviations_are_equal_where_no_effect_is_named(bench:
         assert np.allclose(ours.com_std_m, other.com_std_m, rtol=1e-9)
 
 
+def test_a_table_with_outliers_is_searched_for_mistakes(bench: Bench, table: Table) -> None:
+    """Half the poses have one approach: without the directions, other rows make a visit than with them."""
+    single = (table.load == "tool") & (table.pose % 2 == 0)
+    kept = table.take(~single | (table.direction[:, 1] == np.where(table.pose % 4 == 0, 1, -1)))
+    touched = kept.tau_nm.copy()
+    touched[np.flatnonzero((kept.load == "tool") & (kept.pose == 3)), 2] += 60.0
+    options = replace(bench.options, only=frozenset({"axes_swapped", "static_friction"}))
+    found = diagnose(replace(kept, tau_nm=touched), bench.robot, options)
+    assert {(entry.joint, entry.pose) for entry in found.set_aside} == {(3, 3)}
+    assert "static_friction" in {effect.name for effect in found.effects}
+    assert abs(found.loads[0].mass_kg - bench.arm.loads["tool"].mass_kg) < 3.0 * found.loads[0].mass_std_kg
+
+
 def test_one_posture_is_refused_by_both(bench: Bench, table: Table) -> None:
     one = table.take(np.asarray(table.pose) == table.pose[0])
     options = DiagnoseOptions(efficiency=bench.arm.efficiency, gear_ratio=bench.arm.gear_ratio)

@@ -19,6 +19,7 @@ from gateway.pipeline.finalize import finalize
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, diagnose_arguments, estimate_options, read_rows
 from gateway.result.result import Result
 from tests.cells import CELLS
+from tests.recordings import several
 from tests.visits import ARM_HEADER, header_of, visit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
@@ -127,6 +128,18 @@ def test_corrected_constants_are_used_and_named(cell_at, record):
         ("J1", "gear_ratio 121, recorded with 120: recomputed with the constants of the cell file"),
         ("J1", "zero_offset_rad 0.1, recorded with 0: recomputed with the constants of the cell file"),
     ]
+
+
+@pytest.mark.parametrize(("status", "reported"), [("success", False), ("abort", True), ("fail", True), (None, True)])
+def test_a_result_of_an_unfinished_recording_says_so(tmp_path, status, reported):
+    path = several(tmp_path / "run.h5", "seven", status=status)
+    about = collect_inputs(ModelRequest(), [path])
+    findings = finalize(Result("seven"), about, read_rows([path], about), [path]).findings
+    unfinished = [finding for finding in findings if finding.where == "recording"]
+    assert [finding.severity for finding in unfinished] == ["warn"] * reported
+    for finding in unfinished:
+        assert f"status {status or 'abort'}: " in finding.what
+        assert status is None or "done" in finding.what
 
 
 def test_corrected_torque_constant_scales_what_was_measured_as_current(cell_at, record, monkeypatch):

@@ -109,10 +109,10 @@ def test_an_outlier_stays_rejected_on_its_drive_when_cables_are_exchanged():
     """Its visit is not measured on the axis that the drive turns out to move."""
     bench = Bench(8, [effect("axes_swapped", [2, 3])])
     read = bench.both()
-    rejected = np.zeros((20, 6), dtype=bool)
-    rejected[4, 1] = rejected[7, 4] = True
+    torques = np.zeros((len(read), 6), dtype=bool)
+    torques[8, 1] = torques[14, 4] = True  # the first approaches of visits 4 and 7
     swapped = Mistake("axes_swapped", (2, 3), with_positions=True)
-    problem = RestDiagnosis(bench.robot, bench.options).problem(read, rejected, (swapped,))
+    problem = RestDiagnosis(bench.robot, bench.options).problem(read, torques, (swapped,))
     assert np.argwhere(~problem.use_sum).tolist() == [[4, 2], [7, 4]]
 
 

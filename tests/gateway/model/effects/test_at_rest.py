@@ -86,6 +86,7 @@ def rows(arm: DrawnArm, visits: list[PlannedVisit]) -> Visits:
         wind_up_rad=np.full((n, 6), np.nan),
         gear_nm=np.zeros((n, 6)),
         where=np.full(n, "r"),
+        rows=np.zeros((n, 2), dtype=int),
         gears=Gears(arm.plant.gear_efficiency),
     )
 
