@@ -219,9 +219,9 @@ def test_an_entry_in_words():
 def test_an_entry_with_any_damaged_number_is_refused(tmp_path, change):
     entry = {"node_id": 3, "index": 0x6060, "subindex": 0, "data_type": "i8", "old": 0, "new": 8, "reason": "mode"}
     path = tmp_path / "ledger.json"
-    path.write_text(json.dumps({"schema": 1, "entries": [entry]}))
+    path.write_text(json.dumps({"schema": 2, "entries": [entry]}))
     assert WriteLedger(path).entries == (LedgerEntry(**entry),)
-    path.write_text(json.dumps({"schema": 1, "entries": [entry | change]}))
+    path.write_text(json.dumps({"schema": 2, "entries": [entry | change]}))
     with pytest.raises(ConfigurationRefused, match="is not a write ledger"):
         WriteLedger(path)
 

@@ -269,7 +269,7 @@ def test_the_ledger_is_on_disk_before_the_write_and_keeps_the_first_old_value(tm
 
 
 @pytest.mark.parametrize(
-    "text", ["", "[]", "{}", '{"schema": 2}', '{"schema": 1, "entries": [{"node_id": 1}]}', "[" * 9000]
+    "text", ["", "[]", "{}", '{"schema": 2}', '{"schema": 2, "entries": [{"node_id": 1}]}', "[" * 9000]
 )
 def test_a_damaged_ledger_is_refused(tmp_path, text):
     path = tmp_path / "ledger.json"
@@ -281,7 +281,7 @@ def test_a_damaged_ledger_is_refused(tmp_path, text):
 def test_entries_of_the_wrong_kind_are_refused(tmp_path):
     path = tmp_path / "ledger.json"
     entry = {"node_id": 1, "index": 1, "subindex": 0, "data_type": "i99", "old": 0, "new": 0, "reason": ""}
-    path.write_text(json.dumps({"schema": 1, "entries": [entry]}))
+    path.write_text(json.dumps({"schema": 2, "entries": [entry]}))
     with pytest.raises(ConfigurationRefused, match="damaged"):
         WriteLedger(path)
 
