@@ -223,6 +223,16 @@ def _one_sided(estimate: Estimate) -> list[Finding]:
     alone = np.asarray(np.isnan(rows.band_nm[measured]).all(axis=1))
     if not alone.any():
         return []
+    if not (np.isfinite(rows.band_nm) | (rows.direction != 0)).any():
+        return [
+            Finding(
+                "warn", "approach",
+                "no approach direction is known: friction cannot be separated from gravity, and may act like a constant"
+                " torque and like a share of the torque on every axis; the intervals are widened for both",
+                "approach every pose from both sides, slowly, by the same offset, and record dir1, dir2, ...",
+                "sides_unknown",
+            )
+        ]  # fmt: skip
     return [
         Finding(
             "info", "approach",

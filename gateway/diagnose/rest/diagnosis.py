@@ -61,7 +61,7 @@ from gateway.identify.prior_loads import BARE_LABEL, require_postures
 from gateway.identify.rejected import RejectedTorques, rejected_torques
 from gateway.identify.rest.hypothesis_fit import fit, fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem, visit_loads
-from gateway.identify.rest.problem import Knowledge, build_problem
+from gateway.identify.rest.problem import Knowledge, build_problem, sides_unknown
 from gateway.identify.rest.rest_loads import loads_of, nuisance_results, spread_by_shape
 from gateway.identify.rest.start_noise import settled_noise
 from gateway.model.effect import RestSetup
@@ -247,7 +247,12 @@ class RestDiagnosis:
         weighed = bool(self.knowledge.weighed) or self.knowledge.inertials == "exact"
         drawn = np.where(np.isfinite(problem.link_std), problem.links, np.nan)
         setup = RestSetup(self.options.gear_ratios(problem.axes), weighed, torque, drawn, self.robot)
-        named = terms_at_rest(problem.rows, setup, self.options.allowed)
+        unknown = sides_unknown(problem.rows)
+        named = [
+            term
+            for term in terms_at_rest(problem.rows, setup, self.options.allowed)
+            if not (term.name == "torque_offset" and unknown[term.joints[0] - 1])
+        ]
         search = Search(problem, tuple(named), tuple(unnamed_terms(problem.rows, setup)), noise)
         return Found(read, now, search, self._chosen(search, setup), mistakes, gained, setup)
 

@@ -7,6 +7,7 @@ import numpy as np
 from gateway.diagnose.rest.verdict import Decision
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.linear import RestProblem
+from gateway.identify.rest.problem import sides_unknown
 from gateway.model.effects import LIBRARY
 from gateway.result.result import Finding
 
@@ -38,7 +39,15 @@ def limits(problem: RestProblem) -> list[Finding]:
                 "record one",
             )
         )
-    if not rows.two_sided.any():
+    if sides_unknown(rows).any():
+        axes = ", ".join(f"J{axis + 1}" for axis in np.flatnonzero(sides_unknown(rows)).tolist())
+        text = (
+            f"no approach direction of {axes} is known: friction cannot be separated from gravity; the intervals are"
+            " widened for it, and no constant torque is reported as an effect"
+        )
+        advice = "approach each pose from both sides, and record dir1, dir2, ..."
+        out.append(Finding("warn", "approach", text, advice, "sides_unknown"))
+    elif not rows.two_sided.any():
         text = "every pose was approached from one side only: friction counts as noise"
         out.append(Finding("info", "data", text, "approach each pose from both sides"))
     return out

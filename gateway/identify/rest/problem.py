@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from gateway.errors import DataUnusable
 from gateway.identify.links import PER_LINK_AT_REST, link_prior, parse_inertials
-from gateway.identify.nuisance import LOAD_FRICTION, gain_stds, losses, nuisance_prior
+from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, gain_stds, losses, nuisance_prior
 from gateway.identify.prior_loads import bare_rows, load_vector, refuse_absent, stored_errors, unknown_labels
 from gateway.identify.rest.gain_changes import GainChanges
 from gateway.identify.rest.linear import RestProblem
@@ -32,6 +32,8 @@ OPEN_SHARE = 0.1
 EXACT = 1e-4
 #: Friction band of an axis that was approached from one side only, as a share of its torque.
 BAND_UNSEEN = 0.05
+#: The same where no approach direction is known: any part of the friction may be in the half-sum.
+SIDE_UNSEEN = 0.20
 #: Least standard deviation of a link without mass [kg, kg m].
 LEAST_STD = 1e-10
 
@@ -143,6 +145,13 @@ def open_link_prior(robot: Robot, inertials: str) -> tuple[Floats, Floats]:
     return mean, np.where(np.isinf(std), nearly_open, np.maximum(std, LEAST_STD))
 
 
+def sides_unknown(rows: Visits) -> NDArray[np.bool_]:
+    """Return the measured axes (N,) of which no visit has an approach direction."""
+    known = np.isfinite(rows.difference_nm) | (rows.side != 0)
+    measured = np.isfinite(rows.sum_nm)
+    return np.asarray(measured.any(axis=0) & ~(measured & known).any(axis=0))
+
+
 def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None = None) -> RestNuisance:
     """Prior of the nuisance parameters; the approach directions determine the size of bands and losses."""
     halves = np.where(np.isfinite(rows.sum_nm), rows.difference_nm, np.nan)
@@ -155,5 +164,10 @@ def nuisance_of(rows: Visits, knowledge: Knowledge, changes: GainChanges | None 
     lost = np.clip(np.where(np.isfinite(lost), lost, LOAD_FRICTION), 0.0, 1.0)
     if changes is None:
         changes = GainChanges.of(rows, gain_std, knowledge.change)
-    prior = RestNuisance.of(nuisance_prior(gain_std, band, lost), gain_std, lost, changes, knowledge.measured_gain)
+    prior = nuisance_prior(gain_std, band, lost)
+    # without approach directions friction is a constant and a share of the torque, of unknown sign
+    unknown = sides_unknown(rows)
+    prior = replace(prior, bias_std_nm=np.where(unknown, SIDE_UNSEEN * size, prior.bias_std_nm))
+    friction = np.where(unknown, LOAD_FRICTION + LOAD_FRICTION_STD, 0.0)
+    prior = RestNuisance.of(prior, gain_std, lost, changes, knowledge.measured_gain, friction)
     return prior if knowledge.bare is None else prior.held_elsewhere(stored_errors(knowledge.bare))

@@ -101,7 +101,12 @@ class RestNuisance:
 
     @staticmethod
     def of(
-        prior: NuisancePrior, gain_std: Floats, lost: Floats, changes: GainChanges, measured: Sequence[bool] = ()
+        prior: NuisancePrior,
+        gain_std: Floats,
+        lost: Floats,
+        changes: GainChanges,
+        measured: Sequence[bool] = (),
+        friction: Floats | float = 0.0,
     ) -> RestNuisance:
         """Build the prior from the torque constants and the approach directions of the visits.
 
@@ -116,9 +121,11 @@ class RestNuisance:
             What the gains have in common, and how they change.
         measured : sequence of bool
             Axes (N,) whose gain was measured on this arm, uneven losses included; empty = none.
+        friction : array of shape (N,) or float
+            Standard deviation of a share of the torque that friction adds in visits with unknown approach directions.
         """
         own = np.sqrt(1.0 - COMMON_SHARE) * gain_std
-        gain = np.hypot(own, np.where(measured or False, 0.0, UNEVEN_LOSS * lost))
+        gain = np.hypot(np.hypot(own, np.where(measured or False, 0.0, UNEVEN_LOSS * lost)), friction)
         prior = replace(prior, gain_std=gain)
         mean, std = (
             np.concatenate([np.broadcast_to(kind.prior(prior)[part], gain.shape) for kind in NUISANCE_KINDS])

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 import pytest
 
+from gateway.diagnose import diagnose
 from gateway.estimate import EstimateOptions, run
 from gateway.model.robot import robot_from_urdf
 from tests.arms import peer_of, urdf_of
@@ -54,6 +57,27 @@ def test_friction_that_grows_with_the_torque_is_no_mass(seed: int, sides: str) -
     assert abs(found.mass_kg / MASS - 1.0) < 0.02
     assert found.mass_std_kg < 0.05 * MASS
     assert found.com_m == pytest.approx(COM, abs=0.003)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_friction_of_unknown_side_is_reported_and_widens_the_interval(seed: int) -> None:
+    """All visits lift, and the table does not say so: friction looks like a tenth more mass."""
+    measured, robot = table(seed, "lifting")
+    measured = replace(measured, direction=np.zeros_like(measured.direction))
+    found = run(measured, robot, EstimateOptions(inertials="prior:0.05"))
+    (load,) = found.loads
+    assert abs(load.mass_kg - MASS) < 1.96 * load.mass_std_kg
+    (finding,) = [each for each in found.findings if each.where == "approach"]
+    assert finding.severity == "warn"
+    assert "friction cannot be separated from gravity" in finding.what
+
+
+@pytest.mark.slow
+def test_no_offset_is_named_where_no_side_is_known() -> None:
+    measured, robot = table(1, "lifting")
+    found = diagnose(replace(measured, direction=np.zeros_like(measured.direction)), robot)
+    assert not {"torque_offset", "static_friction"} & {effect.name for effect in found.effects}
+    assert any(each.where == "approach" and each.severity == "warn" for each in found.findings)
 
 
 def test_the_load_friction_of_one_sided_visits_is_reported() -> None:
