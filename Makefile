@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature naming loads compare conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
 
 venv: $(STAMP)
 
@@ -44,6 +44,7 @@ lint: venv
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 	$(BIN)/python -m benchmarks.language
+	$(BIN)/python -m benchmarks.ceilings
 
 # The documentation as pages, in out/docs; a link that leads nowhere fails.
 docs: venv
@@ -61,10 +62,13 @@ blind: venv
 blind-nature: venv
 	$(BIN)/python -m benchmarks.blind --tier nature --out out/blind-nature
 
-# What estimate and diagnose answer to 300 seeded tables, to compare another version with (--against FILE): an hour.
-compare: venv
-	mkdir -p out
-	$(BIN)/python -m benchmarks.compare --store out/compare.json
+# What estimate and diagnose answer to 248 tables, against the stored answer (--store replaces it): a quarter of an hour.
+golden: venv
+	$(BIN)/python -m benchmarks.golden --out out/golden
+
+# Whether 95 % intervals hold on tables drawn from the stated model itself: ten minutes.
+calibrated: venv
+	$(BIN)/python -m benchmarks.calibrated --out out/calibrated
 
 # Statements about an arm that are wrong, and right ones: what passes silently, what raises an alarm; ten minutes.
 conflict: venv

@@ -19,7 +19,7 @@ from gateway.cli import main
 HALF_WIDTH, FAR = 1.96, 3.0
 DEFECT = 1
 #: What is read of a result file.
-KEPT = ("findings", "loads", "effects", "noise_floor_nm")
+KEPT = ("findings", "loads", "effects", "noise_floor_nm", "verdict")
 
 
 def answer_of(task: tuple[int, str, str, str]) -> dict:
@@ -87,7 +87,7 @@ def _run(command: str, table: Path, robot: Path, options: list[str], answer: Pat
     return (
         result.exit_code,
         result.output,
-        {key: found.get(key, []) for key in ("findings", "loads", "effects", "noise_floor_nm")},
+        {key: found.get(key, []) for key in KEPT},
     )
 
 

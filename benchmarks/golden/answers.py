@@ -3,43 +3,100 @@
 from __future__ import annotations
 
 import json
-import math
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from click.testing import CliRunner
 
-from benchmarks.compare.tables import Case, case
+from benchmarks.conflict.answers import check_of, measured_cell, typed
+from benchmarks.golden.tables import CONFLICT, FILES, FIRST_SEED, MAKERS, Case, words_of
+from gateway.cli import main
 from gateway.diagnose import diagnose
 from gateway.errors import GatewayError
 from gateway.estimate import run
-from gateway.result.result import LoadResult, Result
+from gateway.result.result import Result, to_dict
 from tests.support.blind.strict import Said, misnamed, right
 
 #: No effect of the library: a diagnosis that can name nothing, against `estimate`.
 NOTHING = frozenset({"axes_swapped"})
 
 
-def answer_of(number: int) -> dict:
-    """Return what both commands answer to table `number`, in numbers that JSON holds."""
-    one = case(number)
-    out = {"number": number, "condition": one.condition, "seed": one.seed, "rows": len(one.table.load)}
-    out["truth"] = {label: values.tolist() for label, values in one.loads.items()}
-    estimated = _timed(lambda: run(one.table, one.robot, one.estimate), _loads)
-    out["estimate"] = estimated
-    out["diagnose"] = _timed(lambda: diagnose(one.table, one.robot, one.diagnose), lambda r: _diagnosed(one, r))
-    nothing = replace(one.diagnose, only=NOTHING)
-    plain = _timed(lambda: diagnose(one.table, one.robot, nothing), _diagnosed_plain)
-    if not plain.get("effects"):
-        out["difference"] = _difference(estimated, plain)
+def answer_of(name: str) -> dict:
+    """Return what both commands answer to one table of `tables.names`, in numbers that JSON holds."""
+    kind, _, number = name.partition("/")
+    out: dict = {"name": name, "condition": kind, "truth": {}}
+    if kind == CONFLICT:
+        cell = measured_cell(FIRST_SEED, number)
+        out["truth"] = {"tool": cell.loads["tool"].tolist()}
+        for command in ("estimate", "diagnose"):
+            with tempfile.TemporaryDirectory() as folder:
+                out[command] = _timed(lambda: typed(cell, Path(folder), command)[::2])  # noqa: B023
+    elif kind == FILES:
+        for command in ("estimate", "diagnose"):
+            out[command] = _timed(lambda: _typed_files(words_of(command, number)))  # noqa: B023
+    else:
+        out |= _seeded(replace(MAKERS[kind](int(number)), condition=kind))
     return json.loads(json.dumps(out))
 
 
-def write_answers(path: Path, answers: dict[str, dict]) -> None:
+def _seeded(case: Case) -> dict:
+    estimated = _timed(lambda: _of_result(run(case.table, case.robot, case.estimate)))
+    diagnosed = _timed(lambda: _of_result(diagnose(case.table, case.robot, case.diagnose)))
+    nothing = replace(case.diagnose, only=NOTHING)
+    plain = _timed(lambda: _of_result(diagnose(case.table, case.robot, nothing)))
+    if case.effects is not None:
+        said = Said(tuple((name, tuple(joints)) for name, joints in diagnosed["effects"]), diagnosed["verdict"])
+        diagnosed |= {"right": right(case.effects, said), "misnamed": misnamed(case.effects, said)}
+    out: dict = {"truth": {label: values.tolist() for label, values in case.loads.items()}}
+    out |= {"estimate": estimated, "diagnose": diagnosed}
+    if not plain["effects"]:
+        out["difference"] = largest_difference(estimated, plain)
+    return out
+
+
+def _of_result(result: Result) -> tuple[int, dict]:
+    content = to_dict(result)
+    return 7 if any(finding["severity"] == "fail" for finding in content["findings"]) else 0, content
+
+
+def _typed_files(words: Sequence[str]) -> tuple[int, dict]:
+    with tempfile.TemporaryDirectory() as folder:
+        answer = Path(folder) / "answer.json"
+        code = CliRunner(env={"COLUMNS": "200"}).invoke(main, [*words, "--json", str(answer)]).exit_code
+        return code, json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
+
+
+def _timed(work: Callable[[], tuple[int, Mapping[str, Any]]]) -> dict:
+    """Return exit code, loads, verdict, effects and findings of one command, and its processor time."""
+    begin = time.process_time()
+    try:
+        code, content = work()
+    except GatewayError as error:
+        code, content = error.exit_code, {}
+    return {
+        "exit": code,
+        "loads": {load["label"]: _load(load) for load in content.get("loads", ())},
+        "verdict": str(content.get("verdict", "")),
+        "effects": [[effect["name"], list(effect["joints"])] for effect in content.get("effects", ())],
+        "findings": sorted({f"{f['severity']} {f['where']}: {check_of(f)}" for f in content.get("findings", ())}),
+        "time_s": time.process_time() - begin,
+    }
+
+
+def _load(load: Mapping[str, Any]) -> dict:
+    centre, spread = load.get("com_m") or [None] * 3, load.get("com_std_m") or [None] * 3
+    values, stds = [load.get("mass_kg"), *centre], [load.get("mass_std_kg"), *spread]
+    return {"value": values, "std": stds, "refused": load.get("refused") is not None}
+
+
+def write_answers(path: Path, answers: Mapping[str, dict]) -> None:
     """Write answers, one table a line."""
-    lines = [f"{json.dumps(number)}: {json.dumps(_rounded(answer))}" for number, answer in answers.items()]
+    lines = [f"{json.dumps(name)}: {json.dumps(_rounded(answer))}" for name, answer in answers.items()]
     path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
 
 
@@ -48,63 +105,23 @@ def read_answers(path: Path) -> dict[str, dict]:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def _timed(work: Callable[[], Result], kept: Callable[[Result], dict]) -> dict:
-    begin = time.process_time()
-    try:
-        result = work()
-    except GatewayError as error:
-        return {"refused": str(error), "time_s": time.process_time() - begin}
-    return {**kept(result), "time_s": time.process_time() - begin}
-
-
-def _loads(result: Result) -> dict:
-    return {"loads": {load.label: _load(load) for load in result.loads}}
-
-
-def _load(load: LoadResult) -> dict:
-    centre = [None] * 3 if load.com_m is None else load.com_m
-    spread = [None] * 3 if load.com_std_m is None else load.com_std_m
-    values = [None if v is None or not math.isfinite(v) else float(v) for v in (load.mass_kg, *centre)]
-    stds = [None if v is None or not math.isfinite(v) else float(v) for v in (load.mass_std_kg, *spread)]
-    return {"value": values, "std": stds, "refused": load.refused}
-
-
-def _diagnosed_plain(result: Result) -> dict:
-    return {
-        **_loads(result),
-        "verdict": str(result.verdict),
-        "effects": [[effect.name, list(effect.joints)] for effect in result.effects],
-    }
-
-
-def _diagnosed(one: Case, result: Result) -> dict:
-    out = _diagnosed_plain(result)
-    if one.effects is not None:
-        said = Said(tuple((name, tuple(joints)) for name, joints in out["effects"]), out["verdict"])
-        out |= {"right": right(one.effects, said), "misnamed": misnamed(one.effects, said)}
-    return out
-
-
-def _difference(first: dict, second: dict) -> float | None:
-    """Largest relative difference of loads and standard deviations; None where not both have an answer."""
+def largest_difference(first: Mapping[str, Any], second: Mapping[str, Any]) -> float | None:
+    """Return the largest relative difference of loads and standard deviations; None without a load in both."""
     worst: list[float] = []
-    for label, load in first.get("loads", {}).items():
-        other = second.get("loads", {}).get(label)
-        if other is None:
-            return None
+    for label in first["loads"].keys() & second["loads"].keys():
         for key in ("value", "std"):
-            worst += relative(load[key], other[key])
-    return max(worst) if worst and "loads" in second else None
+            worst += relative(first["loads"][label][key], second["loads"][label][key])
+    return max(worst) if worst else None
 
 
 def relative(first: Sequence[float | None], second: Sequence[float | None]) -> list[float]:
-    """Differences of mass and of the centre, each over its own size; infinite where one alone is known."""
+    """Differences of mass and of the centre, each over its own size; 1e9 where only one is known."""
     out = []
-    for part in (slice(0, 1), slice(1, 4)):
-        a, b = first[part], second[part]
+    for axes in (slice(0, 1), slice(1, 4)):
+        a, b = first[axes], second[axes]
         known = [x is not None for x in a], [x is not None for x in b]
         if known[0] != known[1]:
-            out.append(math.inf)
+            out.append(1e9)
             continue
         pairs = np.array([(x, y) for x, y in zip(a, b, strict=True) if x is not None and y is not None], dtype=float)
         if len(pairs):
@@ -114,9 +131,9 @@ def relative(first: Sequence[float | None], second: Sequence[float | None]) -> l
 
 
 def _rounded(value: object) -> object:
-    """The same with twelve significant digits."""
+    """The same with eight significant digits."""
     if isinstance(value, float):
-        return float(f"{value:.12g}")
+        return float(f"{value:.8g}")
     if isinstance(value, dict):
         return {key: _rounded(entry) for key, entry in value.items()}
     return [_rounded(entry) for entry in value] if isinstance(value, list) else value

@@ -1,4 +1,4 @@
-"""Answers of two versions side by side, per condition."""
+"""Answers of this version beside the stored ones, per condition and per table."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.compare.answers import relative
+from benchmarks.golden.answers import largest_difference, relative
 
 Answers = dict[str, dict]
 #: Half width of a 95 % interval, in standard deviations.
 HALF_WIDTH = 1.96
 COMMANDS = ("estimate", "diagnose")
+#: Relative difference of a load or standard deviation that the linear algebra of another processor may make.
+TOLERANCE = 1e-5
 
 
 def print_differences(before: Answers, after: Answers) -> None:
@@ -33,8 +35,36 @@ def print_differences(before: Answers, after: Answers) -> None:
     for condition in conditions:
         now = [a.get("difference") for a in after.values() if a["condition"] == condition]
         console.print(f"  {condition}: {_largest(now)} in {sum(d is not None for d in now)} tables")
-    for line in _changed_words(shared, after):
-        console.print(line, highlight=False)
+    differences = changes(shared, after)
+    console.print(f"{len(differences)} answers of {len(shared)} tables differ from the stored ones")
+    for line in differences:
+        console.print(line, highlight=False, markup=False)
+
+
+def changes(before: Answers, after: Answers) -> list[str]:
+    """Return a line for each answer whose exit code, loads, verdict, effects or findings are others now."""
+    lines = []
+    for name in after:
+        for command in COMMANDS:
+            old, new = before.get(name, {}).get(command), after[name].get(command)
+            if old is None or new is None:
+                continue
+            differences = [
+                f"{key}: {old[key]} -> {new[key]}"
+                for key in ("exit", "verdict", "effects", "findings")
+                if old[key] != new[key]
+            ]
+            size = largest_difference(old, new) or 0.0
+            if old["loads"].keys() != new["loads"].keys() or size > TOLERANCE:
+                differences.append(f"loads: {_masses(old)} -> {_masses(new)} (largest relative difference {size:.1e})")
+            if differences:
+                lines.append(f"{name} {command}: {'; '.join(differences)}")
+    return lines
+
+
+def _masses(answer: dict) -> str:
+    pairs = [(label, load["value"][0], load["std"][0]) for label, load in answer["loads"].items()]
+    return ", ".join(f"{label} {mass if mass is None else f'{mass:.5g} ± {std:.2g} kg'}" for label, mass, std in pairs)
 
 
 def coverage(answers: Iterable[dict], command: str) -> str:
@@ -71,9 +101,9 @@ def width(answers: Iterable[dict], command: str) -> str:
 
 def refused(answers: Iterable[dict], command: str) -> str:
     """Tables and loads that were refused."""
-    parts = [answer[command] for answer in answers]
-    loads = sum(load["refused"] is not None for part in parts for load in part.get("loads", {}).values())
-    return f"{sum('refused' in part for part in parts)}, {loads}"
+    commands = [answer[command] for answer in answers]
+    loads = sum(load["refused"] for entry in commands for load in entry["loads"].values())
+    return f"{sum(entry['exit'] not in (0, 7) for entry in commands)}, {loads}"
 
 
 def naming(answers: Iterable[dict], command: str) -> str:
@@ -145,22 +175,3 @@ def _changes(old: Answers, new: Answers, command: str) -> tuple[str, str]:
 def _largest(values: Sequence[float | None]) -> str:
     known = [value for value in values if value is not None]
     return f"{max(known):.1e}" if known else "-"
-
-
-def _changed_words(before: Answers, after: Answers) -> list[str]:
-    """Tables whose verdict, effects or refusals are others now."""
-    out = []
-    for number, old in before.items():
-        for command in COMMANDS:
-            was, now = _words(old[command]), _words(after[number][command])
-            if was != now:
-                out.append(f"table {number} ({old['condition']}, seed {old['seed']}) {command}: {was} -> {now}")
-    return out
-
-
-def _words(part: dict) -> str:
-    if "refused" in part:
-        return f"refused: {part['refused']}"
-    effects = ", ".join(f"{name} {joints}" for name, joints in part.get("effects", []))
-    loads = ", ".join(f"{label} refused" for label, load in part["loads"].items() if load["refused"])
-    return "; ".join(text for text in (part.get("verdict", ""), effects, loads) if text) or "loads"

@@ -1,6 +1,6 @@
 """Processor time and memory of `diagnose` or `estimate` at rest by the number of visits.
 
-python -m benchmarks.compare.growth VISITS [estimate]: one arm drawn by nature, bare and loaded; each
+python -m benchmarks.golden.growth VISITS [estimate]: one arm drawn by nature, bare and loaded; each
 visit from both sides. A process of its own for each number: memory is the most that it ever had.
 """
 

@@ -1,14 +1,17 @@
-"""Seeded tables of a comparison: what was measured, what the owner states, and the truth."""
+"""Golden tables: what was measured, what the owner states, and the truth."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
+from benchmarks.conflict.conditions import CONDITIONS as CONDITIONS_OF_CONFLICT
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions
 from gateway.estimate import EstimateOptions, estimate
@@ -35,6 +38,8 @@ FIRST_SEED = 70000
 #: Numbers of axes of the random arms.
 AXES = (2, 3, 4, 5, 7, 8)
 RANDOM_POSES = 10
+#: Seeded tables of each kind.
+SEEDS = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +65,6 @@ class Case:
     diagnose: DiagnoseOptions
     loads: Mapping[str, Floats]
     effects: tuple[There, ...] | None = field(default=())
-
-
-def case(number: int) -> Case:
-    """Return table `number` of the list: conditions alternate, so that any first N hold all of them."""
-    condition = tuple(MAKERS)[number % len(MAKERS)]
-    return replace(MAKERS[condition](FIRST_SEED + number // len(MAKERS)), condition=condition)
 
 
 def _parameters(load: Payload) -> Floats:
@@ -208,3 +207,34 @@ MAKERS: Mapping[str, Callable[[int], Case]] = {
     "nature, effects": _nature_effects,
     "moving": _moving,
 }
+
+#: Tables with a wrong statement, one a condition; tables in files.
+CONFLICT, FILES = "conflict", "file"
+_EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+_QH165 = "--method coefficient --axis 2 --lever x_k2_m --gear-ratio 210 --gear-efficiency 0.8 --rated-torque 23.875"
+#: Files: table, model and further options; `{data}` is the folder of SERVO_GATEWAY_DATA.
+_OF_FILES: Mapping[str, tuple[str, ...]] = {
+    "hidden_balancer": (f"{_EXAMPLES}/python/hidden_balancer.csv", "--cell", f"{_EXAMPLES}/large/cell.toml"),
+    "tx40": ("{data}/tx40/run_1_first.csv", "--robot", "{data}/tx40/robot.urdf"),
+    "kr300": ("{data}/kr300/run_A.csv", "--robot", "{data}/kr300/robot.urdf"),
+    "ur10": ("{data}/ur10/run_1_first.csv", "--robot", "{data}/ur10/robot.urdf"),
+    "qh165": ("{data}/qh165/table2.csv", *_QH165.split()),
+}
+
+
+def names() -> list[str]:
+    """Names of all tables, KIND/NUMBER; kinds alternate, so that any first N hold all of them."""
+    seeded = [f"{kind}/{FIRST_SEED + k}" for k in range(SEEDS) for kind in MAKERS]
+    files = [
+        name for name, words in _OF_FILES.items() if os.environ.get("SERVO_GATEWAY_DATA") or "{data}" not in words[0]
+    ]
+    typed = [f"{FILES}/{name}" for name in files] + [f"{CONFLICT}/{name}" for name in CONDITIONS_OF_CONFLICT]
+    step = len(seeded) / len(typed)
+    placed = [(k, name) for k, name in enumerate(seeded)] + [(step * k + 0.5, name) for k, name in enumerate(typed)]
+    return [name for _, name in sorted(placed)]
+
+
+def words_of(command: str, name: str) -> list[str]:
+    """Return the words of a command on files; the coefficient method is an estimate."""
+    words = [word.format(data=os.environ.get("SERVO_GATEWAY_DATA", "")) for word in _OF_FILES[name]]
+    return ["estimate" if "--method" in words else command, *words]

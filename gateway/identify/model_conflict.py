@@ -47,7 +47,7 @@ _BODY: Final = "\x1fbody"
 #: Candidate causes, with the name of the check.
 _CAUSES: Final = {
     "axes_swapped": "exchanged torque columns or drives of two axes",
-    "torque_constants": "the unit or convention of the torques of all axes (rms taken as peak value: a factor of 1.41)",
+    "torque_constants": "the unit, sign or convention of the torques of all axes (rms taken as peak: a factor of 1.41)",
     "body_in_unloaded_run": "a body that was on the flange in the unloaded run (a gripper, a tool changer)",
     "link_masses": "the robot model of another arm, or wrong masses in it",
 }

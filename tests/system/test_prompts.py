@@ -98,6 +98,7 @@ def test_while_a_question_is_open_no_other_command_uses_the_bus(place, serve, mo
     assert gateway("check", place.cell, "--bus", drives.bus).exit_code == 0, "the lock ends with the command"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "asks"),
     [

@@ -102,6 +102,7 @@ def test_replay_gives_the_same_numbers_elsewhere(stored, tmp_path, monkeypatch):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["moved.zip"]
 
 
+@pytest.mark.slow
 def test_a_diagnosis_with_its_options_is_replayed(place, tmp_path):
     rows, path = place / "data" / "rows.csv", tmp_path / "d.zip"
     words = ["--robot", place / "robot.urdf", "--without", "base_tilt,axis_coupling", "--warm", "--archive", path]

@@ -73,6 +73,7 @@ def test_the_entered_load_slows_the_path_down_to_the_torque_limit(folder):
     assert "limited by torque of J2" in done.stdout
 
 
+@pytest.mark.slow
 def test_reserve_has_the_interval_of_the_load(folder):
     """The spread of the reserve over drawn loads, each at the plan for the mean one."""
     from gateway.cell.config import load_cell

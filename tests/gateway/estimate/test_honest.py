@@ -102,6 +102,7 @@ def test_an_interval_without_gains_holds_the_truth_too_seldom(arm, poses, gravit
     assert np.mean(hits) < 0.66
 
 
+@pytest.mark.slow
 def test_unstated_gear_losses_widen_the_interval_and_are_named(arm, poses, gravity, band_nm, table_of):
     nature = Nature(efficiency=0.75)
     hits = []
@@ -121,6 +122,7 @@ def test_a_usual_loss_is_not_named(arm, poses, gravity, band_nm, table_of):
     assert not [finding for finding in found.findings if "efficiency" in finding.what]
 
 
+@pytest.mark.slow
 def test_a_known_mass_shrinks_gains_and_mass(arm, poses, band_nm, table_of):
     other = (12.0, 0.0, 0.05, 0.1)
     both = np.array([arm.gravity_torque(poses[:8], load) for load in (None, TRUTH, other)])

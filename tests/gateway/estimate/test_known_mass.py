@@ -39,6 +39,7 @@ def test_the_mass_alone_gives_the_torque_constants_and_the_other_load(table, arm
         assert abs(value - truth) < 4 * std
 
 
+@pytest.mark.slow
 def test_every_method_and_the_diagnosis_take_it(table, arm):
     options = EstimateOptions(masses={"weight": WEIGHT[0]}, gain_std=(0.05,) * 6)
     for method in ("difference", "posture"):

@@ -122,6 +122,7 @@ def test_all_that_motion_determines_comes_back_without_noise(clean, robot):
     assert result.set_aside == ()
 
 
+@pytest.mark.slow
 def test_the_order_of_the_rows_does_not_matter(clean, robot):
     table = table_of_periods(clean, 0.3)
     mixed = table.take(np.random.default_rng(5).permutation(len(table)))

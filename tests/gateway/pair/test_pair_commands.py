@@ -17,6 +17,9 @@ from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_store import PairStore
 from gateway.pair.transform_function import function_of_knots
 
+#: Two commands may not use one bus at the same time, in whatever process.
+pytestmark = pytest.mark.xdist_group("bus of the pair example")
+
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 
 

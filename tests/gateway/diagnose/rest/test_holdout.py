@@ -176,6 +176,7 @@ def test_what_is_reported_unseen_is_what_the_others_choose(monkeypatch):
     assert honest.after.holdout_rms_nm[axis] < 0.5 * honest.before.holdout_rms_nm[axis]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("hidden", "axis"),
     [

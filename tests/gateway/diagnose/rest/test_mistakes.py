@@ -147,6 +147,7 @@ def test_a_table_in_which_one_axis_moves_shows_no_mistake(seed, axis, hidden):
     assert find_mistakes(build, frozenset(LIBRARY)) == ((), 0.0)
 
 
+@pytest.mark.slow
 def test_nor_does_a_table_of_which_one_axis_was_measured():
     bench = Bench(8, [effect("sign_reversed", [3])])
     read = bench.both()

@@ -48,6 +48,7 @@ def test_a_coil_balancer_is_fitted_from_start_values_that_pull_and_from_others(s
     assert search.score(chosen) > curve
 
 
+@pytest.mark.slow
 def test_an_effect_is_exchanged_for_one_that_the_balancer_hides() -> None:
     """The deflection of joint 2 is proportional to the torque that the balancer leaves, not to that of gravity."""
     search = searched(113, {"balancer_spring", "base_tilt", "joint_elasticity"}, GasBalancer)
