@@ -35,7 +35,7 @@ from gateway.diagnose import DiagnoseOptions
 from gateway.diagnose.loop import close_loop
 from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
-from gateway.identify.drift import drift_findings, drift_of, is_steady
+from gateway.identify.drift import drift_findings, drift_of
 from gateway.identify.prior_loads import BARE_LABEL
 from gateway.model.arm_model import arm_robot
 from gateway.model.visits import pair_visits
@@ -44,7 +44,6 @@ from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
 from gateway.pipeline.finalize import finalize
 from gateway.pipeline.inputs import (
-    WARM_CHANGE,
     AnalysisInputs,
     ModelRequest,
     collect_inputs,
@@ -172,8 +171,6 @@ def commission(job: Job, dialogue: Dialogue) -> Result:
     with _measuring(job, dialogue) as robot:
         about, table = robot.data()
         seen, _ = split_validation(table)
-        if job.thermal is not None and is_steady(drift_of(pair_visits(seen, about.efficiency, about.coupling))):
-            about = replace(about, change=WARM_CHANGE)
         dialogue.say(f"diagnosis of {len(np.unique(seen.pose))} poses under {len(np.unique(seen.load))} loads")
         result, _ = close_loop(
             seen,

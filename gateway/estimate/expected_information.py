@@ -198,7 +198,8 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
     measured = np.flatnonzero(visits.load == sought.label)
     last = _last(visits) if not len(measured) else measured[_last(visits.take(measured))]
     complete = np.eye(problem.n_common)
-    complete[gains] = problem.gains_at(visits.take(np.array([last])))[0]
+    next_visit = replace(visits.take(np.array([last])), load=np.array([sought.label]))
+    complete[gains] = problem.gains_at(next_visit)[0]
     covariance = complete @ (fit.covariance + wide @ wide.T) @ complete.T
     estimated: LoadEstimate | None = None
     refused: str | None = None
@@ -209,7 +210,7 @@ def take_stock(visits: Visits, robot: Robot, options: EstimateOptions, sought: S
         against = refused_loads(problem, fit, robot, options).get(sought.label)
         refused = None if against is None else against.refused
     else:
-        covariance[gains, gains] += change_covariance(problem.axes)
+        covariance[gains, gains] += change_covariance(problem.axes, options.change)
         covariance, first = _with_unknown_load(covariance, sought.guess, robot)
         moment = sought.guess
     axis = np.flatnonzero(problem.use_sum.any(axis=0))
@@ -254,7 +255,7 @@ def information_of_priors(
     information = np.diag(1.0 / std**2)
     gain_value = np.zeros(axes)
     if options.bare is not None:
-        rows, _ = bare_rows(options.bare)
+        rows, _ = bare_rows(options.bare, options.change)
         information += rows.T @ rows
         if options.bare.gain:
             gain_value = np.nan_to_num(np.asarray(options.bare.gain, dtype=float))
@@ -262,6 +263,7 @@ def information_of_priors(
     size, vectors = np.linalg.eigh(information / np.outer(scale, scale))
     turned = vectors / scale[:, None]
     covariance = (turned / np.maximum(size, _OPEN**-2)) @ turned.T
+    covariance[np.ix_(gain, gain)] += change_covariance(axes, options.change)
     covariance, first = _with_unknown_load(covariance, guess, robot)
     axis = np.arange(axes)
     return ExpectedInformation(covariance, links, first, guess, axis, offset, gain, gain_value, noise)

@@ -17,6 +17,7 @@ from gateway.identify.load_estimate import LoadEstimate, load_result, refused_fi
 from gateway.identify.nuisance import LOAD_FRICTION, LOAD_FRICTION_STD, NUISANCE_STD, efficiency_of
 from gateway.identify.repeats import half_difference_scatter, negative_bands, repeated_std
 from gateway.model.robot import Robot
+from gateway.model.visits import places_of
 from gateway.result.acceptance import no_body
 from gateway.result.result import Finding, FitSummary, Parameter, Result, Rows
 
@@ -109,10 +110,9 @@ def noise_floor_nm(estimate: Estimate) -> Floats:
     rows = estimate.rows
     if rows is None or estimate.method not in _AT_REST or estimate.motion:
         return estimate.sigma_nm
-    labels = np.char.add(np.char.add(rows.load, "/"), rows.pose.astype(str))
-    _, group = np.unique(labels, return_inverse=True)
+    place, load = places_of(rows.q_rad), np.unique(rows.load, return_inverse=True)[1].ravel()
     square, _ = half_difference_scatter(rows.band_nm, rows.model_nm)
-    repeated = repeated_std(rows.tau_nm, group.ravel(), rows.direction.astype(float))
+    repeated = repeated_std(rows.tau_nm, place + (place.max(initial=0) + 1) * load, rows.direction.astype(float))
     return np.where(np.isfinite(repeated), repeated, np.sqrt(square))
 
 

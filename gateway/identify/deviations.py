@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gateway.identify.robust import robust_fit
-from gateway.model.visits import SAME_POSE_RAD, Visits, column_medians
+from gateway.model.visits import Visits, column_medians, places_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
@@ -77,12 +77,8 @@ def least_scale(visits: Visits, limits: OutlierLimits) -> Floats:
 
 def poses_of(q_rad: Floats) -> list[Ints]:
     """Groups of visits with equal joint angles, in the order given; groups may have one visit."""
-    left, out = np.arange(len(q_rad)), []
-    while len(left):
-        near = np.abs(q_rad[left] - q_rad[left[0]]).max(axis=1) < SAME_POSE_RAD
-        out.append(left[near])
-        left = left[~near]
-    return out
+    place = places_of(q_rad)
+    return [np.flatnonzero(place == k) for k in range(int(place.max(initial=-1)) + 1)]
 
 
 def bands(visits: Visits) -> Floats:

@@ -21,8 +21,6 @@ _FEWEST = 3
 _LARGEST_HALF = 0.1
 #: Significance of a change in halves of its 95 % interval; strict, because twelve changes are tested.
 _SIGNIFICANT = 1.5
-#: The same for the torque of any axis: 1 % false alarms on steady arms with twelve poses.
-_SURELY = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,11 +44,6 @@ class AxisDrift:
     def shows(self) -> bool:
         """Return whether a change of torque or friction is significant."""
         return any(_known(std) and abs(value) > _SIGNIFICANT * half_width(std) for value, std in self.changes)
-
-    @property
-    def gain_shows(self) -> bool:
-        """Return whether the torque has changed; stricter, because all axes are tested at once from few poses."""
-        return _known(self.gain_std) and abs(self.gain) > _SURELY * half_width(self.gain_std)
 
     @property
     def changes(self) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -95,11 +88,6 @@ def _slope(size: Floats, change: Floats) -> tuple[float, float]:
     slope = float(x @ y) / power
     left = y - slope * x
     return slope, float(np.sqrt(left @ left / (len(x) - 1) / power))
-
-
-def is_steady(drifts: tuple[AxisDrift, ...]) -> bool:
-    """Return whether poses were measured twice and no torque has changed in between."""
-    return bool(drifts) and not any(axis.gain_shows for axis in drifts)
 
 
 def drift_findings(drifts: tuple[AxisDrift, ...]) -> tuple[Finding, ...]:

@@ -94,7 +94,7 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
 
 def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
     """Visit in time order from which a further body explains most of the residual."""
-    weight, last = 1.0 / fit.noise.std[problem.group], problem.link_part.stop - 4
+    weight, last = 1.0 / fit.noise.of_rows(problem), problem.link_part.stop - 4
     place = np.full(len(problem.rows), -1)
     place[order] = np.arange(len(order))[::-1]  # sums over the visits begin at the last one
     rows = np.flatnonzero(place[problem.visit] >= 0)
@@ -103,7 +103,7 @@ def _likeliest(problem: RestProblem, fit: Fit, order: Ints) -> int:
     own = place[problem.visit[rows]]
     sums = [np.bincount(own, column, len(order)) for column in np.hstack(products).T]
     size, slope = np.split(np.cumsum(sums, axis=1).T, [16], axis=1)
-    taken = fit.columns.across_by(body / fit.weighed_by[problem.group[rows], None], rows, own, len(order))
+    taken = fit.columns.across_by(body / fit.weighed_by[rows, None], rows, own, len(order))
     shared = fit.inverse.T @ np.cumsum(taken, axis=0)
     left = np.linalg.pinv(size.reshape(-1, 4, 4) - shared.transpose(0, 2, 1) @ shared, rcond=1e-6, hermitian=True)
     gains = np.einsum("vi,vij,vj->v", slope, left, slope)[::-1]

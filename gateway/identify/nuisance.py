@@ -7,6 +7,7 @@ priors.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -24,8 +25,8 @@ TABLE_GAIN_STD: Final = 0.03
 #: Share of the variance of torque constants that all axes of an arm have in common (one voltage or rms convention, one
 #: batch of motors).
 COMMON_SHARE: Final = 0.5
-#: Standard deviation of the change of an axis's gain from one run to the next, and of the part that all axes share
-#: (`methods.md` 11: magnets and copper, some 10 K).
+#: Standard deviation of the change of an axis's gain on an occasion (a run with one load), and of the part that all
+#: axes share (`methods.md` 11: magnets and copper, some 10 K).
 CHANGE_AXIS: Final = 0.004
 CHANGE_COMMON: Final = 0.003
 #: Prior standard deviation of the bias by direction, over the friction band.
@@ -88,8 +89,18 @@ def gain_stds(stated: Sequence[float] | None, axes: int) -> Floats:
 
 
 def change_covariance(axes: int, factor: float = 1.0) -> Floats:
-    """Covariance (N, N) of the gain changes of all axes from one run to the next, scaled by `factor`."""
+    """Covariance (N, N) of the gain changes of all axes from one occasion to the next, scaled by `factor`."""
     return factor**2 * (CHANGE_AXIS**2 * np.eye(axes) + CHANGE_COMMON**2)
+
+
+def beyond_warm(factor: float) -> float:
+    """Return the factor on the usual change of gain from day to day that a model with this factor lacks."""
+    return math.sqrt(max(1.0 - factor**2, 0.0))
+
+
+def day_std(factor: float) -> float:
+    """Return the standard deviation of an axis's change from day to day that a model with this factor lacks."""
+    return beyond_warm(factor) * math.hypot(CHANGE_AXIS, CHANGE_COMMON)
 
 
 def parse_torque_gain(text: str) -> float:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from gateway.data.labels import BARE_LABEL
 from gateway.errors import DataUnusable, InputError
 from gateway.identify.links import PER_LINK_AT_REST
-from gateway.identify.nuisance import change_covariance
+from gateway.identify.nuisance import beyond_warm, change_covariance
 from gateway.result.result import Bare
 
 Floats = NDArray[np.float64]
@@ -94,9 +94,10 @@ def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
     """Return a stored identification of the unloaded arm as rows (k, 6 N) and right side (k,) with unit standard
     deviation.
 
-    Columns are the 4 N link parameters, the gains and the friction biases of that fit. They are the same
-    under a load, except for the change of the gains from one run to the next. The rows stand for the prior of those
-    gains and biases too; a column is 0 where none is stored. `change` is a factor on the usual change.
+    Columns are the 4 N link parameters, the gains and the friction biases of that fit. They are the same under a load.
+    The rows stand for the prior of those gains and biases too; a column is 0 where none is stored. Both fits have the
+    change of gain on each of their occasions. `change` is the factor on it: an arm that is warm on two days also
+    changes from one to the other.
     """
     combination, value = np.asarray(bare.combination, dtype=float), np.asarray(bare.value, dtype=float)
     rank, links = combination.shape
@@ -104,7 +105,7 @@ def bare_rows(bare: Bare, change: float = 1.0) -> tuple[Floats, Floats]:
     further = _stored(bare)
     covariance = np.array(bare.gain_covariance if bare.gain else bare.covariance, dtype=float)
     gains = slice(rank, min(rank + axes, len(covariance)))
-    covariance[gains, gains] += change_covariance(gains.stop - rank, change)
+    covariance[gains, gains] += change_covariance(gains.stop - rank, beyond_warm(change))
     stored = np.flatnonzero(np.isfinite(further[: len(covariance) - rank]))
     rows = np.zeros((rank + len(stored), links + 2 * axes))
     rows[:rank, :links] = combination

@@ -10,7 +10,7 @@ from gateway.identify.solve import solve
 Floats = NDArray[np.float64]
 
 #: Degrees of freedom from which repeated visits determine a standard deviation to about a third.
-_FEWEST = 4
+FEWEST_REPEATS = 4
 #: Standard errors below zero from which a friction band is negative: one healthy axis in three million.
 _NEGATIVE_STD = 5.0
 
@@ -69,7 +69,7 @@ def repeated_std(torque_nm: Floats, group: NDArray[np.int_], side: Floats) -> Fl
         count = np.bincount(place)
         mean = np.bincount(place, weights=value) / np.maximum(count, 1)
         freedom = len(value) - len(count)
-        if freedom >= _FEWEST:
+        if freedom >= FEWEST_REPEATS:
             out[k] = float(np.sqrt(np.sum((value - mean[place]) ** 2) / freedom))
     return out
 
@@ -83,6 +83,6 @@ def negative_bands(half_nm: Floats) -> NDArray[np.bool_]:
     out = np.zeros(half_nm.shape[1], dtype=bool)
     for k in range(len(out)):
         half = half_nm[np.isfinite(half_nm[:, k]), k]
-        if len(half) > _FEWEST:
+        if len(half) > FEWEST_REPEATS:
             out[k] = half.mean() < -_NEGATIVE_STD * half.std(ddof=1) / np.sqrt(len(half)) and np.median(half) < 0.0
     return out

@@ -200,6 +200,16 @@ def visits_at(q_rad: Floats, gears: Gears) -> Visits:
 _OF_VISITS: Final = tuple(field.name for field in fields(Visits) if field.name != "gears")
 
 
+def places_of(q_rad: Floats) -> NDArray[np.int_]:
+    """Return the place (n,) of joint angles (n, N), numbered from 0: equal within the tolerance of one pose."""
+    out, left, place = np.zeros(len(q_rad), dtype=int), np.arange(len(q_rad)), 0
+    while len(left):
+        near = np.abs(q_rad[left] - q_rad[left[0]]).max(axis=1) < SAME_POSE_RAD
+        out[left[near]] = place
+        left, place = left[~near], place + 1
+    return out
+
+
 def joined(parts: Sequence[Visits]) -> Visits:
     """Return the visits of several tables as one, in their order."""
     merged = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _OF_VISITS}

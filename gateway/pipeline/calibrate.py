@@ -20,7 +20,8 @@ from gateway.data.labels import BARE_LABEL
 from gateway.data.rows import Table
 from gateway.errors import ConfigError, DataUnusable
 from gateway.estimate.describe import axis_sigma, fitted_rows
-from gateway.identify.drift import drift_findings, drift_of, is_steady
+from gateway.identify.drift import drift_findings, drift_of
+from gateway.identify.nuisance import day_std
 from gateway.identify.prior_loads import load_vector, require_postures
 from gateway.identify.rejected import without_outliers
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
@@ -44,7 +45,7 @@ from gateway.pipeline.calibration_checks import (
     unknown_axes,
 )
 from gateway.pipeline.finalize import data_findings
-from gateway.pipeline.inputs import WARM_CHANGE, AnalysisInputs, estimate_options, profile_of
+from gateway.pipeline.inputs import AnalysisInputs, estimate_options, profile_of
 from gateway.result.result import Finding
 
 Floats = NDArray[np.float64]
@@ -101,9 +102,7 @@ def calibrate(
             " load"
         )
     gain_std = tuple(np.maximum(stated_std(about, robot.axes), PRIOR_STD).tolist())
-    drifts = drift_of(visits)
-    change = min(options.change, WARM_CHANGE if is_steady(drifts) else 1.0)
-    problem = build_problem(robot, visits, replace(options, gain_std=gain_std, change=change))
+    problem = build_problem(robot, visits, replace(options, gain_std=gain_std))
     for label in (weight.label, BARE_LABEL):
         require_postures(visits.q_rad[visits.load == label], label)
     fit = fit_without_effects(problem)
@@ -131,7 +130,7 @@ def calibrate(
     places = Places(robot, options.gravity_m_s2, moment, postures)
     mismatch = mismatch or tuple(common_finding(axes, weight))
     findings = (*mismatch, *stated_findings(axes), *unknown_axes(axes, noise_nm, weight, places))
-    about_data = (*data_findings(about, table), *rejected.findings, *drift_findings(drifts))
+    about_data = (*data_findings(about, table), *rejected.findings, *drift_findings(drift_of(visits)))
     return Calibration(axes, stored, (*findings, *about_data))
 
 
@@ -146,7 +145,7 @@ def _axes(
     arm: ArmConfig, about: AnalysisInputs, problem: RestProblem, fit: Fit, load_nm: Floats
 ) -> Iterator[AxisCalibration]:
     found = nuisance_results(problem, fit)["gain"]
-    gain, std = np.array(found.value), np.array(found.std)
+    gain, std = np.array(found.value), np.hypot(found.std, day_std(problem.nuisance.changes.factor))
     stated = stated_std(about, len(gain))
     find = profile_of(about.recordings, about.loaded)
     for at in np.flatnonzero(np.isfinite(std)):

@@ -12,12 +12,17 @@ import numpy as np
 from gateway.cell.calibration import ArmCalibration, CalibratedAxis, parse_calibration
 from gateway.cell.config import ArmConfig, AxisConfig
 from gateway.data.recording.recorded import Recording
+from gateway.identify.nuisance import day_std
 from gateway.result.origin import drives_of
 from gateway.result.result import Finding
 
 #: Age from which a calibration is reported as old. A torque constant that changes by 0.5 % to 1 % in a year (magnets,
 #: gear wear, exchanged parts) has then moved by about the standard deviation of a calibration.
 OLD: Final = timedelta(days=180)
+#: Standard deviation by which a torque constant moves in a month, and at most: magnets, gear wear, exchanged parts.
+_AGEING: Final = 0.001
+_MOST_AGEING: Final = 0.01
+_MONTH: Final = timedelta(days=365.25 / 12)
 _AGAIN: Final = "calibrate again (servo-gateway calibrate CELL --known LABEL=MASS)"
 
 
@@ -30,7 +35,8 @@ class Calibrated:
     scale : array of shape (N,)
         True torque divided by the torque with the constants of the cell file; 1 without a valid calibration.
     std : array of shape (N,)
-        Relative standard deviation; NaN without a valid calibration.
+        Relative standard deviation of the constants of the arm, with what they have moved since the calibration; NaN
+        without a valid one. The change of the calibration's own occasion is in it, that of an occasion of use is not.
     findings : tuple of Finding
     provenance : mapping of "J1" to entries by name, for the axes with a valid calibration
     """
@@ -40,9 +46,13 @@ class Calibrated:
     findings: tuple[Finding, ...] = ()
     provenance: Mapping[str, dict[str, Any]] = field(default_factory=dict)
 
-    def gain_std(self, stated: Sequence[float]) -> tuple[float, ...]:
-        """Return the relative standard deviations (N,) of the torque constants; else the stated ones."""
-        return tuple(np.where(np.isfinite(self.std), self.std, stated).tolist())
+    def gain_std(self, stated: Sequence[float], change: float = 1.0) -> tuple[float, ...]:
+        """Return the relative standard deviations (N,) of the torque constants; else the stated ones.
+
+        `change` is the factor on the change of gain in the model of the use. A warm arm changes less during a day,
+        and not less from one day to another.
+        """
+        return tuple(np.where(np.isfinite(self.std), np.hypot(self.std, day_std(change)), stated).tolist())
 
 
 def serial_numbers(recordings: Sequence[Recording], arm: str) -> dict[int, int]:
@@ -89,10 +99,16 @@ def calibrated(text: str, where: str, arm: ArmConfig, serials: Mapping[int, int]
             what = f"the calibration of {run.measured:%Y-%m-%d} is not used: {wrong}"
             findings.append(Finding("warn", f"J{joint}", what, _AGAIN))
             continue
-        scale[joint - 1], std[joint - 1] = axis.torque_scale, axis.std_percent / 100.0
+        scale[joint - 1] = axis.torque_scale
+        std[joint - 1] = np.hypot(axis.std_percent / 100.0, _aged(now - run.measured))
         provenance[f"J{joint}"] = dict(_entries(run, axis))
         used[joint] = run, axis
     return Calibrated(scale, std, (*_named(used, now), *findings), provenance)
+
+
+def _aged(age: timedelta) -> float:
+    """Return the standard deviation by which a torque constant has moved at this age."""
+    return min(max(_AGEING * (age / _MONTH), 0.0), _MOST_AGEING)
 
 
 def _refused(axis: CalibratedAxis, stated: AxisConfig, serial: int | None) -> str:

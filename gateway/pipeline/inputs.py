@@ -230,7 +230,7 @@ def _gain_std(
     if arm is None:
         return None
     stated = constants_std(arm, profile)
-    return stated if measured is None else measured.gain_std(stated)
+    return stated if measured is None else measured.gain_std(stated, WARM_CHANGE if request.is_warm else 1.0)
 
 
 def constants_std(arm: ArmConfig, profile: Callable[[str], DriveProfile]) -> tuple[float, ...]:

@@ -106,7 +106,13 @@ def _knowledge_for_fit(robot: Robot, options: DiagnoseOptions, trust: float | No
     if inertials is None:
         usual = trust == MOVING.usual_trust or not has_inertials(robot)
         inertials = default_inertials(robot) if usual else "ignore" if trust is None else f"prior:{trust:g}"
-    return Knowledge(inertials, options.known, gravity_m_s2=options.gravity_m_s2, gain_std=options.gain_std)
+    return Knowledge(
+        inertials,
+        options.known,
+        gravity_m_s2=options.gravity_m_s2,
+        gain_std=options.gain_std,
+        change=options.change,
+    )
 
 
 def _judged(motion: MovingRows, knowledge: MovingKnowledge) -> tuple[Choice, Judges]:

@@ -21,8 +21,8 @@ _SOUND: Final = 1e-3
 
 
 def pose_of_rows(problem: RestProblem) -> NDArray[np.int_]:
-    """Pose number (rows,) of every row; visits of one pose under all loads are held out together."""
-    return problem.rows.pose[problem.visit]
+    """Place (rows,) of every row; visits of one place under all loads are held out together."""
+    return problem.place[problem.visit]
 
 
 def left_out(problem: RestProblem, fit: Fit) -> Floats:
@@ -49,7 +49,7 @@ def left_out_poses(problem: RestProblem, fit: Fit) -> tuple[Floats, Floats]:
     The score of a fit of all poses minus the log density of one pose is the score of the fit of the others. Hypotheses
     can thus be chosen by the other poses and tested on the left-out one without further fits (linearised).
     """
-    std = fit.noise.std[problem.group]
+    std = fit.noise.of_rows(problem)
     without = WithoutPose.of(problem, fit)
     scaled = fit.residual / std
     out = without.apply(scaled[:, None])[:, 0]
@@ -82,7 +82,7 @@ def left_out_with(
     problem: RestProblem, fit: Fit, view: Screen, index: int, without: WithoutPose | None = None
 ) -> Floats:
     """Left-out residuals with one screened candidate added (linearised); `without` of the fit, if known."""
-    std = fit.noise.std[problem.group]
+    std = fit.noise.of_rows(problem)
     without = WithoutPose.of(problem, fit) if without is None else without
     columns, gram, score = view.projected(index)
     factor = np.linalg.cholesky(gram + np.eye(len(gram)))

@@ -112,7 +112,7 @@ class StructureTest:
         """Build the tests that the visits of a problem allow."""
         basis, axes = fit.basis, problem.axes
         group, axis = problem.group, np.asarray(problem.axis)
-        _, pose = np.unique(problem.rows.pose[problem.visit], return_inverse=True)
+        _, pose = np.unique(problem.place[problem.visit], return_inverse=True)
         freedom = problem.by_group() - fit.taken
         by_pose_pairs, scatter = {}, {}
         for number in range(axes):

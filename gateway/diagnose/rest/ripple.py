@@ -56,7 +56,7 @@ def order_analysis(problem: RestProblem, fit: Fit, axis: int) -> Swing | None:
     """Find the order that fits the residual of one axis best; None if residual or angles are too few."""
     rows = np.flatnonzero((problem.axis == axis) & (problem.group // problem.axes != 1))
     q = problem.rows.q_rad[problem.visit[rows], axis]
-    _, place = np.unique(problem.rows.pose[problem.visit[rows]], return_inverse=True)
+    _, place = np.unique(problem.place[problem.visit[rows]], return_inverse=True)
     angles = int(place.max(initial=-1)) + 1
     orders = orders_at_rest(q) if len(q) else np.zeros(0)
     if angles < REST.ripple_angles or not len(orders):

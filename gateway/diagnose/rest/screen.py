@@ -9,7 +9,7 @@ visits, from the last one backwards.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +128,7 @@ def screen(problem: RestProblem, fit: Fit, terms: Sequence[Term], std: Floats, d
         Noise per group that weighs the rows.
     derivatives : Derivatives
     """
-    weight = 1.0 / std[problem.group]
+    weight = 1.0 / replace(fit.noise, std=std).of_rows(problem)
     basis, residual = projection(fit, fit.columns, fit.prior_std, weight)
     families: dict[Term, list[int]] = {}
     by_groups: dict[bytes, list[int]] = {}

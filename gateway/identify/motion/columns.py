@@ -20,9 +20,10 @@ from gateway.identify.motion.friction import (
     fall_speeds,
     friction_columns,
 )
-from gateway.identify.motion.prior import moving_prior
+from gateway.identify.motion.prior import CHANGE, change_names, moving_prior
 from gateway.identify.nuisance import gain_stds
 from gateway.identify.prior_loads import LOAD_NAMES, LOAD_UNITS, unknown_labels
+from gateway.identify.rest.gain_changes import occasions_of
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Prior
 from gateway.model.base import BaseSet, base_parameters, moving_base
@@ -36,11 +37,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
 #: Further nuisance parameters: the gain of the reading, a loss that grows with the torque, in proportion or not quite,
-#: a
-#: reading that lags behind the position, friction that differs by direction, near standstill and from run to run, and
-#: loads with inertia.
+#: a reading that lags behind the position, a gain that changes from occasion to occasion, friction that differs by
+#: direction, near standstill and from run to run, and loads with inertia.
 NUISANCES = ("gain", "load_friction")
-_LOCAL = (*NUISANCES, "loss_bend", "delay")
+_LOCAL = (*NUISANCES, "loss_bend", "delay", CHANGE)
 MOVING_NUISANCES = (*_LOCAL, "bias", "uneven_friction", "run_friction", "load_inertia")
 #: Prior radius of gyration of a load [m].
 _GYRATION_M = 0.2
@@ -95,7 +95,9 @@ class Columns:
     known : parameters (10,) of each load that is known
     loads : first column of each load
     bodies : how many of the first columns are torque of bodies, which a gain multiplies
-    nuisances : columns (N,) of nuisance parameters, by their names
+    nuisances : columns (N,) of nuisance parameters, by their names; of a change of gain one for each occasion
+    occasions : run and load of each occasion
+    occasion : int array (n,) of each row
     sign : array of shape (n, N)
         Rounded sign of the speed.
     smooth_rad_s : float or array of shape (N,)
@@ -120,6 +122,8 @@ class Columns:
     loads: dict[str, int]
     bodies: int
     nuisances: dict[str, Ints]
+    occasions: tuple[tuple[str, str], ...]
+    occasion: Ints
     sign: Floats
     smooth_rad_s: float | Floats
     falls_rad_s: Floats
@@ -197,6 +201,12 @@ class Columns:
         return self.bodies + np.arange(axes * shapes).reshape(axes, shapes)
 
     @property
+    def changes(self) -> Ints:
+        """Columns (occasions, N) of the change of gain on each occasion."""
+        own = [self.nuisances[name] for name in change_names(len(self.occasions)) if name in self.nuisances]
+        return np.array(own, dtype=int).reshape(-1, self.design.shape[1])
+
+    @property
     def friction(self) -> Ints:
         """Indices of the friction columns, including the loss proportional to torque."""
         last = min((int(index[0]) for index in self.nuisances.values()), default=len(self.names))
@@ -243,11 +253,15 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
     if "run_friction" in motion.nuisances:
         own.append(_run_block(moving, motion.smooth_rad_s))
     first = int(firsts[-1]) + sum(len(block.names) for block in own)
-    local = [name for name in motion.nuisances if name in _LOCAL]
+    occasions, occasion = occasions_of(moving)
+    local = [name for name in motion.nuisances if name in _LOCAL and name != CHANGE]
+    if CHANGE in motion.nuisances:
+        local += change_names(len(occasions))
     nuisances = {name: first + k * robot.axes + np.arange(robot.axes) for k, name in enumerate(local)}
     blocks = [*bodies, *own, *(_local_block(len(moving), robot.axes, name) for name in local)]
     names = tuple(name for block in blocks for name in block.names)
-    prior = moving_prior((mean[held], std[held]), len(names), nuisances, gain_stds(knowledge.gain_std, robot.axes))
+    gain_std = gain_stds(knowledge.gain_std, robot.axes)
+    prior = moving_prior((mean[held], std[held]), len(names), nuisances, gain_std, knowledge.change)
     places = dict(zip(unknown, firsts[:-1].tolist(), strict=True))
     if "load_inertia" in motion.nuisances:
         for place in places.values():
@@ -257,6 +271,7 @@ def moving_columns(moving: Table | MovingRows, robot: Robot, knowledge: Knowledg
         _known_nm(moving, rows, fixed, known),
         prior, names, tuple(unit for block in blocks for unit in block.units), chosen,
         np.eye(len(fixed))[:, chosen], fixed, known, places, int(firsts[-1]), nuisances,
+        occasions, occasion,
         np.tanh(moving.qd_rad_s / motion.smooth_rad_s), motion.smooth_rad_s, falls_rad_s,
     )  # fmt: skip
 

@@ -252,8 +252,7 @@ def _with_gains(problem: MotionProblem, knowledge: Knowledge, before: MotionFit 
     if before is not None and "load_friction" in columns.nuisances:
         lost = losses_seen(prior, columns.nuisances, before.value, before.std)
         prior = gains_prior(prior, columns.nuisances, gain_stds(knowledge.gain_std, len(lost)), lost)
-    if knowledge.gain_std is None:
-        prior = with_common_part(prior, columns.nuisances["gain"])
+    prior = with_common_part(prior, columns.nuisances["gain"])
     return replace(problem, columns=replace(columns, prior=prior.freed(columns.taken)))
 
 

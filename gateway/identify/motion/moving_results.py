@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, budget_by_priors
+from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, budget_by_priors
 from gateway.identify.inertia import LoadInertia, load_inertia, nearest_body
 from gateway.identify.load_estimate import LoadEstimate, load_from_moment
 from gateway.identify.motion.columns import NUISANCES
@@ -47,6 +47,7 @@ def _load(fit: MotionFit, label: str, longest_m: float) -> LoadEstimate:
         CONSTANTS: columns.nuisances.get("gain", np.zeros(0, dtype=int)),
         LINKS: columns.links,
         FRICTION: columns.friction,
+        DRIFT: columns.changes.ravel(),
     }
     lead, variance = fit.settled.free.covariance[first], float(covariance[first, first])
     budget = budget_by_priors(lead, columns.prior.precision, sources, variance) if np.isfinite(load.mass_kg) else {}

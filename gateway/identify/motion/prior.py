@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 
 from gateway.identify.links import as_bodies
 from gateway.identify.motion.friction import FALL, FALL_SHARE, RUN, RUN_SHARE
-from gateway.identify.nuisance import COMMON_SHARE, nuisance_prior
+from gateway.identify.nuisance import COMMON_SHARE, change_covariance, nuisance_prior
 from gateway.identify.solve import Prior
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int_]
 
+#: Name of the changes of gain, before the number of their occasion.
+CHANGE: Final = "change"
 #: Prior standard deviation [s] of an unknown delay: filters of a drive, a few SYNCs.
 _DELAY_S: Final = 0.02
 #: Prior standard deviation of the exponent of the loss over torque, about 1.
@@ -27,15 +29,32 @@ _LEAST_UNEVEN: Final = 0.0015
 UNTOLD: Final = 0.7
 
 
-def moving_prior(links: tuple[Floats, Floats], count: int, nuisances: Mapping[str, Ints], gain_std: Floats) -> Prior:
-    """Prior of all parameters; links, mean and standard deviation, come first, then the nuisance parameters."""
+def change_names(occasions: int) -> list[str]:
+    """Return the names of the changes of gain on each occasion."""
+    return [f"{CHANGE}_{k + 1}" for k in range(occasions)]
+
+
+def moving_prior(
+    links: tuple[Floats, Floats], count: int, nuisances: Mapping[str, Ints], gain_std: Floats, change: float
+) -> Prior:
+    """Prior of all parameters; links, mean and standard deviation, come first, then the nuisance parameters.
+
+    `change` is a factor on the usual change of gain from occasion to occasion, which has an independent part on each
+    axis and one that all axes share.
+    """
     prior, nothing = Prior.free(count), np.full(len(gain_std), np.nan)
     held = len(links[0])
     prior.mean[:held], (rows, right) = links[0], as_bodies(*links)
     prior = replace(prior, rows=np.pad(rows, ((0, 0), (0, count - held))), right=right)
     usual = nuisance_prior(gain_std, nothing, nothing)
     for name, index in nuisances.items():
-        if name == "delay":
+        if name.startswith(CHANGE):
+            tied = np.zeros((len(index), count))
+            tied[:, index] = np.linalg.inv(np.linalg.cholesky(change_covariance(len(index), change)))
+            prior = replace(
+                prior, rows=np.vstack([prior.rows, tied]), right=np.append(prior.right, np.zeros(len(tied)))
+            )
+        elif name == "delay":
             prior.std[index] = _DELAY_S
         elif name == "loss_bend":
             prior.std[index] = _BEND

@@ -14,6 +14,7 @@ from scipy.sparse import csr_array, diags_array
 
 from gateway.data.rows import Table
 from gateway.identify.motion.columns import Columns
+from gateway.identify.motion.prior import change_names
 from gateway.identify.motion.stretches import Stretches
 from gateway.identify.solve import NOTHING, Prior, Solution, solve
 
@@ -192,15 +193,20 @@ def about(problem: MotionProblem, value: Floats) -> About:
     bodies = columns.design[:, :, : columns.bodies] @ value[: columns.bodies]
     own = columns.design[:, :, columns.bodies : last] @ value[columns.bodies : last]
     torque = bodies + columns.known_nm
-    complete = (1.0 + part.get("gain", none)) * torque
+    gain, changes = part.get("gain", none), columns.changes
+    if len(changes):
+        gain = gain + value[changes][columns.occasion]
+    complete = (1.0 + gain) * torque
     local = {"gain": torque}
+    for k, name in enumerate(change_names(len(changes))):
+        local[name] = torque * (columns.occasion == k)[:, None]
     lost, sign, moved = np.abs(torque), columns.sign, np.zeros_like(torque)
     if "delay" in columns.nuisances:
         delay = part["delay"]
         level = columns.dry(value)
         smooth = complete + own - level * columns.sign
-        then, changes = problem.stretches.earlier(np.hstack([smooth, problem.qd_rad_s, lost]), np.tile(delay, 3))
-        (earlier, speed, lost), change = np.split(then, 3, axis=1), changes[:, :axes]
+        then, slopes = problem.stretches.earlier(np.hstack([smooth, problem.qd_rad_s, lost]), np.tile(delay, 3))
+        (earlier, speed, lost), change = np.split(then, 3, axis=1), slopes[:, :axes]
         sign = np.tanh(speed / columns.smooth_rad_s)
         moved = earlier - smooth + level * (sign - columns.sign) + delay * change
         local["delay"] = -change

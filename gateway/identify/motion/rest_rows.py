@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from gateway.data.rows import Table, concatenate
 from gateway.identify.links import PER_LINK_AT_REST, PER_LINK_MOVING
 from gateway.identify.motion.columns import Columns, MovingSetup, moving_columns
+from gateway.identify.motion.prior import CHANGE
 from gateway.identify.motion.problem import Still
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
@@ -65,7 +66,11 @@ def columns_beside(
     complete = moving_columns(concatenate([moving, _as_rows(moving, rest.problem.rows)]), robot, knowledge, motion)
     count = len(moving)
     columns = replace(
-        complete, design=complete.design[:count], known_nm=complete.known_nm[:count], sign=complete.sign[:count]
+        complete,
+        design=complete.design[:count],
+        known_nm=complete.known_nm[:count],
+        occasion=complete.occasion[:count],
+        sign=complete.sign[:count],
     )
     return columns, _still(columns, rest)
 
@@ -75,7 +80,8 @@ def _as_rows(moving: Table, visits: Visits) -> Table:
     still = np.zeros_like(visits.q_rad)
     return replace(
         moving.take(np.zeros(len(visits), dtype=int)),
-        load=np.asarray(visits.load), q_rad=visits.q_rad, qd_rad_s=still, qdd_rad_s2=still, tau_nm=visits.sum_nm,
+        run=np.asarray(visits.run), load=np.asarray(visits.load),
+        q_rad=visits.q_rad, qd_rad_s=still, qdd_rad_s2=still, tau_nm=visits.sum_nm,
     )  # fmt: skip
 
 
@@ -93,30 +99,43 @@ def _still(columns: Columns, rest: FittedRest) -> Still:
     for index, label in enumerate(problem.labels):
         own = problem.load_part(index)
         rows[:, columns.loads[label] : columns.loads[label] + PER_LINK_AT_REST] = reduced[:, own]
-    nuisances = np.split(reduced[:, problem.band_part.start :], len(SHARED), axis=1)
-    for kind, own in zip(SHARED, nuisances, strict=True):
-        if kind in columns.nuisances:
-            rows[:, columns.nuisances[kind]] = own
+    changes = [columns.nuisances.get(f"{CHANGE}_{columns.occasions.index(name) + 1}") for name in _occasions(problem)]
+    places = [*(columns.nuisances.get(kind) for kind in SHARED), *changes]
+    for place, own in zip(places, np.split(reduced[:, problem.band_part.start :], len(places), axis=1), strict=True):
+        if place is not None:
+            rows[:, place] = own
     return Still(rows, right)
 
 
 def _shared(problem: RestProblem) -> Ints:
-    """Columns of links and loads, then of the shared nuisance parameters."""
+    """Columns of links and loads, then of the shared nuisance parameters, then of the change on each occasion."""
     own = [problem.nuisance_part.start + KINDS.index(kind) * problem.axes + np.arange(problem.axes) for kind in SHARED]
-    return np.concatenate([np.arange(problem.band_part.start), *own])
+    first = problem.nuisance_part.start + problem.nuisance.common + 1
+    changes = first + np.arange(len(_occasions(problem)) * (problem.axes + 1)).reshape(-1, problem.axes + 1)
+    return np.concatenate([np.arange(problem.band_part.start), *own, *changes[:, :-1]])
+
+
+def _common(problem: RestProblem) -> Ints:
+    """Columns of what the gains of all axes share, and of what their changes on each occasion share."""
+    first = problem.nuisance_part.start + problem.nuisance.common
+    return first + np.arange(len(_occasions(problem)) + 1) * (problem.axes + 1)
+
+
+def _occasions(problem: RestProblem) -> tuple[tuple[str, str], ...]:
+    """Run and load of each occasion of the rest rows."""
+    return problem.nuisance.changes.occasions
 
 
 def _eliminated(problem: RestProblem, fit: Fit, shared: Ints) -> tuple[Floats, Floats]:
     """Rows (k, len(shared)) and right side (k,) with unit noise, after eliminating all other parameters of the rest
     rows.
 
-    The gains are those with what all axes share: their prior is that of the moving rows.
+    The gains and their changes are those with what all axes share: their prior is that of the moving rows.
     """
     weight = 1.0 / fit.noise.std[problem.group]
     design = fit.columns.dense * weight[:, None]
     right = fit.residual * weight + design @ fit.common
-    common = problem.nuisance_part.start + problem.nuisance.common
-    others = np.setdiff1d(np.arange(problem.n_common), [*shared, common])
+    others = np.setdiff1d(np.arange(problem.n_common), [*shared, *_common(problem)])
     held = np.isfinite(fit.prior_std[others])
     others = others[held | design[:, others].any(axis=0)]
     held = np.isfinite(fit.prior_std[others])

@@ -10,12 +10,14 @@ stated standard deviations of links and torque constants may be wrong.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_softmax
 
+from gateway.identify.repeats import FEWEST_REPEATS
 from gateway.identify.rest.linear import (
     Fit,
     Noise,
@@ -123,10 +125,13 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     about = Place(about.terms, about.links, about.loads, about.band, about.nuisance, about.theta)  # of a fit no more
     design = design_at(problem, about, noise)
     prior = _prior(problem, about, spreads)
-    solution = solve(design, residual, 1.0 / noise.std[problem.group], prior, TOLERANCE)
+    weighed_by = noise.of_rows(problem)
+    solution = solve(design, residual, 1.0 / weighed_by, prior, TOLERANCE)
     place = _moved(problem, about, solution.value)
     left = _left(problem, place)
-    count, taken, squares = problem.by_group(), problem.by_group(solution.leverage), problem.by_group(left**2)
+    repeated = noise.repeated(problem)
+    count, taken = problem.by_group(1.0 / repeated), problem.by_group(solution.leverage)
+    squares = problem.by_group(left**2 / repeated)
     std = np.where(count > 0, noise_std(count, taken, squares, noise.start, noise.least), noise.start)
     used = np.flatnonzero(count)
     penalty = _penalty(problem, place, prior, spreads)
@@ -142,11 +147,11 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
         theta=place.theta,
         problem=problem,
         about=about,
-        weighed_by=noise.std,
+        weighed_by=weighed_by,
         taken=taken,
         covariance=solution.covariance,
         residual=left,
-        noise=Noise(noise.start, std, noise.least),
+        noise=replace(noise, std=std, shared=noise.shared if noise.is_settled else shared_by_repeats(problem, left)),
         evidence=mode - 0.5 * solution.log_determinant - log_spread,
         prior_std=prior.std,
         inverse=solution.basis.inverse,
@@ -157,6 +162,20 @@ def _linearised(problem: RestProblem, about: Place, noise: Noise, spreads: list[
     )
     problem.recent.of(found, lambda: design)
     return found
+
+
+def shared_by_repeats(problem: RestProblem, residual: Floats) -> Floats:
+    """Return the share (3 N,) of the variance of residuals (rows,) that rows which repeat each other have in common.
+
+    The rest is the scatter between them, from all sets of repeats of a noise group; too few give no scatter.
+    """
+    mean = np.bincount(problem.repeat, residual) / np.maximum(np.bincount(problem.repeat), 1)
+    apart = residual - mean[problem.repeat]
+    freedom = problem.by_group((problem.repeats - 1.0) / problem.repeats)
+    scatter = problem.by_group(apart**2) / np.maximum(freedom, 1.0)
+    complete = problem.by_group(residual**2) / np.maximum(problem.by_group(), 1.0)
+    known = np.where(freedom >= FEWEST_REPEATS, scatter, 0.0)
+    return np.clip(1.0 - known / np.maximum(complete, 1e-300), 0.0, 1.0)
 
 
 def averaged_evidence(fitted: Fit, links_as_stated: bool = False) -> float:

@@ -14,9 +14,10 @@ from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.solve import Basis, ByGroup
 from gateway.model.rest import AlteredModel, Model
 from gateway.model.term import Term
-from gateway.model.visits import Visits
+from gateway.model.visits import Visits, places_of
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int_]
 Mask = NDArray[np.bool_]
 #: Step [share of a band, or Nm] of the numerical derivatives.
 _STEP = 1e-3
@@ -42,6 +43,8 @@ class RestProblem:
     prior_rows, prior_target : (k, n_common), (k,) further knowledge: `prior_rows @ common = prior_target`, unit std
     nuisance : prior of the nuisance parameters
     patterns : (n, N, E) what one unit of each change of gain adds at each visit
+    place : (n,) place of each visit: visits with equal joint angles have one, whatever their pose numbers
+    known_repeats : `repeat` and `repeats` once they are computed
     recent : columns of the fits that were used last
     """
 
@@ -59,11 +62,38 @@ class RestProblem:
     prior_target: Floats
     nuisance: RestNuisance
     patterns: Floats = field(init=False)
+    place: Ints = field(init=False)
+    known_repeats: tuple[Ints, Ints] | None = field(init=False, default=None)
     recent: _Recent = field(default_factory=lambda: _Recent())
 
     def __post_init__(self) -> None:
-        """Compute the patterns of the visits."""
+        """Compute the patterns and places of the visits."""
         object.__setattr__(self, "patterns", self.nuisance.changes.patterns(self.rows))
+        object.__setattr__(self, "place", places_of(self.rows.q_rad))
+
+    @property
+    def repeat(self) -> Ints:
+        """Set (rows,) of half-sums of one place, load and side to which each row belongs."""
+        return self._repeats()[0]
+
+    @property
+    def repeats(self) -> Ints:
+        """Number (rows,) of rows of that set."""
+        return self._repeats()[1]
+
+    def _repeats(self) -> tuple[Ints, Ints]:
+        if self.known_repeats is not None:
+            return self.known_repeats
+        rows = self.rows
+        side = rows.side[self.visit, self.axis].astype(int)
+        load = np.unique(rows.load, return_inverse=True)[1].ravel()
+        keys = np.stack([self.group, load[self.visit], self.place[self.visit], side], axis=1)
+        half = self.group // self.axes == 1  # what a place adds to friction leaves the loads alone
+        keys[half] = np.column_stack([-1 - np.arange(half.sum()), *np.zeros((3, half.sum()), dtype=int)])
+        _, repeat, count = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+        found = repeat.ravel(), count[repeat.ravel()]
+        object.__setattr__(self, "known_repeats", found)
+        return found
 
     @property
     def rows(self) -> Visits:
@@ -152,11 +182,28 @@ class RestProblem:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Noise:
-    """Standard deviation of the rows: start value and estimate per group (3 N,), NaN without rows."""
+    """Standard deviation of the rows: start value and estimate per group (3 N,), NaN without rows.
+
+    `shared` (3 N,) is the share of the variance that rows which repeat each other have in common: what the model lacks
+    at that place does not average out. None = not known yet. `is_settled`: further fits keep it, so that their
+    likelihoods are comparable.
+    """
 
     start: Floats
     std: Floats
     least: Floats
+    shared: Floats | None = None
+    is_settled: bool = False
+
+    def repeated(self, problem: RestProblem) -> Floats:
+        """Return the factor (rows,) on the variance of each row, with which n repeats weigh as much as their mean."""
+        if self.shared is None:
+            return np.ones(len(problem.group))
+        return 1.0 + (problem.repeats - 1) * self.shared[problem.group]
+
+    def of_rows(self, problem: RestProblem) -> Floats:
+        """Return the standard deviation (rows,) by which each row is weighed."""
+        return self.std[problem.group] * np.sqrt(self.repeated(problem))
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -197,7 +244,7 @@ class Fit(Place):
     ----------
     problem : what it was fitted to
     about : where the rows were linearised in the last step
-    weighed_by : (3 N,) standard deviation of the rows of each noise group in that step
+    weighed_by : (rows,) standard deviation of each row in that step
     taken : (3 N,) sum of the leverages of each noise group: degrees of freedom that the fit has taken up
     covariance : of [links, loads, band, nuisance, theta]
     residual : (rows,) measured - modelled
@@ -243,7 +290,7 @@ class Fit(Place):
     @property
     def basis(self) -> Basis:
         """Weighted columns in an orthonormal basis; leverages are its squares."""
-        return Basis(self.columns, 1.0 / self.weighed_by[self.problem.group], self.inverse)
+        return Basis(self.columns, 1.0 / self.weighed_by, self.inverse)
 
 
 class _Recent:

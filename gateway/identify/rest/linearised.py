@@ -61,12 +61,14 @@ class LinearisedFit:
         total = width + columns.shape[1]
         gram, right = np.zeros((groups, total, total)), np.zeros((groups, total))
         extra = np.arange(width, total)
+        once = 1.0 / np.sqrt(fit.noise.repeated(problem))
+        residual = fit.residual * once
         for rows, own, values in fit.columns.parts:
             group = int(problem.group[rows[0]])
-            own, values = np.append(own, extra), np.hstack([values, columns[rows]])
+            own, values = np.append(own, extra), np.hstack([values, columns[rows]]) * once[rows, None]
             gram[group][np.ix_(own, own)] += values.T @ values
-            right[group][own] += values.T @ fit.residual[rows]
-        square, count = problem.by_group(fit.residual**2), problem.by_group()
+            right[group][own] += values.T @ residual[rows]
+        square, count = problem.by_group(residual**2), problem.by_group(once**2)
         used = np.flatnonzero(count > 0)
         return LinearisedFit(problem, fit, used, gram[used], right[used], square[used], count[used])
 

@@ -17,7 +17,6 @@ from gateway.identify.load_estimate import (
     load_from_moment,
     load_result,
 )
-from gateway.identify.nuisance import CHANGE_AXIS, CHANGE_COMMON
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.problem import OPEN_MASS_KG, OPEN_SHARE
 from gateway.identify.rest.rest_nuisance import KINDS
@@ -107,25 +106,17 @@ def common_errors(problem: RestProblem, fit: Fit, directions: Floats) -> dict[st
     """Return the change (k, m) of linear functions `directions` (k, p) per standard deviation of m prior errors.
 
     Keys are kinds of priors whose errors all measurements of an arm share: links, stored identifications and known
-    loads, torque constants, lasting friction parameters. A gain usually changes a little between two runs: that share
-    of its prior variance differs in each measurement and is left out.
+    loads, torque constants, lasting friction parameters. Changes of gain differ in each measurement.
     """
     reach = directions @ fit.covariance
     weighted = reach / fit.prior_std
-    first, axes, factor = problem.nuisance_part.start, problem.axes, problem.nuisance.changes.factor
+    first, axes = problem.nuisance_part.start, problem.axes
     out = {"links": weighted[:, problem.link_part], "stored": reach[:, : problem.n_common] @ problem.prior_rows.T}
     for kind in _LASTING:
         start = first + KINDS.index(kind) * axes
         out[kind] = weighted[:, start : start + axes]
-    common = first + problem.nuisance.common
-    out["common_gain"] = weighted[:, [common]] * _lasting(fit.prior_std[[common]], factor * CHANGE_COMMON)
-    out["gain"] = out["gain"] * _lasting(fit.prior_std[first : first + axes], factor * CHANGE_AXIS)
+    out["common_gain"] = weighted[:, [first + problem.nuisance.common]]
     return out
-
-
-def _lasting(std: Floats, change: float) -> Floats:
-    """Return the share (k,) of standard deviations that is not of the change between two runs."""
-    return np.sqrt(np.clip(1.0 - (change / std) ** 2, 0.0, 1.0))
 
 
 def _root(covariance: Floats) -> Floats:
@@ -172,7 +163,7 @@ def _budget(problem: RestProblem, fit: Fit, mass: int) -> Mapping[str, float]:
     direction[mass] = 1.0
     return budget_of(
         fit.columns,
-        1.0 / fit.noise.std[problem.group],
+        1.0 / fit.noise.of_rows(problem),
         Prior(np.zeros(count), fit.prior_std, further, np.zeros(len(further))),
         fit.covariance,
         direction,
@@ -229,10 +220,10 @@ def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
     1.96 widened standard deviations contain 95 % although the noise is estimated: Student's t over the normal quantile.
     Its degrees of freedom are those of the noise of each axis, weighted by its share of the variance.
     """
-    freedom = problem.by_group() - fit.taken
+    freedom = problem.by_group(1.0 / fit.noise.repeated(problem)) - fit.taken
     freedom = np.maximum(freedom, 0.0) + REST_MODEL.noise_weight
     reach = fit.covariance @ directions.T
-    by_row = (fit.columns.times(reach) / fit.noise.std[problem.group][:, None]) ** 2
+    by_row = (fit.columns.times(reach) / fit.noise.of_rows(problem)[:, None]) ** 2
     share = np.array([problem.by_group(column) for column in by_row.T])
     total = share.sum(axis=1)
     # if priors alone give the variance, the contribution of the rows is rounding
@@ -244,7 +235,7 @@ def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:
 def per_pose_mass(problem: RestProblem, fit: Fit, index: int) -> dict[str, float]:
     """Mass [kg] from each pose alone with all other parameters of the whole fit; informative poses only."""
     part = problem.load_part(index)
-    std = fit.noise.std[problem.group]
+    std = fit.noise.of_rows(problem)
     phi = fit.loads[index]
     mine = problem.member[problem.visit, index] > 0
     poses, place = np.unique(problem.rows.pose[problem.visit[mine]], return_inverse=True)

@@ -22,8 +22,8 @@ def first_noise(problem: RestProblem) -> Noise:
     rows, axes = problem.rows, problem.axes
     start = np.full(3 * axes, np.nan)
     least = np.full(3 * axes, 1e-9)
-    _, group = np.unique(np.char.add(np.char.add(rows.load, "/"), rows.pose.astype(str)), return_inverse=True)
-    repeats = repeated_std(rows.sum_nm, group.ravel(), rows.side)
+    load = np.unique(rows.load, return_inverse=True)[1].ravel()
+    repeats = repeated_std(rows.sum_nm, problem.place + (problem.place.max(initial=0) + 1) * load, rows.side)
     halves = np.where(problem.use_difference, rows.difference_nm, np.nan)
     scatter = np.sqrt(half_difference_scatter(halves, rows.sum_nm)[0])
     band = np.nan_to_num(np.abs(column_medians(halves)))
@@ -61,9 +61,9 @@ def settled_noise(problem: RestProblem, plain: Fit) -> Noise:
 
     Half-differences contain structure of friction that half-sums lack; half-sums contain the effects.
     """
-    count = problem.by_group()
-    freedom = count - plain.taken
-    left = np.sqrt(problem.by_group(plain.residual**2) / np.maximum(freedom, 1.0))
+    repeated = plain.noise.repeated(problem)
+    freedom = problem.by_group(1.0 / repeated) - plain.taken
+    left = np.sqrt(problem.by_group(plain.residual**2 / repeated) / np.maximum(freedom, 1.0))
     start = np.where(freedom >= REST_MODEL.noise_weight, np.minimum(plain.noise.start, left), plain.noise.start)
     start = np.maximum(start, plain.noise.least)
-    return Noise(start, start.copy(), plain.noise.least)
+    return Noise(start, start.copy(), plain.noise.least, plain.noise.shared, is_settled=True)

@@ -18,6 +18,7 @@ from gateway.cell.config import load_cell
 from gateway.cli import main
 from gateway.data.rows import Table, concatenate
 from gateway.data.table import write_csv
+from gateway.pipeline.inputs import ModelRequest, collect_inputs
 from tests.arms import peer_of
 from tests.support.rigs.tables import make_table
 
@@ -157,11 +158,12 @@ def test_a_diagnosis_uses_them(place):
 
 
 def test_a_warm_arm_is_a_statement_that_narrows_the_mass(place):
+    """Not by much: the readings of a calibration on another day may differ as much as those of a cold arm."""
     tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
     assert calibrated(place).exit_code == 0
     words = ("estimate", tool, "--cell", "cell.toml", "--json", "-")
     cold, warm = (json.loads(place(*words, *more).stdout)["loads"][0] for more in ((), ("--warm",)))
-    assert warm["mass_std_kg"] < 0.7 * cold["mass_std_kg"]
+    assert 0.7 * cold["mass_std_kg"] < warm["mass_std_kg"] < cold["mass_std_kg"]
     assert abs(warm["mass_kg"] - TOOL[0]) < 4 * warm["mass_std_kg"]
 
 
@@ -172,7 +174,7 @@ def test_unloaded_runs_that_differ_widen_the_calibration(place):
     done = calibrated(place, "--force", content=concatenate([*blocks, later]))
     answer = json.loads(done.stdout)
     drifted = {axis["joint"]: axis for axis in answer["axes"]}
-    assert drifted[2]["std"] > 2 * steady[2]["std"]
+    assert drifted[2]["std"] > 1.5 * steady[2]["std"]
     assert any("between both measurements its torque changed" in each["what"] for each in answer["findings"])
 
 
@@ -186,6 +188,25 @@ def change(place, **values):
     axes = tuple(axis.model_copy(update=of_axis) if axis.joint == 3 else axis for axis in run.axis)
     changed = file.model_copy(update={"arm": (run.model_copy(update={"axis": axes, **of_run}),)})
     path.write_text(calibration_toml(changed, "cell.toml"), encoding="utf-8")
+
+
+def gains_std(place, *more) -> np.ndarray:
+    """Prior standard deviation of the constants of an analysis that uses the calibration."""
+    tool = place.table("tool.csv", concatenate([rows("none", None), rows("tool", TOOL, start_s=300.0)]))
+    request = ModelRequest(cell=place.folder / "cell.toml", is_warm="--warm" in more)
+    return np.array(collect_inputs(request, [place.folder / tool]).gain_std)
+
+
+@pytest.mark.parametrize(("days", "moved"), [(0, 0.0), (61, 0.002), (3650, 0.01)])
+def test_the_age_of_a_calibration_is_in_its_standard_deviation(place, days, moved):
+    """0.1 % a month and at most 1 %; a warm arm keeps the change from day to day of 0.4 % an axis and 0.3 % common."""
+    assert calibrated(place).exit_code == 0
+    _, axis = stored(place)[3]
+    change(place, measured=datetime.now(UTC) - timedelta(days=days))
+    cold, warm = gains_std(place)[2], gains_std(place, "--warm")[2]
+    assert cold == pytest.approx(np.hypot(axis.std_percent / 100, moved), rel=0.01)
+    assert warm == pytest.approx(np.sqrt(cold**2 + 0.004**2 + 0.003**2), rel=0.01)
+    assert axis.std_percent > 0.5 * 100 * np.hypot(0.004, 0.003), "its own occasions changed, although none is seen"
 
 
 def test_an_old_calibration_is_reported(place):
@@ -242,7 +263,8 @@ def test_another_mass_than_the_one_that_was_mounted_is_not_stored_unasked(place)
     assert done.exit_code == 7, done.output
     said = " ".join(done.stderr.split())
     assert "stated as 6.2 kg, but estimated as 5" in said
-    assert "wrong by a common factor of 1.2" in said
+    factor = float(said.split("wrong by a common factor of ")[1].split(",")[0])
+    assert factor == pytest.approx(6.2 / 5.0, rel=0.05)
     assert "weigh the mass" in said
     assert not calibration_path(place.folder / "cell.toml").exists()
     assert calibrated(place, "--force", known="weight=6.2").exit_code == 0
@@ -267,7 +289,7 @@ def test_data_without_the_unloaded_arm_are_refused(place):
 
 
 def test_a_constant_that_is_far_from_the_stated_one_is_reported_with_both_numbers(place):
-    gain = GAIN + np.array([0, 0, 0, 0, 0, 0.25])
+    gain = GAIN + np.array([0, 0, 0, 0, 0, -0.16])
     done = calibrated(place, content=bracket(gain=gain))
     assert done.exit_code == 0, done.output
     (said,) = [each for each in json.loads(done.stdout)["findings"] if each["severity"] == "warn"]

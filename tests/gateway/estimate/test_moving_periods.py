@@ -162,7 +162,8 @@ def test_friction_that_differs_between_runs_is_that_of_the_arm(clean, robot):
     share = numbers(scattered, "coulomb_std_nm") / COULOMB
     assert (share > 0.04).all()
     assert (numbers(equal, "coulomb_std_nm") < 0.5 * share * COULOMB)[:3].all()
-    assert scattered.loads[0].mass_kg == pytest.approx(MASS, rel=5e-3)
+    load = scattered.loads[0]  # the readings of both recordings may differ by 0.5 %
+    assert abs(load.mass_kg - MASS) < 1.96 * load.mass_std_kg < 0.02 * MASS
 
 
 def test_torque_is_filtered_as_the_motion_is(clean, robot):

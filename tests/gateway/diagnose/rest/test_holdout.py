@@ -24,6 +24,7 @@ from gateway.diagnose.rest.rest_outcome import contradicted
 from gateway.diagnose.rest.search import Search
 from gateway.diagnose.rest.verdict import helped
 from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.linear import Noise
 from gateway.model.effects.torque_offset import TorqueOffset
 from tests.resting_arm import Bench, basis_of, effect, found
 from tests.support.blind.nature import run_effect
@@ -42,7 +43,7 @@ class Linear:
         root = np.linalg.cholesky(np.linalg.inv(weighted.T @ weighted + np.diag(spread**-2)))
         value = root @ root.T @ weighted.T @ (target / self.std)
         self.fit = SimpleNamespace(
-            residual=target - design @ value, basis=basis_of(weighted @ root), noise=SimpleNamespace(std=NOISE)
+            residual=target - design @ value, basis=basis_of(weighted @ root), noise=Noise(NOISE, NOISE, NOISE)
         )
 
     def evidence(self, keep) -> float:
@@ -60,9 +61,7 @@ class Linear:
 
 
 POSE = np.repeat(np.arange(POSES), ROWS)
-PROBLEM = SimpleNamespace(
-    rows=SimpleNamespace(pose=POSE), visit=np.arange(len(POSE)), group=np.arange(len(POSE)) % 3, axes=3
-)
+PROBLEM = SimpleNamespace(place=POSE, visit=np.arange(len(POSE)), group=np.arange(len(POSE)) % 3, axes=3)
 
 
 def hypotheses(seed: int) -> list[Linear]:

@@ -23,6 +23,7 @@ from gateway.diagnose.rest.rest_mistakes import (
 )
 from gateway.diagnose.rest.rest_outcome import factor_rival
 from gateway.identify.rest.hypothesis_fit import fit
+from gateway.identify.rest.linear import Noise
 from gateway.identify.rest.start_noise import first_noise
 from gateway.identify.solve import ByGroup
 from gateway.model.effects import LIBRARY, MISTAKES
@@ -200,9 +201,10 @@ def judged(residual, band, std=2.0, poses=5):
         use_difference=np.ones((poses, 1), dtype=bool),
         group=np.ones(poses, dtype=int),
         band_part=slice(0, 1),
+        place=np.arange(poses),
     )
     fitted = SimpleNamespace(
-        noise=SimpleNamespace(start=np.array([1.0, std]), std=np.array([1.0, std])),
+        noise=Noise(np.array([1.0, std]), np.array([1.0, std]), np.zeros(2)),
         residual=np.asarray(residual, dtype=float),
         basis=basis_of(np.zeros((poses, 0))),
         columns=ByGroup.of(np.ones((poses, 1))),

@@ -13,6 +13,7 @@ from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.rest.holdout import left_out, left_out_with
 from gateway.diagnose.rest.screen import Screen, log_bayes_factor, pair_log_bayes
 from gateway.diagnose.rest.validation_tests import spare_rows
+from gateway.identify.rest.linear import Noise
 from tests.resting_arm import basis_of
 
 RNG = np.random.default_rng(7)
@@ -65,8 +66,8 @@ def fitted():
     weighted, right = design / std[group][:, None], target / std[group]
     basis, _ = np.linalg.qr(weighted)
     residual = std[group] * (right - basis @ (basis.T @ right))
-    problem = SimpleNamespace(rows=SimpleNamespace(pose=poses), visit=np.arange(rows), group=group)
-    fit = SimpleNamespace(noise=SimpleNamespace(std=std), residual=residual, basis=basis_of(basis))
+    problem = SimpleNamespace(place=poses, visit=np.arange(rows), group=group)
+    fit = SimpleNamespace(noise=Noise(std, std, std), residual=residual, basis=basis_of(basis))
     return problem, fit, weighted, right
 
 
@@ -83,7 +84,7 @@ def refitted(weighted, right, poses, prior=0) -> np.ndarray:
 
 def test_a_held_out_pose_is_predicted_by_the_others(fitted):
     problem, fit, weighted, right = fitted
-    expected = fit.noise.std[problem.group] * refitted(weighted, right, problem.rows.pose)
+    expected = fit.noise.std[problem.group] * refitted(weighted, right, problem.place)
     assert left_out(problem, fit) == pytest.approx(expected)
 
 
@@ -92,7 +93,7 @@ def test_and_so_it_is_with_one_more_candidate(fitted):
     more = RNG.normal(size=(len(right), 2))
     away = fit.basis.left(more)
     view = screened([away], fit.basis.left(right))
-    expected = refitted(np.hstack([weighted, away]), right, problem.rows.pose, prior=2)
+    expected = refitted(np.hstack([weighted, away]), right, problem.place, prior=2)
     found = left_out_with(problem, fit, view, 0) / fit.noise.std[problem.group]
     # the prior is a row that is never left out
     assert found == pytest.approx(expected)

@@ -96,20 +96,21 @@ def test_each_kind_does_what_it_is_called():
     links, loads, band, nuisance = place_of(problem, np.random.default_rng(4))
     gain, bias, nu, one, fast, slow = nuisance[: len(KINDS) * N].reshape(len(KINDS), N)
     shared = nuisance[len(KINDS) * N :]
-    assert len(problem.nuisance.changes.blocks) == 2
-    assert len(shared) == 1 + 2 * (N + 1)
+    assert len(problem.nuisance.changes.occasions) == 2
+    assert len(shared) == 1 + 3 * (N + 1)
     bodies = problem.model.bodies(
         with_terms(problem, [], [], nuisance), links, problem.fixed_load + problem.member @ loads
     )
     torque = np.einsum("nak,nk->na", problem.model.nominal, bodies)
     since = problem.rows.time_s - problem.rows.time_s.min()
     second = problem.rows.load != problem.rows.load[int(np.argmin(since))]
-    warm = 1.0 - np.exp(-since / 1800.0)
+    warm, changes = 1.0 - np.exp(-since / 1800.0), shared[1:].reshape(3, N + 1)
     gain = (
         gain
         + shared[0]
-        + second[:, None] * (shared[1 : N + 1] + shared[N + 1])
-        + warm[:, None] * (shared[N + 2 : 2 * N + 2] + shared[2 * N + 2])
+        + ~second[:, None] * (changes[0, :N] + changes[0, N])
+        + second[:, None] * (changes[1, :N] + changes[1, N])
+        + warm[:, None] * (changes[2, :N] + changes[2, N])
     )
     cold = (
         1.0

@@ -49,7 +49,7 @@ class Rows:
             axis=self.group % AXES,
             axes=AXES,
             visit=self.visit,
-            rows=SimpleNamespace(pose=np.tile(np.arange(POSES), loads)),
+            place=np.tile(np.arange(POSES), loads),
             by_group=lambda values=None: np.bincount(self.group, values, 3 * AXES),
         )
         noise = SimpleNamespace(std=np.ones(3 * AXES), least=np.full(3 * AXES, 1e-9))
@@ -126,7 +126,7 @@ def test_what_is_on_every_axis_is_seen_where_it_is_too_small_on_each(rows):
 
 def test_too_few_visits_see_nothing():
     made = Rows(1)
-    made.problem.rows = SimpleNamespace(pose=np.arange(POSES * LOADS))  # no pose twice
+    made.problem.place = np.arange(POSES * LOADS)  # no pose twice
     everything = np.eye(len(made.group))
     made.fit.basis, made.fit.taken = basis_of(everything), made.taken_by(everything)
     assert misfit(made.problem, made.fit) == 1.0
