@@ -17,6 +17,7 @@ from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.identify.load_estimate import load_result, refused_findings, refused_load
 from gateway.pipeline.inputs import AnalysisInputs, profile_of
+from gateway.pipeline.torque_size import constant_torques
 from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result.acceptance import not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
@@ -54,7 +55,13 @@ def finalize(
     constants = _provenance(about)
     return replace(
         result,
-        findings=(*result.findings, *about.assumed, *_corrected(about), *not_hung(result.loads)),
+        findings=(
+            *result.findings,
+            *constant_torques(table),
+            *about.assumed,
+            *_corrected(about),
+            *not_hung(result.loads),
+        ),
         provenance={**constants, **result.provenance},
         data=replace(
             drawn,
@@ -191,6 +198,6 @@ def _provenance(about: AnalysisInputs) -> dict[str, Any]:
     except ProfileError:
         # a table needs no drive profile; its torque was computed before
         return {}
-    found = dict(provenance(about.arm, profiles, constants))
+    found = dict(provenance(about.arm, profiles, constants, about.currents))
     measured = {} if about.calibrated is None else about.calibrated.provenance
     return {joint: entries | measured.get(joint, {}) for joint, entries in found.items()}
