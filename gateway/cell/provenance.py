@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
 from drives.profile import Constant, DriveProfile, Rated, Signal
@@ -13,7 +13,10 @@ Entry = dict[str, Any]
 
 
 def provenance(
-    arm: ArmConfig, profiles: Sequence[DriveProfile], constants: Sequence[Constants] = ()
+    arm: ArmConfig,
+    profiles: Sequence[DriveProfile],
+    constants: Sequence[Constants] = (),
+    currents: Container[int] = (),
 ) -> dict[str, dict[str, Entry]]:
     """Constants of every axis with value, unit and source.
 
@@ -24,6 +27,8 @@ def provenance(
         In the order of the axes.
     constants : sequence of Constants, one per axis
         What was read from the drives; empty if no drive was asked.
+    currents : container of int
+        Joints whose torque is computed from the motor current of a table.
 
     Returns
     -------
@@ -31,16 +36,19 @@ def provenance(
         "J1" to "JN" -> name -> {"value", "unit", "source"}.
     """
     read = list(constants) or [None] * len(arm.axis)
-    return {f"J{joint}": _axis(*axis) for joint, axis in enumerate(zip(arm.axis, profiles, read, strict=True), start=1)}
+    return {
+        f"J{joint}": _axis(*axis, joint in currents)
+        for joint, axis in enumerate(zip(arm.axis, profiles, read, strict=True), start=1)
+    }
 
 
-def _axis(axis: AxisConfig, profile: DriveProfile, read: Constants | None) -> dict[str, Entry]:
+def _axis(axis: AxisConfig, profile: DriveProfile, read: Constants | None, of_current: bool) -> dict[str, Entry]:
     entries = {
         "gear_ratio": _entry(axis.gear_ratio.value, "-", axis.gear_ratio.source),
         "gear_efficiency": _entry(axis.gear_efficiency.value, "-", axis.gear_efficiency.source),
     }
     constant = axis.torque_constant_nm_per_a
-    used = profile.needs_torque_constant
+    used = of_current or profile.needs_torque_constant
     source = constant.source if used else f"{constant.source}; not used, the drive reports torque"
     entries["torque_constant"] = _entry(constant.value, "Nm/A", source)
     signs = f"{axis.position_sign:+d} / {axis.torque_sign:+d}"

@@ -3,6 +3,9 @@
 The ten-pose coefficient method of the paper on static load identification of the QH165 from servo output torque, eq.
 (9); the paper takes g = 9.81 m/s2, here it is 9.80665. Only the mass comes out. Data that no body can have produced are
 refused: torque beyond the rated one at rest, a torque that rises where the lever demands a fall, masses that disagree.
+
+Torques of one approach direction are subtracted, since friction is in both. A gain that changes by `u` between the two
+occasions changes the torque of links and load by `u tau`, in all poses.
 """
 
 from __future__ import annotations
@@ -18,10 +21,11 @@ from gateway.errors import DataUnusable, InputError
 from gateway.estimate.consistency import describe_masses, disagree
 from gateway.estimate.estimate import Estimate
 from gateway.estimate.options import Coefficient, EstimateOptions
-from gateway.identify.budget import CONSTANTS, FRICTION, LINKS, NOISE
+from gateway.identify.budget import CONSTANTS, DRIFT, FRICTION, LINKS, NOISE
 from gateway.identify.load_estimate import LOAD_PARTS, LoadEstimate, refused_load
-from gateway.identify.nuisance import gain_stds
+from gateway.identify.nuisance import change_covariance, gain_stds
 from gateway.identify.prior_loads import BARE_LABEL, refuse_absent
+from gateway.identify.rest.problem import BAND_UNSEEN
 from gateway.model.robot import Robot
 from gateway.result.result import Finding
 
@@ -34,21 +38,28 @@ _NORMAL = 1.959963984540054
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Pose:
-    """One pose of one load: motor torque behind the gear over the ratio [Nm], as measured [Nm], and lever [m]."""
+    """One pose of one load: motor torque behind the gear over the ratio [Nm] by approach direction (0 = unknown), as
+    measured [Nm], and lever [m].
+    """
 
     pose: int
-    behind_nm: float
+    behind_nm: dict[int, float]
     motor_nm: float
     lever_m: float
 
 
 @dataclass(frozen=True, slots=True)
 class _Case:
-    """Load to estimate or to check: its label, the mass of the reference load, and its own mass if stated."""
+    """Load to estimate or to check: its label, the mass of the reference load, and its own mass if stated.
+
+    With the relative standard deviations of the gain, and of its change from one occasion to the other.
+    """
 
     label: str
     reference_kg: float
     stated_kg: float | None
+    gain_std: float
+    change_std: float
 
 
 def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOptions) -> Estimate:
@@ -86,13 +97,14 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
     if reference_label is None:
         raise DataUnusable("the coefficient method needs rows without load (load 'none') or with a known one")
     reference = {item.pose: item for item in _poses(rest, how, reference_label)}
+    gain_std = float(gain_stds(options.gain_std, table.axes)[how.joint - 1])
+    change_std = float(np.sqrt(change_covariance(1, options.change)[0, 0]))
     loads, findings = [], []
     for label in labels:
         if label == reference_label:
             continue
-        case = _Case(label, masses[reference_label], masses.get(label))
+        case = _Case(label, masses[reference_label], masses.get(label), gain_std, change_std)
         load, finding = _one(_poses(rest, how, label), reference, how, case)
-        load = _with_gain(load, case, float(gain_stds(options.gain_std, table.axes)[how.joint - 1]))
         loads += [load] if case.stated_kg is None or load.refused else []
         findings += finding
     if not loads:
@@ -108,7 +120,7 @@ def estimate_coefficient(table: Table, robot: Robot | None, options: EstimateOpt
 
 
 def _poses(rest: Table, how: Coefficient, label: str) -> list[_Pose]:
-    """Return every pose of one load; both approach directions of a visit are averaged at the gear output."""
+    """Return every pose of one load; repeated torques of one approach direction are averaged at the gear output."""
     axis = how.joint - 1
     here = rest.take(np.asarray(rest.load) == label)
     motor = here.motor_torque_nm[:, axis]
@@ -121,7 +133,9 @@ def _poses(rest: Table, how: Coefficient, label: str) -> list[_Pose]:
         if not rows.any():
             continue
         lever = float(here.extra[how.lever][rows].mean())
-        out.append(_Pose(int(pose), float(behind[rows].mean()), float(motor[rows].mean()), lever))
+        facing = here.direction[:, axis]
+        by_side = {int(side): float(behind[rows & (facing == side)].mean()) for side in np.unique(facing[rows])}
+        out.append(_Pose(int(pose), by_side, float(motor[rows].mean()), lever))
     if not out:
         raise DataUnusable(f"load '{label}': axis J{how.joint} has neither motor torque nor joint torque in the data")
     return out
@@ -136,15 +150,44 @@ def _one(
         raise DataUnusable(
             f"load '{case.label}' shares no pose with the reference in which the lever is longer than {_SHORT} m"
         )
-    change = np.array([item.behind_nm - reference[item.pose].behind_nm for item in usable])
+    torques = {item.pose: _of_one_direction(item.behind_nm, reference[item.pose].behind_nm) for item in usable}
+    opposite = [pose for pose, pair in torques.items() if pair is None]
+    advice = "approach each pose from both directions, or under both loads from the same direction"
+    what = f"poses {_names(opposite)} were approached from the direction opposite to that of the reference"
+    if len(opposite) == len(usable):
+        raise DataUnusable(
+            f"load '{case.label}', J{how.joint}: {what}, so the difference holds twice the friction; {advice}"
+        )
+    findings = [Finding("warn", f"load {case.label}", f"{what} and were left out", advice)] if opposite else []
+    usable = [item for item in usable if item.pose not in opposite]
+    torque = np.array([pair for pair in torques.values() if pair is not None])
+    change = torque[:, 0] - torque[:, 1]
     lever = np.array([item.lever_m for item in usable])
     mass = case.reference_kg + how.gear_ratio * change / (STANDARD_GRAVITY_M_S2 * lever)
     per_pose = {str(item.pose): float(value) for item, value in zip(usable, mass, strict=True)}
     contradictions = _excess_torques(common, how) + _disagreements(usable, mass, case)
     if contradictions and (disagree(mass.tolist()) or len(contradictions) > 1):
         return refused_load(case.label, "its rows contradict each other: " + "; ".join(contradictions), per_pose), []
-    findings = [Finding("warn", f"load {case.label}", text, "check the units and the run") for text in contradictions]
-    return _load(case.label, mass, per_pose), findings
+    findings += [Finding("warn", f"load {case.label}", text, "check the units and the run") for text in contradictions]
+    friction_nm = 0.0
+    if any(0 in {*item.behind_nm, *reference[item.pose].behind_nm} for item in usable):
+        friction_nm = float(np.sqrt(2.0) * BAND_UNSEEN * np.sqrt(np.mean(torque**2)))
+        what = "the approach directions are not known: friction is not separated from the load"
+        findings.append(Finding("warn", f"load {case.label}", what, f"{advice}, and record it (column dir{how.joint})"))
+    per_nm = how.gear_ratio / (STANDARD_GRAVITY_M_S2 * lever)
+    load = _load(case.label, mass, per_pose)
+    return _with_priors(
+        load, case, np.mean(per_nm[:, None] * torque, axis=0), friction_nm * float(per_nm.mean())
+    ), findings
+
+
+def _of_one_direction(mine: dict[int, float], theirs: dict[int, float]) -> tuple[float, float] | None:
+    """Return mean torques of the directions that both have, of all if one is unknown (0); None if all are opposite."""
+    same = (mine.keys() & theirs.keys()) - {0}
+    if not same and 0 not in {*mine, *theirs}:
+        return None
+    one, other = (float(np.mean([torque[side] for side in same or torque])) for torque in (mine, theirs))
+    return one, other
 
 
 def _load(label: str, mass: Floats, per_pose: dict[str, float]) -> LoadEstimate:
@@ -160,14 +203,23 @@ def _load(label: str, mass: Floats, per_pose: dict[str, float]) -> LoadEstimate:
     )
 
 
-def _with_gain(load: LoadEstimate, case: _Case, gain_std: float) -> LoadEstimate:
-    """Return the load with the uncertainty of the axis's torque constant, and the shares of the variance."""
+def _with_priors(load: LoadEstimate, case: _Case, weight_kg: Floats, friction_kg: float) -> LoadEstimate:
+    """Return the load with the uncertainty of what all poses share, and the shares of the variance.
+
+    That is the axis's torque constant, its change on each occasion, whose mean torques are those of a load of
+    `weight_kg` (2,), and friction of unknown direction.
+    """
     if load.refused is not None or not np.isfinite(load.mass_std_kg):
         return load
-    constants = (gain_std * (load.mass_kg - case.reference_kg)) ** 2
-    variance = load.mass_std_kg**2 + constants
-    share = constants / variance if variance > 0 else 0.0
-    budget = {CONSTANTS: share, LINKS: 0.0, FRICTION: 0.0, NOISE: 1.0 - share} if variance > 0 else {}
+    variances = {
+        CONSTANTS: (case.gain_std * (load.mass_kg - case.reference_kg)) ** 2,
+        LINKS: 0.0,
+        FRICTION: friction_kg**2,
+        DRIFT: case.change_std**2 * float(weight_kg @ weight_kg),
+        NOISE: load.mass_std_kg**2,
+    }
+    variance = sum(variances.values())
+    budget = {source: value / variance for source, value in variances.items()} if variance > 0 else {}
     return replace(load, mass_std_kg=float(np.sqrt(variance)), budget=budget)
 
 

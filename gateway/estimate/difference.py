@@ -3,12 +3,17 @@
 `tau_2 - tau_1 = L (phi_2 - phi_1)`: links and constant friction drop out. One posture never gives all four unknowns
 (rank 3: the part of the centre of mass along gravity turns no axis), so the claim's "four axes, one posture" is
 refused. Each difference is a visit of an arm whose links weigh nothing.
+
+Friction drops out only between readings of one approach direction, so each axis is subtracted by direction. A visit
+from both directions holds a reading of each (half-sum plus and minus half-difference). Opposite directions are left
+out; where a direction is unknown, the friction band is part of the uncertainty. A gain that changes by `u` from one
+occasion to the other does not drop out: it changes the difference by `u tau` with the torque `tau` of links and load.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,8 +24,9 @@ from gateway.estimate.describe import describe
 from gateway.estimate.estimate import Estimate, FittedRows
 from gateway.estimate.options import EstimateOptions
 from gateway.estimate.recommendation import wrist_in_words
+from gateway.identify.budget import DRIFT
 from gateway.identify.load_estimate import refused_load
-from gateway.identify.nuisance import gain_stds, losses
+from gateway.identify.nuisance import change_covariance, gain_stds, losses
 from gateway.identify.prior_loads import BARE_LABEL, load_vector, unknown_labels
 from gateway.identify.repeats import half_difference_scatter
 from gateway.identify.rest.gain_changes import GainChanges
@@ -34,12 +40,14 @@ from gateway.model.visits import SAME_POSE_RAD, Visits, joined
 from gateway.result.result import Finding, NuisanceResult
 
 Floats = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 LEAST_ANGLE_RAD = np.deg2rad(30.0)
 #: Standard deviation [kg, kg m] of links that have dropped out.
 _GONE = 1e-10
 #: Visits of one load that differ from those of the other by one's own noise and the other's.
 _OF_TWO = np.sqrt(2.0)
+_SAME_DIRECTION = "approach each pose from both directions, or under both loads from the same direction"
 
 
 def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) -> Estimate:
@@ -82,21 +90,44 @@ def estimate_difference(visits: Visits, robot: Robot, options: EstimateOptions) 
     )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Differences:
+    """Differences of n poses between one load and the known loads.
+
+    Attributes
+    ----------
+    visits : Visits
+        NaN for an axis that was not measured with both loads from one direction.
+    fixed : (n, 4) negated known loads
+    unknown : (n, N) True where the direction of a reading is not known
+    opposite : (n, N) True where the directions are opposite
+    torque_nm : (n, N, 2) mean reading under the load and under the known load, which are two occasions
+    """
+
+    visits: Visits
+    fixed: Floats
+    unknown: Mask
+    opposite: Mask
+    torque_nm: Floats
+
+
 def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptions, label: str) -> Estimate:
     own = visits.take(visits.load == label)
-    differences, fixed = _differences(own, reference, options, label)
+    pairs = _differences(own, reference, options, label)
+    differences = pairs.visits
     _require_postures(differences, robot, options, label)
-    if not np.isfinite(differences.sum_nm).any():
-        raise DataUnusable(f"load '{label}': no axis was measured with both this load and the known load")
+    problem = _problem(differences, pairs.fixed, robot, options)
     lost = losses(visits.difference_nm, visits.sum_nm)
-    problem = _problem(differences, fixed, robot, options)
-    nuisance = (
-        nuisance_of(visits, replace(options, bare=None), problem.nuisance.changes).without_bias().with_losses(*lost)
-    )
+    nuisance = nuisance_of(visits, replace(options, bare=None), problem.nuisance.changes)
+    nuisance = nuisance.with_bias(_friction_left(pairs, visits)).with_losses(*lost)
     problem = replace(problem, nuisance=nuisance, group=_groups(visits, problem))
     fitted = fit(problem, (), _noise(problem, visits))
-    found = describe(problem, fitted, robot, options)
+    found = describe(
+        problem, fitted, robot, options, {DRIFT: _by_change(fitted, pairs.torque_nm, options.change)[None]}
+    )
     (load,) = found.loads
+    # the change from one occasion to the other is not common to two measurements
+    load = replace(load, common_errors={k: v for k, v in load.common_errors.items() if k != "statements"})
     reason = _contradiction(visits, problem, fitted, load.per_pose_mass_kg)
     if reason is not None:
         load = refused_load(label, reason, load.per_pose_mass_kg)
@@ -107,10 +138,34 @@ def _one(visits: Visits, reference: Visits, robot: Robot, options: EstimateOptio
         loads=(load,),
         band_nm=np.abs(visits.band_nm),
         bare=None,
-        findings=_left_out(own, differences, label),
+        findings=(*_left_out(own, differences, label), *_directions(pairs, label)),
         nuisance={"gain": found.nuisance["gain"], "load_friction": loss},
         quality={"rank": found.rank, "condition": found.condition, "poses": len(differences)},
     )
+
+
+def _friction_left(pairs: _Differences, visits: Visits) -> Floats:
+    """Standard deviation (N,) [Nm] of the friction that all differences of an axis share; 0 for known directions.
+
+    A friction band that no visit determines may be as large as the torque.
+    """
+    count = np.maximum(np.isfinite(visits.sum_nm).sum(axis=0), 1)
+    size = np.sqrt(np.nansum(visits.sum_nm**2, axis=0) / count)
+    band = np.where(np.isfinite(visits.band_nm), np.abs(visits.band_nm), size)
+    return _OF_TWO * np.where(pairs.unknown.any(axis=0), band, 0.0)
+
+
+def _by_change(fitted: Fit, torque_nm: Floats, factor: float) -> Floats:
+    """Covariance (4, 4) of [m, h] due to gains that differ between the two occasions.
+
+    The measured torque `torque_nm` (n, N, 2) determines only the size of this uncertainty, not the estimate.
+    """
+    problem = fitted.problem
+    reach = fitted.covariance[:, problem.load_part(0)]
+    by_row = fitted.columns.times(reach) / fitted.noise.std[problem.group][:, None] ** 2
+    by_axis = np.zeros((problem.axes, 2, 4))
+    np.add.at(by_axis, problem.axis, torque_nm[problem.visit, problem.axis][:, :, None] * by_row[:, None, :])
+    return np.einsum("aok,ab,bol->kl", by_axis, change_covariance(problem.axes, factor), by_axis)
 
 
 def _problem(differences: Visits, fixed: Floats, robot: Robot, options: EstimateOptions) -> RestProblem:
@@ -138,50 +193,99 @@ def _noise(problem: RestProblem, visits: Visits) -> Noise:
     return Noise(start, start.copy(), first.least)
 
 
-def _differences(own: Visits, reference: Visits, options: EstimateOptions, label: str) -> tuple[Visits, Floats]:
-    """Mean torque of each pose under the load minus that under known loads, and the negated known loads."""
-    ours, theirs, fixed = [], [], []
-    torque = np.array([load_vector(options.known.get(name, (0.0,) * 4)) for name in reference.load.tolist()])
+def _differences(own: Visits, reference: Visits, options: EstimateOptions, label: str) -> _Differences:
+    """Subtract the readings under the known load from those under the load, pose by pose.
+
+    Raises
+    ------
+    DataUnusable
+        No common pose, no axis measured with both loads, or all approached from opposite directions.
+    """
+    poses: list[_Differences] = []
     for pose in np.unique(own.pose):
-        mine = np.flatnonzero(own.pose == pose)
-        near = np.abs(reference.q_rad - own.q_rad[mine].mean(axis=0)).max(axis=1) < SAME_POSE_RAD
-        here = np.flatnonzero((reference.pose == pose) & near)
-        if len(here):
-            ours.append(_mean_visit(own, mine))
-            theirs.append(_mean_visit(reference, here))
-            fixed.append(-torque[here].mean(axis=0))
-    if not ours:
+        mine = own.take(own.pose == pose)
+        here = (reference.pose == pose) & (
+            np.abs(reference.q_rad - mine.q_rad.mean(axis=0)).max(axis=1) < SAME_POSE_RAD
+        )
+        by_load = [
+            _subtracted(
+                mine, reference.take(here & (reference.load == name)), load_vector(options.known.get(name, (0.0,) * 4))
+            )
+            for name in np.unique(reference.load[here]).tolist()
+        ]
+        if by_load:
+            poses.append(max(by_load, key=lambda pair: np.isfinite(pair.visits.sum_nm).sum()))
+    if not poses:
         raise DataUnusable(
             f"load '{label}' shares no pose with a known load (same number, same angles within {SAME_POSE_RAD} rad);"
             " record both at the same poses, or use --method joint, which does not need that"
         )
-    mine, other = joined(ours), joined(theirs)
-    unknown = np.full(mine.sum_nm.shape, np.nan)
-    return (
+    names = ("fixed", "unknown", "opposite", "torque_nm")
+    stacked = {name: np.concatenate([getattr(pair, name) for pair in poses]) for name in names}
+    pairs = _Differences(joined([pair.visits for pair in poses]), **stacked)
+    # where the directions of some poses are known, the others would only add the friction band
+    vague = pairs.unknown & (np.isfinite(pairs.visits.sum_nm) & ~pairs.unknown).any(axis=0)
+    pairs = replace(pairs, visits=pairs.visits.unmeasured(vague), unknown=pairs.unknown & ~vague)
+    if np.isfinite(pairs.visits.sum_nm).any():
+        return pairs
+    if pairs.opposite.any():
+        raise DataUnusable(
+            f"load '{label}': in all common poses it was approached from the direction opposite to that of the known"
+            f" load, so the difference holds twice the friction; {_SAME_DIRECTION}, or use --method joint"
+        )
+    raise DataUnusable(f"load '{label}': no axis was measured with both this load and the known load")
+
+
+def _subtracted(own: Visits, reference: Visits, known: Floats) -> _Differences:
+    """Subtract the visits of a known load (4,) from those of the load, all at one pose."""
+    mine, theirs = _mean_visit(own), _mean_visit(reference)
+    up, down = (_mean(_readings(own, direction)) - _mean(_readings(reference, direction)) for direction in (1.0, -1.0))
+    one = np.where(np.isfinite(up) & np.isfinite(down), (up + down) / 2.0, np.where(np.isfinite(up), up, down))
+    all_nm = mine.sum_nm - theirs.sum_nm
+    unknown = np.isnan(one) & np.isfinite(all_nm) & (_is_unknown(own) | _is_unknown(reference))
+    nothing = np.full(all_nm.shape, np.nan)
+    return _Differences(
         replace(
             mine,
-            run=np.full(len(mine), "difference"),
-            q_rad=(mine.q_rad + other.q_rad) / 2.0,
-            sum_nm=mine.sum_nm - other.sum_nm,
-            difference_nm=unknown,
-            side=np.zeros_like(unknown),
-            sample_std_nm=np.hypot(mine.sample_std_nm, other.sample_std_nm),
-            gear_nm=np.hypot(mine.gear_nm, other.gear_nm),
+            run=np.array(["difference"]),
+            q_rad=(mine.q_rad + theirs.q_rad) / 2.0,
+            sum_nm=np.where(unknown, all_nm, one),
+            difference_nm=nothing,
+            side=np.zeros_like(nothing),
+            sample_std_nm=np.hypot(mine.sample_std_nm, theirs.sample_std_nm),
+            gear_nm=np.hypot(mine.gear_nm, theirs.gear_nm),
         ),
-        np.array(fixed),
+        -known[None],
+        unknown,
+        np.isnan(one) & np.isfinite(all_nm) & ~unknown,
+        np.stack([mine.sum_nm, theirs.sum_nm], axis=2),
     )
 
 
-def _mean_visit(visits: Visits, rows: NDArray[np.int_]) -> Visits:
+def _readings(visits: Visits, direction: float) -> Floats:
+    """Readings (n, N) [Nm] of one approach direction, 1 or -1; NaN = none."""
+    both = visits.sum_nm + direction * visits.difference_nm
+    return np.where(np.isfinite(both), both, np.where(visits.side == direction, visits.sum_nm, np.nan))
+
+
+def _is_unknown(visits: Visits) -> Mask:
+    """Axes (N,) of which a reading has no known direction."""
+    return np.asarray((np.isnan(visits.difference_nm) & (visits.side == 0) & np.isfinite(visits.sum_nm)).any(axis=0))
+
+
+def _mean(values: Floats) -> Floats:
+    """Mean (N,) of the known values (n, N) of each column; NaN for a column without any."""
+    count = np.isfinite(values).sum(axis=0)
+    return np.where(count > 0, np.nansum(values, axis=0) / np.maximum(count, 1), np.nan)
+
+
+def _mean_visit(visits: Visits) -> Visits:
     """Average several visits into one; NaN for an axis that none of them measured."""
-    part = visits.take(rows)
-    count = np.isfinite(part.sum_nm).sum(axis=0)
-    mean = np.where(count > 0, np.nansum(part.sum_nm, axis=0) / np.maximum(count, 1), np.nan)
-    spread = np.sqrt(np.nansum(part.sample_std_nm**2, axis=0)) / np.maximum(count, 1)
-    one = part.take(np.array([0]))
+    count = np.isfinite(visits.sum_nm).sum(axis=0)
+    spread = np.sqrt(np.nansum(visits.sample_std_nm**2, axis=0)) / np.maximum(count, 1)
     return replace(
-        one, q_rad=part.q_rad.mean(axis=0)[None], sum_nm=mean[None], sample_std_nm=spread[None],
-        gear_nm=part.gear_nm.max(axis=0)[None],
+        visits.take(np.array([0])), q_rad=visits.q_rad.mean(axis=0)[None], sum_nm=_mean(visits.sum_nm)[None],
+        sample_std_nm=spread[None], gear_nm=visits.gear_nm.max(axis=0)[None],
     )  # fmt: skip
 
 
@@ -225,6 +329,27 @@ def _stacked(parts: list[FittedRows]) -> FittedRows | None:
         return None
     names = FittedRows.__dataclass_fields__
     return FittedRows(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def _directions(pairs: _Differences, label: str) -> list[Finding]:
+    """Findings on axes that were approached from opposite or unknown directions."""
+    out = [
+        Finding(
+            "warn", f"load {label}, J{axis + 1}",
+            f"poses {', '.join(map(str, pairs.visits.pose[opposite].tolist()))} were approached from the direction"
+            " opposite to that of the known load and were left out",
+            _SAME_DIRECTION,
+        )
+        for axis, opposite in enumerate(pairs.opposite.T) if opposite.any()
+    ]  # fmt: skip
+    unknown = ", ".join(f"J{axis + 1}" for axis in np.flatnonzero(pairs.unknown.any(axis=0)))
+    if unknown:
+        what = (
+            f"the approach directions of {unknown} are not known: friction is not separated from the load, and the"
+            " uncertainty contains the friction band"
+        )
+        out.append(Finding("warn", f"load {label}", what, f"{_SAME_DIRECTION}, and record it (columns dir1, dir2, ..)"))
+    return out
 
 
 def _left_out(own: Visits, differences: Visits, label: str) -> tuple[Finding, ...]:

@@ -135,7 +135,7 @@ def _usual_prior(links: tuple[Floats, Floats], first: int, gain_std: Floats) -> 
     """Return the prior of links and free parameters, and from index `first` of the gain and load friction."""
     gain = first + np.arange(len(gain_std))
     usual = {"gain": gain, "load_friction": gain + len(gain)}
-    return moving_prior(links, first + 2 * len(gain), usual, gain_std)
+    return moving_prior(links, first + 2 * len(gain), usual, gain_std, change=1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

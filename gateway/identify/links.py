@@ -8,6 +8,7 @@ mass.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -18,7 +19,8 @@ from gateway.identify.inertia import central_directions
 from gateway.identify.load_estimate import load_directions
 from gateway.identify.trust import prior_share
 from gateway.model.motion import PER_BODY
-from gateway.model.robot import Robot, link_lengths_m
+from gateway.model.placeholders import wide_inertia
+from gateway.model.robot import Robot, link_lengths_m, reach_m
 
 Floats = NDArray[np.float64]
 
@@ -92,14 +94,19 @@ def link_prior(robot: Robot, trust: float, per_link: int) -> tuple[Floats, Float
     Returns
     -------
     mean, std : arrays of shape (N per_link,)
-        Mean 0 and infinite standard deviation where nothing is known. A mass of 0 or less is unknown.
+        Mean 0 and infinite standard deviation where nothing is known. A mass of 0 or less is unknown. An inertia that
+        is too large for its link is a placeholder: a point mass with the standard deviation mass x reach^2 instead.
     """
-    values = link_values(robot)[:, :per_link]
+    wide = wide_inertia(robot) & (trust > 0.0)
+    tensor = np.where(wide[:, None, None], 0.0, robot.inertia_kg_m2)
+    values = link_values(replace(robot, inertia_kg_m2=tensor))[:, :per_link]
     known = np.isfinite(values[:, :PER_LINK_AT_REST]).all(axis=1) & np.isfinite(trust) & (robot.mass_kg > 0.0)
     size = robot.mass_kg[:, None] * link_lengths_m(robot)[:, None] ** _POWERS[:per_link]
     mean = np.where(known[:, None], np.nan_to_num(values), 0.0)
     std = np.full(mean.shape, np.inf)
     std[known] = trust * size[known]
+    if per_link == PER_LINK_MOVING:
+        std[known & wide, PER_LINK_AT_REST:] = (robot.mass_kg * reach_m(robot) ** 2)[known & wide, None]
     return mean.ravel(), std.ravel()
 
 

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import compress
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.cell.plausible import LARGEST_TORQUE_NM
-from gateway.model.robot import Robot
+from gateway.model.robot import Robot, link_lengths_m, reach_m
 
 #: Tolerance of the triangle inequality of principal moments, for rounding in a file.
 _ROUNDED: Final = 1e-6
+#: Radius of gyration of a body over its length: at most 0.6 for any rod; twice the length allows a wide link.
+_GYRATION: Final = 2.0
+#: Radius of gyration over the reach of the arm from which a link is not a part of this arm.
+_GYRATION_OF_REACH: Final = 0.1
 
 
 def placeholders(robot: Robot) -> Iterator[str]:
@@ -46,16 +52,21 @@ def mass_placeholder(robot: Robot) -> str:
 
 def inertia_placeholder(robot: Robot) -> str:
     """Return a text that names the links with an impossible inertia; empty if there is none."""
-    names: list[str] = []
-    for name, tensor in zip(robot.link_names, robot.inertia_kg_m2, strict=True):
-        if np.isfinite(tensor).all():
-            least, middle, largest = np.linalg.eigvalsh(tensor).tolist()
-            if least <= 0.0 or least + middle < (1.0 - _ROUNDED) * largest:
-                names.append(name)
-    if not names:
-        return ""
-    return (
-        f"the inertia of {', '.join(names)} is not possible for a body (a principal moment is not positive, or above"
-        " the sum of"
-        " the others)"
+    known = np.asarray(np.isfinite(robot.inertia_kg_m2).all(axis=(1, 2)))
+    moments = np.linalg.eigvalsh(np.where(known.reshape(-1, 1, 1), robot.inertia_kg_m2, np.eye(3)))
+    least, middle, largest = moments.T
+    impossible = np.asarray(known & ((least <= 0.0) | (least + middle < (1.0 - _ROUNDED) * largest)))
+    reasons: tuple[tuple[NDArray[np.bool_], str], ...] = (
+        (impossible, "possible for a body (a principal moment is not positive, or above the sum of the others)"),
+        (wide_inertia(robot) & ~impossible, "that of a link of this mass and size (too large a radius of gyration)"),
     )
+    named = ((", ".join(compress(robot.link_names, links.tolist())), why) for links, why in reasons)
+    return "; ".join(f"the inertia of {names} is not {why}" for names, why in named if names)
+
+
+def wide_inertia(robot: Robot) -> NDArray[np.bool_]:
+    """Links (N,) whose radius of gyration exceeds twice the link's length and a tenth of the arm's reach."""
+    known = np.asarray(np.isfinite(robot.inertia_kg_m2).all(axis=(1, 2))) & (robot.mass_kg > 0.0)
+    largest = np.linalg.eigvalsh(np.where(known.reshape(-1, 1, 1), robot.inertia_kg_m2, 0.0))[:, -1]
+    gyration_m = np.sqrt(np.maximum(largest, 0.0) / np.where(known, robot.mass_kg, 1.0))
+    return known & (gyration_m > np.maximum(_GYRATION * link_lengths_m(robot), _GYRATION_OF_REACH * reach_m(robot)))

@@ -19,6 +19,7 @@ from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.identify.load_estimate import load_result, refused_findings, refused_load
 from gateway.pipeline.inputs import AnalysisInputs, profile_of
+from gateway.pipeline.torque_size import constant_torques
 from gateway.report.collect import drawn_poses, flange_spread
 from gateway.result.acceptance import not_hung
 from gateway.result.drawn import Drawn, DrawnPose, DrawnSource
@@ -61,6 +62,7 @@ def finalize(
         result,
         findings=(
             *result.findings,
+            *constant_torques(table),
             *about.assumed,
             *_corrected(about),
             *data_findings(about, table),
@@ -233,6 +235,6 @@ def _provenance(about: AnalysisInputs) -> dict[str, Any]:
     except ProfileError:
         # a table needs no drive profile; its torque was computed before
         return {}
-    found = dict(provenance(about.arm, profiles, constants))
+    found = dict(provenance(about.arm, profiles, constants, about.currents))
     measured = {} if about.calibrated is None else about.calibrated.provenance
     return {joint: entries | measured.get(joint, {}) for joint, entries in found.items()}

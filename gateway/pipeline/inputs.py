@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -33,7 +34,7 @@ from gateway.model.robot import Robot, or_another_tip, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
 from gateway.pipeline.calibrated import Calibrated, calibrated, serial_numbers
 from gateway.pipeline.known import KnownLoad, Load, unnamed_frame, with_and_without_centre
-from gateway.pipeline.torque_size import refuse_small_torques
+from gateway.pipeline.torque_size import refuse_small_torques, without_constant_torques
 from gateway.result.result import Bare, Finding, read_result
 
 VALIDATION = "x_validation"
@@ -102,6 +103,7 @@ class AnalysisInputs:
         Assumptions about the inputs, such as the frame of a known load.
     change : float
         Factor on the usual drift of the torque readings between runs and during warm-up.
+    currents : joints whose motor current is in a table
     calibrated : Calibrated or None
         Torque constants of the calibration file, which `read_rows` applies.
     """
@@ -121,6 +123,7 @@ class AnalysisInputs:
     gain_std: tuple[float, ...] | None = None
     assumed: tuple[Finding, ...] = ()
     change: float = 1.0
+    currents: frozenset[int] = frozenset()
     calibrated: Calibrated | None = None
 
     @property
@@ -166,11 +169,27 @@ def collect_inputs(request: ModelRequest, paths: Sequence[Path]) -> AnalysisInpu
     InputError
         A recording or a stored identification of the unloaded arm cannot be used, or was made with another arm.
     """
-    return inputs_from_recordings(request, tuple(read(path) for path in paths if is_recording(path)))
+    recordings = tuple(read(path) for path in paths if is_recording(path))
+    return inputs_from_recordings(request, recordings, _current_columns(paths))
 
 
-def inputs_from_recordings(request: ModelRequest, read_ones: Sequence[Recording]) -> AnalysisInputs:
-    """Collect the inputs from the options and recordings that are already read; see `collect_inputs`."""
+def _current_columns(paths: Sequence[Path]) -> frozenset[int]:
+    """Return the joints of which a table holds the motor current: its torque is computed with the torque constant."""
+    joints: set[int] = set()
+    for path in paths:
+        if path.is_file() and not is_recording(path):
+            with path.open(encoding="utf-8", errors="replace") as file:
+                joints.update(map(int, re.findall(r"\bi(\d+)_a\b", file.readline())))
+    return frozenset(joints)
+
+
+def inputs_from_recordings(
+    request: ModelRequest, read_ones: Sequence[Recording], currents: frozenset[int] = frozenset()
+) -> AnalysisInputs:
+    """Collect the inputs from the options and recordings that are already read; see `collect_inputs`.
+
+    `currents` are the joints whose motor current is in a table.
+    """
     loaded = None if request.cell is None else load_cell(request.cell)
     arm, robot = _arm_and_robot(request, loaded, read_ones)
     bound = () if arm is None else _bound(read_ones, arm, robot, loaded)
@@ -199,7 +218,8 @@ def inputs_from_recordings(request: ModelRequest, read_ones: Sequence[Recording]
         loaded=loaded,
         recordings=tuple(each.recording for each in bound),
         corrections=tuple(dict.fromkeys(correction for each in bound for correction in each.corrections)),
-        gain_std=_gain_std(request, arm, axes, profile_of(read_ones, loaded), measured),
+        gain_std=_gain_std(request, arm, axes, (profile_of(read_ones, loaded), currents), measured),
+        currents=currents,
         assumed=(*filter(None, assumed), *(() if measured is None else measured.findings)),
         change=WARM_CHANGE if request.is_warm else 1.0,
         calibrated=measured,
@@ -221,7 +241,7 @@ def _gain_std(
     request: ModelRequest,
     arm: ArmConfig | None,
     axes: int,
-    profile: Callable[[str], DriveProfile],
+    source: tuple[Callable[[str], DriveProfile], frozenset[int]],
     measured: Calibrated | None,
 ) -> tuple[float, ...] | None:
     """Return the standard deviations of the torque constants: requested, else calibrated, else stated."""
@@ -229,18 +249,23 @@ def _gain_std(
         return (request.gain_std,) * axes
     if arm is None:
         return None
-    stated = constants_std(arm, profile)
+    stated = constants_std(arm, *source)
     return stated if measured is None else measured.gain_std(stated, WARM_CHANGE if request.is_warm else 1.0)
 
 
-def constants_std(arm: ArmConfig, profile: Callable[[str], DriveProfile]) -> tuple[float, ...]:
-    """Return the relative standard deviations of the torque constants, or of the torque that the drives report."""
-    return tuple(_constant_std(axis, profile) for axis in arm.axis)
+def constants_std(
+    arm: ArmConfig, profile: Callable[[str], DriveProfile], currents: frozenset[int] = frozenset()
+) -> tuple[float, ...]:
+    """Return the relative standard deviations of the torque constants, or of the torque that the drives report.
+
+    The torque of joints in `currents` is computed from the current of a table, whatever their drives report.
+    """
+    return tuple(_constant_std(axis, profile, joint in currents) for joint, axis in enumerate(arm.axis, 1))
 
 
-def _constant_std(axis: AxisConfig, profile: Callable[[str], DriveProfile]) -> float:
+def _constant_std(axis: AxisConfig, profile: Callable[[str], DriveProfile], of_current: bool) -> float:
     constant = axis.torque_constant_nm_per_a
-    if constant.std_percent is None:
+    if constant.std_percent is None and not of_current:
         try:
             used = profile(axis.profile).needs_torque_constant
         except ProfileError:
@@ -394,6 +419,7 @@ def read_rows(paths: Sequence[Path], about: AnalysisInputs) -> Table:
             f"{table.file[0]}: the data have {table.axes} axes, but robot '{about.robot.name}' has"
             f" {about.robot.axes}; name the measured robot{or_another_tip(about.robot, table.axes)}"
         )
+    table = without_constant_torques(table)
     if about.robot is not None and about.inertials != "ignore":
         refuse_small_torques(table, about.robot, about.gravity_m_s2)
     return table

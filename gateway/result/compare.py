@@ -8,8 +8,14 @@ deviation and h = z s, where z keeps the chance of one false alarm among all qua
     cannot tell   anything else
 
 Without a stated tolerance, `changed` is any significant difference (tolerance 0), and `unchanged` is measured against
-the resolution that service needs (`RESOLUTION`). The errors of both results are taken as independent: what they share
-(the same link masses, the same unknown constants) makes the true uncertainty of the difference smaller.
+the resolution that service needs (`RESOLUTION`). Both results share errors of link masses and torque constants, which
+each result states for its loads: with their effects c1 and c2, `s^2 = s1^2 + s2^2 - 2 c1 c2`.
+
+Friction scatters from start to start by `START_SCATTER`, and one result is of one start alone.
+
+The prior of a torque constant is not changed by a service. Its value follows a true change only in part (`response`
+of the gain), so the limits are multiplied by that part. A constant whose standard deviation is above 0.9 of the prior's
+is not measured: cannot tell.
 """
 
 from __future__ import annotations
@@ -21,10 +27,13 @@ from statistics import NormalDist
 from typing import Any, Final, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gateway.errors import InputError
 from gateway.result.result import EffectResult, LoadResult, Result
 from gateway.result.values import plain_values
+
+Floats = NDArray[np.float64]
 
 OPTION: Final = "--tolerance"
 Outcome = Literal["changed", "unchanged", "cannot tell"]
@@ -36,7 +45,11 @@ FALSE_ALARM: Final = 0.05
 #: Standard deviation of a median of n over that of one value, times sqrt(n).
 _OF_A_MEDIAN: Final = 1.2533
 #: Resolution that service needs: a larger half width leaves "unchanged" undecided. Shares, except `com` in m.
-RESOLUTION: Final = {"mass": 0.1, "com": 0.02, "constant": 0.1, "friction": 0.3}
+RESOLUTION: Final = {"mass": 0.1, "com": 0.02, "constant": 0.1, "friction": 0.5}
+#: Relative standard deviation of friction from one start of the arm to the next.
+START_SCATTER: Final = 0.1
+#: Least part of a true change that a measured value follows: its standard deviation is 0.9 of the prior's.
+LEAST_RESPONSE: Final = 1.0 - 0.9**2
 #: Key of a tolerance -> unit -> factor; a share where the factor is that of %.
 UNITS: Final[Mapping[str, Mapping[str, float]]] = {
     "mass": {"%": 0.01, "kg": 1.0, "g": 0.001},
@@ -70,7 +83,7 @@ class ComparedQuantity:
     before, before_std, after, after_std : float
         Values and standard deviations; NaN = not stated.
     half_width : float
-        Of the interval of the difference, at the level of all quantities together.
+        Of the interval of the difference, at the level of all quantities together; NaN = not measured.
     tolerance : float
         Allowed change, in the unit; 0 where none was stated.
     outcome : "changed", "unchanged" or "cannot tell"
@@ -172,6 +185,9 @@ def compare(
         for where, what in have
         if (where, what) not in lack
     ]
+    stated = [" ".join(key) for key in shared if not _response(one[key], other[key]) >= LEAST_RESPONSE]
+    if stated:
+        remarks.append(f"{', '.join(stated)}: not measured, the value is that of its prior; a change is not visible")
     if same:
         remarks.append("both files are the same result")
     if None not in created and str(created[0]) > str(created[1]):
@@ -185,6 +201,9 @@ class _Quantity:
     std: float
     unit: str
     kind: str
+    response: float = 1.0
+    load: LoadResult | None = None
+    part: int = 0
 
 
 def refuse_other_arms(before: Result, after: Result, names: tuple[str, str]) -> None:
@@ -212,10 +231,19 @@ def _quantities(result: Result) -> dict[tuple[str, str], _Quantity]:
 def _loads(loads: Sequence[LoadResult]) -> Iterator[tuple[tuple[str, str], _Quantity]]:
     for load in loads:
         where = f"load {load.label}"
-        yield (where, "mass"), _Quantity(load.mass_kg, load.mass_std_kg, "kg", "mass")
+        yield (where, "mass"), _Quantity(load.mass_kg, load.mass_std_kg, "kg", "mass", load=load)
         stds = load.com_std_m or (math.nan,) * 3
-        for axis, value, std in zip("xyz", load.com_m or (), stds, strict=False):
-            yield (where, f"centre {axis} in {load.frame}"), _Quantity(value, std, "m", "com")
+        for part, (axis, value, std) in enumerate(zip("xyz", load.com_m or (), stds, strict=False), 1):
+            yield (where, f"centre {axis} in {load.frame}"), _Quantity(value, std, "m", "com", load=load, part=part)
+
+
+def shared_errors(loads: Sequence[LoadResult], part: int) -> Floats | None:
+    """Return the errors (n, m) of one quantity that all loads state under one name; None if one states none."""
+    if not all(load.common_errors for load in loads):
+        return None
+    tables = [{kind: np.asarray(rows) for kind, rows in load.common_errors.items()} for load in loads]
+    same = [kind for kind in tables[0] if len({table[kind].shape if kind in table else () for table in tables}) == 1]
+    return np.array([np.concatenate([table[kind][part] for kind in same]) for table in tables])
 
 
 def _constants(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
@@ -226,9 +254,10 @@ def _constants(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
         if found is None and (gain is None or joint > len(gain.value)):
             continue
         scale, scale_std = found or (1.0, 0.0)
-        error, error_std = (0.0, 0.0)
+        error, error_std, response = (0.0, 0.0, 1.0)
         if gain is not None and joint <= len(gain.value) and math.isfinite(gain.value[joint - 1]):
             error, error_std = gain.value[joint - 1], gain.std[joint - 1]
+            response = gain.response[joint - 1] if joint <= len(gain.response) else math.nan
         elif found is None:
             continue
         entry = result.provenance.get(f"J{joint}", {})
@@ -237,7 +266,7 @@ def _constants(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
         constant, unit = (float(stated["value"]), "Nm/A") if used and stated else (1.0, "of stated")
         value = constant * scale / (1.0 + error)
         share = math.hypot(scale_std / scale, error_std / (1.0 + error))
-        yield (f"J{joint}", "torque constant"), _Quantity(value, abs(value) * share, unit, "constant")
+        yield (f"J{joint}", "torque constant"), _Quantity(value, abs(value) * share, unit, "constant", response)
 
 
 def _scale(effects: Sequence[EffectResult], joint: int) -> tuple[float, float] | None:
@@ -256,12 +285,17 @@ def _scale(effects: Sequence[EffectResult], joint: int) -> tuple[float, float] |
 def _friction(result: Result) -> Iterator[tuple[tuple[str, str], _Quantity]]:
     """Return friction bands at rest (half-difference of the approach directions), Coulomb and viscous friction."""
     for joint, band in enumerate(result.friction_band_nm, start=1):
-        yield (f"J{joint}", "friction band"), _Quantity(band, _band_std(result, joint), "Nm", "friction")
+        yield (f"J{joint}", "friction band"), _of_one_start(band, _band_std(result, joint), "Nm")
     for axis in result.motion:
         where = f"J{axis.joint}"
-        yield (where, "Coulomb friction"), _Quantity(axis.coulomb_nm, axis.coulomb_std_nm, "Nm", "friction")
-        viscous = _Quantity(axis.viscous_nm_s_rad, axis.viscous_std_nm_s_rad, "Nm s/rad", "friction")
+        yield (where, "Coulomb friction"), _of_one_start(axis.coulomb_nm, axis.coulomb_std_nm, "Nm")
+        viscous = _of_one_start(axis.viscous_nm_s_rad, axis.viscous_std_nm_s_rad, "Nm s/rad")
         yield (where, "viscous friction"), viscous
+
+
+def _of_one_start(value: float, std: float, unit: str) -> _Quantity:
+    """Return friction with its scatter from start to start."""
+    return _Quantity(value, math.hypot(std, START_SCATTER * value), unit, "friction")
 
 
 def _band_std(result: Result, joint: int) -> float:
@@ -274,18 +308,29 @@ def _band_std(result: Result, joint: int) -> float:
 def _compared(
     key: tuple[str, str], one: _Quantity, other: _Quantity, factor: float, tolerance: Mapping[str, Tolerance]
 ) -> ComparedQuantity:
-    half = factor * math.hypot(one.std, other.std) if factor else 0.0
+    variance, response = one.std**2 + other.std**2, _response(one, other)
+    if one.load is not None and other.load is not None:
+        common = shared_errors((one.load, other.load), one.part)
+        variance -= 0.0 if common is None else 2.0 * float(common[0] @ common[1])
+    half = factor * math.sqrt(max(variance, 0.0)) if factor else 0.0
+    if not response >= LEAST_RESPONSE:
+        half = math.nan
     stated = tolerance.get(one.kind)
     allowed = 0.0 if stated is None else stated.of(one.value)
     resolution = RESOLUTION[one.kind] * (1.0 if one.kind == "com" else abs(one.value))
     off = abs(other.value - one.value)
     outcome: Outcome = CANNOT_TELL
     if one.unit == other.unit and math.isfinite(half):
-        if off - half > allowed:
+        if off - half > response * allowed:
             outcome = CHANGED
-        elif off + half <= (resolution if stated is None else allowed):
+        elif off + half <= response * (resolution if stated is None else allowed):
             outcome = UNCHANGED
     return ComparedQuantity(*key, one.unit, one.value, one.std, other.value, other.std, half, allowed, outcome)
+
+
+def _response(one: _Quantity, other: _Quantity) -> float:
+    """Return the part of a true change that the difference of both values shows; NaN = not stated."""
+    return float(np.minimum(one.response, other.response))
 
 
 def _verdict(rows: Sequence[ComparedQuantity]) -> Outcome:

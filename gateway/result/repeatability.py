@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from gateway.errors import InputError
-from gateway.result.compare import CANNOT_TELL, FALSE_ALARM, refuse_other_arms
+from gateway.result.compare import CANNOT_TELL, FALSE_ALARM, refuse_other_arms, shared_errors
 from gateway.result.result import LoadResult, Result
 from gateway.result.values import plain_values
 
@@ -192,7 +192,7 @@ def _series(results: Sequence[Result], label: str) -> Iterator[_Series]:
         if len(kept) < FEWEST:
             continue
         value, std = np.array([numbers[k] for k in kept]).T
-        common = _shared([found[k] for k in kept], part) if part < 4 else None
+        common = shared_errors([found[k] for k in kept], part) if part < 4 else None
         yield _Series(f"load {label}", what, unit, tuple(kept), value, std, common)
 
 
@@ -204,15 +204,6 @@ def _numbers(load: LoadResult) -> list[tuple[float, float]]:
         pair for values, stds, k in vectors for pair in zip((values or unknown)[:k], (stds or unknown)[:k], strict=True)
     ]
     return [(load.mass_kg, load.mass_std_kg), *parts]
-
-
-def _shared(loads: Sequence[LoadResult], part: int) -> Floats | None:
-    """Return the errors (n, m) of one quantity that all loads state under one name; None if one states none."""
-    if not all(load.common_errors for load in loads):
-        return None
-    tables = [{kind: np.asarray(rows) for kind, rows in load.common_errors.items()} for load in loads]
-    same = [kind for kind in tables[0] if len({table[kind].shape if kind in table else () for table in tables}) == 1]
-    return np.array([np.concatenate([table[kind][part] for kind in same]) for table in tables])
 
 
 def _judged(series: _Series, false_alarm: float) -> RepeatedQuantity:

@@ -158,10 +158,15 @@ class Decided:
 
 @dataclass(frozen=True, slots=True)
 class NuisanceResult:
-    """Nuisance parameter, one number per axis with its standard deviation: `gain`, `bias_nm`, `load_friction`."""
+    """Nuisance parameter, one number per axis with its standard deviation: `gain`, `bias_nm`, `load_friction`.
+
+    `response` of the gain: part of a change of the axis's own torque constant by which its value moves, 0 to 1; 0 where
+    the prior alone gives the value.
+    """
 
     value: Numbers = ()
     std: Numbers = ()
+    response: Numbers = field(default=(), metadata=SILENT)
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,6 +153,64 @@ def test_a_table_that_cannot_be_used_is_named_with_its_line(table, tmp_path):
     complains(run("estimate", tmp_path / "rows.txt", "--robot", URDF), 3, "rows.txt")
 
 
+def torques(line, change):
+    """Replace the six torques at the end of a line of the table; `change` maps the six numbers."""
+    if line.startswith("load,"):
+        return line
+    *others, t1, t2, t3, t4, t5, t6 = line.split(",")
+    return ",".join([*others, *(repr(each) for each in change([*map(float, (t1, t2, t3, t4, t5, t6))]))])
+
+
+@pytest.mark.parametrize("command", ["estimate", "diagnose"])
+def test_a_torque_that_does_not_scatter_is_named_and_left_out(table, command):
+    """J6 reports zero in all samples: no sign of exchanged cables, no centre without uncertainty."""
+    path = table(change=lambda line: torques(line, lambda tau: [*tau[:5], 0.0]))
+    done = run(command, path, "--robot", URDF, "--json", "-")
+    assert done.exit_code == 0, done.output
+    result = json.loads(done.stdout)
+    (named,) = [each for each in result["findings"] if each.get("check") == "torque_without_scatter"]
+    assert named["where"] == "J6"
+    assert not any("swapped" in each["name"] for each in result.get("effects", []))
+    (load,) = result["loads"]
+    assert load["mass_kg"] == pytest.approx(TOOL[0], abs=2.5 * load["mass_std_kg"])
+    assert all(std is None or std > 1e-6 for std in load["com_std_m"])
+
+
+@pytest.mark.parametrize("command", ["estimate", "diagnose"])
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [(lambda tau: [0.0] * 6, "nothing was measured"), (lambda tau: [round(each, 12) for each in tau], "computed")],
+    ids=["zeros", "computed"],
+)
+def test_torques_that_were_not_measured_are_refused(table, command, change, says):
+    """Computed torques: the same from both approach directions, as no axis with friction has them."""
+
+    class Still:
+        def normal(self, *_):
+            return np.array([4.0, 4.0, 2.0, 0.6, 0.5, 0.3])
+
+    sides = iter(range(10**6))
+
+    def without_friction(line):
+        # the writer adds side * band and the noise; here both are taken off
+        band = np.array([4.0, 4.0, 2.0, 0.6, 0.5, 0.3])
+        side = -1 if next(sides) % 2 else 1
+        return torques(line, lambda tau: change((np.array(tau) - (1 + side) * band).tolist()))
+
+    complains(run(command, table(change=without_friction, rng=Still()), "--robot", URDF), 6, says)
+
+
+def test_the_constant_of_a_table_of_currents_is_used_whatever_the_drive_reports(table):
+    """5 % of the data sheet instead of the 3 % of a torque that the drives report; J1 carries no weight."""
+    torque = json.loads(run("estimate", table(), "--cell", SMALL, "--json", "-").stdout)
+    as_current = table("currents.csv", change=lambda line: line.replace("tau", "i").replace("_nm", "_a"))
+    current = json.loads(run("estimate", as_current, "--cell", SMALL, "--json", "-").stdout)
+    assert "not used" in torque["provenance"]["J2"]["torque_constant"]["source"]
+    assert "not used" not in current["provenance"]["J2"]["torque_constant"]["source"]
+    for result, std in ((torque, 0.03), (current, 0.05)):
+        assert result["nuisance"]["gain"]["std"][0] == pytest.approx(std, rel=0.1)
+
+
 def test_one_posture_has_rank_three(table):
     path = table(poses=np.array([[0.1, 0.4, -0.3, 0.2, 0.5, -0.6]]))
     complains(run("estimate", path, "--robot", URDF), 6, "rank 3", "posture")

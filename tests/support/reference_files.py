@@ -46,7 +46,9 @@ def table_page() -> str:
         ),
         "",
         _paragraph(
-            "Axes without a column of torque or current were not measured. Any other column is refused by name."
+            "Axes without a column of torque or current were not measured. An axis with the same torque in all samples"
+            " is left out with a finding. If that is every axis, or if the torques from both approach directions are"
+            " equal (computed torques), the table is refused. Any other column is refused by name."
             " Refused with file and line: a required cell that is empty or not a finite number, an angle that can"
             " only be degrees, and a repeated row with different values. Nothing is ever filled in."
         ),

@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from gateway.result.compare import START_SCATTER
+
 Floats = NDArray[np.float64]
 
 FRICTION: Final = ("coulomb", "viscous", "rotor_inertia", "offset")
@@ -22,7 +24,7 @@ FALL: Final = "stribeck"
 #: Prefix of the deviation of a run's Coulomb friction from the mean of all runs.
 RUN: Final = "run_coulomb"
 #: Prior standard deviation of this deviation, over the Coulomb friction.
-RUN_SHARE: Final = 0.1
+RUN_SHARE: Final = START_SCATTER
 #: Speeds over which friction falls, as shares of the top speed of each axis.
 _FALLS: Final = (0.01, 0.03, 0.09)
 #: Prior standard deviation of each fall, over the Coulomb friction.

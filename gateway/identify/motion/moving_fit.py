@@ -8,6 +8,7 @@ columns of the same model: a fit without any is the one that an estimate reports
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +34,7 @@ from gateway.identify.prior_loads import BARE_LABEL
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.solve import Solution, determined
 from gateway.model.motion import at_links, turns
+from gateway.model.placeholders import wide_inertia
 from gateway.model.robot import Robot
 from gateway.result.result import Finding
 
@@ -131,7 +133,17 @@ def fit_motion(
         knowledge = knowledge.of_loads(sound.mean.load)
     trusted, placeholder = without_placeholder(robot, knowledge)
     fit, conflicts = _tested(sound, robot, trusted, setup, (rest, effects))
-    return FittedMotion(sound, fit, refused, (*placeholder, *conflicts))
+    return FittedMotion(sound, fit, refused, (*placeholder, *_wide_inertia(robot, trusted), *conflicts))
+
+
+def _wide_inertia(robot: Robot, knowledge: Knowledge) -> Iterator[Finding]:
+    """Report the links whose inertia the fit treats as unknown."""
+    wide = wide_inertia(robot)
+    if not wide.any() or knowledge.inertials in ("exact", "ignore"):
+        return
+    names = ", ".join(name for name, placeholder in zip(robot.link_names, wide.tolist(), strict=True) if placeholder)
+    what = "the URDF's inertia is too large for a link of this mass and size: a placeholder, taken as unknown"
+    yield Finding("warn", names, what, "state the inertia of the data sheet in the URDF", "link_inertia_placeholder")
 
 
 def _tested(

@@ -65,11 +65,18 @@ def _body(ten: Floats, covariance: Floats) -> tuple[Floats, LoadInertia | None]:
 def nuisances(fit: MotionFit) -> dict[str, NuisanceResult]:
     """Gain and load friction of each axis for the result."""
     value, std = fit.value, fit.std
-    return {
+    out = {
         name: NuisanceResult(tuple(value[index].tolist()), tuple(std[index].tolist()))
         for name, index in fit.columns.nuisances.items()
         if name in NUISANCES
     }
+    if "gain" in out:
+        # a change of an axis's constant moves its gain by what the rows contribute to it: the rest is of the prior
+        prior, covariance = fit.columns.prior.precision, fit.settled.free.covariance
+        by_prior = covariance * prior if prior.ndim == 1 else covariance @ prior
+        index = fit.columns.nuisances["gain"]
+        out["gain"] = replace(out["gain"], response=tuple((1.0 - by_prior[index, index]).tolist()))
+    return out
 
 
 def axis_motions(fit: MotionFit, qd_rad_s: Floats) -> tuple[AxisMotion, ...]:

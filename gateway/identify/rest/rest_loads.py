@@ -211,7 +211,20 @@ def nuisance_results(problem: RestProblem, fit: Fit) -> dict[str, NuisanceResult
         out[key] = NuisanceResult(
             numbers(np.where(known, value[row], np.nan)), numbers(np.where(known, std[row], np.nan))
         )
+    out["gain"] = replace(out["gain"], response=numbers(_response(problem, fit)))
     return out
+
+
+def _response(problem: RestProblem, fit: Fit) -> Floats:
+    """Part (N,) of a change of each axis's own torque constant by which its gain moves: what the rows say, not priors.
+
+    With covariance S, prior precision L and the gain `a x`, a change of parameter k moves it by `(a (I - S L))_k`.
+    """
+    first, common = problem.nuisance_part.start, problem.n_common
+    reach = problem.gain_directions @ fit.covariance[:common, :common]
+    stored = problem.prior_rows.T @ problem.prior_rows
+    by_prior = reach / fit.prior_std[:common] ** 2 + reach @ stored
+    return 1.0 - np.diagonal(by_prior, first)
 
 
 def widening(problem: RestProblem, fit: Fit, directions: Floats) -> Floats:

@@ -143,10 +143,10 @@ class RestNuisance:
             std[self.common] *= _HELD_ELSEWHERE
         return replace(self, std=std)
 
-    def without_bias(self) -> RestNuisance:
-        """Return the prior for differences between loads, in which the bias by direction cancels."""
+    def with_bias(self, std_nm: Floats) -> RestNuisance:
+        """Return the prior for differences between loads, in which these biases (N,) are left; 0 = it cancels."""
         std = self.std.copy()
-        std[KINDS.index("bias") * self.axes :][: self.axes] = _NO_BIAS_NM
+        std[KINDS.index("bias") * self.axes :][: self.axes] = np.maximum(std_nm, _NO_BIAS_NM)
         return replace(self, std=std)
 
     def with_losses(self, value: Floats, std: Floats) -> RestNuisance:

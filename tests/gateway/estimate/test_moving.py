@@ -1,5 +1,6 @@
 """Moving runs: pinocchio's dynamics come back, and the measured runs give the figures published with them."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -229,3 +230,17 @@ def test_link_masses_that_a_motion_contradicts_are_named_and_not_used(
     conflicts = [finding for finding in found.findings if finding.check == "link_masses"]
     assert [finding.severity for finding in conflicts] == ["warn"] * warned
     assert abs(found.loads[0].mass_kg - TOOL[0]) < 3 * found.loads[0].mass_std_kg
+
+
+def test_a_placeholder_inertia_of_a_link_is_named_and_not_used(arm, table_of):
+    """20 kg m2 on the last link of 1 kg would be a radius of gyration of 4.5 m."""
+    last = 'ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.025"'
+    assert last in arm.text
+    exported = replace(arm, text=arm.text.replace(last, re.sub("0.025?|0.03", "20", last)))
+    parts = [("none", None, 0), ("tool", TOOL, 1)]
+    table = concatenate([moving_table(arm, table_of, label, load, seed, noise=0.5) for label, load, seed in parts])
+    found = estimate(table, exported.robot, EstimateOptions(inertials="prior:0.05"))
+    assert [each.where for each in found.findings if each.check == "link_inertia_placeholder"] == ["link_6"]
+    (load,) = found.loads
+    assert (np.abs(load.com_m - TOOL[1:]) < 2.5 * load.com_std_m).all()
+    assert abs(load.mass_kg - TOOL[0]) < 2.5 * load.mass_std_kg

@@ -41,6 +41,10 @@ def test_a_stated_model_holds_no_placeholder():
             "inertia of link_1 is not possible for a body",
         ),
         (lambda text: re.sub(r'(i[xyz]{2})="[^"]*"', r'\1="0"', text), "inertia of link_1, link_2, link_3"),
+        (
+            lambda text: re.sub(r'(i(?:xx|yy|zz))="[^"]*"', r'\1="900"', text, count=3),
+            "inertia of link_1 is not that of a link of this mass and size",
+        ),
     ],
 )
 def test_a_placeholder_is_named_with_what_to_do(change, says):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ def result(mass=(5.0, 0.02), com=(0.0, 0.0, 0.1), com_std=0.001, gain=None, band
     }
     body = {"schema": 1, "robot": "small", "loads": [load], **more}
     if gain is not None:
-        body["nuisance"] = {"gain": {"value": list(gain[0]), "std": list(gain[1])}}
+        response = gain[2] if len(gain) > 2 else [1.0] * 6
+        body["nuisance"] = {"gain": {"value": list(gain[0]), "std": list(gain[1]), "response": response}}
         body["provenance"] = {
             f"J{joint}": {"torque_constant": {"value": 0.3, "unit": "Nm/A", "source": "datasheet p. 2"}}
             for joint in range(1, 7)
@@ -103,10 +105,44 @@ def test_a_constant_that_an_effect_corrected_counts_too():
 def test_friction_is_compared_by_the_scatter_of_its_bands():
     rng = np.random.default_rng(3)
     old, worn = (rng.normal(level, 0.2, (40, 6)) for level in (4.0, 4.0))
-    worn[:, 3] += 2.0
+    worn[:, 3] += 3.0
     found = compare(result(band=old), result(band=worn), NAMES, {})
     changed = [(row.where, row.what) for row in found.quantities if row.outcome == "changed"]
     assert changed == [("J4", "friction band")]
+
+
+def test_friction_that_scatters_from_start_to_start_did_not_change():
+    """Ten per cent from one start to the next: of 100 pairs one in twenty may be reported."""
+    rng = np.random.default_rng(5)
+    level = 4.0 * (1.0 + 0.1 * rng.standard_normal((200, 6)))
+    days = [result(band=day + rng.normal(0.0, 0.05, (12, 6))) for day in level]
+    alarms = sum(compare(*pair, NAMES, {}).verdict == "changed" for pair in zip(days[::2], days[1::2], strict=True))
+    assert alarms <= 100 * 0.05 + 3 * math.sqrt(100 * 0.05 * 0.95)
+
+
+def test_errors_that_both_results_share_are_not_in_the_difference():
+    """Of 0.5 kg each, 0.48 kg is one error: s^2 = 2 (0.25 - 0.2304), and z = 2.50 for four quantities: 0.495 kg."""
+
+    def shared(mass_kg, error_kg):
+        made = result(mass=(mass_kg, 0.5))
+        errors = {"gain": ((error_kg,), (0.0,), (0.0,), (0.0,))}
+        return replace(made, loads=(replace(made.loads[0], common_errors=errors),))
+
+    found = compare(shared(5.0, 0.48), shared(5.6, 0.48), NAMES, {})
+    assert found.quantities[0].half_width == pytest.approx(2.4977 * math.sqrt(2 * (0.25 - 0.48**2)), rel=1e-3)
+    assert found.quantities[0].outcome == "changed"
+    assert compare(shared(5.0, 0.48), shared(5.6, 0.0), NAMES, {}).quantities[0].outcome == "cannot tell"
+
+
+def test_a_constant_that_only_its_prior_determines_cannot_be_compared():
+    """J1: nothing measured. J2: values follow half of a change, so a difference of 4 % is one of 8 %."""
+    response = [0.1, 0.5, 1.0, 1.0, 1.0, 1.0]
+    before = result(gain=([0.0] * 6, [0.001] * 6, response))
+    after = result(gain=([0.0, -0.04, -0.04, 0.0, 0.0, 0.0], [0.001] * 6, response))
+    found = compare(before, after, NAMES, parse_tolerance("constant=5%,mass=5%,com=9mm"))
+    outcomes = {row.where: row.outcome for row in found.quantities if row.what == "torque constant"}
+    assert (outcomes["J1"], outcomes["J2"], outcomes["J3"]) == ("cannot tell", "changed", "unchanged")
+    assert any("J1 torque constant: not measured" in remark for remark in found.remarks)
 
 
 def test_a_quantity_without_uncertainty_is_shown_and_decides_nothing():
