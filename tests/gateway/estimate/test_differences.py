@@ -33,7 +33,8 @@ def test_friction_is_not_taken_for_mass(arm, poses, measured, bare, loaded, know
         table = replace(table, direction=np.zeros_like(table.direction))
     found = estimate(table, arm.robot, EstimateOptions(), "difference")
     (load,) = found.loads
-    assert abs(load.mass_kg - TOOL[0]) < 2.0 * load.mass_std_kg < 0.8
+    # without directions a share of the torque may be friction: wider, but it still determines the mass
+    assert abs(load.mass_kg - TOOL[0]) < 2.0 * load.mass_std_kg < (0.8 if known else 1.5)
     assert any("friction is not separated" in each.what for each in found.findings) == warned
 
 
