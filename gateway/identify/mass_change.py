@@ -23,8 +23,8 @@ Ints = NDArray[np.int_]
 
 #: Residual over the noise of the approach directions above which a change is tested.
 MISFIT: Final = 3.0
-#: Largest share of the misfit after a change of mass; an effect of the arm leaves more.
-_LEFT: Final = 0.15
+#: Largest share of the misfit after a correction of the visits; an effect of the arm leaves more.
+LEFT: Final = 0.15
 #: Least number of visits before and after a change.
 _LEAST_VISITS: Final = 2
 #: Change of mass in standard deviations, and as a share of the heavier of both.
@@ -74,7 +74,7 @@ def _divided_at(problem: RestProblem, fit: Fit, label: str, order: Ints, step: i
     if label in problem.labels:
         own_kg += float(second.loads[problem.labels.index(label), 0])
     parts = [(own_kg, order[cut - 1]), (own_kg + change_kg, order[cut])]
-    explained = misfit(divided, second) < _LEFT * before
+    explained = misfit(divided, second) < LEFT * before
     possible = min(kg for kg, _ in parts) > -_CERTAIN_STD * std_kg
     if not (explained and possible) or abs(change_kg) < max(
         _CERTAIN_STD * std_kg, _LEAST_SHARE * max(abs(kg) for kg, _ in parts)

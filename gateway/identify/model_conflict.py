@@ -2,8 +2,8 @@
 
 Candidate causes: one factor on all torques, two exchanged torque columns, a body on the flange in the unloaded run.
 Each is corrected in the visits, which are then fitted with the statements as they are. It is the cause if it explains
-the visits as well as wrong link masses do, and leaves no contradiction. Wrong masses of single links are another case:
-the unloaded arm is measured, and they are not needed.
+the visits as well as wrong link masses do, and leaves neither a contradiction nor the residual of a missing effect.
+Wrong masses of single links are another case: the unloaded arm is measured, and they are not needed.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from gateway.data.labels import BARE_LABEL
 from gateway.identify.alternatives import LINK_SCALE, wider_statements, wider_std
 from gateway.identify.links import parse_inertials
+from gateway.identify.mass_change import LEFT, MISFIT, misfit
 from gateway.identify.rest.hypothesis_fit import fit_without_effects
 from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.linearised import LinearisedFit
@@ -81,12 +82,14 @@ def model_conflict(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Know
     if not np.isfinite(parse_inertials(knowledge.inertials)):
         return None
     least, off = _wrong_links(robot, problem, fit, knowledge), _deviation(problem)
-    best, cause = -np.inf, None
+    best, cause, before = -np.inf, None, misfit(problem, fit)
     for correction in _corrections(robot, problem, knowledge, off):
         other, corrected = _fitted(robot, correction, knowledge)
         gain = corrected.evidence + correction.log_jacobian - fit.evidence
         margin = -CONFLICT.log_odds if correction.body_std is None else _BODY_LOG_ODDS
         if correction.body_std is not None and corrected.loads[other.labels.index(_BODY), 0] <= 0.0:
+            continue
+        if misfit(other, corrected) > max(MISFIT, LEFT * before):
             continue
         if gain > max(least + margin, best) and _wrong_links(robot, other, corrected, knowledge) < CONFLICT.log_odds:
             best, cause = gain, correction

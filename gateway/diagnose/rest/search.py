@@ -267,11 +267,11 @@ def _exchange(search: Search) -> None:
 
 
 def _rivals(search: Search) -> None:
-    """Fit unnamed torque curves in addition to the best hypothesis, and in place of each of its effects.
+    """Fit unnamed torque curves in addition to the best hypothesis, and in place of each of its necessary effects.
 
-    A nuisance is fitted in place of the effect only that it looks like.
+    A nuisance is fitted in place of the effect only that it looks like. An unnecessary effect beside it would hide it.
     """
-    best = search.best()
+    best = pruned(search, search.best())
     _extend(search, best, [curve for curve in search.unnamed if not curve.looks_like], REST.unnamed)
     for term in best.terms:
         without = search.fitted(tuple(other for other in best.terms if other is not term))

