@@ -98,9 +98,8 @@ def settle(
         settled, problem, fit = wider, other, refitted
     conflicts = (finding for _, finding in _contradicted(robot, problem, fit, trusted, settled))
     spread = spread_of_loads(robot, problem, fit, settled)
-    large = None
-    if (settled.inertials, settled.gain_std) != (trusted.inertials, trusted.gain_std):
-        large = model_conflict(robot, *stated, trusted)
+    contradicted = settled.inertials != trusted.inertials or settled.gain_std != trusted.gain_std
+    large = model_conflict(robot, *stated, trusted) if contradicted else None
     return SettledKnowledge(stated, settled, problem, fit, (*placeholder, *conflicts), spread, log_odds, large)
 
 

@@ -56,9 +56,8 @@ _CAUSES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ModelConflict:
-    """A large contradiction: name of its most probable cause, why no load is given, and the failing finding."""
+    """A large contradiction: why no load is given, and the failing finding, whose check is the most probable cause."""
 
-    cause: str
     reason: str
     finding: Finding
 
@@ -82,16 +81,15 @@ def model_conflict(robot: Robot, problem: RestProblem, fit: Fit, knowledge: Know
     if not np.isfinite(parse_inertials(knowledge.inertials)):
         return None
     least, off = _wrong_links(robot, problem, fit, knowledge), _deviation(problem)
-    best, cause, before = -np.inf, None, misfit(problem, fit)
+    best, cause, most = -np.inf, None, max(MISFIT, LEFT * misfit(problem, fit))
     for correction in _corrections(robot, problem, knowledge, off):
         other, corrected = _fitted(robot, correction, knowledge)
-        gain = corrected.evidence + correction.log_jacobian - fit.evidence
-        margin = -CONFLICT.log_odds if correction.body_std is None else _BODY_LOG_ODDS
-        if correction.body_std is not None and corrected.loads[other.labels.index(_BODY), 0] <= 0.0:
+        gain, body = corrected.evidence + correction.log_jacobian - fit.evidence, correction.body_std is not None
+        needed = least + (_BODY_LOG_ODDS if body else -CONFLICT.log_odds)
+        lifts = body and corrected.loads[other.labels.index(_BODY), 0] <= 0.0
+        if lifts or gain <= max(needed, best) or misfit(other, corrected) > most:
             continue
-        if misfit(other, corrected) > max(MISFIT, LEFT * before):
-            continue
-        if gain > max(least + margin, best) and _wrong_links(robot, other, corrected, knowledge) < CONFLICT.log_odds:
+        if _wrong_links(robot, other, corrected, knowledge) < CONFLICT.log_odds:
             best, cause = gain, correction
     if cause is not None:
         return _reported(cause.cause, cause.text, off)
@@ -133,8 +131,8 @@ def _deviation(problem: RestProblem) -> Floats:
     expected, measured = _unloaded_torques(problem)
     size, seen, away = (np.sqrt((values**2).mean(axis=0)) for values in (expected, measured, measured - expected))
     largest: Floats = np.maximum(size, seen)
-    friction = np.abs(np.nan_to_num(problem.rows.band_nm))
-    carries = np.asarray((largest > _CARRIES * np.max(largest, initial=0.0)) & (largest > friction))
+    least = np.maximum(_CARRIES * np.max(largest, initial=0.0), np.abs(np.nan_to_num(problem.rows.band_nm)))
+    carries = np.asarray(largest > least)
     return np.where(carries, away / np.where(carries, largest, 1.0), np.nan)
 
 
@@ -174,4 +172,4 @@ def _reported(cause: str, text: str, off: Floats) -> ModelConflict:
         f"check in this order: {candidates}. If only the masses of the model are wrong, state --inertials ignore",
         cause,
     )
-    return ModelConflict(cause, reason, finding)
+    return ModelConflict(reason, finding)
