@@ -1,4 +1,4 @@
-"""For every test: limits on processor time, and neither a thread nor an open virtual CAN channel may be left behind.
+"""For every test: its processor time, and neither a thread nor an open virtual CAN channel may be left behind.
 
 Linear algebra runs in one thread, as in the programs themselves: several test processes share the cores.
 """
@@ -6,7 +6,6 @@ Linear algebra runs in one thread, as in the programs themselves: several test p
 from __future__ import annotations
 
 import os
-import sys
 import threading
 import time
 from pathlib import Path
@@ -14,7 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests.support.processor_time import FAST_LIMIT_S, Stopwatch, slowness
+from tests.support.processor_time import FAST_LIMIT_S, Stopwatch
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -75,20 +74,23 @@ def pytest_fixture_setup(fixturedef: pytest.FixtureDef, request: pytest.FixtureR
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
-    """Fail an unmarked test that passed and took more processor time than a fast test may."""
+    """Note what a test took, and whether that is more than an unmarked test should take."""
     report = yield
     if call.when == "call":
         spent_s = item.stash[STOPWATCH].spent_s()
         report.user_properties.append(("processor_time_s", spent_s))
-        if report.passed and spent_s > FAST_LIMIT_S and not _may_be_slow(item):
-            limit_s = FAST_LIMIT_S * slowness()
-            if spent_s > limit_s and sys.gettrace() is None:
-                report.outcome = "failed"
-                report.longrepr = (
-                    f"{item.nodeid} took {spent_s:.1f} s of processor time; a fast test may take {limit_s:.1f} s. "
-                    "Make it cheaper, or mark it with @pytest.mark.slow."
-                )
+        if spent_s > FAST_LIMIT_S and not _may_be_slow(item):
+            report.user_properties.append(("too_slow_s", spent_s))
     return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """List the tests to make cheaper or to mark; a machine under load is no reason to fail."""
+    for report in terminalreporter.getreports("passed"):
+        if spent_s := dict(report.user_properties).get("too_slow_s"):
+            terminalreporter.line(
+                f"{report.nodeid} took {spent_s:.1f} s of processor time: make it cheaper or mark it slow"
+            )
 
 
 def _may_be_slow(item: pytest.Item) -> bool:

@@ -20,7 +20,6 @@ from sim.pair.world import PairWorld
 from sim.serve import _obey
 from sim.simulation import GripError, ServeOptions, Simulation
 from sim.states import PdsState
-from tests.support.processor_time import slowness
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 CELL = EXAMPLES / "pair" / "cell.toml"
@@ -326,7 +325,7 @@ def test_two_arms_leave_the_clock_its_time(simulation_of: Callable[..., Simulati
             unit.sync()
         for unit in simulation.arms:
             unit.advance(SYNC_S)
-    assert time.process_time() - began_s < 0.2 * slowness()
+    assert time.process_time() - began_s < 0.5
     simulation.arms[0].sync()
     assert simulation.arms[0].world.time_s == pytest.approx(1.0)
 
