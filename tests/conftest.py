@@ -85,7 +85,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """List the tests to make cheaper or to mark; a machine under load is no reason to fail."""
+    """List the tests to make cheaper or to mark; a machine under load fails no test."""
     for report in terminalreporter.getreports("passed"):
         if spent_s := dict(report.user_properties).get("too_slow_s"):
             terminalreporter.line(
