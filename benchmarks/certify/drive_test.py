@@ -32,9 +32,7 @@ EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"
 #: Makes of the drives whose profiles permit motion as they are shipped; the command refuses the others.
 MAKES = (
     "generic-cia402",
-    "elmo-gold",
     "maxon-epos4",
-    "novanta-emcl",
     "kollmorgen-akd-x00606",
     "kinco-fd123",
 )

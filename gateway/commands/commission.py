@@ -216,7 +216,7 @@ def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
 def _check(job: Job, dialogue: Dialogue) -> None:
     items = job.context.check(job.arm)
     dialogue.checked(items)
-    require_passed(items, "check failed, nothing has moved")
+    require_passed(items, "check failed, the arm is not moved")
 
 
 class _Robot:

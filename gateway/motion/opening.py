@@ -267,7 +267,7 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
     ):
         identities = group.connect()
         found = look_over(config, group, identities)
-        require_passed(found.refusing, "check failed, nothing has moved")
+        require_passed(found.refusing, "check failed, the arm is not moved")
         _limit_torques(group, config, workspace, found, known)
         group.configure()
         yield OpenArm(

@@ -73,7 +73,7 @@ def test_the_check_stops_the_job_before_anything_moves(place, serve, commission)
     drives = serve(fault='[[fault]]\nkind = "fault_at_start"\nnode = 3\n')
     code, result, hands, output = commission(drives)
     assert code == 7
-    assert "nothing has moved" in output.err
+    assert "not moved" in output.err
     assert result is None
     assert hands.asked == []
     assert not (place.folder / "out" / "run.h5").exists()

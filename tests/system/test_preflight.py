@@ -39,7 +39,7 @@ def refused(done, drives, name):
     """Exit 7, one sentence that names the drive; no SYNC was sent, no drive energised."""
     assert done.exit_code == 7, done.output
     (line,) = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
-    assert "nothing has moved" in line
+    assert "not moved" in line
     assert "J2 node 2" in line
     assert WRONG[name][2] in line
     assert drives.handle.simulation.servers[0].sync_count == 0

@@ -174,5 +174,5 @@ def test_a_stop_while_ramping_or_moving_brings_the_offsets_to_zero_with_the_reas
 
 def test_a_path_that_takes_an_offset_to_its_limit_is_refused_before_anything_moves(path, feed):
     heavy = assumed_load("heavy", 900.0, [0.0, 0.0, 0.3], "test")
-    with pytest.raises(PlanRefused, match=r"axis 5, setting 'maximum', .* nothing has moved"):
+    with pytest.raises(PlanRefused, match=r"axis 5, setting 'maximum', .* not moved"):
         check_offsets(path, [Setting("off", None, None), Setting("maximum", feed.law(heavy), heavy)], "main")
