@@ -18,9 +18,9 @@ from gateway.motion.power import powered
 from gateway.motion.stream import MoveOptions, Stream
 from gateway.motion.trajectory import MotionLimits, straight
 from sim.serve import running
+from tests.data.product_copy import ROOT, ProductCopy
+from tests.data.resting_arm import Bench
 from tests.gateway.pair.together import Together
-from tests.product_copy import ROOT, ProductCopy
-from tests.resting_arm import Bench
 
 #: Where the arms are sent [rad].
 AWAY_RAD = 0.002

@@ -23,7 +23,7 @@ from sim.nature.nature_cell import NatureCell, draw_effect_cell
 from sim.nature.nature_cell import draw_cell as draw_nature_cell
 from sim.offline import PlannedVisit, measure
 from sim.plant import Payload
-from tests.arms import peer_of, urdf_of
+from tests.data.arms import peer_of, urdf_of
 from tests.support.blind.mechanisms import MECHANISMS
 from tests.support.blind.nature import diagnose_options, estimate_options
 from tests.support.blind.strict import There, there

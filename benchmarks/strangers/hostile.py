@@ -111,7 +111,7 @@ def recording(forged: bool = False) -> tuple[str, list[bytes], Callable[[Path], 
     from gateway.data.recording import seal
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import RecordingWriter
-    from tests.visits import ARM_HEADER, header_of, visit
+    from tests.data.visits import ARM_HEADER, header_of, visit
 
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "run.h5"
@@ -140,7 +140,7 @@ def parquet() -> tuple[str, list[bytes], Callable[[Path], Any]]:
     import pyarrow.parquet as pq
 
     from gateway.fleet.summaries import summary_blocks
-    from tests.fleets import checks
+    from tests.data.fleets import checks
 
     seeds = []
     for compression in ("none", "snappy", "zstd"):

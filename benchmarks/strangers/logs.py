@@ -23,8 +23,8 @@ import numpy as np
 from click.testing import CliRunner
 
 from gateway.cli import main
-from tests.mounted import readings
-from tests.moving_arm import URDF, World, measured
+from tests.data.mounted import readings
+from tests.data.moving_arm import URDF, World, measured
 from tests.support.figure import figure
 
 LAYOUTS = 200

@@ -25,7 +25,7 @@ from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
 from gateway.motion.body import solids_of
-from tests.arms import link_parameters, states, urdf_of
+from tests.data.arms import link_parameters, states, urdf_of
 from tests.support.figure import figure
 
 FILES = 400

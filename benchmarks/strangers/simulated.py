@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from sim.serve import running
-from tests.arm_classes import CLASSES, ArmClass, write_class
+from tests.data.arm_classes import CLASSES, ArmClass, write_class
 from tests.support.figure import figure
 
 

@@ -190,8 +190,8 @@ def require_proven(opened: OpenArm, path: Path) -> None:
     unknown = [f"J{joint}" for joint, serial in enumerate(_serial_numbers(opened), start=1) if serial is None]
     if unknown:
         raise FindingFailed(
-            f"the arm is not moved: arm '{opened.config.name}', {', '.join(unknown)}: a drive without a serial number of"
-            " its own has to be proven to stop in each session, which is not possible while two arms hold a part; use"
+            f"the arm is not moved: arm '{opened.config.name}', {', '.join(unknown)}: a drive without a serial number"
+            " has to be proven to stop in each session, which is not possible while two arms hold a part; use"
             " drives with serial numbers (0x1018:04)"
         )
     if proven_on(path, opened) is None:

@@ -120,7 +120,7 @@ def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: Measur
             measure(job, Terminal(session_of(), context.loaded.cell.name, how.moving, besides, refuse))
     except (GatewayError, DriveError, KeyboardInterrupt) as error:
         if recording.exists():
-            error.add_note(f"Measured data is in {recording}; once the cause is removed, calibrate --resume continues it.")
+            error.add_note(f"Measured data: {recording}; calibrate --resume continues once the cause is gone.")
         raise
     return recording
 

@@ -153,7 +153,7 @@ class _Commissioning:
                 result = run(job, Terminal(session_of(), job.context.loaded.cell.name, self.moving, besides))
         except (GatewayError, DriveError, KeyboardInterrupt) as error:
             if recording.exists():
-                error.add_note(f"Measured data is in {recording}; once the cause is removed, commission --resume continues it.")
+                error.add_note(f"Measured data: {recording}; commission --resume continues once the cause is gone.")
             raise
         result = accept(result, self.expected, job.arm)
         write_json(str(out / "result.json"), to_dict(result))

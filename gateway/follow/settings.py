@@ -148,7 +148,7 @@ def check_offsets(path: FollowPath, settings: Sequence[Setting], arm: str) -> No
                     raise PlanRefused(
                         f"arm '{arm}', axis {axis + 1}, setting '{setting.name}', "
                         f"{begun_s + row * path.period_s:.2f} s into path '{path.name}': the feedforward requires"
-                        f" {value:.2f} Nm at the motor, its limit is {law.limits_nm[axis]:.2f} Nm; the arm is not moved: "
-                        "slow the path down, or correct load and torque_limit_nm"
+                        f" {value:.2f} Nm at the motor, the limit is {law.limits_nm[axis]:.2f} Nm; not moved:"
+                        " slow the path down, or correct load and torque_limit_nm"
                     )
             begun_s += motion.duration_s + path.dwell_s

@@ -11,7 +11,7 @@ import pytest
 from sim.cellfile import read_cell
 from sim.nominal import plant_of
 from sim.physics import ArmWorld
-from tests.arm_classes import CLASSES, ArmClass, urdf_of_class, write_class
+from tests.data.arm_classes import CLASSES, ArmClass, urdf_of_class, write_class
 
 BUS = 'interface = "virtual"\nchannel = "x"\nsync_period_s = 0.01\npacing = "lockstep"'
 #: Peak to peak at rest; following error at 0.4 rad/s, of which the position loop takes 13 mrad.

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.strangers.simulated import record
 from gateway.data.recording.reader import read
-from tests.arm_classes import CLASSES
+from tests.data.arm_classes import CLASSES
 
 pytestmark = [pytest.mark.system, pytest.mark.slow]
 

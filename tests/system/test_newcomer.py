@@ -24,7 +24,7 @@ from gateway.cell.config import load_cell
 from sim.cellfile import read_payloads
 from sim.serve import RunningSimulation, running
 from tests.cells import FOLDER as CELLS
-from tests.sheets import write_sheet
+from tests.data.sheets import write_sheet
 from tests.system.conftest import command
 
 pytestmark = pytest.mark.system

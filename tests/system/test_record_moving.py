@@ -17,7 +17,7 @@ from gateway.motion.workspace import workspace_of
 from gateway.result.follow import read_follow
 from gateway.result.result import read_result
 from sim.cellfile import read_payloads
-from tests.excitations import swing
+from tests.data.excitations import swing
 
 pytestmark = pytest.mark.system
 

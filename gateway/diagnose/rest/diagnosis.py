@@ -222,7 +222,7 @@ class RestDiagnosis:
             found = replace(found, search=search, chosen=self._chosen(search, found.setup))
         effects, search = found.chosen.terms, found.search
         likelier = not effects or settled.log_odds > search.log_odds(found.chosen, found.now.plain)
-        if settled.conflict is not None and (likelier or settled.conflict.cause != "link_masses"):
+        if settled.conflict is not None and (likelier or settled.conflict.finding.check != "link_masses"):
             return replace(found, conflict=settled)
         if not (likelier or settled.knowledge.weighed != self.knowledge.weighed):
             return found

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.strangers.robots import BODIES, FILES, WRITING, WRONG, Case, draw, judge
-from tests.arms import urdf_of
+from tests.data.arms import urdf_of
 
 
 def test_every_kind_is_drawn_often():

@@ -20,7 +20,7 @@ from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.stream import MoveOptions
 from gateway.motion.trajectory import Motion
-from tests.excitations import HOME_RAD, swing
+from tests.data.excitations import HOME_RAD, swing
 
 PERIOD_S = 0.01
 SETTINGS = VisitSettings(0.03, 0.05, 2.0, 40, PERIOD_S)

@@ -11,8 +11,8 @@ import pytest
 from gateway.acquire.passes import SMOOTH_RAD_S, free_torque_nm
 from gateway.cell.config import SourcedNumber
 from gateway.feedforward.identified import Known, axis_constants
-from tests.excitations import swing
-from tests.moving_arm import GRAVITY, URDF
+from tests.data.excitations import swing
+from tests.data.moving_arm import GRAVITY, URDF
 
 
 @pytest.fixture

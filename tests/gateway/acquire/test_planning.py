@@ -35,7 +35,7 @@ from gateway.model.information import payload_information
 from gateway.model.kinematics import flange_frames
 from gateway.motion.assumed import assumed_noise_nm
 from gateway.motion.joint_path import path_points
-from tests.around import among_boxes
+from tests.data.around import among_boxes
 
 
 def load_information(workspace, q_rad: np.ndarray, noise_nm: np.ndarray) -> np.ndarray:

@@ -21,7 +21,7 @@ from gateway.identify.workspace_error import EnteredLoad, ErrorFamily, fewest_po
 from gateway.model.robot import robot_from_urdf
 from gateway.pipeline.workspace_acceptance import flange_equivalent
 from gateway.result.result import EffectResult, LoadResult, read_result, to_json
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 from tests.support.rigs.tables import make_table
 
 SMALL = Path(__file__).parents[3] / "examples" / "small"

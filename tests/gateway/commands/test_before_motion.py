@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
-from tests.wrong_inputs import recording
+from tests.data.wrong_inputs import recording
 
 SMALL = Path(__file__).parents[3] / "examples" / "small" / "cell.toml"
 

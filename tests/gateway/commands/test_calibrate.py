@@ -19,7 +19,7 @@ from gateway.cli import main
 from gateway.data.rows import Table, concatenate
 from gateway.data.table import write_csv
 from gateway.pipeline.inputs import ModelRequest, collect_inputs
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 from tests.support.rigs.tables import make_table
 
 SMALL = Path(__file__).parents[3] / "examples" / "small"

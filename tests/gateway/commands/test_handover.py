@@ -11,7 +11,7 @@ from gateway.commands.pages import find_browser
 from gateway.data.recording.reader import read
 from gateway.data.table import read_csv
 from sim.__main__ import main as simulator
-from tests.wrong_inputs import RESULT, recording
+from tests.data.wrong_inputs import RESULT, recording
 
 
 def run(*arguments):

@@ -16,7 +16,7 @@ from drives.profile_file import PROFILE_FOLDER, list_profiles, load_profile, pro
 from gateway.cli import main
 from gateway.commands import profiles as module
 from sim.serve import running
-from tests.product_copy import ROOT
+from tests.data.product_copy import ROOT
 
 CELL = ROOT / "examples" / "small" / "cell.toml"
 ANSWERS = {

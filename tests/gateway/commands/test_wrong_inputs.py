@@ -2,8 +2,8 @@
 
 import pytest
 
-from tests.slips import SLIPS
-from tests.wrong_inputs import KINDS, Kind, wrong
+from tests.data.slips import SLIPS
+from tests.data.wrong_inputs import KINDS, Kind, wrong
 
 ALL = [*KINDS, *SLIPS]
 

@@ -125,9 +125,9 @@ def test_what_to_measure_next_has_a_number_per_axis(arm, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("arm", CELLS[:1], ids=["four"], indirect=True)
 def test_a_moving_run_is_diagnosed(arm, tmp_path):
-    """A rigid arm with friction, its torque by the gateway's own oracle in `tests/arms.py`, has nothing to name."""
+    """A rigid arm with friction, its torque by the oracle of `tests/data/arms.py`, has nothing to name."""
     pinocchio = pytest.importorskip("pinocchio")
-    from tests.arms import peer_of
+    from tests.data.arms import peer_of
 
     model, data = peer_of(arm.urdf)
     time = np.linspace(0.0, 30.0, 1500)

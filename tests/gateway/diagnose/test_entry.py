@@ -10,8 +10,8 @@ import pytest
 from gateway.data.rows import concatenate
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.errors import DataUnusable, InputError
-from tests.moving_arm import World, measured
-from tests.resting_arm import Bench
+from tests.data.moving_arm import World, measured
+from tests.data.resting_arm import Bench
 from tests.support.rigs.tables import make_table
 
 

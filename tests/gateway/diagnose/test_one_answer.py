@@ -17,8 +17,8 @@ from gateway.estimate import EstimateOptions, run
 from gateway.identify.repeats import negative_bands
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.result.result import Result
-from tests.arms import peer_of, urdf_of
-from tests.resting_arm import Bench
+from tests.data.arms import peer_of, urdf_of
+from tests.data.resting_arm import Bench
 from tests.support.rigs.tables import make_table
 
 #: No candidate of the search: a mistake alone, which is looked for only where the model does not fit.

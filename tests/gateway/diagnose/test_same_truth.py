@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gateway.diagnose import DiagnoseOptions, diagnose
-from tests.moving_arm import World, measured
-from tests.resting_arm import Bench, effect
+from tests.data.moving_arm import World, measured
+from tests.data.resting_arm import Bench, effect
 
 STIFFNESS_N_M, LEVER_M, ANCHOR_M, FREE_M = 20_000.0, 0.2, 0.7, 0.4
 TWO_SIDED_95 = 1.96

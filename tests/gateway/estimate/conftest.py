@@ -7,7 +7,7 @@ import pinocchio
 import pytest
 
 from gateway.model.robot import robot_from_urdf
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 from tests.support.rigs.tables import make_table
 
 # link: joint origin xyz, axis, mass, centre of mass

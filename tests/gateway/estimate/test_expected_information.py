@@ -22,7 +22,7 @@ from gateway.estimate.options import EstimateOptions
 from gateway.identify.rejected import without_outliers
 from gateway.model.regressor import gravity_regressor
 from gateway.model.visits import pair_visits
-from tests.resting_arm import Bench
+from tests.data.resting_arm import Bench
 
 GOAL = np.array([1.0, 0.01, 0.01, 0.01])
 SAMPLING = Sampling(0.01, 100)

@@ -14,7 +14,7 @@ from gateway.estimate import EstimateOptions, estimate, run
 from gateway.estimate.moving_estimate import estimate_moving
 from gateway.identify.motion.columns import MovingSetup
 from gateway.model.robot import robot_from_urdf
-from tests.moving_arm import World, measured, several
+from tests.data.moving_arm import World, measured, several
 
 COULOMB = np.array([20.0, 25.0, 15.0, 4.0, 3.0, 2.0])
 VISCOUS = np.array([10.0, 12.0, 8.0, 2.0, 1.5, 1.0])

@@ -11,7 +11,7 @@ from gateway.data.rows import MOVING, concatenate
 from gateway.estimate import EstimateOptions, estimate, run
 from gateway.identify.motion.columns import MovingSetup, moving_columns
 from gateway.model.robot import link_lengths_m
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 from tests.gateway.estimate.conftest import urdf
 from tests.support.rigs.tables import make_table
 

@@ -12,7 +12,7 @@ import pytest
 from gateway.data.rows import Table, concatenate
 from gateway.estimate import EstimateOptions, estimate
 from gateway.model.robot import robot_from_urdf
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 from tests.support.rigs.tables import make_table
 
 TEXT = (Path(__file__).parents[3] / "examples" / "small" / "robot.urdf").read_text(encoding="utf-8")

@@ -11,7 +11,7 @@ import pytest
 from gateway.diagnose import diagnose
 from gateway.estimate import EstimateOptions, run
 from gateway.model.robot import robot_from_urdf
-from tests.arms import peer_of, urdf_of
+from tests.data.arms import peer_of, urdf_of
 from tests.support.rigs.tables import make_table
 
 MASS, COM = 8.0, np.array([0.05, -0.03, 0.08])

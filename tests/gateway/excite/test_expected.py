@@ -22,7 +22,7 @@ from gateway.feedforward.load import assumed_load
 from gateway.identify.links import body_parameters
 from gateway.model.arm_model import robot_text
 from gateway.model.kinematics import link_frames
-from tests.arms import link_parameters, peer_of
+from tests.data.arms import link_parameters, peer_of
 
 PERIOD_S, PERIODS, INSTANTS = 8.0, 3, 80
 LOAD = replace(assumed_load("tool", 5.0, np.array([0.03, -0.02, 0.1]), ""), inertia_kg_m2=np.diag([0.06, 0.05, 0.03]))

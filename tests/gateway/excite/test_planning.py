@@ -20,7 +20,7 @@ from gateway.feedforward.load import rated_load
 from gateway.model.arm_model import arm_robot, robot_text
 from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import workspace_of
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 
 REQUEST = MovingRequest(choice="random")
 

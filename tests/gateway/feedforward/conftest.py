@@ -9,7 +9,7 @@ import pytest
 
 from gateway.cell.config import load_cell
 from gateway.model.robot import robot_from_urdf
-from tests.arms import body_on_link_6, urdf_of
+from tests.data.arms import body_on_link_6, urdf_of
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 

@@ -12,8 +12,8 @@ from gateway.feedforward.dynamics import ArmDynamics
 from gateway.feedforward.load import FeedLoad
 from gateway.model.regressor import regressor
 from gateway.model.robot import robot_from_urdf
-from tests.arms import link_parameters, peer_of, states
 from tests.cells import CELLS
+from tests.data.arms import link_parameters, peer_of, states
 
 GRAVITY = (1.5, -2.0, -9.0)
 

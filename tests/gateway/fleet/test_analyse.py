@@ -23,8 +23,8 @@ from gateway.fleet.workers import one_by_one
 from gateway.report.fleet_page import headline, render_fleet, render_robot
 from gateway.result.fleet import FleetHealth, RobotLine, read_fleet, read_robot
 from gateway.result.seal import sealed
-from tests.fleets import FIRST, checks, write_table
-from tests.visits import ARM_HEADER, CELL, header_of, visit
+from tests.data.fleets import FIRST, checks, write_table
+from tests.data.visits import ARM_HEADER, CELL, header_of, visit
 
 DAYS = 200
 NOW = FIRST.replace(tzinfo=UTC) + timedelta(days=DAYS)

@@ -22,8 +22,8 @@ from gateway.fleet.history import history
 from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make, open_store
 from gateway.result.result import LoadResult, Result, to_json
-from tests.fleets import checks, write_table
-from tests.visits import ARM_HEADER, CELL, header_of, visit
+from tests.data.fleets import checks, write_table
+from tests.data.visits import ARM_HEADER, CELL, header_of, visit
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[3]
 PROGRAM = """
 import json, sys
 from gateway.fleet.workers import workers
-from tests.fleets import double_unless_killed
+from tests.data.fleets import double_unless_killed
 
 taken, ahead, results = 0, 0, {}
 
@@ -90,7 +90,7 @@ GONE = """
 import subprocess, sys
 from gateway.errors import ConfigError
 from gateway.fleet import workers as module
-from tests.fleets import slowly_doubled
+from tests.data.fleets import slowly_doubled
 
 def started(words, said):
     program = subprocess.Popen([sys.executable, "-m", *words], stderr=subprocess.PIPE, text=True)

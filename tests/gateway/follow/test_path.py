@@ -14,7 +14,7 @@ from gateway.follow.path import check_path, read_path
 from gateway.model.arm_model import arm_robot
 from gateway.model.kinematics import flange_frames
 from gateway.motion.workspace import workspace_of
-from tests.around import NO_BOX, among_boxes
+from tests.data.around import NO_BOX, among_boxes
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PERIOD_S = 0.01

@@ -20,8 +20,8 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from gateway.cli import main
-from tests.recordings import several
-from tests.wrong_inputs import recording
+from tests.data.recordings import several
+from tests.data.wrong_inputs import recording
 
 SHAPES = {
     "rest of six axes": lambda folder: recording(folder),

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 
 from gateway.cli import main
 from gateway.formats.smooth import clock_of, motion_of, rates
-from tests.moving_arm import World, measured
+from tests.data.moving_arm import World, measured
 
 STEP_S = 0.008
 ROBOT = Path(__file__).parents[3] / "examples" / "small" / "robot.urdf"

@@ -9,8 +9,8 @@ import pytest
 from click.testing import CliRunner
 
 from gateway.cli import main
-from tests.mounted import table_text
-from tests.moving_arm import URDF
+from tests.data.mounted import table_text
+from tests.data.moving_arm import URDF
 
 POSES = 12
 LOAD, HEAVIER, MOVED = (5.0, 0.02, 0.03, 0.11), (7.3, 0.02, 0.03, 0.11), (5.0, 0.08, -0.04, 0.16)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from gateway.data.table import write_csv
-from tests.product_copy import ProductCopy
-from tests.resting_arm import Bench
+from tests.data.product_copy import ProductCopy
+from tests.data.resting_arm import Bench
 
 #: Zero of the torque sensor of axis 2 [Nm].
 ZERO_NM = 40.0

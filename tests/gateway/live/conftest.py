@@ -14,7 +14,7 @@ from gateway.live.wire import MOST_BYTES, Unpacker, pair_of_sockets
 from gateway.motion.arms import Arms
 from gateway.motion.observer import Scene
 from gateway.motion.state import StateTracker
-from tests.observed import PERIOD_S
+from tests.data.observed import PERIOD_S
 
 
 @dataclass

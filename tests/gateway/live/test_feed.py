@@ -10,7 +10,7 @@ from gateway.live.feed import ROW_S, WAITING
 from gateway.live.wire import HEAD, PER_AXIS, STOP, CommandOver, Ended, Happened, PoseSeen, ShownCell
 from gateway.motion.observer import MotionProgress, Observers
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
-from tests.observed import ENABLED, PERIOD_S, observed
+from tests.data.observed import ENABLED, PERIOD_S, observed
 
 Q_RAD = np.array([0.1, -0.2, 0.3, 0.0, 0.5, -0.6])
 

@@ -20,7 +20,7 @@ from gateway.live.guard import HOST
 from gateway.live.page import PORT, LivePage, live_page
 from gateway.motion.observer import MotionProgress
 from gateway.motion.stops import StopKind
-from tests.observed import observed
+from tests.data.observed import observed
 
 PATIENCE_S = 30.0
 #: A command that dies without a word: its page has a process of its own, whose number it prints.

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tests.arms import urdf_of
+from tests.data.arms import urdf_of
 from tests.support.rigs.tables import make_table
 
 

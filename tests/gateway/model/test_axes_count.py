@@ -11,8 +11,8 @@ from gateway.model.base import moving_base, rest_base
 from gateway.model.kinematics import kinematic_difference, link_frames
 from gateway.model.regressor import full_names, gravity_names, gravity_regressor, load_regressor, regressor
 from gateway.model.robot import robot_from_dh, robot_from_urdf
-from tests.arms import link_parameters, peer_of, states, urdf_of
 from tests.cells import CELLS
+from tests.data.arms import link_parameters, peer_of, states, urdf_of
 
 WITHIN_LINK = np.array([0, 1, 2, 3, 4, 5, 7, 6, 8, 9])
 TEXTS = {f"random {axes}": urdf_of(np.random.default_rng(axes), axes=axes) for axes in (2, 3, 4, 5, 7, 8)}

@@ -13,7 +13,7 @@ from gateway.model.rest import Model, neutral
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.unnamed import Play, Slosh
 from gateway.model.visits import Visits, pair_visits
-from tests.resting_arm import Bench
+from tests.data.resting_arm import Bench
 
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 

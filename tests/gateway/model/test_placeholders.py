@@ -9,7 +9,7 @@ import pytest
 
 from gateway.model.placeholders import placeholders
 from gateway.model.robot import Robot, robot_from_urdf
-from tests.arms import urdf_of
+from tests.data.arms import urdf_of
 
 
 def robot_of(text: str) -> Robot:

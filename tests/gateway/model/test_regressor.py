@@ -12,7 +12,7 @@ import pytest
 from gateway.model import regressor as rows_of
 from gateway.model.kinematics import link_frames
 from gateway.model.robot import robot_from_dh, robot_from_urdf
-from tests.arms import link_parameters, peer_of, states
+from tests.data.arms import link_parameters, peer_of, states
 
 # pinocchio keeps [m, h, Ixx, Ixy, Iyy, Ixz, Iyz, Izz]
 FROM_PINOCCHIO = np.concatenate([10 * link + np.array([0, 1, 2, 3, 4, 5, 7, 6, 8, 9]) for link in range(6)])

@@ -17,7 +17,7 @@ from gateway.model.robot import (
     rotation_rpy,
     with_flange,
 )
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 
 
 def rot(axis, angle):

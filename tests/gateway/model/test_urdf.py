@@ -12,7 +12,7 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot, robot_from_urdf
-from tests.arms import link_parameters, states, urdf_of
+from tests.data.arms import link_parameters, states, urdf_of
 
 BODY = (
     '<inertial><origin xyz="0.02 0.01 0.05" rpy="0.1 0.2 0.3"/><mass value="{mass}"/>'

@@ -11,7 +11,7 @@ import pytest
 from gateway.errors import ConfigError
 from gateway.model.robot import robot_from_urdf
 from gateway.model.urdf_text import MOST_BYTES, parse_urdf, read_urdf
-from tests.arms import urdf_of
+from tests.data.arms import urdf_of
 
 NAMED = urdf_of(np.random.default_rng(0)).replace('name="random"', 'name="Gelenkärmchen"')
 

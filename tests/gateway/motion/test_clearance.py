@@ -14,7 +14,7 @@ from gateway.motion.body import Body, base_and_link_frames, body_of_parts
 from gateway.motion.clearance import PATH_RESOLUTION_M, Space, space_between
 from gateway.motion.segment_distance import segment_box_distance, segment_segment_distance
 from gateway.motion.workspace import workspace_of
-from tests.around import NO_BOX, among_boxes
+from tests.data.around import NO_BOX, among_boxes
 
 
 def drawn(random: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:

@@ -7,7 +7,7 @@ from gateway.data.blackbox import part
 from gateway.live.wire import SHOWN
 from gateway.motion.observed_fields import FIELDS, fill
 from gateway.motion.observer import Observed
-from tests.observed import observed
+from tests.data.observed import observed
 
 
 def test_every_word_is_at_its_place():

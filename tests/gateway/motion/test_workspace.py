@@ -13,7 +13,7 @@ from gateway.model.kinematics import flange_frames, link_frames
 from gateway.motion.body import base_and_link_frames
 from gateway.motion.joint_path import path_points
 from gateway.motion.workspace import INWARD_MARGIN_RAD, TORQUE_SHARE, workspace_of
-from tests.around import NO_BOX, among_boxes
+from tests.data.around import NO_BOX, among_boxes
 
 
 @pytest.fixture(scope="module")

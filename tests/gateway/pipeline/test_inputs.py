@@ -19,8 +19,8 @@ from gateway.pipeline.finalize import finalize
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, diagnose_arguments, estimate_options, read_rows
 from gateway.result.result import Result
 from tests.cells import CELLS
-from tests.recordings import several
-from tests.visits import ARM_HEADER, header_of, visit
+from tests.data.recordings import several
+from tests.data.visits import ARM_HEADER, header_of, visit
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 TABLE = "pose," + ",".join(f"q{i}_rad" for i in range(1, 7)) + ",i2_a\n1,0,0,0,0,0,0,2\n"

@@ -9,7 +9,7 @@ import numpy as np
 
 from gateway.diagnose import close_loop
 from gateway.result.result import Result
-from tests.resting_arm import Bench, effect
+from tests.data.resting_arm import Bench, effect
 
 
 @cache

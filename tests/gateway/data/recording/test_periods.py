@@ -23,8 +23,8 @@ from gateway.data.table import read_csv, write_csv
 from gateway.data.visit import NO_WORD
 from gateway.errors import InputError
 from gateway.excite.excitation import Series, fingerprint
-from tests.excitations import HOME_RAD
-from tests.visits import ARM_HEADER, CONSTANTS, header_of, visit
+from tests.data.excitations import HOME_RAD
+from tests.data.visits import ARM_HEADER, CONSTANTS, header_of, visit
 
 SYNC_S, N = 0.004, 500
 SERIES = Series("load", HOME_RAD, np.outer(np.ones(6), [0.4, -0.1, 0.0]), np.zeros((6, 3)), N * SYNC_S, 2)

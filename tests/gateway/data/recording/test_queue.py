@@ -25,7 +25,7 @@ from gateway.data.recording.reader import read
 from gateway.data.recording.writer import RecordingHeader, RecordingWriter
 from gateway.data.visit import Visit
 from gateway.errors import InputError
-from tests.visits import ARM_HEADER, CELL, header_of, visit, write_behind, write_slowly
+from tests.data.visits import ARM_HEADER, CELL, header_of, visit, write_behind, write_slowly
 
 ROOT = Path(__file__).parents[4]
 
@@ -350,7 +350,7 @@ def _script(path: Path, body: str) -> list[str]:
         from pathlib import Path
         from gateway.cell.config import load_cell
         from gateway.data.recording.queue import VisitQueue
-        from tests import visits as t
+        from tests.data import visits as t
         write = partial(t.write_slowly, 0.02)
         queue = VisitQueue(Path({str(path)!r}), t.header_of(load_cell(t.CELL)), t.ARM_HEADER, None, write=write)
         """

@@ -19,7 +19,7 @@ from gateway.data.recording.reader import read
 from gateway.data.recording.writer import RecordingHeader, RecordingWriter, write_recording
 from gateway.data.visit import Visit
 from gateway.errors import InputError
-from tests.visits import ARM_HEADER, CONSTANTS, POSES, SAMPLES, header_of, visit
+from tests.data.visits import ARM_HEADER, CONSTANTS, POSES, SAMPLES, header_of, visit
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +173,7 @@ def test_a_killed_writer_leaves_a_whole_file(tmp_path):
         from pathlib import Path
         from gateway.cell.config import load_cell
         from gateway.data.recording.writer import RecordingWriter
-        from tests import visits as t
+        from tests.data import visits as t
         header = t.header_of(load_cell(Path("examples/small/cell.toml").resolve()))
         writer = RecordingWriter(Path({str(tmp_path / "run.h5")!r}), header, None)
         writer.begin(t.ARM_HEADER)

@@ -14,8 +14,8 @@ from gateway.data.recording.reader import read_unsealed
 from gateway.data.recording.writer import RecordingWriter
 from gateway.errors import InputError
 from gateway.excite.excitation import fingerprint
+from tests.data.visits import ARM_HEADER, CELL, header_of, visit
 from tests.gateway.data.recording.test_periods import SERIES, period
-from tests.visits import ARM_HEADER, CELL, header_of, visit
 
 WARM_C = np.array([40.0, 41.5, np.nan, 39.0, 38.5, 37.0])
 

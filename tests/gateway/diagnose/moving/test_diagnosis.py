@@ -9,7 +9,7 @@ import pytest
 
 from gateway.diagnose.moving.diagnosis import diagnose_motion
 from gateway.diagnose.options import DiagnoseOptions
-from tests.moving_arm import World, measured
+from tests.data.moving_arm import World, measured
 
 IGNORE = DiagnoseOptions(inertials="ignore")
 FOUND = [

@@ -20,7 +20,7 @@ from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.velocity_friction import FRACTIONS, Stribeck
 from gateway.model.motion import prepare
 from gateway.result.result import EffectResult
-from tests.moving_arm import GRAVITY, World, measured, several
+from tests.data.moving_arm import GRAVITY, World, measured, several
 
 LOADS = {"none": None, "a": (2.0, 0.02, -0.01, 0.08), "b": (5.0, -0.03, 0.02, 0.1), "c": (8.0, 0.05, 0.0, 0.12)}
 

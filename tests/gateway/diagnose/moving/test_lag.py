@@ -12,7 +12,7 @@ from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.diagnose.moving.lag import lags, prepare_in_step
 from gateway.model.regressor import regressor
 from gateway.model.robot import Robot
-from tests.moving_arm import GRAVITY, World, coloured, measured
+from tests.data.moving_arm import GRAVITY, World, coloured, measured
 
 #: Rows of the torque are made at a finer rate, of which it is delayed by whole steps.
 FINE_HZ, EVERY, PERIODS, PERIOD_S, NOISE = 200.0, 4, 3, 10.0, 0.02

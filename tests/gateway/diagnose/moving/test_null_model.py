@@ -18,7 +18,7 @@ from gateway.identify.motion.problem import Contrasts, MotionProblem
 from gateway.identify.rest.problem import Knowledge
 from gateway.model.motion import prepare
 from gateway.model.robot import robot_from_urdf
-from tests.moving_arm import several
+from tests.data.moving_arm import several
 from tests.support.rigs.tables import make_table
 
 URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()

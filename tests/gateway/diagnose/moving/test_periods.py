@@ -13,7 +13,7 @@ from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.diagnose.moving.splits import blocks, judging
 from gateway.model.motion import prepare
 from gateway.model.robot import Robot
-from tests.moving_arm import GRAVITY, World, coloured, measured
+from tests.data.moving_arm import GRAVITY, World, coloured, measured
 
 PERIODS, RATE_HZ, PERIOD_S, NOISE = 4, 25.0, 10.0, 0.02
 

@@ -7,7 +7,7 @@ import pytest
 
 from gateway.diagnose.held_out_residuals import Held
 from gateway.diagnose.moving.ratio import held_ratio
-from tests.moving_arm import coloured
+from tests.data.moving_arm import coloured
 
 
 def held(residual):

@@ -17,7 +17,7 @@ from gateway.diagnose.moving.trust import log_evidence
 from gateway.identify.rest.problem import Knowledge
 from gateway.identify.spread import jackknife
 from gateway.model.motion import prepare
-from tests.moving_arm import GRAVITY, World, measured
+from tests.data.moving_arm import GRAVITY, World, measured
 
 
 def trust_of(result) -> float:

@@ -13,7 +13,7 @@ from gateway.errors import ConfigError, DataUnusable
 from gateway.model.effects import MISTAKES
 from gateway.result.result import Result
 from sim.offline import PlannedVisit, measure
-from tests.resting_arm import Bench, effect, found
+from tests.data.resting_arm import Bench, effect, found
 from tests.support.rigs.tables import simulated_table
 
 

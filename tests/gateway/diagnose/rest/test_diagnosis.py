@@ -15,7 +15,7 @@ from gateway.errors import ConfigError, InputError
 from gateway.result.result import Result, from_json, to_json
 from sim.offline import link_frames
 from sim.request import add_passive
-from tests.resting_arm import Bench, effect, found
+from tests.data.resting_arm import Bench, effect, found
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import Result
 from sim.nature.nature_cell import NatureCell, draw_cell
-from tests.resting_arm import Bench, effect, found
+from tests.data.resting_arm import Bench, effect, found
 from tests.support.rigs.tables import simulated_table
 
 SEEDS = (7000, 7001)

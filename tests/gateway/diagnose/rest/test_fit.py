@@ -16,7 +16,7 @@ from gateway.identify.rest.rest_thresholds import REST_MODEL
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effects.payload_shift import PayloadShift
 from gateway.model.effects.torque_offset import TorqueOffset
-from tests.resting_arm import Bench, effect, problem_of
+from tests.data.resting_arm import Bench, effect, problem_of
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from gateway.report.render import render
 from gateway.report.summary_text import formula_text
 from gateway.result.result import from_json, to_json
 from sim.nature.nature_cell import draw_effect_cell
-from tests.resting_arm import Bench, effect
+from tests.data.resting_arm import Bench, effect
 from tests.support.blind.nature import first_diagnosis
 
 #: Mechanism, and the coefficient of each product of its closed form (what the modelled motor torque lacks).

@@ -18,7 +18,7 @@ from gateway.identify.rest.linear import Fit, RestProblem
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
-from tests.resting_arm import Bench, problem_of
+from tests.data.resting_arm import Bench, problem_of
 
 #: Poses of the smaller table, each bare and with the load; the larger one has four times as many.
 POSES = 12

@@ -26,7 +26,7 @@ from gateway.diagnose.rest.verdict import helped
 from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Noise
 from gateway.model.effects.torque_offset import TorqueOffset
-from tests.resting_arm import Bench, basis_of, effect, found
+from tests.data.resting_arm import Bench, basis_of, effect, found
 from tests.support.blind.nature import run_effect
 
 POSES, ROWS = 7, 5

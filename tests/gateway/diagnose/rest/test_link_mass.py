@@ -16,7 +16,7 @@ from gateway.model.effects import terms_at_rest
 from gateway.model.effects.link_mass import LinkMass
 from gateway.model.visits import pair_visits
 from sim.nature.nature_cell import draw_effect_cell
-from tests.resting_arm import Bench, effect
+from tests.data.resting_arm import Bench, effect
 from tests.support.blind.nature import first_diagnosis
 
 #: Link 3, from 0.

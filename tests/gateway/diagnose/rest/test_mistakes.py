@@ -29,7 +29,7 @@ from gateway.identify.solve import ByGroup
 from gateway.model.effects import LIBRARY, MISTAKES
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.torque_offset import TorqueOffset
-from tests.resting_arm import Bench, basis_of, effect, found, problem_of, problems
+from tests.data.resting_arm import Bench, basis_of, effect, found, problem_of, problems
 from tests.support.rigs.tables import make_table
 
 

@@ -14,7 +14,7 @@ from gateway.diagnose.rest.holdout import left_out, left_out_with
 from gateway.diagnose.rest.screen import Screen, log_bayes_factor, pair_log_bayes
 from gateway.diagnose.rest.validation_tests import spare_rows
 from gateway.identify.rest.linear import Noise
-from tests.resting_arm import basis_of
+from tests.data.resting_arm import basis_of
 
 RNG = np.random.default_rng(7)
 

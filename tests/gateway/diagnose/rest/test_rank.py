@@ -15,7 +15,7 @@ from gateway.identify.rest.rest_loads import loads_of
 from gateway.identify.rest.start_noise import first_noise
 from gateway.model.robot import robot_from_urdf
 from gateway.model.visits import pair_visits
-from tests.arms import peer_of
+from tests.data.arms import peer_of
 from tests.support.rigs.tables import make_table
 
 URDF = (Path(__file__).parents[4] / "examples" / "small" / "robot.urdf").read_text()

@@ -18,7 +18,7 @@ from gateway.model.effects.load_dependent_friction import LoadDependentFriction
 from gateway.model.effects.torque_constant_scale import TorqueConstantScale
 from gateway.model.effects.torque_offset import FrictionByDirection, TorqueOffset
 from gateway.model.visits import pair_visits
-from tests.resting_arm import Bench, problem_of
+from tests.data.resting_arm import Bench, problem_of
 
 N = 6
 

@@ -23,7 +23,7 @@ from gateway.model.effects.torque_ripple import (
 )
 from sim.effects import apply_effects
 from sim.offline import half_floor, point_jacobian
-from tests.resting_arm import Bench, effect, found, problem_of
+from tests.data.resting_arm import Bench, effect, found, problem_of
 
 
 def swinging(seed: int, poses: int, axis: int, order: float, ratio: float = 5.0) -> Bench:

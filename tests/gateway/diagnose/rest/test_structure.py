@@ -22,7 +22,7 @@ from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.start_noise import first_noise
 from sim.effects import apply_effects
 from sim.offline import half_floor
-from tests.resting_arm import Bench, basis_of, effect, problem_of
+from tests.data.resting_arm import Bench, basis_of, effect, problem_of
 
 AXES, POSES, LOADS, TAKEN = 6, 12, 2, 24
 DRAWS = 4000

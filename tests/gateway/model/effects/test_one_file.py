@@ -11,9 +11,9 @@ import pytest
 
 from gateway.data.table import write_csv
 from sim.request import add_passive
-from tests.moving_arm import URDF, World, measured
-from tests.product_copy import ProductCopy
-from tests.resting_arm import Bench
+from tests.data.moving_arm import URDF, World, measured
+from tests.data.product_copy import ProductCopy
+from tests.data.resting_arm import Bench
 
 MADE_UP = '''
 """A rope wound over a cam of axis 3."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 
-from tests.moving_arm import World, true_arm
+from tests.data.moving_arm import World, true_arm
 
 Payload = tuple[float, float, float, float] | None
 BAND_NM = 0.4

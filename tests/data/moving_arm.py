@@ -17,7 +17,7 @@ from gateway.data.rows import MOVING, concatenate
 from gateway.model.robot import robot_from_urdf
 from tests.support.rigs.tables import make_table
 
-URDF = (Path(__file__).parents[1] / "examples" / "small" / "robot.urdf").read_text()
+URDF = (Path(__file__).parents[2] / "examples" / "small" / "robot.urdf").read_text()
 GRAVITY = np.array([0.0, 0.0, -9.80665])
 
 

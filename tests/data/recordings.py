@@ -16,7 +16,7 @@ from gateway.data.period import Period
 from gateway.data.recording.writer import ArmHeader, RecordingHeader, RecordingWriter
 from gateway.data.visit import NO_WORD, Visit
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)
 SYNC_S, PER_PERIOD = 0.004, 40
 #: What the periods are said to be driven by: two harmonics an axis.

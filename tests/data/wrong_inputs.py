@@ -1,6 +1,6 @@
 """Kinds of wrong input, each with what the program has to say: where, what, what to do, with which exit code.
 
-python -m tests.wrong_inputs: how many of them are answered as they should be.
+python -m tests.data.wrong_inputs: how many of them are answered as they should be.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from drives.profile_file import load_profile
 from gateway.cell.config import load_cell
 from gateway.cli import main as program
 from gateway.data.recording.writer import RecordingWriter
-from tests.visits import ARM_HEADER, header_of, visit
+from tests.data.visits import ARM_HEADER, header_of, visit
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 MOST_LINES = 10
 #: A port in use by another process.
 TAKEN_PORT = 47321
@@ -761,7 +761,7 @@ def wrong(kind: Kind) -> list[str]:
 
 def main(names: Sequence[str]) -> int:
     """Print which kinds are not answered as they should be, and how many are; exit 1 unless all are."""
-    from tests.slips import SLIPS  # which is made of this content
+    from tests.data.slips import SLIPS  # which is made of this content
 
     kinds = [kind for kind in (*KINDS, *SLIPS) if not names or any(name in kind.name for name in names)]
     failed = {kind.name: found for kind in kinds if (found := wrong(kind))}

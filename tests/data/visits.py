@@ -16,7 +16,7 @@ from gateway.data.rest_pose import RestPose
 from gateway.data.visit import NO_WORD, Visit
 from gateway.model.arm_model import robot_text
 
-CELL = Path(__file__).parents[1] / "examples" / "small" / "cell.toml"
+CELL = Path(__file__).parents[2] / "examples" / "small" / "cell.toml"
 CONSTANTS = Constants(torque_rated=2.0, current_rated_a=4.0, offset_rated=None, counts_per_revolution=131072.0)
 POSES = (RestPose(1, (0.1,) * 6, "fit"), RestPose(2, (0.2,) * 6, "fit"), RestPose(3, (0.3,) * 6, "validation"))
 SAMPLES = 12

@@ -1,6 +1,6 @@
 """Slips of people who know their arm and not the program: units, labels, frames, loads mounted at another time.
 
-None of them may end with exit 0 and a wrong load. They are part of the table of wrong inputs (`tests.wrong_inputs`).
+None of them may end with exit 0 and a wrong load. They are rows of the table `tests.data.wrong_inputs`.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from tests.mounted import Payload, table_text
-from tests.moving_arm import URDF
-from tests.wrong_inputs import AXIS, EXAMPLES, LINE, PLAN, RESULT, Kind, cell, result, robot, text, together
+from tests.data.mounted import Payload, table_text
+from tests.data.moving_arm import URDF
+from tests.data.wrong_inputs import AXIS, EXAMPLES, LINE, PLAN, RESULT, Kind, cell, result, robot, text, together
 
 Make = Callable[[Path], object]
 Row = dict[str, str]
