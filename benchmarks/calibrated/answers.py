@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from benchmarks.calibrated.conditions import CONDITIONS
 from benchmarks.calibrated.nature import (
     OCCASION_S,
+    Floats,
     as_table,
     at_rest,
     draw,
@@ -17,6 +20,7 @@ from benchmarks.calibrated.nature import (
     poses,
     stated_urdf,
 )
+from benchmarks.calibrated.next_load import next_load
 from gateway.errors import GatewayError
 from gateway.estimate import EstimateOptions, run
 from gateway.model.robot import robot_from_urdf
@@ -32,6 +36,8 @@ def answer_of(task: tuple[int, str]) -> dict:
     """
     seed, name = task
     condition = CONDITIONS[name]
+    if condition.kind == "next load":
+        return {"seed": seed, "condition": name} | _deviation(*next_load(seed, condition.poses, condition.gain_std), [])
     cell = draw(seed, condition.gain_std)
     q_rad, motion = poses(cell, condition.poses), excitation(cell)
     place_nm = place_torques(cell, condition.poses, condition.repeats)
@@ -45,15 +51,20 @@ def answer_of(task: tuple[int, str]) -> dict:
         if condition.kind != "rest":
             rows += in_motion(cell, motion, load, recording, start_s + 0.5 * OCCASION_S, gain)
     options = EstimateOptions(inertials="prior:0.05", gain_std=(condition.gain_std,) * 6)
-    answer: dict = {"seed": seed, "condition": name, "refused": "", "z": None, "std": None, "warnings": []}
+    answer: dict = {"seed": seed, "condition": name}
     try:
         result = run(as_table(rows), robot_from_urdf(stated_urdf(cell), "drawn.urdf"), options, condition.method)
     except GatewayError as error:
-        return answer | {"refused": str(error)}
-    load = result.loads[0]
-    answer["warnings"] = [finding.what for finding in result.findings if finding.severity != "info"]
-    if load.mass_kg is None or load.com_m is None or None in load.com_m:
-        return answer | {"refused": load.refused or "not determined"}
-    values = np.array([load.mass_kg, *load.com_m], dtype=float)
-    stds = np.array([load.mass_std_kg, *load.com_std_m], dtype=float)
-    return answer | {"z": ((values - cell.load) / stds).tolist(), "std": (stds / np.abs(cell.load)).tolist()}
+        return answer | _deviation(cell.load, str(error), [])
+    warnings = [finding.what for finding in result.findings if finding.severity != "info"]
+    return answer | _deviation(cell.load, asdict(result.loads[0]), warnings)
+
+
+def _deviation(true: Floats, load: dict | str, warnings: list[str]) -> dict:
+    """Deviation of a load from the true one (4,), in stated standard deviations, and these; a text says why not."""
+    if isinstance(load, str) or load["mass_kg"] is None or load["com_m"] is None or None in load["com_m"]:
+        why = load if isinstance(load, str) else load.get("refused") or "not determined"
+        return {"refused": why, "z": None, "std": None, "warnings": warnings}
+    values, stds = (np.array([load[f"mass{key}_kg"], *load[f"com{key}_m"]], dtype=float) for key in ("", "_std"))
+    deviation, std = (values - true) / stds, stds / np.abs(true)
+    return {"refused": "", "z": deviation.tolist(), "std": std.tolist(), "warnings": warnings}

@@ -13,7 +13,7 @@ class Condition:
     ----------
     unloaded, loaded : number of recordings; `paired` puts one of each under one name
     gain_std : relative standard deviation of the torque constants, true and stated
-    kind : "rest", "motion" or "both"
+    kind : "rest", "motion" or "both"; "next load" at rest, with constants that `calibrate` has measured
     method : of `servo-gateway estimate`
     repeats : visits of every pose
     paired : whether the k-th recordings of both loads have one name
@@ -39,4 +39,5 @@ CONDITIONS = {
     "rest with motion": Condition(kind="both", gain_std=0.003, poses=8),
     "difference": Condition(method="difference"),
     "repeats": Condition(gain_std=0.003, repeats=4, poses=6),
+    "calibration and next load": Condition(kind="next load", gain_std=0.03),
 }

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration import invoked, write_cell_file
+from benchmarks.cell_file import invoked, write_cell_file
 from benchmarks.conflict.answers import write_cell
 from benchmarks.conflict.arm import AXES, Floats, gravity_torque
 from benchmarks.conflict.plant import ConflictCell, LoadBlock, draw_cell, measure
@@ -31,7 +31,7 @@ def accepted_arm(seed: int) -> dict:
     drawn = draw_cell(seed)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_cell_file(drawn, folder)
+        write_cell_file(folder, drawn.arm.rated_kg, drawn.arm.geometry.limit_rad, 10.0 * drawn.size_nm)
         drawn.columns = measure(drawn)
         table, robot = write_cell(drawn, folder)
         result, cell = folder / "result.json", folder / "cell.toml"

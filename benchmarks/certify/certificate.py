@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.calibration import invoked, write_cell_file
+from benchmarks.cell_file import invoked, write_cell_file
 from benchmarks.conflict.answers import write_cell
 from benchmarks.conflict.arm import AXES, LINK_STD, scattered
 from benchmarks.conflict.plant import GAIN_STD, draw_cell, measure
@@ -29,7 +29,7 @@ def drawn_mass(seed: int) -> dict:
     drawn.friction.bias_nm = 0.1 * drawn.friction.coulomb_nm * rng.standard_normal(AXES)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_cell_file(drawn, folder)
+        write_cell_file(folder, drawn.arm.rated_kg, drawn.arm.geometry.limit_rad, 10.0 * drawn.size_nm)
         drawn.columns = measure(drawn)
         table, _ = write_cell(drawn, folder)
         answer = folder / "result.json"

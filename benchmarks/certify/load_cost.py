@@ -20,7 +20,7 @@ import numpy as np
 import pinocchio as pin
 from scipy.optimize import brentq, linprog
 
-from benchmarks.calibration import invoked
+from benchmarks.cell_file import invoked
 
 Floats = np.ndarray
 EXAMPLE = Path(__file__).parents[2] / "examples" / "large"

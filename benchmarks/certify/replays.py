@@ -9,7 +9,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.calibration import invoked, write_cell_file
+from benchmarks.cell_file import invoked, write_cell_file
 from benchmarks.conflict.answers import write_cell
 from benchmarks.conflict.plant import draw_cell, measure
 
@@ -27,7 +27,7 @@ def replayed(seed: int) -> dict:
     answer: dict = {"seed": seed, "command": command}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_cell_file(drawn, folder)
+        write_cell_file(folder, drawn.arm.rated_kg, drawn.arm.geometry.limit_rad, 10.0 * drawn.size_nm)
         drawn.columns = measure(drawn)
         table, _ = write_cell(drawn, folder)
         archive = folder / "stored.zip"
