@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gateway.excite.excitation import MovingPlan, Series
+from gateway.excite.excitation import Series
 from gateway.motion.workspace import Workspace
 
 HOME_RAD = np.array([0.0, -0.2, 0.4, 0.0, 0.3, 0.0])
@@ -27,8 +27,3 @@ def swing(
     ]
     scale = share * np.min(most, axis=0)[:, None]
     return Series("load", HOME_RAD, scale * cosine, scale * sine, period_s, periods)
-
-
-def plan_of(workspace: Workspace, **shape) -> MovingPlan:
-    """A plan of one such series for the arm of the small example."""
-    return MovingPlan("main", (swing(workspace, **shape),), {})

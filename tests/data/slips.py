@@ -82,7 +82,6 @@ def at(row_number: int, column: str, value: str) -> Callable[[int, Row], Row]:
 CONTRADICT = r"load tool: refused: its rows contradict each other: "
 BEYOND = r"refused: \S+ kg is beyond 33\.75 kg"
 FOREIGN = r"the torques contradict the robot model: "
-NEGATIVE = r"refused: the fit gives a negative mass of -"
 SMALL = r"t\.csv: the torques are [\d.]+ % of the gravity torque of the links: they may be in kNm, of the motors"
 REVERSED = "torque sign is reversed"
 #: Name, commands, exit code, what is said, table.

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from drives.errors import DriveFault
-from gateway.acquire.events import PeriodDone, Progress, Started, StateChanged, Stopped
+from gateway.acquire.events import PeriodDone, Progress, Started, Stopped
 from gateway.acquire.moving import run_legs
 from gateway.acquire.moving_run import legs_from
 from gateway.acquire.passes import TRIED_SPEED, passes_of
 from gateway.acquire.plan import VisitSettings
-from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.errors import InputError, LimitExceeded, PlanRefused
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
@@ -25,17 +24,6 @@ from tests.data.excitations import HOME_RAD, swing
 PERIOD_S = 0.01
 SETTINGS = VisitSettings(0.03, 0.05, 2.0, 40, PERIOD_S)
 NOTHING: frozenset[tuple[int, float, int]] = frozenset()
-
-
-class Store(MemoryStore):
-    """Keeps periods in memory; full after some."""
-
-    full_after: int | None = None
-
-    def trouble(self):
-        if self.full_after is not None and len(self.periods) >= self.full_after:
-            return InputError("run.h5: cannot be written: No space left on device")
-        return None
 
 
 class Unrested:
@@ -56,25 +44,6 @@ class Unrested:
 @pytest.fixture
 def plan(workspace) -> MovingPlan:
     return MovingPlan("main", (swing(workspace),), {})
-
-
-@pytest.fixture
-def store() -> Store:
-    return Store()
-
-
-@pytest.fixture
-def events() -> list:
-    return []
-
-
-@pytest.fixture
-def station(arm, workspace, store, events) -> VisitStation:
-    def keep(event):
-        if not isinstance(event, StateChanged):
-            events.append(event)
-
-    return VisitStation(arm, workspace, store, (keep,))
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ from drives.errors import DriveFault, IncompleteEpochs
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
 from gateway.acquire.powered_run import RunRequest, run_plan
-from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
 from gateway.motion.state import SAFE, Phase
@@ -26,43 +25,11 @@ POSES = (
 )
 
 
-class Store(MemoryStore):
-    """Keeps visits in memory; full after some."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.full_after: int | None = None
-
-    def trouble(self):
-        if self.full_after is not None and len(self.visits) >= self.full_after:
-            return InputError("run.h5: cannot be written: No space left on device")
-        return None
-
-
 @pytest.fixture
 def plan(workspace) -> Plan:
     plan, unreachable = plan_poses("main", workspace, POSES, SETTINGS)
     assert not unreachable
     return plan
-
-
-@pytest.fixture
-def store() -> Store:
-    return Store()
-
-
-@pytest.fixture
-def events() -> list:
-    return []
-
-
-@pytest.fixture
-def station(arm, workspace, store, events) -> VisitStation:
-    def keep(event):
-        if not isinstance(event, StateChanged):
-            events.append(event)
-
-    return VisitStation(arm, workspace, store, (keep,))
 
 
 def test_all_poses_are_measured_from_both_sides(station, plan, store, events, fake):
@@ -198,7 +165,7 @@ def test_a_joint_that_does_not_follow(station, plan, fake):
 
 
 def test_drive_fault(station, plan, store, fake):
-    run_plan(replace(station, store=Store()), RunRequest(plan, "none"))
+    run_plan(replace(station, store=type(station.store)()), RunRequest(plan, "none"))
     syncs = fake.sync_index
     fake.fault_at = syncs + int(0.9 * syncs)
     with pytest.raises(DriveFault):
