@@ -21,6 +21,19 @@ from typing import Final
 
 import numpy as np
 
+from benchmarks.chaos.killing import few_samples
+from benchmarks.chaos.processes import Drives, Job, Master, drives
+from benchmarks.chaos.rig import Rig, rig, with_real_pacing
+from benchmarks.chaos.scenarios import (
+    BY_THE_CLOCK_TOO,
+    DETAILS,
+    LOCKSTEP_POSES,
+    LOCKSTEP_POSES_LONG,
+    Beginning,
+    kinds,
+    short_plan,
+)
+from benchmarks.figure import figure
 from drives.bus import BusSpec
 from drives.errors import DriveError
 from gateway.acquire.session import RecordRequest, record
@@ -31,19 +44,6 @@ from gateway.data.blackbox.ring_buffer import box_of, folder_of
 from gateway.errors import GatewayError, InputError
 from gateway.motion.opening import BusOverride, open_arm
 from sim.faults import KINDS, Fault
-from tests.support.chaos.killing import few_samples
-from tests.support.chaos.processes import Drives, Job, Master, drives
-from tests.support.chaos.rig import Rig, rig, with_real_pacing
-from tests.support.chaos.scenarios import (
-    BY_THE_CLOCK_TOO,
-    DETAILS,
-    LOCKSTEP_POSES,
-    LOCKSTEP_POSES_LONG,
-    Beginning,
-    kinds,
-    short_plan,
-)
-from tests.support.figure import figure
 
 NODE: Final = 3
 #: The samples end so shortly before the stop at most [SYNCs]: a drive that does not respond has been waited for.

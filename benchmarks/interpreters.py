@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from typing import Final
 
-from tests.support.figure import figure, show
+from benchmarks.figure import figure, show
 
 VERSIONS: Final = ("3.12", "3.13")
 PACKAGES: Final = (

@@ -5,9 +5,77 @@ python -m benchmarks.measured [--out out/measured]; the runs are found through S
 time. The interval of a ratio is that of a bootstrap over stretches of time.
 """
 
-import sys
+from __future__ import annotations
 
-from tests.support.measured import main
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from gateway.data.rows import concatenate
+from gateway.data.table import Table, read_csv
+from gateway.diagnose import DiagnoseOptions, diagnose
+from gateway.model.robot import robot_from_urdf
+from gateway.report.notation import short
+from gateway.result.result import Result
+
+RUNS: Final = ("kr300/run_A.csv", "tx40/run_1_first.csv", "ur10/run_1_first.csv")
+JUDGED: Final = 0.2
+
+
+def split(table: Table) -> tuple[Table, Table]:
+    """Rows to fit, and the last fifth of the time."""
+    end = float(table.time_s.max() - JUDGED * np.ptp(table.time_s))
+    return table.take(table.time_s <= end), table.take(table.time_s > end)
+
+
+def rows_of(path: Path) -> tuple[Table, Table, str]:
+    """Rows that choose, rows that judge, and what those are."""
+    table = read_csv(path, None)
+    others = sorted(other for other in path.parent.glob("run_*.csv") if other != path)
+    if not others:
+        return *split(table), "last fifth of the run"
+    return table, concatenate([read_csv(other, None) for other in others]), ", ".join(other.name for other in others)
+
+
+def judged(path: Path) -> tuple[Result, str, float]:
+    """Diagnosis of a run, what judged it, and how long it took [s]."""
+    urdf = path.parent / "robot.urdf"
+    robot = robot_from_urdf(urdf.read_text(encoding="utf-8"), str(urdf))
+    fitted, held, kind = rows_of(path)
+    start = time.perf_counter()
+    return diagnose(fitted, robot, DiagnoseOptions(holdout=held)), kind, time.perf_counter() - start
+
+
+def main(argv: list[str]) -> int:
+    """Print the residual of every axis without and with what was found."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.measured", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/measured"))
+    arguments = parser.parse_args(argv)
+    data = os.environ.get("SERVO_GATEWAY_DATA")
+    if not data:
+        print("SERVO_GATEWAY_DATA names no folder with the measured runs", file=sys.stderr)
+        return 2
+    found: dict[str, dict[str, object]] = {}
+    for name in RUNS:
+        result, kind, seconds = judged(Path(data) / name)
+        named = ", ".join(short(effect.name, effect.joints) for effect in result.effects) or "nothing named"
+        print(f"{name}, judged by {kind}: {named}, {seconds:.1f} s")
+        rms = zip(result.before.holdout_rms_nm, result.after.holdout_rms_nm, strict=True)
+        for joint, (pair, ratio) in enumerate(zip(rms, result.quality["holdout_ratio"], strict=True), 1):
+            value, low, high = ratio
+            print(f"  J{joint}: {pair[0]:8.2f} to {pair[1]:8.2f} Nm, ratio {value:.2f} ({low:.2f} to {high:.2f})")
+            key = f"{name} J{joint}: held-out RMS after over before"
+            found[key] = {"value": value, "interval": [low, high], "unit": ""}
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    (arguments.out / "summary.json").write_text(json.dumps({"figures": found}, indent=1) + "\n")
+    return 0
+
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))

@@ -14,7 +14,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.support.figure import figure, show
+from benchmarks.figure import figure, show
 from tests.support.package import build_wheel, forgotten, help_s, install, misplaced, size_mb
 
 

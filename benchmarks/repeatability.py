@@ -2,10 +2,10 @@
 
 python -m benchmarks.repeatability [--arms 30] [--seeds dev|test] [--out out/repeatability]
 
-Arms of `sim/nature` with all nuisance effects. Each measurement has poses of its own, a load that is mounted again, and
-motors that are cold in the morning and warm later, so that the torque constants drift. The estimates are joined by
-`gateway.result.repeatability`, as `commission --repeat` does. Arms with wrongly stated standard deviations are left
-out. Development seeds start at 70000, test seeds at 80000.
+Arms of `benchmarks/nature` with all nuisance effects. Each measurement has poses of its own, a load that is
+mounted again, and motors that are cold in the morning and warm later, so that the torque constants drift. The
+estimates are joined by `gateway.result.repeatability`, as `commission --repeat` does. Arms with wrongly stated standard
+deviations are left out. Development seeds start at 70000, test seeds at 80000.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from itertools import count, islice
 from pathlib import Path
 
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 SEEDS = {"dev": 70000, "test": 80000}
 REPETITIONS = 20
@@ -34,7 +34,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/repeatability"))
     arguments = parser.parse_args(argv)
     one_thread()
-    from tests.support.figure import show
+    from benchmarks.figure import show
 
     arms = list(islice(measured_arms(SEEDS[arguments.seeds]), arguments.arms))
     result = figures(arms)
@@ -47,7 +47,7 @@ def main(argv: list[str]) -> int:
 
 def measured_arms(first_seed: int) -> Iterator[dict]:
     """Yield the repeated measurements of one arm after another."""
-    from sim.nature.nature_cell import draw_cell
+    from benchmarks.nature.nature_cell import draw_cell
 
     for seed in count(first_seed):
         cell = draw_cell(seed, "all")
@@ -59,13 +59,13 @@ def measured_arm(cell) -> dict:
     """Measure one load 20 times; by quantity ratio, verdict, deviations, and errors over the stated deviations."""
     import numpy as np
 
+    from benchmarks.blind.nature import estimate_options
+    from benchmarks.nature.days import sessions
     from gateway.estimate import estimate
     from gateway.identify.load_estimate import load_result
     from gateway.model.robot import robot_from_urdf
     from gateway.result.repeatability import repeatability
     from gateway.result.result import Result
-    from sim.nature.days import sessions
-    from tests.support.blind.nature import estimate_options
     from tests.support.rigs.tables import simulated_table
 
     robot, options = robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}"), estimate_options(cell)

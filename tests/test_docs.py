@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.reference import PAGES, kind_in_words, stale
 from gateway.cell.config import AxisConfig, Cell
-from tests.support.reference import PAGES, kind_in_words, stale
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES_OF_MARKDOWN = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")])

@@ -11,7 +11,7 @@ import json
 import sys
 from pathlib import Path
 
-from tests.support.figure import show
+from benchmarks.figure import show
 
 PARTS = ("regressor", "estimation", "wire")
 

@@ -20,7 +20,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 SEEDS = {"dev": range(10000), "test": range(10000, 11000), "fresh": range(20000, 21000)}
 COUNT = {"dev": 400, "test": 1000, "fresh": 1000}
@@ -59,7 +59,7 @@ def main(argv: list[str]) -> int:
 
 def _nature(arguments: argparse.Namespace) -> int:
     from benchmarks.blind.nature_tier import FIRST, Plan, run_nature
-    from sim.nature.levels import CONDITIONS
+    from benchmarks.nature.levels import CONDITIONS
 
     if arguments.seeds not in FIRST:
         raise SystemExit(f"--tier nature has seeds {' and '.join(FIRST)}")
@@ -92,9 +92,9 @@ def report(cells: list[dict], over_bus: list[dict], out: Path) -> int:
     from rich.console import Console
     from rich.table import Table as RichTable
 
+    from benchmarks.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
+    from benchmarks.blind.shares import figure_table
     from benchmarks.blind.strict_figures import strict_figures
-    from tests.support.blind.figures import bus_figures, confusion, figures, there_and_said, weakest
-    from tests.support.blind.shares import figure_table
 
     console = Console(width=150)
     matrix = RichTable("what is there", "what was said", "cells", title="confusion")

@@ -35,7 +35,7 @@ class Plan:
 
 def run_nature(plan: Plan, run: Run, jobs: int, out: Path) -> int:
     """Run the cells, print tables and figures, write summary.json; 1 when a goal is missed."""
-    from tests.support.blind.nature import run_effect, run_nuisance_only, run_timed
+    from benchmarks.blind.nature import run_effect, run_nuisance_only, run_timed
 
     out.mkdir(parents=True, exist_ok=True)
     tasks = [
@@ -55,8 +55,8 @@ def report(nuisance_cells: list[dict], effects: list[dict], timed: list[dict], o
     from rich.console import Console
     from rich.table import Table
 
-    from tests.support.blind import nature_figures as figures
-    from tests.support.blind.shares import Figures, figure_table
+    from benchmarks.blind import nature_figures as figures
+    from benchmarks.blind.shares import Figures, figure_table
 
     console = Console(width=160)
     conditions = Table(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from tests.support.blind.figures import Cell
-from tests.support.blind.scores import Scores
-from tests.support.blind.shares import Figures, share
-from tests.support.blind.strict import LEAST, STRONG, There, there
+from benchmarks.blind.figures import Cell
+from benchmarks.blind.scores import Scores
+from benchmarks.blind.shares import Figures, share
+from benchmarks.blind.strict import LEAST, STRONG, There, there
 
 MISTAKES = ("sign_reversed", "axes_swapped", "current_rms_peak")
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.calibrated.conditions import CONDITIONS
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 #: Half width of a 95 % interval in standard deviations.
 HALF_WIDTH = 1.96
@@ -37,7 +37,7 @@ def main(argv: list[str]) -> int:
     one_thread()
     from benchmarks.blind.__main__ import run
     from benchmarks.calibrated.answers import answer_of
-    from tests.support.figure import show
+    from benchmarks.figure import show
 
     first, end = (int(bound) for bound in arguments.seeds.split(":"))
     names = arguments.condition or list(CONDITIONS)
@@ -54,7 +54,7 @@ def figures(answers: list[dict], names: list[str]) -> dict[str, dict]:
     """Coverage of each condition and quantity, rms error over the stated deviation, ranks, refusals and warnings."""
     from scipy.stats import binom, kstest, norm
 
-    from tests.support.figure import figure
+    from benchmarks.figure import figure
 
     out: dict[str, dict] = {}
     for name in names:

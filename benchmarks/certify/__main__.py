@@ -48,7 +48,7 @@ def main(argv: list[str]) -> int:
     from benchmarks.certify.load_cost import cost_figures, cost_of_path
     from benchmarks.certify.replays import replay_figures, replayed
     from benchmarks.certify.temperature import drifting_arm, temperature_figures
-    from tests.support.figure import show
+    from benchmarks.figure import show
 
     arguments.out.mkdir(parents=True, exist_ok=True)
     out: Path = arguments.out

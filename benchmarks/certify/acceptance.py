@@ -222,7 +222,7 @@ ERRORS: dict[str, Callable[[ConflictCell, np.random.Generator], Change]] = {
 
 def acceptance_figures(arms: list[dict]) -> dict[str, dict]:
     """Wrong decisions, open ones, and poses."""
-    from tests.support.figure import figure
+    from benchmarks.figure import figure
 
     def share(of: list[dict], outcome: str) -> float:
         return 100.0 * sum(arm["outcome"] == outcome for arm in of) / max(len(of), 1)

@@ -45,7 +45,7 @@ def drawn_mass(seed: int) -> dict:
 
 def certificate_figures(draws: list[dict]) -> dict[str, dict]:
     """Ratio of the expanded uncertainty and the Monte Carlo's interval, with the error of the Monte Carlo."""
-    from tests.support.figure import figure
+    from benchmarks.figure import figure
 
     known = [draw for draw in draws if draw["error_kg"] is not None]
     error = np.array([draw["error_kg"] for draw in known])

@@ -22,10 +22,10 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from benchmarks.certify.drive_truth import read_truth
+from benchmarks.figure import figure, show
 from drives.profile_file import PROFILE_FOLDER
 from sim.drive_defects import CONTROLWORD_DELAY_S, DEFECTS
 from sim.serve import running
-from tests.support.figure import figure, show
 from tests.support.rigs.pacing import by_the_clock, in_lockstep
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"

@@ -231,7 +231,7 @@ def _coefficients(plant: Plant, start: Floats, moved: Floats, s: Floats) -> Iter
 
 def cost_figures(paths: list[dict]) -> dict[str, dict]:
     """Return how far the predicted cycle time is off both solvers."""
-    from tests.support.figure import figure
+    from benchmarks.figure import figure
 
     timed = [path[name] for path in paths for name in ("no load", "entered load") if name in path]
     off = [100.0 * abs(each["predicted_s"] / each["searched_s"] - 1.0) for each in timed]

@@ -46,7 +46,7 @@ def replayed(seed: int) -> dict:
 
 def replay_figures(replays: list[dict]) -> dict[str, dict]:
     """Measurements of which a value differs; of the loads alone too."""
-    from tests.support.figure import figure
+    from benchmarks.figure import figure
 
     found = {}
     for place in PLACES:

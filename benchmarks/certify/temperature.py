@@ -75,7 +75,7 @@ def drifting_arm(seed: int) -> dict:
 
 def temperature_figures(arms: list[dict]) -> dict[str, dict]:
     """Root mean square of the error of the mass with temperatures over that without them, and what was named."""
-    from tests.support.figure import figure
+    from benchmarks.figure import figure
 
     known = [arm for arm in arms if "time" in arm]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from benchmarks.chaos.heartbeats import DELAYED_AFTER_S, KINDS, heartbeats_after_refused_stop
+from benchmarks.chaos.slow_disk import record_on_slow_disk
+from benchmarks.figure import figure
 from gateway.data.recording.queue import CAPACITY
-from tests.support.chaos.heartbeats import DELAYED_AFTER_S, KINDS, heartbeats_after_refused_stop
-from tests.support.chaos.slow_disk import record_on_slow_disk
-from tests.support.figure import figure
 
 #: What a write takes: as slow as disks are seen to be, and slower than visits come [s].
 SLOW_S, TOO_SLOW_S = 0.7, 6.0

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.chaos.pool import side_by_side
-from tests.support.figure import figure
-from tests.support.fuzz.runner import run
-from tests.support.fuzz.targets import TARGETS
+from benchmarks.figure import figure
+from benchmarks.fuzz.runner import run
+from benchmarks.fuzz.targets import TARGETS
 
 INPUTS = {"decoder": 100_000, "reader": 10_000}
 #: An input that breaks a promise ends its piece of the run: it is counted, and printed.

@@ -7,10 +7,10 @@ from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
-from tests.support.chaos.io_faults import KINDS, play_again
-from tests.support.chaos.remote import remote
-from tests.support.chaos.rig import Drives, rig
-from tests.support.figure import figure
+from benchmarks.chaos.io_faults import KINDS, play_again
+from benchmarks.chaos.remote import remote
+from benchmarks.chaos.rig import Drives, rig
+from benchmarks.figure import figure
 
 SEEDS = 3
 PERIOD_S = 0.02

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from benchmarks.chaos.killing import Losses, interrupt_recordings
 from benchmarks.chaos.pool import side_by_side
-from tests.support.chaos.killing import Losses, interrupt_recordings
-from tests.support.figure import figure
+from benchmarks.figure import figure
 
 KILLS = {"sigkill": 160, "disk full": 20, "power cycle": 20}
 #: Most in a row on the same drives; so many at a time: all in lockstep.

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.chaos.rig import EXAMPLE, Rig
+from benchmarks.figure import figure
 from gateway.acquire.planning import make_plan
 from gateway.acquire.session import RecordRequest, record
 from gateway.estimate.joint import estimate_joint
@@ -16,8 +18,6 @@ from gateway.estimate.options import EstimateOptions
 from gateway.model.visits import pair_visits
 from gateway.pipeline.inputs import ModelRequest, collect_inputs, read_rows
 from sim.faults import Fault
-from tests.support.chaos.rig import EXAMPLE, Rig
-from tests.support.figure import figure
 
 LOST = 0.01
 POSES = 6

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.support.chaos.originals import Originals, cut_in_process, kill_processes
-from tests.support.figure import figure
+from benchmarks.chaos.originals import Originals, cut_in_process, kill_processes
+from benchmarks.figure import figure
 
 #: Interruptions: of operations drawn in one process, so many with one seed; of real processes by SIGKILL.
 CUTS, WITH_ONE_SEED, KILLS = 270, 30, 30

@@ -6,8 +6,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tests.support.chaos.requests import fall, fall_without_voltage, requests
-from tests.support.figure import figure
+from benchmarks.chaos.requests import fall, fall_without_voltage, requests
+from benchmarks.figure import figure
 
 INSTANTS, SEED = 200, 33
 PERIODS_S = (0.004, 0.01)

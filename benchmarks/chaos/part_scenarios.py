@@ -7,12 +7,12 @@ import time
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
 
+from benchmarks.chaos.evidence import Outcome
 from benchmarks.chaos.pool import side_by_side
-from tests.support.chaos.evidence import Outcome
-from tests.support.chaos.remote import remote
-from tests.support.chaos.rig import rig
-from tests.support.chaos.scenarios import BETWEEN_RUNS, ELSEWHERE, IN_BRAKES, STRICT, kinds, play_again
-from tests.support.figure import figure
+from benchmarks.chaos.remote import remote
+from benchmarks.chaos.rig import rig
+from benchmarks.chaos.scenarios import BETWEEN_RUNS, ELSEWHERE, IN_BRAKES, STRICT, kinds, play_again
+from benchmarks.figure import figure
 
 SEEDS = 3
 PERIOD_S = 0.02

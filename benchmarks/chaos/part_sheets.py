@@ -6,9 +6,9 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from tests.support.figure import figure
-from tests.support.mutated_sheets import mutated
-from tests.support.sheet_judge import judged
+from benchmarks.chaos.mutated_sheets import mutated
+from benchmarks.chaos.sheet_judge import judged
+from benchmarks.figure import figure
 
 SHEETS = 1_000
 LONGEST_S = 1.0

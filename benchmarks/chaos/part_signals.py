@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.support.chaos.interrupting import ACTIONS, GRACE_S, interrupt_commands
-from tests.support.figure import figure
+from benchmarks.chaos.interrupting import ACTIONS, GRACE_S, interrupt_commands
+from benchmarks.figure import figure
 
 RUNS = 30
 PERIOD_S = 0.01

@@ -16,16 +16,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from benchmarks.chaos.processes import Drives, drives
+from benchmarks.chaos.rig import with_real_pacing
 from benchmarks.chaos.sleeper import Sleeper, joined
+from benchmarks.figure import figure
 from drives.bus import BusSpec, open_bus
 from drives.drive import DriveCommand
 from drives.errors import DriveError, MasterStalled
 from drives.group import DriveGroup
 from drives.realtime import RealTime
 from gateway.motion.opening import axis_setups
-from tests.support.chaos.processes import Drives, drives
-from tests.support.chaos.rig import with_real_pacing
-from tests.support.figure import figure
 
 PERIOD_S = 0.01
 SWING_RAD = 2.0

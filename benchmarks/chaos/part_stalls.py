@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.support.chaos.stalling import MEASURING, STOP_PERIODS, stall_masters
-from tests.support.figure import figure
+from benchmarks.chaos.stalling import MEASURING, STOP_PERIODS, stall_masters
+from benchmarks.figure import figure
 
 STALLS = 200
 PERIOD_S = 0.01

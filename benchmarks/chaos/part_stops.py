@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.support.chaos.killing import drives_without_master
-from tests.support.figure import figure
+from benchmarks.chaos.killing import drives_without_master
+from benchmarks.figure import figure
 
 KILLS = {"sigkill": 20, "sigstop": 5, "full queue": 5}
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from benchmarks.chaos.pool import side_by_side
 from benchmarks.chaos.truth import Verdict, many
-from tests.support.figure import figure
+from benchmarks.figure import figure
 
 ANSWERS = 1_000_000
 #: Pieces with seeds of their own, so many at a time: all in lockstep.

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from tests.support.chaos.programs import COMMANDS
-from tests.support.chaos.stalling import MEASURING
-from tests.support.chaos.unbuffered import fastest_unbuffered
-from tests.support.figure import figure
+from benchmarks.chaos.programs import COMMANDS
+from benchmarks.chaos.stalling import MEASURING
+from benchmarks.chaos.unbuffered import fastest_unbuffered
+from benchmarks.figure import figure
 
 PERIOD_S = 0.01
 

@@ -9,7 +9,7 @@ import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 
-from tests.support.chaos.processes import FORK
+from benchmarks.chaos.processes import FORK
 
 SLEEP_S = 0.001
 #: Above the motion loop's.

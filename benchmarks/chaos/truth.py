@@ -7,12 +7,12 @@ import random
 import re
 from dataclasses import dataclass
 
+from benchmarks.chaos.rig import Rig, rig
 from drives.bus import BusSpec, open_bus
 from drives.drive import DriveCommand
 from drives.group import DriveGroup, GroupOptions
 from gateway.motion.opening import axis_setups
 from sim.faults import Fault
-from tests.support.chaos.rig import Rig, rig
 
 KINDS = (
     "tpdo_lost",

@@ -14,7 +14,7 @@ import json
 import sys
 from pathlib import Path
 
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 VARIANTS = ("floor", "two loads", "6 poses", "wall", "ceiling")
 
@@ -62,8 +62,8 @@ def report(answers: list[dict], out: Path) -> int:
     """Print the tables, write summary.json; 1 when a goal is missed."""
     from rich.console import Console
 
+    from benchmarks.blind.shares import figure_table
     from benchmarks.conflict.figures import check_rates, check_table, condition_table, figures
-    from tests.support.blind.shares import figure_table
 
     console, result = Console(width=170), figures(answers)
     console.print(condition_table(answers))

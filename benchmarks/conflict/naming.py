@@ -16,7 +16,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 #: Scatter of the friction band between visits, as a share.
 NOISE = (0.02, 0.04, 0.08)
@@ -96,7 +96,7 @@ def main(argv: list[str]) -> int:
     arguments = parser.parse_args(argv)
     one_thread()
     from benchmarks.blind.__main__ import run
-    from tests.support.blind.shares import figure_table, share
+    from benchmarks.blind.shares import figure_table, share
 
     first, end = (int(part) for part in arguments.seeds.split(":"))
     chosen = arguments.mistake or [each.condition for each in MISTAKES]

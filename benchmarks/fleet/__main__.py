@@ -12,9 +12,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.fleet import recordings
-from tests.support.figure import show
-from tests.support.fleet import drifts
+from benchmarks.figure import show
+from benchmarks.fleet import drifts, recordings
 
 PARTS = ("store", "drifts", "unlike", "recordings")
 #: Standard deviation of the logarithm of random walk over noise, in a heterogeneous fleet.

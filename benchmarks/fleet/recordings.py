@@ -19,6 +19,7 @@ import h5py
 import numpy as np
 from click.testing import CliRunner
 
+from benchmarks.figure import figure
 from gateway.cli import main
 from gateway.data.recording.seal import SEAL_BYTES, sealed
 from gateway.fleet.analysis import AsOf, run_analysis
@@ -28,7 +29,6 @@ from gateway.fleet.ingest import ingest
 from gateway.fleet.store import Store, open_or_make
 from gateway.fleet.workers import workers
 from sim.serve import running
-from tests.support.figure import figure
 from tests.support.rigs.pacing import in_lockstep
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "small"

@@ -19,10 +19,10 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.figure import figure, show
 from gateway.cell.config import load_cell
 from gateway.follow.job import FollowRequest, prepare
 from gateway.result.follow import FedTrend, FollowResult, read_follow
-from tests.support.figure import figure, show
 from tests.support.follow import rig
 
 SEEDS = (1, 2, 3)

@@ -17,7 +17,7 @@ import time
 from multiprocessing import get_context
 from pathlib import Path
 
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 STORED = Path(__file__).with_name("answers.json")
 

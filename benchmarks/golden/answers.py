@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from click.testing import CliRunner
 
+from benchmarks.blind.strict import Said, misnamed, right
 from benchmarks.conflict.answers import check_of, measured_cell, typed
 from benchmarks.golden.tables import CONFLICT, FILES, FIRST_SEED, MAKERS, Case, words_of
 from gateway.cli import main
@@ -20,7 +21,6 @@ from gateway.diagnose import diagnose
 from gateway.errors import GatewayError
 from gateway.estimate import run
 from gateway.result.result import Result, to_dict
-from tests.support.blind.strict import Said, misnamed, right
 
 #: No effect of the library: a diagnosis that can name nothing, against `estimate`.
 NOTHING = frozenset({"axes_swapped"})

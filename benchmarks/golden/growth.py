@@ -20,12 +20,12 @@ def main(argv: list[str]) -> int:
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     import numpy as np
 
+    from benchmarks.blind.nature import diagnose_options, estimate_options
+    from benchmarks.nature.nature_cell import VISIT_S, draw_cell
     from gateway.diagnose import diagnose
     from gateway.estimate import run
     from gateway.model.robot import robot_from_urdf
-    from sim.nature.nature_cell import VISIT_S, draw_cell
     from sim.offline import PlannedVisit
-    from tests.support.blind.nature import diagnose_options, estimate_options
     from tests.support.rigs.tables import simulated_table
 
     half = int(argv[0]) // 2

@@ -11,24 +11,24 @@ import numpy as np
 import pinocchio  # pyright: ignore[reportMissingImports]
 from numpy.typing import NDArray
 
+from benchmarks.blind.mechanisms import MECHANISMS
+from benchmarks.blind.nature import diagnose_options, estimate_options
+from benchmarks.blind.strict import There, there
 from benchmarks.conflict.conditions import CONDITIONS as CONDITIONS_OF_CONFLICT
+from benchmarks.moving.cells import TIERS
+from benchmarks.moving.cells import draw_cell as draw_moving_cell
+from benchmarks.nature.levels import CONDITIONS
+from benchmarks.nature.nature_cell import NatureCell, draw_effect_cell
+from benchmarks.nature.nature_cell import draw_cell as draw_nature_cell
 from gateway.data.table import Table
 from gateway.diagnose import DiagnoseOptions
 from gateway.estimate import EstimateOptions, estimate
 from gateway.model.robot import Robot, robot_from_urdf
 from sim import blind
 from sim.draw import LOADED_S, VISIT_S, draw_load
-from sim.nature.levels import CONDITIONS
-from sim.nature.nature_cell import NatureCell, draw_effect_cell
-from sim.nature.nature_cell import draw_cell as draw_nature_cell
 from sim.offline import PlannedVisit, measure
 from sim.plant import Payload
 from tests.data.arms import peer_of, urdf_of
-from tests.support.blind.mechanisms import MECHANISMS
-from tests.support.blind.nature import diagnose_options, estimate_options
-from tests.support.blind.strict import There, there
-from tests.support.moving.cells import TIERS
-from tests.support.moving.cells import draw_cell as draw_moving_cell
 from tests.support.rigs.tables import make_table, simulated_table
 
 Floats = NDArray[np.float64]

@@ -10,8 +10,8 @@ import json
 import sys
 from pathlib import Path
 
+from benchmarks.figure import show
 from benchmarks.live import cost, parts
-from tests.support.figure import show
 
 PARTS = ("cost", "seen", "stopped", "mistreated", "paired")
 #: How long the page is looked at [s].

@@ -16,6 +16,8 @@ import can
 import numpy as np
 from scipy import stats
 
+from benchmarks.chaos.processes import undisturbed
+from benchmarks.figure import figure
 from benchmarks.live.rig import (
     Command,
     Counted,
@@ -29,8 +31,6 @@ from benchmarks.live.rig import (
     viewers,
     wait_for,
 )
-from tests.support.chaos.processes import undisturbed
-from tests.support.figure import figure
 from tests.support.pages.browser import Browser, browser
 
 Figures = dict[str, dict]

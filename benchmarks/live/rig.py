@@ -20,8 +20,8 @@ from pathlib import Path
 import can
 from websockets.sync.client import connect
 
+from benchmarks.chaos.processes import undisturbed
 from drives.bus_spec import BusSpec
-from tests.support.chaos.processes import undisturbed
 from tests.support.rigs.pacing import by_the_clock, in_lockstep
 
 SMALL = Path(__file__).parents[2] / "examples" / "small"

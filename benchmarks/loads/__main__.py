@@ -16,7 +16,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 
 def main(argv: list[str]) -> int:

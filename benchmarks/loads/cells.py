@@ -1,7 +1,7 @@
 """Cells of the benchmark: arms without a missing effect, at rest and in motion.
 
-Both kinds come from `sim.nature`, which shares no formula with the gateway. The folders have the files of a cell of
-`benchmarks.naming` and are read by its `read_cells`.
+Both kinds come from `benchmarks.nature`, which shares no formula with the gateway. The folders have the files of a
+cell of `benchmarks.naming` and are read by its `read_cells`.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from benchmarks.moving.cells import MovingCell
+from benchmarks.moving.cells import draw_cell as draw_moving_cell
+from benchmarks.moving.scores import drawn_truth, load_truth
 from benchmarks.naming.cells import TRUTH, write_cells, write_place
+from benchmarks.nature.nature_cell import NatureCell
+from benchmarks.nature.nature_cell import draw_cell as draw_rest_cell
 from gateway.data.table import write_csv
-from sim.nature.nature_cell import NatureCell
-from sim.nature.nature_cell import draw_cell as draw_rest_cell
-from tests.support.moving.cells import MovingCell
-from tests.support.moving.cells import draw_cell as draw_moving_cell
-from tests.support.moving.scores import drawn_truth, load_truth
 
 #: First seed of the cells for development, and of the test cells, which are run once.
 FIRST: Final = {"development": 70_000, "test": 75_000}

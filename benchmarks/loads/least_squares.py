@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from benchmarks.loads.bodies import Identified, identified
+from benchmarks.moving.timing import plain_least_squares
 from benchmarks.naming.cells import Cell
 from benchmarks.naming.methods import columns_of, load_by_least_squares
-from tests.support.moving.timing import plain_least_squares
 
 #: Places among the three parameters of an axis.
 PLACES = {"coulomb_nm": 0, "viscous_nm_s_rad": 1, "rotor_inertia_kg_m2": 2}

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.moving.cells import PERIODS
 from benchmarks.naming.cells import Cell
 from gateway.model.visits import pair_visits
-from tests.support.moving.cells import PERIODS
 
 Floats = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ import json
 import sys
 from pathlib import Path
 
-from tests.support.one_thread import one_thread
+from benchmarks.one_thread import one_thread
 
 FIRST = {"dev": 0, "test": 40000}
 PARTS = ("cells", "bus", "plans", "timing")
@@ -40,7 +40,7 @@ def main(argv: list[str]) -> int:
 def _run(arguments: argparse.Namespace) -> int:
     from rich.console import Console
 
-    from tests.support.blind.shares import Figures, figure_table
+    from benchmarks.blind.shares import Figures, figure_table
 
     found: Figures = {}
     for part in arguments.parts.split(","):
@@ -52,8 +52,8 @@ def _run(arguments: argparse.Namespace) -> int:
 
 def _cells(arguments: argparse.Namespace) -> dict[str, dict]:
     from benchmarks.blind.__main__ import run
-    from tests.support.moving.cells import run_cell
-    from tests.support.moving.figures import figures
+    from benchmarks.moving.cells import run_cell
+    from benchmarks.moving.figures import figures
 
     first = FIRST[arguments.seeds] + arguments.first
     tasks = [(seed, tier) for seed in range(first, first + arguments.cells) for tier in arguments.tiers.split(",")]
@@ -63,7 +63,7 @@ def _cells(arguments: argparse.Namespace) -> dict[str, dict]:
 def _bus(arguments: argparse.Namespace) -> dict[str, dict]:
     from benchmarks.blind.__main__ import run
     from benchmarks.moving.bus import run_bus_cell
-    from tests.support.moving.figures import figures
+    from benchmarks.moving.figures import figures
 
     first = FIRST[arguments.seeds]
     tasks = [(seed, str(arguments.out / "bus")) for seed in range(first, first + arguments.bus)]
@@ -77,7 +77,7 @@ def _plans(_: argparse.Namespace) -> dict[str, dict]:
 
 
 def _timing(_: argparse.Namespace) -> dict[str, dict]:
-    from tests.support.moving.timing import timing_figures
+    from benchmarks.moving.timing import timing_figures
 
     return timing_figures()
 

@@ -14,6 +14,8 @@ import numpy as np
 from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 
+from benchmarks.moving.scores import AXIS_NAMES, LOAD_NAMES, Truth, score
+from benchmarks.nature.moving_arm import box_inertia
 from gateway.acquire.moving import record_moving
 from gateway.acquire.session import RecordRequest
 from gateway.cell.config import load_cell
@@ -24,10 +26,8 @@ from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.model.arm_model import arm_named
 from gateway.motion.opening import open_arm
 from gateway.result.result import read_result
-from sim.nature.moving_arm import box_inertia
 from sim.plant import Payload
 from sim.serve import RunningSimulation, running
-from tests.support.moving.scores import AXIS_NAMES, LOAD_NAMES, Truth, score
 from tests.support.rigs.pacing import in_lockstep
 
 Floats = NDArray[np.float64]

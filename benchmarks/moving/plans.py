@@ -5,9 +5,9 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+from benchmarks.blind.shares import Figures, reached
 from gateway.cell.config import load_cell
 from gateway.excite.planning import MovingRequest, make_moving_plan
-from tests.support.blind.shares import Figures, reached
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ARMS = ("small", "large")

@@ -1,7 +1,8 @@
 """Cells of the benchmark: tables and statements that a method may read, and the truth that only the scorer reads.
 
 A cell is a folder with `robot.urdf` (links as the owner states them), `table.csv` (measured table, unloaded and with
-the load `tool`) and `statements.json`. The arms come from `sim.nature`, which shares no formula with the gateway.
+the load `tool`) and `statements.json`. The arms come from `benchmarks.nature`, which shares no formula with the
+gateway.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.blind.mechanisms import MECHANISMS
+from benchmarks.nature.arm import Stated
+from benchmarks.nature.moving_arm import StatedMoving
+from benchmarks.nature.nature_cell import KINDS, NatureCell, draw_cell, drawn_kind
 from gateway.data.table import Table, read_csv, write_csv
-from sim.nature.arm import Stated
-from sim.nature.moving_arm import StatedMoving
-from sim.nature.nature_cell import KINDS, NatureCell, draw_cell, drawn_kind
-from tests.support.blind.mechanisms import MECHANISMS
 from tests.support.rigs.tables import simulated_table
 
 Floats = NDArray[np.float64]

@@ -10,10 +10,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.blind.strict import STRONG, Said, There, kind, misnamed, right, there
+from benchmarks.moving.scores import tensor
 from benchmarks.naming.answers import Answer
 from benchmarks.naming.cells import TRUTH
-from tests.support.blind.strict import STRONG, Said, There, kind, misnamed, right, there
-from tests.support.moving.scores import tensor
 
 #: Half width of a 95 % interval, in standard deviations.
 HALF_WIDTH: Final = 1.96

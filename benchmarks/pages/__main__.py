@@ -15,7 +15,7 @@ from dataclasses import asdict
 from itertools import chain
 from pathlib import Path
 
-from tests.support.figure import figure, show
+from benchmarks.figure import figure, show
 from tests.support.pages.browser import BrowserMissing, browser
 from tests.support.pages.faults import Fault, faults_of
 from tests.support.pages.fleet import fleet_pages

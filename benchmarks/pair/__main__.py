@@ -20,13 +20,13 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table as RichTable
 
+from benchmarks.figure import show
+from benchmarks.pair.bus_figures import figures
+from benchmarks.pair.bus_rig import CELL
 from benchmarks.pair.bus_tier import BusTier
 from gateway.report.pair_page import FORCE, Limited, render_pair
 from gateway.result.pair import PairRunResult
 from gateway.result.values import decoded
-from tests.support.figure import show
-from tests.support.pair.bus_figures import figures
-from tests.support.pair.bus_rig import CELL
 
 SHORT = ("plain", "each", "mean", "points", "stop", "distance")
 FULL = (

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from tests.support.pair.bus_rows import run_stage
+from benchmarks.pair.bus_rows import run_stage
 
 
 @dataclass(slots=True)

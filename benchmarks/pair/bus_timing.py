@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.pair.bus_rig import CELL, pair_rig
 from drives.errors import DriveError
 from gateway.motion.power import powered
 from gateway.motion.stream import MoveOptions, Stream
@@ -23,7 +24,6 @@ from sim.pair.cell import PairOptions
 from sim.pair.world import PairWorld
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
-from tests.support.pair.bus_rig import CELL, pair_rig
 from tests.support.rigs.pacing import by_the_clock as by_the_clock_text
 
 CYCLES = 100_000

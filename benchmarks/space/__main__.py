@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.figure import figure, show
 from benchmarks.space.cells import DrawnCell, draw
 from benchmarks.space.checker import Judge, sampled
 from gateway.acquire.plan import Approach, MoveTo, Plan
@@ -25,7 +26,6 @@ from gateway.cell.config import load_cell
 from gateway.errors import PlanRefused
 from gateway.model.arm_model import arm_robot
 from gateway.motion.workspace import workspace_of
-from tests.support.figure import figure, show
 
 CELLS = 200
 POSES = 6

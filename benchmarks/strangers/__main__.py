@@ -13,7 +13,7 @@ import json
 import sys
 from pathlib import Path
 
-from tests.support.figure import show
+from benchmarks.figure import show
 
 PARTS = sorted(path.stem for path in Path(__file__).parent.glob("[a-z]*.py"))
 

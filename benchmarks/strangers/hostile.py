@@ -24,8 +24,8 @@ from typing import Any
 
 import numpy as np
 
-from tests.support.figure import figure
-from tests.support.fuzz.mutate import TOKENS, apply_edits
+from benchmarks.figure import figure
+from benchmarks.fuzz.mutate import TOKENS, apply_edits
 
 INPUTS = int(os.environ.get("STRANGERS_INPUTS", "10000"))
 MOST_S, MOST_BYTES = 2.0, 500e6
@@ -59,8 +59,8 @@ def _example(name: str) -> bytes:
 
 
 def table_csv() -> tuple[str, list[bytes], Callable[[Path], Any]]:
+    from benchmarks.fuzz.check_files import CSV_SEEDS
     from gateway.data.table import read_csv
-    from tests.support.fuzz.check_files import CSV_SEEDS
 
     return "table.csv", CSV_SEEDS, lambda path: read_csv(path, None)
 

@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 from click.testing import CliRunner
 
+from benchmarks.figure import figure
 from gateway.cli import main
 from tests.data.mounted import readings
 from tests.data.moving_arm import URDF, World, measured
-from tests.support.figure import figure
 
 LAYOUTS = 200
 POSES = 12

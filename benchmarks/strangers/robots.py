@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio
 
+from benchmarks.figure import figure
 from gateway.errors import ConfigError
 from gateway.model.placeholders import placeholders
 from gateway.model.regressor import regressor
@@ -26,7 +27,6 @@ from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.urdf_text import read_urdf
 from gateway.motion.body import solids_of
 from tests.data.arms import link_parameters, states, urdf_of
-from tests.support.figure import figure
 
 FILES = 400
 GRAVITY = (0.0, 0.0, -9.80665)

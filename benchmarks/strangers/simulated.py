@@ -10,10 +10,10 @@ from pathlib import Path
 
 from click.testing import CliRunner
 
+from benchmarks.figure import figure
 from gateway.cli import main
 from sim.serve import running
 from tests.data.arm_classes import CLASSES, ArmClass, write_class
-from tests.support.figure import figure
 
 
 def record(kind: ArmClass, folder: Path) -> tuple[int, str]:

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.blind.shares import share
+from benchmarks.figure import show
 from benchmarks.until import offline, times
-from tests.support.blind.shares import share
-from tests.support.figure import show
 
 PARTS = ("times", "coverage")
 #: Quantile within which an interval of 95 % holds the truth.

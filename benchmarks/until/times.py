@@ -22,11 +22,11 @@ from unittest import mock
 import numpy as np
 from click.testing import CliRunner
 
+from benchmarks.figure import figure
 from gateway.cli import main
 from gateway.result.interval import half_width
 from gateway.result.result import read_result
 from sim.serve import running
-from tests.support.figure import figure
 from tests.support.rigs.pacing import in_lockstep
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

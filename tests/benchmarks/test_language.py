@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.language import (
+from benchmarks.language import (
     counts,
     in_identifier,
     in_text,

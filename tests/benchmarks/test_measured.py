@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.measured import split
 from gateway.data.rows import MOVING
-from tests.support.measured import split
 from tests.support.rigs.tables import make_table
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.mutants import Mutant, Reach, draw, mirrored, mutated, noticed, places
+from benchmarks.mutants import Mutant, Reach, draw, mirrored, mutated, noticed, places
 
 TEXT = """
 def check(a: int | None, b):

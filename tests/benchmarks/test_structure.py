@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.code_structure import (
+from benchmarks.structure import (
     LAYERS,
     ROOT,
     TORQUE_PATH,

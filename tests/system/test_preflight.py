@@ -9,11 +9,11 @@ from contextlib import contextmanager
 
 import pytest
 
+from benchmarks.fuzz.check_files import RESULT_SEED
 from gateway.cell.config import load_cell
 from gateway.model.arm_model import arm_robot
 from sim.simulation import ServeOptions, Simulation
 from tests.support.follow.rig import EXAMPLES
-from tests.support.fuzz.check_files import RESULT_SEED
 
 pytestmark = pytest.mark.system
 

@@ -13,6 +13,8 @@ from pathlib import Path
 import can
 import pytest
 
+from benchmarks.chaos.killing import few_samples
+from benchmarks.chaos.processes import Drives, poses
 from drives.bus import BusSpec, open_bus
 from drives.errors import ForeignMaster
 from drives.group import DriveGroup, GroupOptions
@@ -23,8 +25,6 @@ from gateway.data.recording.reader import read
 from gateway.motion import opening
 from gateway.motion.opening import BusOverride, axis_setups, open_arm
 from sim.faults import Fault
-from tests.support.chaos.killing import few_samples
-from tests.support.chaos.processes import Drives, poses
 from tests.support.independent_drives import PATIENCE
 
 #: An emulated processor that others use as well answers with delay; nothing here is about time.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tests.support.bench.wire import _bus, _commands, _group
-from tests.support.bench.wire_responder import responder
+from benchmarks.bench.wire import _bus, _commands, _group
+from benchmarks.bench.wire_responder import responder
 
 
 def test_light_drives_answer_every_sync():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.blind.figures import (
+from benchmarks.blind.figures import (
     bus_figures,
     claims,
     clopper_pearson,

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import pytest
 
+from benchmarks.blind.mechanisms import MECHANISMS
+from benchmarks.blind.nature_figures import effect_figures, nuisance_figures, outlier_figures
+from benchmarks.blind.shares import middle, share
+from benchmarks.nature.nature_cell import NAMED
+from benchmarks.nature.unmodelled import UNMODELLED
+from benchmarks.nature.wiring import WIRING
 from gateway.model.effects import LIBRARY
-from sim.nature.nature_cell import NAMED
-from sim.nature.unmodelled import UNMODELLED
-from sim.nature.wiring import WIRING
-from tests.support.blind.mechanisms import MECHANISMS
-from tests.support.blind.nature_figures import effect_figures, nuisance_figures, outlier_figures
-from tests.support.blind.shares import middle, share
 
 
 def cell(kind: str = "nuisance", truth: tuple = (), found: tuple = (), verdict: str = "none_needed", **more) -> dict:

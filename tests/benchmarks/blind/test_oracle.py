@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sim.nature.effect import Mechanism, on_axis, rows_of
-from sim.nature.levels import levels_of
-from sim.nature.measuring import OutlierVisit, quiet, reported_nm
-from sim.nature.nature_cell import draw_cell
-from sim.nature.strength import halves
-from tests.support.blind import oracle
+from benchmarks.blind import oracle
+from benchmarks.nature.effect import Mechanism, on_axis, rows_of
+from benchmarks.nature.levels import levels_of
+from benchmarks.nature.measuring import OutlierVisit, quiet, reported_nm
+from benchmarks.nature.nature_cell import draw_cell
+from benchmarks.nature.strength import halves
 
 
 def test_one_parameter_with_a_prior():

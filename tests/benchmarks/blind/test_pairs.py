@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.blind.pairs import confusable_pairs
+from benchmarks.blind.pairs import confusable_pairs
 
 VERTICAL = {("joint_zero_offset", (1,)), ("torque_constant_scale", (1,)), ("load_dependent_friction", (1,))}
 VERTICAL |= {("joint_elasticity", (1,))}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.blind.strict import Said, kind, misnamed, right, there
+from benchmarks.blind.strict import Said, kind, misnamed, right, there
 
 TILT = there(("base_tilt",), (), 8.0)
 OFFSET = there(("torque_offset", "static_friction"), (3,), 5.0)

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from tests.support.chaos.heartbeats import heartbeats_after_refused_stop
-from tests.support.chaos.interrupting import ACTIONS, interrupt_commands
-from tests.support.chaos.programs import COMMANDS
-from tests.support.chaos.slow_disk import record_on_slow_disk
-from tests.support.chaos.stalling import MEASURING, stall_masters
-from tests.support.chaos.unbuffered import fastest_unbuffered
+from benchmarks.chaos.heartbeats import heartbeats_after_refused_stop
+from benchmarks.chaos.interrupting import ACTIONS, interrupt_commands
+from benchmarks.chaos.programs import COMMANDS
+from benchmarks.chaos.slow_disk import record_on_slow_disk
+from benchmarks.chaos.stalling import MEASURING, stall_masters
+from benchmarks.chaos.unbuffered import fastest_unbuffered
 
 pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.xdist_group("by-the-clock")]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.chaos.io_faults import play_again
-from tests.support.chaos.rig import rig
+from benchmarks.chaos.io_faults import play_again
+from benchmarks.chaos.rig import rig
 
 
 @pytest.mark.slow

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from benchmarks.chaos.originals import cut_in_process
 from drives import access, ledger
-from tests.support.chaos.originals import cut_in_process
 
 
 @pytest.mark.slow

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import pytest
 
+from benchmarks.chaos.remote import Remote, remote
+from benchmarks.chaos.rig import Rig, rig
+from benchmarks.chaos.scenarios import ELSEWHERE, kinds, play
+from benchmarks.chaos.stated import STATED
 from drives.realtime import RealTime
 from sim.faults import KINDS
-from tests.support.chaos.remote import Remote, remote
-from tests.support.chaos.rig import Rig, rig
-from tests.support.chaos.scenarios import ELSEWHERE, kinds, play
-from tests.support.chaos.stated import STATED
 
 IN_LOCKSTEP = (
     "tpdo_lost",

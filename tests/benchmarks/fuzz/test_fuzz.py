@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.fuzz.runner import run
-from tests.support.fuzz.targets import TARGETS, Target
+from benchmarks.fuzz.runner import run
+from benchmarks.fuzz.targets import TARGETS, Target
 
 SHORT = {"decoder": 150, "reader": 60}
 

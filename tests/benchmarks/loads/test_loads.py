@@ -18,13 +18,13 @@ from benchmarks.loads.gateway_estimate import identify
 from benchmarks.loads.methods import METHODS, answers_file, memory_file
 from benchmarks.loads.runs import runs_of, thinned
 from benchmarks.loads.score import GAIN_ROW, scores
+from benchmarks.moving.cells import PERIODS, MovingCell
+from benchmarks.moving.scores import load_truth
 from benchmarks.naming.answers import Answer, read_answers, write_answers
 from benchmarks.naming.cells import TRUTH, read_cells, write_place
 from benchmarks.naming.score import read_truth
 from gateway.data.table import Table, write_csv
 from sim.inverse import InverseDynamics
-from tests.support.moving.cells import PERIODS, MovingCell
-from tests.support.moving.scores import load_truth
 from tests.support.rigs.tables import make_table
 
 SEED = 70_000

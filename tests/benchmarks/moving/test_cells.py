@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benchmarks.moving.cells import MovingCell, draw_cell
+from benchmarks.moving.excitations import USED, random_series
+from benchmarks.moving.figures import figures
+from benchmarks.moving.oracle import about_centre, oracle_std
+from benchmarks.moving.scores import LOAD_NAMES, drawn_truth, load_truth, possible, score, tensor
+from benchmarks.moving.timing import plain_least_squares
+from benchmarks.nature.levels import MILD
+from benchmarks.nature.moving_arm import MovingArm, draw_moving_arm, moving_arm
+from benchmarks.nature.moving_cell import PeriodicMotion
 from gateway.estimate import run
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import AxisMotion, LoadResult, Result
 from sim.inverse import InverseDynamics
-from sim.nature.levels import MILD
-from sim.nature.moving_arm import MovingArm, draw_moving_arm, moving_arm
-from sim.nature.moving_cell import PeriodicMotion
 from sim.urdf import read_chain
-from tests.support.moving.cells import MovingCell, draw_cell
-from tests.support.moving.excitations import USED, random_series
-from tests.support.moving.figures import figures
-from tests.support.moving.oracle import about_centre, oracle_std
-from tests.support.moving.scores import LOAD_NAMES, drawn_truth, load_truth, possible, score, tensor
-from tests.support.moving.timing import plain_least_squares
 
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 

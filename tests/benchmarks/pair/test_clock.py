@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.chaos.processes import PAIR_EXAMPLE
+from benchmarks.pair.clock import CELL, GAP_CELL, PERIOD_S, Cycles, at_period, attempt, stepped
 from drives.errors import DriveFault, MasterStalled
 from gateway.pair.force_guard import cause_of
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairStopped
 from sim.pair.light import LightWorld
-from tests.support.chaos.processes import PAIR_EXAMPLE
-from tests.support.pair.clock import CELL, GAP_CELL, PERIOD_S, Cycles, at_period, attempt, stepped
 
 
 @pytest.fixture(params=["stays", "fades"])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.support.pair.bus_figures import figures
+from benchmarks.pair.bus_figures import figures
 
 
 def row(trouble: str, force_n: float, *, goes_on: bool, stopped: bool = False, named: bool = False) -> dict:

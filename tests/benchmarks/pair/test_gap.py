@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+from benchmarks.pair.bus_gap import GapRig, gap_rig
 from drives.errors import ConfigurationRefused
 from gateway.cli import main
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairStopped
 from sim.states import PdsState
-from tests.support.pair.bus_gap import GapRig, gap_rig
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 FAST = 3.0

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from benchmarks.pair.bus_paths import MOST, drawn_cell
+from benchmarks.pair.bus_rig import CELL
 from gateway.pair.pair_cell import load_pair, read_path
-from tests.support.pair.bus_paths import MOST, drawn_cell
-from tests.support.pair.bus_rig import CELL
 
 MM = 1e-3
 

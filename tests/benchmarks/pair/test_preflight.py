@@ -6,11 +6,11 @@ import threading
 
 import pytest
 
+from benchmarks.pair.bus_rig import bus_spec, simulated
 from gateway.errors import FindingFailed
 from gateway.pair.link import open_link
 from gateway.pair.pair_cell import load_pair
 from sim.pair.cell import PairOptions
-from tests.support.pair.bus_rig import bus_spec, simulated
 
 
 def test_a_turned_polarity_of_the_slave_refuses_both_arms() -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from benchmarks.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
 from drives.errors import DriveError
 from gateway.errors import PlanRefused
 from gateway.motion.power import powered
@@ -20,7 +21,6 @@ from gateway.pair.teach import Teacher, TeachRule
 from gateway.pair.transform_function import constant_function
 from sim.fake_drive import FakeDrive
 from sim.states import PdsState
-from tests.support.pair.bus_rig import NO_LIMIT_N, PairRig, pair_rig
 
 pytestmark = pytest.mark.system
 

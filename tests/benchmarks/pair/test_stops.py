@@ -18,6 +18,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.chaos.part_pair_stops import stopped
+from benchmarks.chaos.programs import TRIES, disturbed
+from benchmarks.pair.bus_gap import gap_rig
+from benchmarks.pair.bus_rig import CELL, NO_LIMIT_N, PairRig, inline_rig
 from drives.errors import CommandRefused
 from gateway.data.blackbox.box import read_box
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
@@ -33,10 +37,6 @@ from sim.pair.cell import PairOptions
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
 from sim.states import PdsState
-from tests.support.chaos.part_pair_stops import stopped
-from tests.support.chaos.programs import TRIES, disturbed
-from tests.support.pair.bus_gap import gap_rig
-from tests.support.pair.bus_rig import CELL, NO_LIMIT_N, PairRig, inline_rig
 from tests.support.rigs.pacing import by_the_clock
 
 pytestmark = pytest.mark.system

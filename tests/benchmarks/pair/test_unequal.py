@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.pair.bus_rig import inline_rig
+from benchmarks.pair.bus_rows import USUAL, Bench
+from benchmarks.pair.unequal import CELLS, FOLDER, ROWS, cycles_until_inside, figures_of_cell
 from gateway.pair.transform_function import constant_function
-from tests.support.pair.bus_rig import inline_rig
-from tests.support.pair.bus_rows import USUAL, Bench
-from tests.support.pair.unequal import CELLS, FOLDER, ROWS, cycles_until_inside, figures_of_cell
 
 
 @pytest.mark.parametrize(

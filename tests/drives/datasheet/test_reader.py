@@ -10,6 +10,9 @@ from pathlib import Path
 import pytest
 from canopen.objectdictionary import ODVariable, import_od
 
+from benchmarks.chaos import sheet_judge
+from benchmarks.chaos.mutated_sheets import NODE_ID, OBJECTS, mutated
+from benchmarks.chaos.sheet_judge import judged
 from drives.datasheet import building as reader
 from drives.datasheet.building import read_sheet
 from drives.datasheet.encoding import MAX_BYTES
@@ -19,9 +22,6 @@ from drives.draft.device import device_of_sheet
 from drives.draft.text import draft
 from drives.errors import ProfileError
 from drives.profile_file import PROFILE_FOLDER, parse_profile
-from tests.support import sheet_judge
-from tests.support.mutated_sheets import NODE_ID, OBJECTS, mutated
-from tests.support.sheet_judge import judged
 
 HEAD = "[DeviceInfo]\nVendorName=maker\nProductName=drive\n"
 

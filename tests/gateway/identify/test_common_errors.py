@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.nature.nature_cell import draw_cell
 from gateway.estimate import EstimateOptions, estimate
 from gateway.model.robot import robot_from_urdf
-from sim.nature.nature_cell import draw_cell
 from tests.support.rigs.tables import simulated_table
 
 GAIN_STD = 0.1

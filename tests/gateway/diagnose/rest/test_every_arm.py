@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.nature.nature_cell import NatureCell, draw_cell
 from gateway.diagnose import DiagnoseOptions, diagnose
 from gateway.model.robot import robot_from_urdf
 from gateway.result.result import Result
-from sim.nature.nature_cell import NatureCell, draw_cell
 from tests.data.resting_arm import Bench, effect, found
 from tests.support.rigs.tables import simulated_table
 

@@ -8,6 +8,8 @@ import re
 import numpy as np
 import pytest
 
+from benchmarks.blind.nature import first_diagnosis
+from benchmarks.nature.nature_cell import draw_effect_cell
 from gateway.diagnose import close_loop, diagnose
 from gateway.diagnose.rest.formula import _least_gain
 from gateway.model.effects.torque_offset import TorqueOffset
@@ -17,9 +19,7 @@ from gateway.model.unnamed import BentGain, Pull, UnevenBand, UnevenGain
 from gateway.report.render import render
 from gateway.report.summary_text import formula_text
 from gateway.result.result import from_json, to_json
-from sim.nature.nature_cell import draw_effect_cell
 from tests.data.resting_arm import Bench, effect
-from tests.support.blind.nature import first_diagnosis
 
 #: Mechanism, and the coefficient of each product of its closed form (what the modelled motor torque lacks).
 CLOSED_FORMS = [

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from benchmarks.blind.nature import run_effect
 from gateway.diagnose import diagnose
 from gateway.diagnose.rest import verdict
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
@@ -27,7 +28,6 @@ from gateway.identify.rest.hypothesis_fit import fit
 from gateway.identify.rest.linear import Noise
 from gateway.model.effects.torque_offset import TorqueOffset
 from tests.data.resting_arm import Bench, basis_of, effect, found
-from tests.support.blind.nature import run_effect
 
 POSES, ROWS = 7, 5
 NOISE = np.array([0.5, 2.0, 1.0])

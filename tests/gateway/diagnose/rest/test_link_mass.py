@@ -7,6 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from benchmarks.blind.nature import first_diagnosis
+from benchmarks.nature.nature_cell import draw_effect_cell
 from gateway.diagnose.rest.rest_outcome import contradicted
 from gateway.diagnose.rest.search import Search
 from gateway.identify.rest.problem import Knowledge, build_problem
@@ -15,9 +17,7 @@ from gateway.model.effect import RestSetup
 from gateway.model.effects import terms_at_rest
 from gateway.model.effects.link_mass import LinkMass
 from gateway.model.visits import pair_visits
-from sim.nature.nature_cell import draw_effect_cell
 from tests.data.resting_arm import Bench, effect
-from tests.support.blind.nature import first_diagnosis
 
 #: Link 3, from 0.
 LINK = 2

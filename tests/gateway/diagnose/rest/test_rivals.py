@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import pytest
 
+from benchmarks.blind.nature import first_diagnosis
+from benchmarks.nature.nature_cell import draw_effect_cell
 from gateway.diagnose.rest.verdict import _instead
 from gateway.model.effects.joint_zero_offset import JointZeroOffset
-from sim.nature.nature_cell import draw_effect_cell
-from tests.support.blind.nature import first_diagnosis
 
 FIRST, SECOND = JointZeroOffset(1), JointZeroOffset(2)
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from benchmarks.blind.nature import diagnose_options, first_diagnosis
+from benchmarks.nature.nature_cell import draw_cell, draw_effect_cell
 from gateway.diagnose.rest.diagnosis import RestDiagnosis
 from gateway.diagnose.rest.search import Search, _exchange, run
 from gateway.identify.rest.hypothesis_fit import averaged_evidence
@@ -16,8 +18,6 @@ from gateway.model.effects.balancer_spring import CoilBalancer, GasBalancer
 from gateway.model.robot import robot_from_urdf
 from gateway.model.term import Label, Term
 from gateway.model.unnamed import UNNAMED, unnamed_terms
-from sim.nature.nature_cell import draw_cell, draw_effect_cell
-from tests.support.blind.nature import diagnose_options, first_diagnosis
 from tests.support.rigs.tables import simulated_table
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim.nature.nature_cell import draw_cell, draw_effect_cell
-from tests.support.blind.nature import first_diagnosis
+from benchmarks.blind.nature import first_diagnosis
+from benchmarks.nature.nature_cell import draw_cell, draw_effect_cell
 
 
 @pytest.mark.slow

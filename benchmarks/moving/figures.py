@@ -1,0 +1,173 @@
+"""From scored cells to the figures with their goals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.blind.figures import bootstrap
+from benchmarks.blind.shares import Figures, middle, reached, share
+from benchmarks.moving.scores import AXIS_NAMES, LOAD_NAMES
+
+Floats = NDArray[np.float64]
+Cell = Mapping[str, Any]
+
+#: Half width of a 95 % interval, in standard deviations.
+HALF_WIDTH = 1.96
+#: Intervals that hold the truth.
+HOLDS = "0.93 .. 0.97"
+#: An inertia is excited where the oracle has each of its six numbers to this share of the largest principal one.
+EXCITED = 0.1
+#: Goals of the friction curve: share of the true value.
+CURVE = {"coulomb_nm": 0.03, "viscous_nm_s_rad": 0.05}
+WORDS = {
+    "coulomb_nm": "Coulomb friction",
+    "viscous_nm_s_rad": "viscous friction",
+    "rotor_inertia_kg_m2": "rotor inertia",
+    "load_friction": "load friction",
+    "delay_s": "delay",
+}
+TIER_WORDS = {"known": "gain known", "stated": "gain as stated", "ratios": "gain as ratios only", "bus": "over the bus"}
+
+
+def figures(cells: Sequence[Cell]) -> Figures:
+    """Figures of all cells, tier by tier."""
+    out: Figures = {}
+    for tier, words in TIER_WORDS.items():
+        here = [cell for cell in cells if cell["tier"] == tier]
+        if here:
+            out |= {f"{words}: {name}": entry for name, entry in tier_figures(here, tier).items()}
+    where = "over the bus: " if all(cell["tier"] == "bus" for cell in cells) else ""
+    out[f"{where}impossible inertias reported"] = _count([cell["impossible"] for cell in cells], "== 0")
+    out[f"{where}cells refused"] = _count([bool(cell["refused"]) for cell in cells])
+    return out
+
+
+def tier_figures(cells: Sequence[Cell], tier: str) -> Figures:
+    """Figures of the cells of one tier."""
+    return load_figures(cells, tier) | width_figures(cells) | axis_figures(cells)
+
+
+def load_figures(cells: Sequence[Cell], tier: str) -> Figures:
+    """Errors of mass, centre of gravity and inertia, and what their intervals hold."""
+    value, std, truth = (_load(cells, key) for key in ("value", "std", "truth"))
+    off = value - truth
+    mass = 100.0 * np.abs(off[:, 0]) / truth[:, 0]
+    out = {
+        "median error of the mass": middle(mass, "<= 0.5" if tier == "known" else "printed", "% of"),
+        "median error of the centre of gravity": middle(
+            1000.0 * np.linalg.norm(off[:, 1:4], axis=1), "<= 1.5" if tier == "known" else "printed", "mm of"
+        ),
+        "median error of the inertia where excited, over the largest principal": middle(
+            [worst for cell in cells if (worst := inertia_error(cell)) is not None], "<= 10", "% of"
+        ),
+        "inertias that are excited": share([float(excited(cell)) for cell in cells]),
+        "excited inertias that were given": share([float(_has_inertia(cell)) for cell in cells if excited(cell)]),
+    }
+    if tier == "ratios":
+        out["rms of the error of the mass"] = _rms(100.0 * off[:, 0] / truth[:, 0], "<= 3", "%")
+        known = np.isfinite(off[:, 0])
+        twice = np.median(std[known, 0] / truth[known, 0]) / np.sqrt(np.mean((off[known, 0] / truth[known, 0]) ** 2))
+        out["median stated standard deviation over the rms error, mass"] = _plain(float(twice), "<= 2")
+    inside = np.abs(off) < HALF_WIDTH * std
+    for number, name in enumerate(LOAD_NAMES):
+        known = np.isfinite(value[:, number]) & np.isfinite(std[:, number])
+        out[f"95 % intervals that hold the truth, {name}"] = share(inside[known, number].astype(float).tolist(), HOLDS)
+    return out
+
+
+def width_figures(cells: Sequence[Cell]) -> Figures:
+    """Predicted against real standard deviation, and against the oracle's."""
+    value, std, truth, oracle = (_load(cells, key) for key in ("value", "std", "truth", "oracle"))
+    out: Figures = {}
+    for words, part in (("mass", slice(0, 1)), ("centre", slice(1, 4)), ("inertia", slice(4, 10))):
+        score = ((value - truth) / std)[:, part].ravel()
+        out[f"predicted over real standard deviation, {words}"] = _predicted(score)
+        out[f"standard deviation over the oracle's, {words}"] = middle((std / oracle)[:, part].ravel().tolist())
+    return out
+
+
+def axis_figures(cells: Sequence[Cell]) -> Figures:
+    """Errors of the axis parameters from motion, and the coverage of their intervals."""
+    out: Figures = {}
+    for name in AXIS_NAMES:
+        value, std, truth, oracle = (_axes(cells, name, key) for key in ("value", "std", "truth", "oracle"))
+        if not np.isfinite(value).any():
+            continue
+        known = np.isfinite(value) & np.isfinite(std) & np.isfinite(truth)
+        share_off = np.abs(value - truth) / np.where(truth == 0.0, np.nan, np.abs(truth))
+        goal = f"<= {100.0 * CURVE[name]:g}" if name in CURVE else "printed"
+        words = WORDS[name]
+        out[f"{words}: median error"] = middle((100.0 * share_off).tolist(), goal, "% of")
+        held = np.abs(value - truth)[known] < HALF_WIDTH * std[known]
+        out[f"{words}: 95 % intervals that hold the truth"] = share(held.astype(float).tolist(), HOLDS)
+        out[f"{words}: standard deviation over the oracle's"] = middle((std / oracle)[known].tolist())
+    return out
+
+
+def excited(cell: Cell) -> bool:
+    """Return whether the runs excite the inertia of the load, by the oracle; without oracle, by the result."""
+    load = cell["load"]
+    std = load["oracle"] if np.isfinite(load["oracle"][4:]).all() else load["std"]
+    return bool(max(std[4:]) <= EXCITED * cell["largest_kg_m2"])
+
+
+def inertia_error(cell: Cell) -> float | None:
+    """Largest error of the six numbers over the largest principal inertia [%]; None where not excited or not given."""
+    if not excited(cell) or not _has_inertia(cell):
+        return None
+    off = np.array(cell["load"]["value"][4:]) - np.array(cell["load"]["truth"][4:])
+    return 100.0 * float(np.abs(off).max()) / cell["largest_kg_m2"]
+
+
+def _has_inertia(cell: Cell) -> bool:
+    return bool(np.isfinite(cell["load"]["value"][4:]).all())
+
+
+def _load(cells: Sequence[Cell], key: str) -> Floats:
+    return np.array([cell["load"][key] for cell in cells], dtype=float)
+
+
+def _axes(cells: Sequence[Cell], name: str, key: str) -> Floats:
+    return np.concatenate([np.array(cell["axes"][name][key], dtype=float) for cell in cells])
+
+
+def _predicted(score: Floats) -> dict:
+    """Stated standard deviation over the one that the errors have, by a spread that outliers do not move."""
+    known = score[np.isfinite(score)]
+    return _with_interval(known, lambda values: 1.0 / max(_typical(values), 1e-12), "0.9 .. 1.1")
+
+
+def _typical(values: Iterable[float]) -> float:
+    """Standard deviation about 0 of a normal distribution with the median size of the values."""
+    known = np.abs(np.asarray(list(values)))
+    known = known[np.isfinite(known)]
+    return float(np.median(known)) / 0.6745 if len(known) else float("nan")
+
+
+def _rms(values: Floats, goal: str, unit: str) -> dict:
+    known = values[np.isfinite(values)]
+    return _with_interval(known, lambda part: float(np.sqrt(np.mean(part**2))), goal, f"{unit} of {len(known)}")
+
+
+def _with_interval(values: Floats, statistic: Callable[[Floats], float], goal: str, unit: str = "") -> dict:
+    if not len(values):
+        return {"value": float("nan"), "interval": [float("nan")] * 2, "unit": unit, "goal": goal, "met": None}
+    value = statistic(values)
+    interval = bootstrap(values.tolist(), statistic)
+    return {"value": value, "interval": interval, "unit": unit, "goal": goal, "met": reached(value, goal)}
+
+
+def _plain(value: float, goal: str) -> dict:
+    met = reached(value, goal) if np.isfinite(value) else None
+    return {"value": value, "interval": [value, value], "unit": "", "goal": goal, "met": met}
+
+
+def _count(hits: Sequence[float], goal: str = "printed") -> dict:
+    value = float(np.sum(hits))
+    unit = f"of {len(hits)}"
+    met = True if goal == "printed" else value == 0.0
+    return {"value": value, "interval": [value, value], "unit": unit, "goal": goal, "met": met}
