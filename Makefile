@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom interpreters clean
+.PHONY: venv demo test test-slow lint docs bench blind blind-nature blind-moving naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
 
 venv: $(STAMP)
 
@@ -62,6 +62,10 @@ blind: venv
 blind-nature: venv
 	$(BIN)/python -m benchmarks.blind --tier nature --out out/blind-nature
 
+# Arms drawn by nature in motion, each with one unstated mechanism or none: half an hour.
+blind-moving: venv
+	$(BIN)/python -m benchmarks.moving.blind --out out/blind-moving
+
 # What estimate and diagnose answer to 248 tables, against the stored answer (--store replaces it): a quarter of an hour.
 golden: venv
 	$(BIN)/python -m benchmarks.golden --out out/golden
@@ -74,7 +78,7 @@ calibrated: venv
 conflict: venv
 	$(BIN)/python -m benchmarks.conflict --out out/conflict
 
-# Certificate against a Monte Carlo, acceptance of 200 arms, replays, cycle times of 20 paths: half an hour when idle.
+# Acceptance of 200 arms, replays, cycle times of 20 paths: half an hour when idle.
 certify: venv
 	$(BIN)/python -m benchmarks.certify --out out/certify
 
@@ -147,10 +151,6 @@ pages: venv
 package sbom: venv
 	$(INSTALL) -e ".[package]"
 	$(BIN)/python -m benchmarks.package --out out/package
-
-# The tests without the simulator on CPython 3.12 and 3.13, where they are found: a quarter of an hour.
-interpreters: venv
-	$(BIN)/python -m benchmarks.interpreters --out out/interpreters
 
 # Pinned packages with their hashes, for `pip install --require-hashes -r requirements.txt`: after a change of a pin.
 requirements.txt: pyproject.toml constraints.txt

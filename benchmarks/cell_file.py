@@ -20,7 +20,7 @@ rated_load_kg = {{ value = {rated:.6g}, source = "drawn" }}
 AXIS = """[[arm.axis]]
 node_id = {number}
 profile = "generic-cia402"
-torque_constant_nm_per_a = {{ value = 1.0, source = "datasheet", std_percent = 3.0 }}
+torque_constant_nm_per_a = {{ value = 1.0, source = "datasheet", std_percent = {std_percent:.6g} }}
 gear_ratio = {{ value = 100, source = "drawn" }}
 gear_efficiency = {{ value = 1.0, source = "assumed" }}
 position_sign = 1
@@ -32,10 +32,12 @@ torque_limit_nm = {torque:.6g}
 """
 
 
-def write_cell_file(folder: Path, rated_kg: float, limit_rad: ArrayLike, torque_nm: ArrayLike) -> None:
+def write_cell_file(
+    folder: Path, rated_kg: float, limit_rad: ArrayLike, torque_nm: ArrayLike, gain_std: float = 0.03
+) -> None:
     """Write the cell file of an arm with `arm.urdf` beside it; joint and torque limits (N,)."""
     axes = [
-        AXIS.format(number=number, low=-limit, high=limit, torque=torque)
+        AXIS.format(number=number, low=-limit, high=limit, torque=torque, std_percent=100.0 * gain_std)
         for number, (limit, torque) in enumerate(zip(limit_rad, torque_nm, strict=True), 1)  # pyright: ignore
     ]
     (folder / "cell.toml").write_text(CELL.format(rated=rated_kg, axes="".join(axes)), encoding="utf-8")

@@ -11,9 +11,9 @@ constants and a bias of friction by direction.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from sim.offline import PlannedVisit, Protocol, gravity_columns, measure, point_
 from sim.plant import Plant
 
 Array = NDArray[np.float64]
+Drawn = TypeVar("Drawn")
 
 LEAST_STRENGTH, MOST_STRENGTH = 1.5, 20.0
 #: Nuisance parameters, one standard deviation: relative error of a torque constant, bias by direction over the band.
@@ -112,18 +113,30 @@ def _applies(name: str, arm: DrawnArm, two: bool) -> bool:
 def scaled(
     arm: DrawnArm, visits: list[PlannedVisit], maker: Maker, wanted: float, rng: np.random.Generator
 ) -> tuple[Effect, float]:
-    """An effect whose strength is `wanted`, as far as its physical limit lets it; of several draws the closest."""
-    best: tuple[Effect, float] | None = None
+    """An effect whose strength is `wanted`, as far as its physical limit lets it."""
+    return closest(lambda: maker(arm, rng), lambda effect: strength(arm, visits, effect), wanted)
+
+
+def closest(
+    draw: Callable[[], tuple[Callable[[float], Drawn], float | None]],
+    strength_of: Callable[[Drawn], float],
+    wanted: float,
+) -> tuple[Drawn, float]:
+    """Of several drawn effects the one whose strength, with its size scaled up to its limit, is closest to `wanted`.
+
+    An effect without a limit has no size; its strength is infinite.
+    """
+    best: tuple[Drawn, float] | None = None
     for _ in range(4):
-        build, limit = maker(arm, rng)
+        build, limit = draw()
         if limit is None:
             return build(0.0), float("inf")
         size = 0.1 * limit
         for _ in range(4):
-            reached = strength(arm, visits, build(size))
+            reached = strength_of(build(size))
             size = min(limit, size * wanted / max(reached, 1e-12))
         effect = build(size)
-        reached = strength(arm, visits, effect)
+        reached = strength_of(effect)
         if best is None or abs(np.log(max(reached, 1e-9) / wanted)) < abs(np.log(max(best[1], 1e-9) / wanted)):
             best = effect, reached
         if reached > 0.95 * wanted:
@@ -202,17 +215,3 @@ def _position_friction(arm: DrawnArm, wanted: float, rng: np.random.Generator) -
 
     reached = swing / np.sqrt(2.0) * float(arm.plant.coulomb_nm[axis] / arm.floor_nm[axis])
     return replace(arm.protocol, band_factor=factor), reached
-
-
-__all__ = [
-    "LEAST_STRENGTH",
-    "MOST_STRENGTH",
-    "VISIT_S",
-    "BlindCell",
-    "Truth",
-    "draw_cell",
-    "scaled",
-    "strength",
-    "strength_beyond",
-    "wanted_strength",
-]

@@ -20,8 +20,8 @@ from gateway.model.effects import terms_at_rest
 from gateway.model.robot import Robot, robot_from_urdf
 from gateway.model.visits import pair_visits
 from gateway.result.result import LoadResult, Result
-from sim.blind import LEAST_STRENGTH, VISIT_S, BlindCell, draw_cell, strength_beyond
-from sim.draw import choose_poses
+from sim.blind import LEAST_STRENGTH, BlindCell, draw_cell, strength_beyond
+from sim.draw import VISIT_S, choose_poses
 from sim.offline import PlannedVisit
 from tests.support.rigs.tables import simulated_table
 

@@ -37,7 +37,7 @@ def answer_of(task: tuple[int, str]) -> dict:
     seed, name = task
     condition = CONDITIONS[name]
     if condition.kind == "next load":
-        return {"seed": seed, "condition": name} | _deviation(*next_load(seed, condition.poses, condition.gain_std), [])
+        return {"seed": seed, "condition": name} | _deviation(*next_load(seed, condition.poses, condition.gain_std))
     cell = draw(seed, condition.gain_std)
     q_rad, motion = poses(cell, condition.poses), excitation(cell)
     place_nm = place_torques(cell, condition.poses, condition.repeats)

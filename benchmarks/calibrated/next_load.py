@@ -24,8 +24,8 @@ from gateway.data.table import write_csv
 from gateway.identify.drift import AGAIN
 
 
-def next_load(seed: int, pose_count: int, gain_std: float) -> tuple[np.ndarray, dict | str]:
-    """Return the true next load (4,), and the load that `estimate` answers or why there is none.
+def next_load(seed: int, pose_count: int, gain_std: float) -> tuple[np.ndarray, dict | str, list[str]]:
+    """Return the true next load (4,), the load that `estimate` answers or why there is none, and its warnings.
 
     `calibrate` reads a weighed load between two unloaded blocks; `estimate` reads the unloaded arm and the next load.
     Every block has a change of gain of its own.
@@ -43,15 +43,17 @@ def next_load(seed: int, pose_count: int, gain_std: float) -> tuple[np.ndarray, 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "arm.urdf").write_text(stated_urdf(cell), encoding="utf-8")
-        write_cell_file(folder, cell.arm.rated_kg, cell.arm.geometry.limit_rad, 100.0 * cell.band_nm)
+        write_cell_file(folder, cell.arm.rated_kg, cell.arm.geometry.limit_rad, 100.0 * cell.band_nm, gain_std)
         for file, block in (("weighed.csv", rows[0] + rows[1] + again), ("next.csv", rows[3] + rows[4])):
             write_csv(as_table(block), folder / file)
         known = "weight=" + ",".join(f"{value:.9g}" for value in weight)
         code, said = invoked("calibrate", folder / "cell.toml", "--known", known, "--from", folder / "weighed.csv")
         if code:
-            return cell.load, f"calibrate: exit {code}: {said[-300:]}"
+            return cell.load, f"calibrate: exit {code}: {said[-300:]}", []
         answer = folder / "answer.json"
         _, said = invoked("estimate", folder / "next.csv", "--cell", folder / "cell.toml", "--json", answer)
         if not answer.exists():
-            return cell.load, f"estimate: {said[-300:]}"
-        return cell.load, json.loads(answer.read_text(encoding="utf-8"))["loads"][0]
+            return cell.load, f"estimate: {said[-300:]}", []
+        result = json.loads(answer.read_text(encoding="utf-8"))
+    warnings = [finding["what"] for finding in result["findings"] if finding["severity"] != "info"]
+    return cell.load, result["loads"][0], warnings

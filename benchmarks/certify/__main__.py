@@ -1,6 +1,6 @@
-"""What the certificate states, whether a wrong load is accepted, what a load costs, and whether a replay differs.
+"""Whether a wrong load is accepted, what a load costs, and whether a replay differs.
 
-python -m benchmarks.certify [--arms 200] [--draws 1000] [--replays 10] [--paths 20] [--drifts 60]
+python -m benchmarks.certify [--arms 200] [--replays 10] [--paths 20] [--drifts 60]
                             [--drives 20] [--jobs 1] [--out out/certify]
 
 Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of their own.
@@ -9,9 +9,6 @@ Arms of `benchmarks.conflict`: torque by pinocchio, friction, gears and noise of
   reaches twice the tolerance somewhere in the workspace. The errors are another mass or centre of the
   load, a spring, a cable, a tilted base, a shifted joint zero, a hose on the forearm, a changed gain. The poses of the
   design of `accept` are measured with other friction and noise, and `accept --from` decides.
-- Expanded uncertainty: Monte Carlo of JCGM 101. Torque constants, links, friction and noise are drawn from the priors
-  that the estimate assumes, and the mass is estimated from each draw. Half the 95 % interval of its error is compared
-  with the expanded uncertainty of the certificate.
 - Replay: stored measurements are computed again with another number of threads.
 - Temperature: mass with a drift by recorded temperatures, against time alone.
 - Drive test: figures of `drive test` in real time against the truth, defects of drives found, false alarms.
@@ -31,7 +28,6 @@ def main(argv: list[str]) -> int:
     """Exit 1 when a goal is missed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.certify", description=__doc__)
     parser.add_argument("--arms", type=int, default=200)
-    parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--replays", type=int, default=10)
     parser.add_argument("--paths", type=int, default=20)
     parser.add_argument("--drifts", type=int, default=60)
@@ -43,7 +39,6 @@ def main(argv: list[str]) -> int:
         os.environ[name] = "1"
     from benchmarks.blind.__main__ import run
     from benchmarks.certify.acceptance import acceptance_figures, accepted_arm
-    from benchmarks.certify.certificate import certificate_figures, drawn_mass
     from benchmarks.certify.drive_test import measure_drives
     from benchmarks.certify.load_cost import cost_figures, cost_of_path
     from benchmarks.certify.replays import replay_figures, replayed
@@ -55,8 +50,6 @@ def main(argv: list[str]) -> int:
     figures: dict[str, dict] = {}
     arms = run(accepted_arm, range(arguments.arms), arguments.jobs, out / "arms.jsonl")
     figures |= acceptance_figures(arms)
-    draws = run(drawn_mass, range(arguments.draws), arguments.jobs, out / "draws.jsonl")
-    figures |= certificate_figures(draws)
     figures |= replay_figures(run(replayed, range(arguments.replays), arguments.jobs, out / "replays.jsonl"))
     figures |= cost_figures(run(cost_of_path, range(arguments.paths), arguments.jobs, out / "paths.jsonl"))
     figures |= temperature_figures(run(drifting_arm, range(arguments.drifts), arguments.jobs, out / "drifts.jsonl"))

@@ -14,7 +14,7 @@ from benchmarks.conflict.conditions import CONDITIONS
 #: Median standard deviation of the mass on clean cells that may be reached, over the true mass.
 CLEAN_STD = 1.25 * 0.0159
 FALSE_ALARMS = {"clean": "<= 0.02", "clean, nature": "<= 0.03", "known mass": "<= 0.02"}
-UNREPORTED, HOLD, HOLD_POOLED = "<= 0.01", ">= 0.88", ">= 0.93"
+UNREPORTED = "<= 0.01"
 
 
 def checks(answer: dict) -> set[str]:
@@ -56,8 +56,6 @@ def figures(answers: Sequence[dict]) -> Figures:
         of_variant = [answer for answer in answers if answer["variant"] == variant]
         for name in (name for name in CONDITIONS if any(a["condition"] == name for a in of_variant)):
             out |= _of_condition(name, variant, [a for a in of_variant if a["condition"] == name])
-    loads = given_loads(answer for answer in answers if not CONDITIONS[answer["condition"]].open)
-    out["95 % of mass hold, all conditions"] = share([load["holds"] for load in loads], HOLD_POOLED)
     out["defects of the program"] = share([answer["exit"] == DEFECT for answer in answers], "<= 0")
     return out
 
@@ -65,8 +63,6 @@ def figures(answers: Sequence[dict]) -> Figures:
 def _of_condition(name: str, variant: str, answers: Sequence[dict]) -> Figures:
     of, loads = f"{name} ({variant})", given_loads(answers)
     out = {f"{of}: unreported": share([is_unreported(a) for a in answers], UNREPORTED)}
-    if loads and not CONDITIONS[name].open:
-        out[f"{of}: 95 % of mass hold"] = share([load["holds"] for load in loads], HOLD)
     if CONDITIONS[name].clean:
         goal = FALSE_ALARMS[name] if variant == "floor" else "printed"
         out[f"{of}: warned"] = share([false_alarm(a) for a in answers], goal)
@@ -84,8 +80,6 @@ def condition_table(answers: Sequence[dict]) -> Table:
         "unreported",
         "warned",
         "refused",
-        "mass holds",
-        "centre holds",
         "mean error",
         "rms",
         "median std",
@@ -94,15 +88,12 @@ def condition_table(answers: Sequence[dict]) -> Table:
     for name, variant in dict.fromkeys((a["condition"], a["variant"]) for a in answers):
         these = [a for a in answers if (a["condition"], a["variant"]) == (name, variant)]
         loads = given_loads(these)
-        centre = [held for load in loads for held in load.get("centre_holds", ())]
         error = [load["error"] for load in loads]
         cells = [
             str(len(these)),
             str(sum(map(is_unreported, these))),
             _percent([(false_alarm if CONDITIONS[name].clean else warned)(a) for a in these]),
             _percent([refused(a) for a in these]),
-            _percent([load["holds"] for load in loads]),
-            _percent(centre),
             _percent(error, 1),
             _percent([(sum(e * e for e in error) / len(error)) ** 0.5] if error else [], 1),
             _percent(sorted(load["std"] for load in loads)[len(loads) // 2 :][:1], 2),

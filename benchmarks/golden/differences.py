@@ -41,7 +41,7 @@ def print_differences(before: Answers, after: Answers) -> None:
         console.print(line, highlight=False, markup=False)
 
 
-def changes(before: Answers, after: Answers) -> list[str]:
+def changes(before: Answers, after: Answers, tolerance: float = TOLERANCE) -> list[str]:
     """Return a line for each answer whose exit code, loads, verdict, effects or findings are others now."""
     lines = []
     for name in after:
@@ -55,7 +55,7 @@ def changes(before: Answers, after: Answers) -> list[str]:
                 if old[key] != new[key]
             ]
             size = largest_difference(old, new) or 0.0
-            if old["loads"].keys() != new["loads"].keys() or size > TOLERANCE:
+            if old["loads"].keys() != new["loads"].keys() or size > tolerance:
                 differences.append(f"loads: {_masses(old)} -> {_masses(new)} (largest relative difference {size:.1e})")
             if differences:
                 lines.append(f"{name} {command}: {'; '.join(differences)}")

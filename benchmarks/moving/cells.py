@@ -15,6 +15,7 @@ from benchmarks.moving.scores import drawn_truth, score
 from benchmarks.nature.levels import levels_of
 from benchmarks.nature.moving_arm import MovingArm, StatedMoving, draw_moving_arm
 from benchmarks.nature.moving_cell import PeriodicMotion, measure_moving
+from benchmarks.nature.moving_effects import MovingEffect
 from gateway.data.rows import MOVING, Table, concatenate
 from gateway.errors import GatewayError
 from gateway.estimate import EstimateOptions, run
@@ -36,7 +37,9 @@ TIERS = ("known", "stated", "ratios")
 
 @dataclass(frozen=True, slots=True)
 class MovingCell:
-    """One arm with its runs, as it is and as its owner states it; `gain_std` None = the owner states nothing."""
+    """One arm with its runs, as it is and as its owner states it; `gain_std` None = the owner states nothing.
+
+    `effect` is a mechanism that is not stated."""
 
     seed: int
     tier: str
@@ -46,6 +49,7 @@ class MovingCell:
     series: Series
     rate_hz: float
     start_s: dict[str, float]
+    effect: MovingEffect | None = None
 
     @property
     def motion(self) -> PeriodicMotion:
@@ -76,7 +80,7 @@ class MovingCell:
     def run(self, label: str) -> Table:
         """Rows of one of both runs."""
         rng = np.random.default_rng([self.seed, STREAM, 1 + list(self.start_s).index(label)])
-        return moving_table(measure_moving(self.arm, self.motion, label, self.start_s[label], rng))
+        return moving_table(measure_moving(self.arm, self.motion, label, self.start_s[label], rng, self.effect))
 
 
 def moving_table(columns: dict[str, NDArray[Any]]) -> Table:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from benchmarks.blind.figures import bootstrap
 from benchmarks.blind.shares import Figures, middle, reached, share
-from benchmarks.moving.scores import AXIS_NAMES, LOAD_NAMES
+from benchmarks.moving.scores import AXIS_NAMES
 
 Floats = NDArray[np.float64]
 Cell = Mapping[str, Any]
@@ -52,8 +52,8 @@ def tier_figures(cells: Sequence[Cell], tier: str) -> Figures:
 
 
 def load_figures(cells: Sequence[Cell], tier: str) -> Figures:
-    """Errors of mass, centre of gravity and inertia, and what their intervals hold."""
-    value, std, truth = (_load(cells, key) for key in ("value", "std", "truth"))
+    """Errors of mass, centre of gravity and inertia."""
+    value, truth = _load(cells, "value"), _load(cells, "truth")
     off = value - truth
     mass = 100.0 * np.abs(off[:, 0]) / truth[:, 0]
     out = {
@@ -69,23 +69,14 @@ def load_figures(cells: Sequence[Cell], tier: str) -> Figures:
     }
     if tier == "ratios":
         out["rms of the error of the mass"] = _rms(100.0 * off[:, 0] / truth[:, 0], "<= 3", "%")
-        known = np.isfinite(off[:, 0])
-        twice = np.median(std[known, 0] / truth[known, 0]) / np.sqrt(np.mean((off[known, 0] / truth[known, 0]) ** 2))
-        out["median stated standard deviation over the rms error, mass"] = _plain(float(twice), "<= 2")
-    inside = np.abs(off) < HALF_WIDTH * std
-    for number, name in enumerate(LOAD_NAMES):
-        known = np.isfinite(value[:, number]) & np.isfinite(std[:, number])
-        out[f"95 % intervals that hold the truth, {name}"] = share(inside[known, number].astype(float).tolist(), HOLDS)
     return out
 
 
 def width_figures(cells: Sequence[Cell]) -> Figures:
-    """Predicted against real standard deviation, and against the oracle's."""
-    value, std, truth, oracle = (_load(cells, key) for key in ("value", "std", "truth", "oracle"))
+    """Stated standard deviation of the load against the oracle's."""
+    std, oracle = (_load(cells, key) for key in ("std", "oracle"))
     out: Figures = {}
     for words, part in (("mass", slice(0, 1)), ("centre", slice(1, 4)), ("inertia", slice(4, 10))):
-        score = ((value - truth) / std)[:, part].ravel()
-        out[f"predicted over real standard deviation, {words}"] = _predicted(score)
         out[f"standard deviation over the oracle's, {words}"] = middle((std / oracle)[:, part].ravel().tolist())
     return out
 
@@ -135,19 +126,6 @@ def _axes(cells: Sequence[Cell], name: str, key: str) -> Floats:
     return np.concatenate([np.array(cell["axes"][name][key], dtype=float) for cell in cells])
 
 
-def _predicted(score: Floats) -> dict:
-    """Stated standard deviation over the one that the errors have, by a spread that outliers do not move."""
-    known = score[np.isfinite(score)]
-    return _with_interval(known, lambda values: 1.0 / max(_typical(values), 1e-12), "0.9 .. 1.1")
-
-
-def _typical(values: Iterable[float]) -> float:
-    """Standard deviation about 0 of a normal distribution with the median size of the values."""
-    known = np.abs(np.asarray(list(values)))
-    known = known[np.isfinite(known)]
-    return float(np.median(known)) / 0.6745 if len(known) else float("nan")
-
-
 def _rms(values: Floats, goal: str, unit: str) -> dict:
     known = values[np.isfinite(values)]
     return _with_interval(known, lambda part: float(np.sqrt(np.mean(part**2))), goal, f"{unit} of {len(known)}")
@@ -159,11 +137,6 @@ def _with_interval(values: Floats, statistic: Callable[[Floats], float], goal: s
     value = statistic(values)
     interval = bootstrap(values.tolist(), statistic)
     return {"value": value, "interval": interval, "unit": unit, "goal": goal, "met": reached(value, goal)}
-
-
-def _plain(value: float, goal: str) -> dict:
-    met = reached(value, goal) if np.isfinite(value) else None
-    return {"value": value, "interval": [value, value], "unit": "", "goal": goal, "met": met}
 
 
 def _count(hits: Sequence[float], goal: str = "printed") -> dict:

@@ -78,21 +78,11 @@ def oracle_std(cell: Cell) -> dict[str, Floats]:
     """Standard deviation of the load's ten numbers, under `load`, and of every axis's (N,) by quantity."""
     arm = cell.arm
     axes = len(arm.rated_nm)
-    runs = [_run(cell, label) for label in cell.start_s]
-    bodies = _link_columns(arm, cell.link_std)
-    shared = bodies.shape[1] + PER_BODY
-    parts = [_axis_columns(arm, runs, axis, cell.motion) for axis in range(axes)]
-    own = [part.shape[1] for part in parts]
-    first = shared + np.concatenate([[0], np.cumsum(own)])
-    information = np.zeros((first[-1], first[-1]))
+    shared, columns = _columns(cell)
+    first = [int(index[shared]) for index, _ in columns]
+    information = _information(columns)
     load_std = _load_scale(arm)
-    for axis, part in enumerate(parts):
-        body = np.concatenate([run.regressor[:, axis] @ bodies for run in runs])
-        load = np.concatenate([run.loaded * run.regressor[:, axis, -PER_BODY:] * load_std for run in runs])
-        index = np.concatenate([np.arange(shared), np.arange(first[axis], first[axis + 1])])
-        white = _whitened(arm, axis, np.hstack([body, load, part]), cell.motion, len(runs))
-        information[np.ix_(index, index)] += white.T @ white
-    covariance = np.linalg.inv(information + np.eye(len(information)))
+    covariance = np.linalg.inv(information)
     load = covariance[shared - PER_BODY : shared, shared - PER_BODY : shared] * np.outer(load_std, load_std)
     std = np.sqrt(np.diag(covariance))
     sizes = _own_sizes(arm)
@@ -102,6 +92,56 @@ def oracle_std(cell: Cell) -> dict[str, Floats]:
     }
     jacobian = _differentiated(about_centre, _parameters(arm))
     return out | {"load": np.sqrt(np.diag(jacobian @ load @ jacobian.T))}
+
+
+def beyond_nuisances(cell: Cell, added_nm: Mapping[str, Floats]) -> Floats:
+    """Return how far (N,) a torque is beyond everything that has a column here, in standard deviations of all rows.
+
+    `added_nm` is the torque (periods, n, N) that is added in the run of each label. What differs from the mean over the
+    periods has no column.
+    """
+    arm, motion, runs = cell.arm, cell.motion, len(cell.start_s)
+    _, columns = _columns(cell)
+    mean = np.concatenate([added_nm[label].mean(axis=0) for label in cell.start_s])
+    targets = [_whitened(arm, axis, mean[:, [axis]], motion, runs)[:, 0] for axis in range(mean.shape[1])]
+    drawn = np.zeros(columns[-1][0][-1] + 1)
+    for (index, white), target in zip(columns, targets, strict=True):
+        drawn[index] += white.T @ target
+    value = np.linalg.solve(_information(columns), drawn)
+    out = np.array(
+        [np.sum((t - white @ value[index]) ** 2) for (index, white), t in zip(columns, targets, strict=True)]
+    )
+    for number in range(motion.periods):
+        off = np.concatenate([added_nm[label][number] for label in cell.start_s]) - mean
+        single = [_whitened(arm, axis, off[:, [axis]], motion, runs) for axis in range(off.shape[1])]
+        # of one period: its noise has `periods` times the variance of the mean's
+        out += np.array([np.sum(part**2) for part in single]) / motion.periods
+    return np.sqrt(out)
+
+
+def _columns(cell: Cell) -> tuple[int, list[tuple[NDArray[np.int_], Floats]]]:
+    """Return how many columns all axes share, and for each axis the places and whitened columns of its rows."""
+    arm, motion = cell.arm, cell.motion
+    runs = [_run(cell, label) for label in cell.start_s]
+    bodies, load_std = _link_columns(arm, cell.link_std), _load_scale(arm)
+    first = shared = bodies.shape[1] + PER_BODY
+    columns = []
+    for axis in range(len(arm.rated_nm)):
+        part = _axis_columns(arm, runs, axis, motion)
+        body = np.concatenate([run.regressor[:, axis] @ bodies for run in runs])
+        load = np.concatenate([run.loaded * run.regressor[:, axis, -PER_BODY:] * load_std for run in runs])
+        index = np.concatenate([np.arange(shared), np.arange(first, first + part.shape[1])])
+        columns.append((index, _whitened(arm, axis, np.hstack([body, load, part]), motion, len(runs))))
+        first += part.shape[1]
+    return shared, columns
+
+
+def _information(columns: list[tuple[NDArray[np.int_], Floats]]) -> Floats:
+    """Information of all rows and priors about the columns."""
+    out = np.eye(columns[-1][0][-1] + 1)
+    for index, white in columns:
+        out[np.ix_(index, index)] += white.T @ white
+    return out
 
 
 def about_centre(parameters: Floats) -> Floats:

@@ -7,7 +7,7 @@ the samples. Speeds and accelerations are computed from the reported position, a
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter, lfilter_zi, resample
 
 from benchmarks.nature.moving_arm import MovingArm
+from benchmarks.nature.moving_effects import MovingEffect
 from sim.inverse import InverseDynamics
 
 Array = NDArray[np.float64]
@@ -25,6 +26,8 @@ States = Callable[[Array], Sequence[Array]]
 FINE = 8
 #: Minimum samples per second of the links' torque; it has no faster components.
 RIGID_HZ = 50.0
+#: Harmonics of a period up to which a bent gear follows.
+RIGID_HARMONICS = 40
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +57,12 @@ class PeriodicMotion:
 
 
 def measure_moving(
-    arm: MovingArm, motion: PeriodicMotion, load: str, start_s: float, rng: np.random.Generator
+    arm: MovingArm,
+    motion: PeriodicMotion,
+    load: str,
+    start_s: float,
+    rng: np.random.Generator,
+    effect: MovingEffect | None = None,
 ) -> dict[str, NDArray[Any]]:
     """Columns of a measured table of one run.
 
@@ -62,9 +70,10 @@ def measure_moving(
     ----------
     load : `none`, or the label of the tool
     start_s : time since the arm was cold, of the first sample
+    effect : mechanism beyond what the owner states
     """
     count = motion.samples
-    shown, drive = reported_nm(arm, motion, load, start_s, rng)
+    shown, drive = reported_nm(arm, motion, load, start_s, rng, effect)
     seen = shown[::FINE] + electrical_noise(arm, len(drive), motion.rate_hz, rng)
     q, qd, qdd = reported_motion(arm, motion, rng)
     phase = np.tile(np.arange(count) / motion.rate_hz, motion.periods)
@@ -84,20 +93,34 @@ def measure_moving(
 
 
 def reported_nm(
-    arm: MovingArm, motion: PeriodicMotion, load: str, start_s: float, rng: np.random.Generator
+    arm: MovingArm,
+    motion: PeriodicMotion,
+    load: str,
+    start_s: float,
+    rng: np.random.Generator,
+    effect: MovingEffect | None = None,
 ) -> tuple[Array, Array]:
     """Torque behind the drives' filters on the fine grid (FINE n, N), and the times of the samples (n,); no noise."""
     count = motion.samples * FINE
     fine_s = np.arange(count) / (FINE * motion.rate_hz)
     q, qd, qdd = (np.asarray(part) for part in motion.states(fine_s)[:3])
-    tau = rigid_nm(arm, motion, load)
     parts = []
     strokes = _strokes(qd, motion.periods)
     scale = 1.0 + arm.friction.tail_share * _student(arm, strokes.max() + 1, rng)
     for number in range(motion.periods):
         here = strokes[number * count : (number + 1) * count]
         level = np.take_along_axis(scale, here, axis=0)
-        parts.append(_motor_nm(arm, (q, qd, qdd), tau, level, start_s + number * motion.period_s + fine_s))
+        acting = arm if effect is None or effect.arm is None else effect.arm(arm, number)
+        if number == 0 or acting is not arm:
+            links_nm = rigid_nm(acting, motion, load)
+        tau, time_s = links_nm, start_s + number * motion.period_s + fine_s
+        if effect is not None and effect.angle_rad is not None:
+            tau = _bent_nm(acting, motion, load, effect.angle_rad(q, tau))
+        if effect is not None and effect.joint_nm is not None:
+            tau = tau + effect.joint_nm(q, tau)
+        motor = _motor_nm(acting, (q, qd, qdd), tau, level, time_s)
+        reported = effect is None or effect.reading_nm is None
+        parts.append(motor if reported else effect.reading_nm(motor, q, time_s))
     step_s = 1.0 / (FINE * motion.rate_hz)
     return _filtered(arm, np.concatenate(parts), step_s), np.arange(motion.samples * motion.periods) / motion.rate_hz
 
@@ -109,6 +132,19 @@ def rigid_nm(arm: MovingArm, motion: PeriodicMotion, load: str) -> Array:
     q, qd, qdd = (np.asarray(part) for part in motion.states(times)[:3])
     with InverseDynamics(arm.carrying(load), arm.gravity_m_s2) as dynamics:
         return np.asarray(resample(dynamics.torque_nm(q, qd, qdd), motion.samples * FINE, axis=0))
+
+
+def _bent_nm(arm: MovingArm, motion: PeriodicMotion, load: str, link_rad: Array) -> Array:
+    """Return the torque where the links have other angles (FINE n, N) than the encoders."""
+    times = np.arange(len(link_rad)) * motion.period_s / len(link_rad)
+    rate = 2j * np.pi * np.arange(RIGID_HARMONICS + 1)[:, None] / motion.period_s
+    parts = np.fft.rfft(link_rad, axis=0)[: RIGID_HARMONICS + 1]
+
+    def states(at_s: Array) -> Sequence[Array]:
+        orders = [np.fft.irfft(rate**order * parts, len(link_rad), axis=0) for order in range(3)]
+        return [np.stack([np.interp(at_s, times, axis) for axis in values.T], axis=1) for values in orders]
+
+    return rigid_nm(arm, replace(motion, states=states), load)
 
 
 def friction_nm(arm: MovingArm, qd_rad_s: Array, tau_nm: Array, level: Array, time_s: Array) -> Array:

@@ -45,7 +45,6 @@ class Outcome:
     reached: bool
     poses: int
     samples: int
-    error_share: float
 
 
 class Cell:
@@ -99,14 +98,12 @@ def run(seed: int) -> Outcome:
     fixed = _estimate(cell, [bare, cell.table(cell.poses, LABEL, 1, SAMPLING.most)])
     stock, reached, poses, samples = _until(cell, bare)
     assert stock.load is not None
-    truth_kg = cell.arm.loads[LABEL].mass_kg
     return Outcome(
         stopped=cell.error(stock.load),
         fixed=cell.error(fixed.loads[0]),
         reached=reached,
         poses=poses,
         samples=samples,
-        error_share=stock.load.mass_kg / truth_kg - 1.0,
     )
 
 

@@ -12,7 +12,7 @@ from drives.configuration.dcf import NodeConfiguration
 from drives.configuration.difference import Compared, differing
 from drives.configuration.kinds import confirmation_reason, is_mapping, why_never_written
 from drives.configuration.object_reading import Readout
-from drives.configuration.object_values import Value, ledger_value
+from drives.datasheet.object_values import Value, ledger_value
 from drives.errors import ConfigurationRefused, DriveError, raise_failures
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import LedgerEntry

@@ -10,9 +10,9 @@ from typing import Final
 
 from drives.configuration.dcf_text import configured
 from drives.configuration.kinds import own_identifier
-from drives.configuration.object_values import Value, is_held, written
 from drives.datasheet.building import sheet_of_text
 from drives.datasheet.encoding import read_text
+from drives.datasheet.object_values import Value, is_held, written
 from drives.datasheet.sections import COMMISSIONING
 from drives.datasheet.sheet import Sheet, SheetObject
 from drives.errors import ProfileError

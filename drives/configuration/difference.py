@@ -9,7 +9,7 @@ from typing import Literal
 from drives.configuration.dcf import NodeConfiguration
 from drives.configuration.kinds import beyond_length, kind_of, mapped_objects
 from drives.configuration.object_reading import Readout, name_of
-from drives.configuration.object_values import Value, encoded, type_name, written
+from drives.datasheet.object_values import Value, encoded, type_name, written
 
 Address = tuple[int, int]
 #: `both`: drive and file have left the default, for different values; `differs`: the sheet gives no default.

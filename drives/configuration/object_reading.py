@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from drives.access import NodeAccess
 from drives.configuration.dcf import can_hold
 from drives.configuration.kinds import Kind, kind_of, mapped_objects
-from drives.configuration.object_values import Value, decoded, is_held, size_bytes, type_name
+from drives.datasheet.object_values import Value, decoded, is_held, size_bytes, type_name
 from drives.datasheet.sheet import Sheet, SheetObject
 from drives.errors import SdoAbort, SdoProtocolError
 from drives.objects import object_name

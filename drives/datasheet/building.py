@@ -12,9 +12,9 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
-from drives.configuration.object_values import is_held, type_name
 from drives.datasheet.encoding import read_text, unreadable
 from drives.datasheet.numbers import is_ambiguous, number, plain_number
+from drives.datasheet.object_values import is_held, type_name
 from drives.datasheet.sections import COMMISSIONING_NAMES, LISTS, Address, Section, sections_of
 from drives.datasheet.sheet import Remark, Sheet, SheetObject
 from drives.printable import one_line

@@ -11,7 +11,7 @@ from typing import Final
 
 from canopen.objectdictionary import datatypes
 
-from drives.configuration.object_values import Value, understood
+from drives.datasheet.object_values import Value, understood
 from drives.objects import DataType
 
 Address = tuple[int, int]

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from drives.abort import ABORT_CODES
 from drives.bus import Bus, BusSpec, open_bus
-from drives.configuration.object_values import decoded, size_bytes
+from drives.datasheet.object_values import decoded, size_bytes
 from drives.errors import DriveError, SdoAbort, SdoError, SdoProtocolError, SdoTimeout
 from drives.sdo import ONCE, SLOW, SdoClient
 

@@ -71,7 +71,7 @@ def test_right_cell_is_answered_and_reversed_signs_are_refused():
 
 def answer(off: float | None, *findings: list[str], code: int = 0) -> dict:
     """Return an answer as `answer_of` gives it."""
-    load = {"off": off, "holds": off is not None and off < 1.96, "error": 0.01, "std": 0.01, "mass_kg": 1.0}
+    load = {"off": off, "error": 0.01, "std": 0.01, "mass_kg": 1.0}
     cell_answer = {"condition": "clean", "variant": "floor", "seed": 0, "exit": code, "outliers": 0, "time_s": 0.1}
     return cell_answer | {"findings": list(findings), "loads": [load]}
 
@@ -90,6 +90,5 @@ def test_figures_of_a_condition():
     warning = ["warn", "some check", "J2", "text"]
     found = figures([answer(0.5), answer(2.5), answer(3.5), answer(3.5, warning)])
     assert found["clean (floor): unreported"]["value"] == pytest.approx(0.25)
-    assert found["clean (floor): 95 % of mass hold"]["value"] == pytest.approx(0.25)
     assert found["clean (floor): warned"]["met"] is False
     assert condition_table([answer(0.5)]).row_count == 1

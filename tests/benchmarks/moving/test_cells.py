@@ -137,14 +137,11 @@ def test_figures_say_how_far_off_the_results_are(few):
     found = figures([said(few, 0.4)] * 3)
     assert found["gain known: median error of the mass"]["value"] == pytest.approx(0.4)
     assert found["gain known: median error of the mass"]["met"]
-    assert found["gain known: 95 % intervals that hold the truth, Iyz"]["value"] == 1.0
     assert found["gain known: Coulomb friction: median error"]["value"] == pytest.approx(0.4, abs=0.05)
     assert found["gain known: standard deviation over the oracle's, inertia"]["value"] == pytest.approx(1.0)
     assert "gain known: viscous friction: median error" not in found
     wrong = figures([said(few, 3.0)] * 3)
-    assert wrong["gain known: 95 % intervals that hold the truth, mass"]["value"] == 0.0
     assert not wrong["gain known: median error of the mass"]["met"]
-    assert wrong["gain known: predicted over real standard deviation, mass"]["value"] == pytest.approx(0.6745 / 3.0)
 
 
 def test_friction_of_the_truth_is_what_the_motor_has_to_give(few):

@@ -25,7 +25,7 @@ from drives.configuration.dcf import (
 from drives.configuration.difference import compare, differing
 from drives.configuration.kinds import confirmation_reason, kind_of, mapped_objects, why_never_written
 from drives.configuration.object_reading import Readout, read_drive
-from drives.configuration.object_values import decoded, encoded, ledger_value, understood, written
+from drives.datasheet.object_values import decoded, encoded, ledger_value, understood, written
 from drives.datasheet.sheet import SheetObject
 from drives.errors import ConfigurationRefused, DriveFault, SdoAbort, SdoTimeout, SeveralFailures
 from drives.ledger import WriteLedger
