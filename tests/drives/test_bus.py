@@ -330,28 +330,27 @@ def test_a_disk_that_is_full_switches_the_frame_log_off_and_raises_nowhere_else(
 
 
 def test_a_blocked_disk_delays_no_frame_and_the_frames_that_are_missing_are_counted(wire, tmp_path, monkeypatch):
-    """The log's writer does not return from its first frame until the test lets it."""
-    monkeypatch.setattr("drives.frame_log._QUEUE_FRAMES", 10)
+    """The log's writer does not return from its first frame until the test lets it; 50 000 further ones may wait."""
     goes_on, entered = threading.Event(), threading.Event()
     bus = Bus(wire, BusSpec("test", "wire"), tmp_path / "trace.log")
     real = can.CanutilsLogWriter.on_message_received
 
     def blocking(writer, frame):
         entered.set()
-        goes_on.wait(10.0)
+        goes_on.wait(60.0)
         real(writer, frame)
 
     monkeypatch.setattr(can.CanutilsLogWriter, "on_message_received", blocking)
     bus.send(0x100, b"")
     assert entered.wait(10.0)
-    for number in range(100):
-        bus.send(0x200 + number, b"")
-    assert len(wire.sent) == 101
+    for number in range(50_090):
+        bus.send(0x200, struct.pack("<I", number))
+    assert len(wire.sent) == 50_091
     goes_on.set()
     with pytest.raises(OSError, match="90 frames are missing"), bus:
         pass
     with can.LogReader(tmp_path / "trace.log") as reader:
-        assert [each.arbitration_id for each in reader] == [0x100, *range(0x200, 0x20A)]
+        assert [bytes(each.data) for each in reader] == [b"", *(struct.pack("<I", n) for n in range(50_000))]
 
 
 @pytest.mark.parametrize(
