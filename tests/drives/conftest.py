@@ -158,7 +158,7 @@ class Slave:
         self._latched: bytes | None = None
         self._upload = b""
         self._toggle = 0
-        self._download = bytearray()
+        self.downloaded = bytearray()
         self._target = (0, 0)
         self.texts = {(0x1008, 0): b"Test drive with a long name", (0x100A, 0): b"v1", (0x5FFE, 0): b"servo-sim"}
         self.types: dict[tuple[int, int], str] = {}
@@ -197,12 +197,13 @@ class Slave:
         ):
             self.types[index, sub], self.values[index, sub] = kind, value
         for number, base in ((0, 0x180), (1, 0x280)):
-            self._pdo(0x1800 + number, 0x1A00 + number, 0x40000000 | base + node, [0x60410010])
+            self.add_pdo(0x1800 + number, 0x1A00 + number, 0x40000000 | base + node, [0x60410010])
             self.types[0x1800 + number, 3] = "u16"
             self.values[0x1800 + number, 3] = 300
-        self._pdo(0x1400, 0x1600, 0x200 + node, [0x60400010])
+        self.add_pdo(0x1400, 0x1600, 0x200 + node, [0x60400010])
 
-    def _pdo(self, communication: int, mapping: int, cob_id: int, entries: list[int]) -> None:
+    def add_pdo(self, communication: int, mapping: int, cob_id: int, entries: list[int]) -> None:
+        """Give it the parameter and mapping records of a PDO."""
         for sub, kind, value in ((1, "u32", cob_id), (2, "u8", 255)):
             self.types[communication, sub], self.values[communication, sub] = kind, value
         self.types[mapping, 0], self.values[mapping, 0] = "u8", len(entries)
@@ -337,8 +338,12 @@ class Slave:
 
     # -- CiA 402-2, finite state automaton ----------------------------------------------------------------------------
 
+    def obeys(self, word: int) -> bool:
+        """Return whether it obeys a controlword that it received; a test may replace it."""
+        return True
+
     def _control(self, word: int) -> None:
-        if self.stuck_in != self.state:
+        if self.obeys(word) and self.stuck_in != self.state:
             self.state = after_command(self.state, word)
             self._supervise_master()
 
@@ -350,6 +355,10 @@ class Slave:
 
     def _abort(self, request: bytes, code: int) -> None:
         self._answer(request, b"\x80" + request[1:4] + struct.pack("<I", code))
+
+    def refuses_write(self, address: tuple[int, int], data: bytes) -> int:
+        """Return the abort code of a write, 0 = it is taken; a test may replace it."""
+        return 0
 
     def _sdo(self, request: bytes) -> None:
         command, address = request[0], (request[1] | request[2] << 8, request[3])
@@ -363,10 +372,12 @@ class Slave:
             part, self._upload = self._upload[:7], self._upload[7:]
             last = 0 if self._upload else 1
             self._answer(request, bytes([toggle | (7 - len(part)) << 1 | last]) + part.ljust(7, b"\0"))
+        elif kind == 0x20 and (code := self.refuses_write(address, request[4:])):
+            self._abort(request, code)
         elif kind == 0x20:
             self._sdo_download(request, address)
         elif kind == 0x00:
-            self._download += request[1 : 8 - (command >> 1 & 7)]
+            self.downloaded += request[1 : 8 - (command >> 1 & 7)]
             self._answer(request, bytes([0x20 | command & 0x10]) + bytes(7))
 
     def _sdo_upload(self, request: bytes, address: tuple[int, int]) -> None:
@@ -382,7 +393,7 @@ class Slave:
 
     def _sdo_download(self, request: bytes, address: tuple[int, int]) -> None:
         if not request[0] & 0x02:
-            self._download = bytearray()
+            self.downloaded = bytearray()
             self._answer(request, b"\x60" + request[1:4] + bytes(4))
             return
         if address not in self.values:
@@ -512,6 +523,5 @@ def release(
         while test.beyond_limit and not test.held:
             group.hold()
     finally:
-        if group._running:
-            group.disable()
+        group.disable()
     return test

@@ -106,15 +106,13 @@ def test_a_mode_that_is_shown_with_delay_is_waited_for_and_one_that_is_not_shown
 def test_a_drive_whose_pdos_are_fixed_is_refused(bus, add_slaves, setups):
     """It confirms every write and changes nothing."""
     (slave,) = add_slaves(1)
-    plain = slave._sdo_download
+    plain = slave.on_frame
 
-    def deaf(request: bytes, address: tuple[int, int]) -> None:
-        held = slave.values.get(address)
-        plain(request, address)
-        if address == (0x1A00, 1) and held is not None:
-            slave.values[address] = held
+    def deaf(can_id: int, data: bytes) -> None:
+        plain(can_id, data)
+        slave.values[0x1A00, 1] = 0x60640020
 
-    slave._sdo_download = deaf  # type: ignore[method-assign]
+    slave.on_frame = deaf  # type: ignore[method-assign]
     slave.values[0x1A00, 1] = 0x60640020
     with DriveGroup(bus, setups(1), 0.004) as group:
         group.connect()
@@ -125,16 +123,14 @@ def test_a_drive_whose_pdos_are_fixed_is_refused(bus, add_slaves, setups):
 def test_mapping_entries_that_do_not_exist_yet_were_nothing(bus, add_slaves, setups):
     """A drive with an empty mapping may have no entries to read (CiA 301, 0x1A00: sub-index 0 says how many)."""
     (slave,) = add_slaves(1)
-    plain = slave._sdo_upload
 
-    def upload(request: bytes, address: tuple[int, int]) -> None:
-        mapping = address[0] in (0x1600, 0x1A00, 0x1A01)
-        if mapping and address[1] > slave.values[address[0], 0]:
-            slave._abort(request, 0x06090011)
-        else:
-            plain(request, address)
+    def reply(request: bytes, answer: bytes) -> list[tuple[float, bytes]]:
+        index, reads = request[1] | request[2] << 8, request[0] & 0xE0 == 0x40
+        if reads and index in (0x1600, 0x1A00, 0x1A01) and request[3] > slave.values[index, 0]:
+            answer = b"\x80" + request[1:4] + bytes.fromhex("11000906")
+        return [(0.001, answer)]
 
-    slave._sdo_upload = upload  # type: ignore[method-assign]
+    slave.reply = reply
     before = {address: value for address, value in slave.values.items() if address[0] in (0x1A00, 0x1600)}
     with DriveGroup(bus, setups(1), 0.004) as group:
         group.connect()

@@ -16,6 +16,7 @@ from sim.cellfile import CellBus
 from sim.simulation import open_bus as open_simulated
 
 GROUP = "239.74.163.2"
+IP_RECVTTL = 12  # of Linux; not in Python's `socket`
 
 
 def test_a_bus_in_words_of_the_command_line():
@@ -47,11 +48,22 @@ def test_multicast_frames_leave_this_computer_only_where_they_are_given_a_hop(op
         probe.bind(("", 0))
         options = {"port": probe.getsockname()[1]} | options
     simulated = open_simulated(CellBus("udp_multicast", GROUP, 1_000_000, 0.01, "real", options))
-    with open_bus(BusSpec("udp_multicast", GROUP, options=options)) as bus:
-        wires = simulated._socket, bus._adapter._multicast._socket
-        assert [wire.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL) for wire in wires] == [hops, hops]
+    with (
+        open_bus(BusSpec("udp_multicast", GROUP, options=options)) as bus,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as listener,
+    ):
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        listener.bind((GROUP, options["port"]))
+        membership = struct.pack("4sI", socket.inet_aton(GROUP), socket.INADDR_ANY)
+        listener.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
+        listener.setsockopt(socket.IPPROTO_IP, IP_RECVTTL, 1)
+        listener.settimeout(1.0)
         bus.send(0x181, b"\x01\x02")
         assert bytes(simulated.recv(1.0).data) == b"\x01\x02"
+        simulated.send(can.Message(arbitration_id=0x201, is_extended_id=False))
+        notes = [listener.recvmsg(4096, 64)[1] for _ in range(2)]
+        assert notes == [[(socket.IPPROTO_IP, socket.IP_TTL, struct.pack("i", hops))]] * 2
     simulated.shutdown()
 
 
@@ -180,9 +192,9 @@ def test_whatever_a_backend_raises_is_a_frame_that_is_counted_or_a_bus_error(wir
         with pytest.raises(BusError, match="201 could not be sent.*no such device"):
             bus.send(0x201, b"")
         assert wire.now_s - start < 0.03
-        bus._receive = gone
-        with pytest.raises(BusError, match="receiving failed.*no such device"):
-            bus.receive(10.0)
+    wire.recv = gone
+    with pytest.raises(BusError, match="receiving failed.*no such device"):
+        Bus(wire, BusSpec("test", "wire")).receive(10.0)
 
 
 def test_an_adapter_that_cannot_be_shut_down_does_not_hide_what_went_wrong_before(wire):
@@ -223,27 +235,27 @@ def test_a_listener_that_raises_is_left_out_and_delays_no_frame(bus, wire):
 
 @pytest.mark.parametrize("flag", ["is_error_frame", "is_remote_frame", "is_extended_id"])
 @pytest.mark.parametrize("timeout_s", [0.0, 0.01, 0.1])
-def test_a_deadline_is_a_deadline_whatever_else_comes(bus, wire, flag, timeout_s):
+def test_a_deadline_is_a_deadline_whatever_else_comes(wire, flag, timeout_s):
     """An odd frame every 0.3 ms, for ever: fewer than the 3 s and 9194 frames that 10 ms took once."""
 
     def storm(timeout=None):
         wire.now_s += 0.0003
         return can.Message(arbitration_id=0x20, data=bytes(8), **{"is_extended_id": False, flag: True})
 
-    bus._receive = storm
-    start = wire.now_s
+    wire.recv = storm
+    bus, start = Bus(wire, BusSpec("test", "wire")), wire.now_s
     assert bus.receive(timeout_s) is None
     assert wire.now_s - start <= timeout_s + 64 * 0.00031
     assert 0 < sum(bus.counts.values()) <= timeout_s / 0.0003 + 65
 
 
-def test_an_adapter_that_fails_does_not_extend_the_deadline(bus, wire):
+def test_an_adapter_that_fails_does_not_extend_the_deadline(wire):
     def failing(timeout=None):
         wire.now_s += 0.001
         raise can.CanOperationError("broken")
 
-    bus._receive = failing
-    start = wire.now_s
+    wire.recv = failing
+    bus, start = Bus(wire, BusSpec("test", "wire")), wire.now_s
     assert bus.receive(0.1) is None
     assert wire.now_s - start <= 0.102
 
@@ -257,13 +269,13 @@ def test_a_good_frame_among_odd_ones_is_received(bus, wire):
     assert frame.arbitration_id == 0x181
 
 
-def test_frames_without_end_do_not_block_the_reading_of_what_has_arrived(bus, wire):
+def test_frames_without_end_do_not_block_the_reading_of_what_has_arrived(wire):
     def flood(timeout=None):
         wire.now_s += 0.0001
         return can.Message(arbitration_id=0x7FF, data=bytes(8), is_extended_id=False)
 
-    bus._receive = flood
-    start = wire.now_s
+    wire.recv = flood
+    bus, start = Bus(wire, BusSpec("test", "wire")), wire.now_s
     assert bus.drain() > 100
     assert wire.now_s - start < 0.06
 
@@ -318,28 +330,27 @@ def test_a_disk_that_is_full_switches_the_frame_log_off_and_raises_nowhere_else(
 
 
 def test_a_blocked_disk_delays_no_frame_and_the_frames_that_are_missing_are_counted(wire, tmp_path, monkeypatch):
-    """The log's writer does not return from its first frame until the test lets it."""
-    monkeypatch.setattr("drives.frame_log._QUEUE_FRAMES", 10)
+    """The log's writer does not return from its first frame until the test lets it; 50 000 further ones may wait."""
     goes_on, entered = threading.Event(), threading.Event()
     bus = Bus(wire, BusSpec("test", "wire"), tmp_path / "trace.log")
-    real = bus.log._writer.on_message_received
+    real = can.CanutilsLogWriter.on_message_received
 
-    def blocking(frame):
+    def blocking(writer, frame):
         entered.set()
-        goes_on.wait(10.0)
-        real(frame)
+        goes_on.wait(60.0)
+        real(writer, frame)
 
-    bus.log._writer.on_message_received = blocking
+    monkeypatch.setattr(can.CanutilsLogWriter, "on_message_received", blocking)
     bus.send(0x100, b"")
     assert entered.wait(10.0)
-    for number in range(100):
-        bus.send(0x200 + number, b"")
-    assert len(wire.sent) == 101
+    for number in range(50_090):
+        bus.send(0x200, struct.pack("<I", number))
+    assert len(wire.sent) == 50_091
     goes_on.set()
     with pytest.raises(OSError, match="90 frames are missing"), bus:
         pass
     with can.LogReader(tmp_path / "trace.log") as reader:
-        assert [each.arbitration_id for each in reader] == [0x100, *range(0x200, 0x20A)]
+        assert [bytes(each.data) for each in reader] == [b"", *(struct.pack("<I", n) for n in range(50_000))]
 
 
 @pytest.mark.parametrize(

@@ -139,16 +139,12 @@ def test_limits_stay_in_order_at_every_step(bus, slave, generic):
     """A drive may abort a minimum above its maximum, 0x06090036; 0 and 0 mean none."""
     slave.position = 900_000
     slave.values[0x607D, 1] = slave.values[0x607D, 2] = 0
-    real = slave._sdo_download
 
-    def strict(request, address):
-        value = int.from_bytes(request[4:8], "little", signed=True)
-        if address == (0x607D, 1) and value > held(slave)[1]:
-            slave._abort(request, 0x06090036)
-        else:
-            real(request, address)
+    def strict(address, data):
+        above = address == (0x607D, 1) and int.from_bytes(data, "little", signed=True) > held(slave)[1]
+        return 0x06090036 if above else 0
 
-    slave._sdo_download = strict
+    slave.refuses_write = strict
     limit_rad = (800_000 * COUNT_RAD, 1_000_000 * COUNT_RAD)
     ready(bus, allowing(generic, 0x607D), position_limit_rad=limit_rad).close()
     assert held(slave) == (800_000 - TURN // 2, 1_000_000 + TURN // 2)

@@ -93,19 +93,21 @@ def test_an_axis_that_falls_back_is_not_led_up_again(group, slaves, place, below
     One word was in transit when the fall was reported.
     """
     slaves[0].stuck_in = "ready"
-    real = slaves[1]._control
+    real = slaves[1].on_frame
     seen = []
 
-    def control(word):
-        real(word)
-        if slaves[1].state == place:
-            seen.append(word)
-        if len(seen) > 2 and slaves[1].state == place and word:
-            slaves[1].state = below
+    def on_frame(can_id, data):
+        words = len(slaves[1].controlwords)
+        real(can_id, data)
+        for word in slaves[1].controlwords[words:]:
+            if slaves[1].state == place:
+                seen.append(word)
+            if len(seen) > 2 and slaves[1].state == place and word:
+                slaves[1].state = below
 
     if place == "switched on":
         slaves[1].stuck_in = place
-    slaves[1]._control = control
+    slaves[1].on_frame = on_frame
     with pytest.raises(DriveFault, match="node 2.*fell back from .* while being enabled") as caught:
         group.enable()
     assert caught.value.node == 2
@@ -114,14 +116,14 @@ def test_an_axis_that_falls_back_is_not_led_up_again(group, slaves, place, below
 
 
 def test_an_axis_that_falls_back_while_the_brakes_open_ends_it(group, slaves):
-    real = slaves[1]._control
+    real = slaves[1].on_frame
 
-    def control(word):
-        real(word)
-        if slaves[1].controlwords.count(0x0F) == 6 and word == 0x0F:
+    def on_frame(can_id, data):
+        real(can_id, data)
+        if can_id == 0x080 and slaves[1].controlwords.count(0x0F) == 6 and slaves[1].controlwords[-1] == 0x0F:
             slaves[1].state = "switched on"
 
-    slaves[1]._control = control
+    slaves[1].on_frame = on_frame
     with pytest.raises(DriveFault, match="node 2.*left OPERATION ENABLED"):
         group.enable()
     assert {slave.state for slave in slaves} == {OFF}
@@ -160,13 +162,7 @@ def test_the_target_during_enabling_does_not_follow_an_axis_that_drops(group, sl
     """Every SYNC before its brake holds the axis sinks by 100 counts: its target stays at its former position."""
     stood = slaves[1].position
     slaves[0].stuck_in = "ready"
-    real = slaves[1]._control
-
-    def control(word):
-        real(word)
-        slaves[1].position -= 100
-
-    slaves[1]._control = control
+    slaves[1].moves_in = {"ready": [-100] * 1000, "switched on": [-100] * 1000}
     slaves[1].stuck_in = "switched on"
     with pytest.raises(TransitionTimeout):
         with_short_patience(group)
@@ -188,12 +184,12 @@ def with_short_patience(group):
 def test_an_axis_that_moves_while_its_brake_opens_stops_the_enabling(group, slaves, share):
     moved = round(share * BRAKE_DROP_REVOLUTIONS * TURN)
 
-    def drop(word):
-        real(word)
-        if word == 0x0F and slaves[1].state == "operation enabled":
-            slaves[1].values[0x607A, 0] -= moved
+    def drop(can_id, data):
+        real(can_id, data)
+        if can_id == 0x080 and slaves[1].state == "operation enabled":
+            slaves[1].position = slaves[1].values[0x607A, 0] - moved
 
-    real, slaves[1]._control = slaves[1]._control, drop
+    real, slaves[1].on_frame = slaves[1].on_frame, drop
     if share < 1:
         assert group.enable().complete
         return
@@ -215,13 +211,14 @@ def test_a_drive_that_is_operational_and_does_not_answer_sync_is_named(group, sl
 
 def test_a_drive_that_goes_to_fault_before_the_first_word_is_led_nowhere(group, slaves):
     """No route leads out of FAULT, and the word that resets it is never sent."""
-    plain = slaves[2]._sync
+    plain = slaves[2].on_frame
 
-    def sync() -> None:
-        slaves[2].state = slaves[2].stuck_in = "fault"
-        plain()
+    def on_frame(can_id, data):
+        if can_id == 0x080:
+            slaves[2].state = slaves[2].stuck_in = "fault"
+        plain(can_id, data)
 
-    slaves[2]._sync = sync  # type: ignore[method-assign]
+    slaves[2].on_frame = on_frame
     plain_get = slaves[2].get
     slaves[2].get = lambda address: 0x0208 if address == (0x6041, 0) and slaves[2].nmt == 5 else plain_get(address)
     with pytest.raises(DriveFault, match="node 3.*no route from FAULT"):

@@ -25,7 +25,7 @@ def slaves(add_slaves):
     slaves = add_slaves(2)
     for slave in slaves:
         slave.types[0x60B1, 0], slave.values[0x60B1, 0] = "i32", 0
-        slave._pdo(0x1401, 0x1601, 1 << 31 | 0x300 + slave.node_id, [])
+        slave.add_pdo(0x1401, 0x1601, 1 << 31 | 0x300 + slave.node_id, [])
     return slaves
 
 

@@ -204,20 +204,19 @@ def test_a_fault_is_reset_only_when_a_person_says_so(group, slaves):
 
 def test_a_drive_may_take_a_moment_to_leave_fault(group, slaves, wire):
     slave = slaves[2]
-    slave.state, take, reset_s = "fault", slave._control, []
+    slave.state, reset_s = "fault", []
 
     def slowly(word):
         if word & 0x80:
             reset_s.append(wire.now_s)
-        else:
-            take(word)
+        return not word & 0x80
 
     def statusword():
         if reset_s and wire.now_s > reset_s[0] + 0.3:
             slave.state = "switch on disabled"
         return type(slave).statusword.fget(slave)
 
-    slave._control = slowly
+    slave.obeys = slowly
     slave.get = lambda address, get=slave.get: statusword() if address == (0x6041, 0) else get(address)
     group.reset_fault(3)
     assert slave.state == "switch on disabled"

@@ -41,7 +41,7 @@ def test_pdos_that_are_not_used_are_switched_off_and_put_back(bus, slaves, setup
     (slave,) = slaves
     found = {0x1402: 0x401, 0x1403: 0x501, 0x1802: 0x40000381, 0x1803: 0x481, 0x1401: 0x301}
     for index, cob_id in found.items():
-        slave._pdo(index, index + 0x200, cob_id, [CONTROLWORD if index < 0x1800 else STATUSWORD])
+        slave.add_pdo(index, index + 0x200, cob_id, [CONTROLWORD if index < 0x1800 else STATUSWORD])
         slave.values[index, 2] = transmission
     with configured(bus, setups(1)) as group:
         assert all(slave.values[index, 1] == cob_id | 1 << 31 for index, cob_id in found.items())
@@ -52,7 +52,7 @@ def test_pdos_that_are_not_used_are_switched_off_and_put_back(bus, slaves, setup
 
 def test_what_is_off_already_is_not_touched(bus, slaves, setups):
     (slave,) = slaves
-    slave._pdo(0x1802, 0x1A02, 1 << 31 | 0x381, [STATUSWORD])
+    slave.add_pdo(0x1802, 0x1A02, 1 << 31 | 0x381, [STATUSWORD])
     configured(bus, setups(1)).close()
     assert not [write for write in slave.written if write[0] == 0x1802]
 
@@ -62,7 +62,7 @@ def test_what_stays_on_with_sync_is_counted_into_the_load(bus, slaves, setups, l
     chosen = with_profile(setups(1), locked)
     with configured(bus, chosen) as group:
         before = group.statistics.bus_load_planned_percent
-    slave._pdo(0x1802, 0x1A02, 0x381, [STATUSWORD, POSITION])
+    slave.add_pdo(0x1802, 0x1A02, 0x381, [STATUSWORD, POSITION])
     slave.values[0x1802, 2] = 1
     with configured(bus, chosen) as group:
         more = group.statistics.bus_load_planned_percent - before
@@ -80,7 +80,7 @@ def test_a_load_that_is_too_high_is_refused_before_anything_is_written(
 ):
     """SYNC 55, TPDOs 135 and 115, RPDO 135 bits are 11 % of 4 ms; what stays on takes 115 bits more."""
     (slave,) = slaves
-    slave._pdo(0x1802, 0x1A02, 0x381, [STATUSWORD, POSITION])
+    slave.add_pdo(0x1802, 0x1A02, 0x381, [STATUSWORD, POSITION])
     slave.values[0x1802, 2] = 1
     options = GroupOptions(load_limit_percent=limit_percent)
     if refused:
@@ -97,37 +97,29 @@ def test_what_stays_on_by_event_is_named_and_not_counted(bus, slaves, setups, lo
     chosen = with_profile(setups(1), locked)
     with configured(bus, chosen) as group:
         before = group.statistics.bus_load_planned_percent
-    slave._pdo(0x1803, 0x1A03, 0x481, [STATUSWORD])
-    slave._pdo(0x1402, 0x1602, 0x401, [TARGET])
+    slave.add_pdo(0x1803, 0x1A03, 0x481, [STATUSWORD])
+    slave.add_pdo(0x1402, 0x1602, 0x401, [TARGET])
     with configured(bus, chosen) as group:
         assert group.left_pdos == ("node 1: RPDO3 (id 401, by event)", "node 1: TPDO4 (id 481, by event)")
         assert group.statistics.bus_load_planned_percent == before
 
 
 def test_a_controlword_for_a_stranger_is_refused(bus, slaves, setups, locked):
-    slaves[0]._pdo(0x1403, 0x1603, 0x501, [TARGET, CONTROLWORD])
+    slaves[0].add_pdo(0x1403, 0x1603, 0x501, [TARGET, CONTROLWORD])
     with pytest.raises(ConfigurationRefused, match="node 1:1403.*RPDO4 takes a controlword from the sender of id 501"):
         configured(bus, with_profile(setups(1), locked))
 
 
 def read_only(slave, *addresses):
     """Parameter records that the drive lets no client change (0x06010002)."""
-    real = slave._sdo_download
-
-    def download(request, address):
-        if address in addresses:
-            slave._abort(request, 0x06010002)
-        else:
-            real(request, address)
-
-    slave._sdo_download = download
+    slave.refuses_write = lambda address, data: 0x06010002 if address in addresses else 0
 
 
 def test_a_pdo_that_the_drive_does_not_switch_off_is_named_and_counted_and_needs_no_restore(bus, slaves, setups):
     (slave,) = slaves
     with configured(bus, setups(1)) as group:
         before = group.statistics.bus_load_planned_percent
-    slave._pdo(0x1802, 0x1A02, 0x381, [STATUSWORD])
+    slave.add_pdo(0x1802, 0x1A02, 0x381, [STATUSWORD])
     slave.values[0x1802, 2] = 1
     read_only(slave, (0x1802, 1))
     with configured(bus, setups(1)) as group:
@@ -138,7 +130,7 @@ def test_a_pdo_that_the_drive_does_not_switch_off_is_named_and_counted_and_needs
 
 
 def test_a_controlword_for_a_stranger_that_the_drive_does_not_switch_off_is_refused(bus, slaves, setups):
-    slaves[0]._pdo(0x1402, 0x1602, 0x401, [CONTROLWORD])
+    slaves[0].add_pdo(0x1402, 0x1602, 0x401, [CONTROLWORD])
     read_only(slaves[0], (0x1402, 1))
     with pytest.raises(ConfigurationRefused, match="RPDO3 takes a controlword"):
         configured(bus, setups(1))

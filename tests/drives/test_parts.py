@@ -320,10 +320,9 @@ def test_a_probe_waits_for_a_second_device_no_longer_than_it_may_take_and_listen
     assert wire.now_s - begin_s == pytest.approx(0.3, abs=0.02)
 
 
-def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave):
+def test_a_scan_finds_everybody_and_changes_nothing(bus, make_slave, wire):
     first, second = make_slave(2), make_slave(90)
     second.values[0x1018, 1], second.values[0x1018, 3] = 0xFB, 0x01700000
-    wire = bus._adapter
     first.heartbeat()
     results = scan(bus, listen_s=0.2)
     assert [(result.identity.node_id, result.devices, result.state) for result in results] == [

@@ -128,14 +128,14 @@ def test_a_drive_that_goes_on_at_the_speed_of_the_proof_did_not_stand(group, sla
 def test_a_drive_that_leaves_the_bus_as_well_is_asked_by_sdo(group, slaves):
     """Error behaviour 0x1029: a missing heartbeat may end NMT state OPERATIONAL too, and the answers to SYNC."""
     slave = slaves[1]
-    plain = slave._sync
+    plain = slave.on_frame
 
-    def sync() -> None:
-        plain()
-        if slave.state == "quick stop":
+    def on_frame(can_id: int, data: bytes) -> None:
+        plain(can_id, data)
+        if can_id == 0x080 and slave.state == "quick stop":
             slave.nmt = 127
 
-    slave._sync = sync  # type: ignore[method-assign]
+    slave.on_frame = on_frame  # type: ignore[method-assign]
     trace = stop_responding(group, rows(slaves, 10))[1]
     assert (trace.stood, str(trace.state)) == (True, "QUICK STOP ACTIVE")
     assert trace.left_s is not None
@@ -177,14 +177,13 @@ def test_a_bus_that_fails_meanwhile_ends_the_proof_and_all_are_stopped(group, sl
 
 def slow(slave: Slave, syncs: int) -> None:
     """The drive leaves OPERATION ENABLED so many SYNCs after it was commanded to."""
-    plain, targets = slave._control, [0]
+    targets = [0]
 
-    def control(word: int) -> None:
+    def obeys(word: int) -> bool:
         targets[0] += word != 0x0F
-        if targets[0] > syncs or word == 0x0F:
-            plain(word)
+        return targets[0] > syncs or word == 0x0F
 
-    slave._control = control  # type: ignore[method-assign]
+    slave.obeys = obeys
 
 
 @pytest.mark.parametrize(("syncs", "waited"), [(90, True), (120, False)])
@@ -217,15 +216,15 @@ def test_a_brake_that_fails_without_voltage_is_caught_from_there(group, slaves, 
         "switch on disabled": [40] * 30,
         "ready": [40] * 30,
     }
-    plain, missed = slaves[1]._control, []
+    missed: list[int] = []
 
-    def control(word: int) -> None:
+    def obeys(word: int) -> bool:
         if word != 0x06 or len(missed) >= deaf:
-            plain(word)
-        else:
-            missed.append(word)
+            return True
+        missed.append(word)
+        return False
 
-    slaves[1]._control = control  # type: ignore[method-assign]
+    slaves[1].obeys = obeys
     slaves[1].controlwords.clear()
     test = release(group, 1, 0.5, limit_rad=200 * COUNT_RAD)
     assert test.beyond_limit
@@ -267,15 +266,14 @@ def test_an_axis_that_was_tried_is_held_by_its_drive_again(group, slaves):
 @pytest.mark.parametrize(("broken", "says"), [("fault", "cannot be enabled again"), ("switched on", "is not enabled")])
 def test_a_drive_that_does_not_hold_its_axis_again_stops_all(group, slaves, broken, says):
     slaves[1].moves_in = {"switched on": [-300] * 10}
-    plain = slaves[1]._control
 
-    def control(word: int) -> None:
-        if (slaves[1].state, word) == ("switched on", 0x0F):
-            slaves[1].state = broken
-        else:
-            plain(word)
+    def obeys(word: int) -> bool:
+        if (slaves[1].state, word) != ("switched on", 0x0F):
+            return True
+        slaves[1].state = broken
+        return False
 
-    slaves[1]._control = control  # type: ignore[method-assign]
+    slaves[1].obeys = obeys
     with pytest.raises(DriveError, match=f"node 2.*{says}"):
         release(group, 1, 0.2, limit_rad=1000 * COUNT_RAD, disables_voltage=False)
     assert {slave.state for slave in slaves if slave.node_id != 2} == {"switch on disabled"}

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from drives import realtime
 from drives.realtime import RealTime, available, leave_real_time
 
 
@@ -22,8 +21,8 @@ class System:
         monkeypatch.setattr(os, "sched_getscheduler", lambda pid: os.SCHED_OTHER)
         monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(0))
         monkeypatch.setattr(os, "sched_setscheduler", self._set)
-        monkeypatch.setattr(realtime, "_capable", lambda number: permitted)
-        monkeypatch.setattr(realtime, "_limit", lambda name: 0.0)
+        monkeypatch.setattr(Path, "read_text", lambda path: f"CapEff:\t{0xFFFFFFFF * permitted:016x}")
+        monkeypatch.setattr(resource, "getrlimit", lambda number: (0, 0))
         monkeypatch.setattr(ctypes, "CDLL", lambda name, use_errno: self)
 
     def _set(self, pid: int, policy: int, parameter: os.sched_param) -> None:

@@ -205,19 +205,17 @@ def test_a_bus_error_in_the_middle_of_restore_loses_nothing(wire, add_slaves, gr
 def test_a_drive_that_acknowledges_and_ignores_stays_in_the_ledger(drive, group_of, path):
     slave = drive()
     run(group_of(1.0))
-    real = slave._sdo_download
+    real, kept = slave.on_frame, slave.values[TORQUE]
 
-    def ignoring(request, address):
-        if address == TORQUE:
-            slave._answer(request, b"\x60" + request[1:4] + bytes(4))
-        else:
-            real(request, address)
+    def ignoring(can_id, data):
+        real(can_id, data)
+        slave.values[TORQUE] = kept
 
-    slave._sdo_download = ignoring
+    slave.on_frame = ignoring
     with pytest.raises(ConfigurationRefused, match="6072:00.*0x1f4 is read back"):
         restored(group_of())
     assert [entry.address for entry in WriteLedger(path).entries] == [TORQUE]
-    slave._sdo_download = real
+    slave.on_frame = real
     restored(group_of())
     assert slave.values[TORQUE] == 3000
     assert WriteLedger(path).entries == ()
@@ -225,10 +223,7 @@ def test_a_drive_that_acknowledges_and_ignores_stays_in_the_ledger(drive, group_
 
 def test_a_write_that_the_drive_refused_needs_no_restore(drive, group_of, path):
     slave = drive()
-    real = slave._sdo_download
-    slave._sdo_download = lambda request, address: (
-        slave._abort(request, 0x06090030) if address == TORQUE else real(request, address)
-    )
+    slave.refuses_write = lambda address, data: 0x06090030 if address == TORQUE else 0
     with pytest.raises(DriveError, match="6072:00"):
         run(group_of(1.0))
     restored(group_of())

@@ -61,7 +61,7 @@ def test_a_name_in_a_drive_is_text_without_control_characters(sdo, slave):
 def test_segmented_download(sdo, slave, length):
     data = bytes(range(length))
     sdo.download(0x1008, 0, data)
-    assert slave._download == data
+    assert slave.downloaded == data
 
 
 def test_abort_in_words_with_node_object_and_remedy(sdo, slave):
@@ -265,7 +265,7 @@ def test_a_wrong_toggle_bit_of_a_confirmation_ends_a_download(sdo, slave):
     slave.reply = reply
     with pytest.raises(SdoProtocolError, match="toggle"):
         sdo.download(0x1008, 0, bytes(20))
-    assert len(slave._download) == 7
+    assert len(slave.downloaded) == 7
 
 
 def test_slow_objects_have_their_own_time(sdo, slave):

@@ -6,12 +6,14 @@ import contextlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import can
 import pytest
 
 from drives.bus import Bus, BusSpec
 from drives.drive import DriveCommand
+from drives.epoch import EpochCollector
 from drives.errors import (
     BusError,
     ConfigurationRefused,
@@ -29,7 +31,7 @@ from tests.drives.conftest import Slave, Wire, prove_quick_stop, release
 
 PERIOD_S = 0.01
 COUNT_RAD = 2 * math.pi / 65536
-HEARTBEAT = 0x77F
+SYNC, HEARTBEAT = 0x080, 0x77F
 
 
 @pytest.fixture
@@ -199,13 +201,13 @@ def test_the_voltage_stays_on_until_the_brake_has_had_its_time_to_close(bus, sla
             group.hold()
         states: list[str] = []
         slave = slaves[2]
-        plain = slave._sync
+        plain = slave.on_frame
 
-        def sync() -> None:
-            plain()
-            states.append(slave.state)
+        def on_frame(can_id: int, data: bytes) -> None:
+            plain(can_id, data)
+            states.extend([slave.state] * (can_id == SYNC))
 
-        slave._sync = sync  # type: ignore[method-assign]
+        slave.on_frame = on_frame  # type: ignore[method-assign]
         group.disable()
         assert states.count("switched on") in (syncs + 1, syncs + 2)  # its state is read one SYNC later
         assert slave.state == "switch on disabled"
@@ -256,8 +258,7 @@ def test_the_time_of_a_brake_that_was_never_opened_is_not_waited_for(bus, slaves
 def test_a_quick_stop_leaves_an_axis_whose_brake_closes_in_switched_on(group, slaves):
     """What comes next, `disable`, waits for the brake."""
     move(group, 3)
-    plain = slaves[1]._control
-    slaves[1]._control = lambda word: None if word == 0x0F else plain(word)  # type: ignore[method-assign]
+    slaves[1].obeys = lambda word: word != 0x0F
     slaves[1].state = "switched on"
     with pytest.raises(DriveFault):
         move(group)
@@ -323,14 +324,13 @@ def test_a_ramp_is_waited_for_two_seconds(group, slaves, syncs, enough):
 
 def slow_to_obey(slave: Slave, syncs: int) -> None:
     """It leaves OPERATION ENABLED so many SYNCs after it was commanded to."""
-    plain, commanded = slave._control, [0]
+    commanded = [0]
 
-    def control(word: int) -> None:
+    def obeys(word: int) -> bool:
         commanded[0] += word != 0x0F
-        if commanded[0] > syncs or word == 0x0F:
-            plain(word)
+        return commanded[0] > syncs or word == 0x0F
 
-    slave._control = control  # type: ignore[method-assign]
+    slave.obeys = obeys
 
 
 @pytest.mark.parametrize(("syncs", "goes_on"), [(15, True), (30, False)])
@@ -348,17 +348,17 @@ def test_the_heartbeat_ends_when_an_axis_stays_enabled_too_long(group, slaves, w
 def test_a_bus_that_fails_while_the_drop_is_monitored_ends_the_heartbeat(group, slaves, wire):
     for _ in range(5):
         group.hold()
-    plain = slaves[0]._sync
+    plain = slaves[0].on_frame
 
-    def sync() -> None:
-        plain()
-        if slaves[0].state == "switch on disabled":
+    def on_frame(can_id: int, data: bytes) -> None:
+        plain(can_id, data)
+        if can_id == SYNC and slaves[0].state == "switch on disabled":
             wire.send_errors = 1 << 30
 
-    slaves[0]._sync = sync  # type: ignore[method-assign]
+    slaves[0].on_frame = on_frame  # type: ignore[method-assign]
     with pytest.raises(DriveError, match="could not be sent"):
         group.disable()
-    slaves[0]._sync, wire.send_errors = plain, 0  # type: ignore[method-assign]
+    slaves[0].on_frame, wire.send_errors = plain, 0  # type: ignore[method-assign]
     beats = len(beats_s(wire))
     group.bus.listen(1.0)
     assert len(beats_s(wire)) == beats
@@ -370,18 +370,13 @@ def test_arms_that_all_stop_responding_are_not_monitored_for_a_drop(group, slave
         group.hold()
     syncs = []
 
-    def sync(slave: Slave) -> Callable[[], None]:
-        plain = slave._sync
-
-        def counted() -> None:
-            syncs.append(slave.state)
-            if slave.state != "switch on disabled":
-                plain()
-
-        return counted
+    def counted(slave: Slave, plain: Callable[[int, bytes], None], can_id: int, data: bytes) -> None:
+        syncs.extend([slave.state] * (can_id == SYNC))
+        if can_id != SYNC or slave.state != "switch on disabled":
+            plain(can_id, data)
 
     for slave in slaves:
-        slave._sync = sync(slave)  # type: ignore[method-assign]
+        slave.on_frame = partial(counted, slave, slave.on_frame)  # type: ignore[method-assign]
     with contextlib.suppress(DriveError):
         group.disable()
     assert syncs.count("switch on disabled") <= len(slaves) * 6
@@ -404,9 +399,9 @@ class Decelerating(Slave):
             return self.speed_rad_s
         return self.speed_rad_s * max(0.0, 1.0 - (self.wire.now_s - self.began_s) / self.ramp_s)
 
-    def _control(self, word: int) -> None:
+    def on_frame(self, can_id: int, data: bytes) -> None:
         before = self.state
-        super()._control(word)
+        super().on_frame(can_id, data)
         if self.state == "quick stop" and self.began_s is None:
             self.began_s = self.wire.now_s
         if before in ("operation enabled", "quick stop") and self.state not in ("operation enabled", "quick stop"):
@@ -537,15 +532,15 @@ def test_axes_that_never_come_to_rest_are_not_released(group, slaves):
 def test_a_bus_that_fails_while_the_quick_stop_is_tried_is_an_error(group, slaves, wire):
     rows = [[DriveCommand((slave.position + 50 * row) * COUNT_RAD) for slave in slaves] for row in range(1, 6)]
     slaves[0].moves_in = {"quick stop": [700] * 50}
-    plain = slaves[0]._sync
+    plain = slaves[0].on_frame
 
-    def sync() -> None:
-        plain()
-        if slaves[0].state == "quick stop":
+    def on_frame(can_id: int, data: bytes) -> None:
+        plain(can_id, data)
+        if can_id == SYNC and slaves[0].state == "quick stop":
             wire.send_errors = 1 << 30
 
-    slaves[0]._sync = sync  # type: ignore[method-assign]
-    group.on_stop = lambda: (setattr(slaves[0], "_sync", plain), setattr(wire, "send_errors", 0))
+    slaves[0].on_frame = on_frame  # type: ignore[method-assign]
+    group.on_stop = lambda: (setattr(slaves[0], "on_frame", plain), setattr(wire, "send_errors", 0))
     with pytest.raises(DriveError, match="could not be sent"):
         prove_quick_stop(group, rows)
     assert not group.enabled
@@ -626,14 +621,14 @@ def test_one_axis_is_held_by_its_brake_while_the_others_hold(bus, slaves, setups
 
 
 def test_another_axis_that_slips_meanwhile_stops_all(group, slaves):
-    plain = slaves[1]._sync
+    plain = slaves[1].on_frame
 
-    def sync() -> None:
-        plain()
-        if slaves[1].state == "switch on disabled":
+    def on_frame(can_id: int, data: bytes) -> None:
+        plain(can_id, data)
+        if can_id == SYNC and slaves[1].state == "switch on disabled":
             slaves[3].state = "fault"
 
-    slaves[1]._sync = sync  # type: ignore[method-assign]
+    slaves[1].on_frame = on_frame  # type: ignore[method-assign]
     with pytest.raises(DriveFault, match="node 4"):
         release(group, 1, 0.5)
     assert {slave.state for slave in slaves} == {"switch on disabled", "fault"}
@@ -687,7 +682,9 @@ def test_a_drive_that_ignores_the_quick_stop_is_named_and_the_heartbeat_ends(gro
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), ValueError("bad"), KeyError("x")])
 @pytest.mark.parametrize("stage", ["exchange", "quick_stop", "disable", "close"])
-def test_any_exception_is_recorded_and_the_stop_of_all_axes_goes_on(bus, slaves, setups, wire, stage, error):
+def test_any_exception_is_recorded_and_the_stop_of_all_axes_goes_on(
+    bus, slaves, setups, wire, monkeypatch, stage, error
+):
     """Something fails at every SYNC from a stage on: every axis is led down by SDO, and the heartbeat ends first."""
     group = DriveGroup(bus, setups(6), PERIOD_S, "real")
     group.connect()
@@ -701,12 +698,13 @@ def test_any_exception_is_recorded_and_the_stop_of_all_axes_goes_on(bus, slaves,
     failing = ["exchange", "quick_stop", "disable", "close"]
     for name in failing:
         if name == stage:
-            group._exchange.collector.collect_within = fails
+            monkeypatch.setattr(EpochCollector, "collect_within", fails)
         with contextlib.suppress(DriveError, *([type(error)] if name == "exchange" else [])):
             move(group) if name == "exchange" else getattr(group, name)()
     assert {slave.state for slave in slaves} == {"switch on disabled"}
     if stage != "close":
-        assert not group._producer.running
+        downs = [at for (_, data), at in zip(wire.sent, wire.sent_at_s, strict=True) if data[:4] == b"\x2b\x40\x60\x00"]
+        assert max(beats_s(wire)) < min(downs)
 
 
 def test_a_notice_to_the_other_arm_that_fails_does_not_keep_this_one_from_stopping(real, slaves):

@@ -65,17 +65,18 @@ def test_a_slave_that_refuses_start_until_its_communication_error_is_gone(bus, s
 
 def says_why(slave, wire, clears):
     """Let a slave say by an emergency why it refuses START, and when it no longer does if `clears`."""
-    take = slave._command
+    take = slave.on_frame
     said = []
 
-    def command(number):
-        refused = number == 1 and wire.now_s < slave.communication_error_until_s
-        if refused or (said and clears and number == 1):
-            slave.emergency(bytes.fromhex("008111" if refused else "000000"))
-        said[:] = [True] if refused else []
-        take(number)
+    def on_frame(can_id, data):
+        if can_id == 0x000 and data[1] in (0, slave.node_id):
+            refused = data[0] == 1 and wire.now_s < slave.communication_error_until_s
+            if refused or (said and clears and data[0] == 1):
+                slave.emergency(bytes.fromhex("008111" if refused else "000000"))
+            said[:] = [True] if refused else []
+        take(can_id, data)
 
-    slave._command = command
+    slave.on_frame = on_frame
 
 
 @BOTH
@@ -139,15 +140,7 @@ def test_a_slave_that_waits_for_sync(bus, slaves, setups, pacing):
 
 def test_a_slave_that_does_not_take_zero_gets_our_period(bus, slaves, setups):
     put(slaves[0], (0x1006, 0), "u32", 1000)
-    real = slaves[0]._sdo_download
-
-    def refusing(request, address):
-        if address == (0x1006, 0) and request[4:] == bytes(4):
-            slaves[0]._abort(request, 0x06090032)
-        else:
-            real(request, address)
-
-    slaves[0]._sdo_download = refusing
+    slaves[0].refuses_write = lambda *write: 0x06090032 if write == ((0x1006, 0), bytes(4)) else 0
     with DriveGroup(bus, setups(2), PERIOD_S, "real") as group:
         group.connect()
         group.configure()
@@ -189,15 +182,7 @@ def test_a_quick_stop_option_that_does_not_end_disabled_is_replaced_for_the_run(
 
 def test_a_drive_that_keeps_another_quick_stop_option_is_refused_by_name(bus, slaves, setups):
     put(slaves[1], (0x605A, 0), "i16", 6)
-    plain = slaves[1]._sdo_download
-
-    def download(request, address):
-        if address == (0x605A, 0):
-            slaves[1]._abort(request, 0x06010002)
-        else:
-            plain(request, address)
-
-    slaves[1]._sdo_download = download
+    slaves[1].refuses_write = lambda address, data: 0x06010002 if address == (0x605A, 0) else 0
     with DriveGroup(bus, setups(2), PERIOD_S) as group:
         group.connect()
         with pytest.raises(ConfigurationRefused, match=r"node 2:605A.*holds 6 and refuses 2.*SWITCH ON DISABLED"):
@@ -221,16 +206,16 @@ class Interpolating(Slave):
         self.values[0x60C2, 1], self.values[0x60C2, 2] = value, exponent
         self.applied_s, self.sent_subindices = value * 10.0**exponent, set()
 
-    def _sdo_download(self, request: bytes, address: tuple[int, int]) -> None:
+    def refuses_write(self, address: tuple[int, int], data: bytes) -> int:
         if address[0] == 0x60C2:
             self.sent_subindices.add(address[1])
-            (sent,) = struct.unpack_from("<b" if address[1] == 2 else "<B", request, 4)
+            (sent,) = struct.unpack_from("<b" if address[1] == 2 else "<B", data)
             if address[1] == 2 and self.fixed is not None and (sent != self.fixed or self.refusal == 0x06010002):
-                self._abort(request, self.refusal)
-                return
-        super()._sdo_download(request, address)
-        if self.sent_subindices == {1, 2}:
-            self.applied_s = self.values[0x60C2, 1] * 10.0 ** self.values[0x60C2, 2]
+                return self.refusal
+            if self.sent_subindices == {1, 2}:
+                value, exponent = ({1: self.values[0x60C2, 1], 2: self.values[0x60C2, 2]} | {address[1]: sent}).values()
+                self.applied_s = value * 10.0**exponent
+        return 0
 
 
 @pytest.mark.parametrize("period_ms", [4, 10, 20])
@@ -270,7 +255,7 @@ def test_an_axis_whose_interpolation_period_was_left_at_another_one_is_not_enabl
 
 @BOTH
 def test_a_slave_with_tpdo3_on_at_5_khz(bus, slaves, setups, pacing):
-    slaves[0]._pdo(0x1802, 0x1A02, 0x40000381, [0x60410010])
+    slaves[0].add_pdo(0x1802, 0x1A02, 0x40000381, [0x60410010])
     group = enabled(bus, setups(2), pacing)
     assert slaves[0].values[0x1802, 1] & 1 << 31
     before = bus.counts["unclaimed"]

@@ -19,7 +19,7 @@ def slaves(add_slaves: Callable[[int], list[Slave]]) -> list[Slave]:
     """Two drives with a third TPDO, which is off, and a torque demand."""
     found = add_slaves(2)
     for slave in found:
-        slave._pdo(0x1802, 0x1A02, OFF | 0x380 + slave.node_id, [])
+        slave.add_pdo(0x1802, 0x1A02, OFF | 0x380 + slave.node_id, [])
         slave.types[0x6074, 0], slave.values[0x6074, 0] = "i16", -7 * slave.node_id
     return found
 

@@ -256,15 +256,7 @@ def test_what_a_refusal_leaves_behind_is_nothing(access, slave, generic, tmp_pat
     write_all([planned(access, generic, tmp_path, {(0x6007, 0): 3})])
     before = ledger.entries
     work = planned(access, generic, tmp_path, {(0x6007, 0): 2, (0x6065, 0): 90})
-    real = slave._sdo_download
-
-    def refusing(request, address):
-        if address == (0x6065, 0):
-            slave._abort(request, 0x06090030)
-        else:
-            real(request, address)
-
-    slave._sdo_download = refusing
+    slave.refuses_write = lambda address, data: 0x06090030 if address == (0x6065, 0) else 0
     with pytest.raises(SdoAbort, match="6065:00") as caught:
         write_all([work])
     assert caught.value.__notes__ == ["what had been written is put back"]
@@ -274,15 +266,14 @@ def test_what_a_refusal_leaves_behind_is_nothing(access, slave, generic, tmp_pat
 
 def test_what_cannot_be_put_back_is_named_and_stays_in_the_ledger(access, slave, generic, tmp_path, ledger):
     work = planned(access, generic, tmp_path, {(0x6007, 0): 2, (0x6065, 0): 90})
-    real = slave._sdo_download
+    real = slave.on_frame
 
-    def dying(request, address):
-        if address == (0x6065, 0):
+    def dying(can_id, data):
+        if (data[0] & 0xE0, data[1:4]) == (0x20, b"\x65\x60\x00"):
             slave.alive = False
-        else:
-            real(request, address)
+        real(can_id, data)
 
-    slave._sdo_download = dying
+    slave.on_frame = dying
     with pytest.raises(SdoTimeout) as caught:
         write_all([work])
     (note,) = caught.value.__notes__
@@ -293,13 +284,13 @@ def test_what_cannot_be_put_back_is_named_and_stays_in_the_ledger(access, slave,
 
 def test_a_drive_that_takes_another_value_than_it_is_given_ends_it(access, slave, generic, tmp_path, ledger):
     work = planned(access, generic, tmp_path, {(0x6065, 0): 90})
-    real = slave._sdo_download
+    real = slave.on_frame
 
-    def clipping(request, address):
-        real(request, address)
+    def clipping(can_id, data):
+        real(can_id, data)
         slave.values[0x6065, 0] = min(slave.values[0x6065, 0], 80) if slave.values[0x6065, 0] != 100 else 100
 
-    slave._sdo_download = clipping
+    slave.on_frame = clipping
     with pytest.raises(ConfigurationRefused, match="0x5a was written, but 0x50 is read back"):
         write_all([work])
     assert slave.values[0x6065, 0] == 100
