@@ -16,6 +16,7 @@ from gateway.cell.config import LoadedCell, parse_cell
 from gateway.cell.conversion import AxisConversion
 from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
 from gateway.motion.workspace import Workspace, workspace_of
 from tests.support.rigs.pacing import in_lockstep
 
@@ -80,14 +81,14 @@ class FakeDrives:
         target = self.axes.joint_position(motor)
         assert self.enabled
         step = target - self.target_rad
-        self._follow()
+        self.follow()
         self.direction = np.where(np.abs(step) > 1e-12, np.sign(step), self.direction)
         self.target_rad = target
         return self._epoch()
 
     def hold(self) -> Epoch:
         assert self.enabled
-        self._follow()
+        self.follow()
         return self._epoch()
 
     def begin(self, commands: Sequence[DriveCommand] | None, /) -> None:
@@ -139,7 +140,13 @@ class FakeDrives:
     def sync_sent_s(self):
         return self.period_s * self.sync_index
 
-    def _follow(self) -> None:
+    def asks_at(self, sync: int, kind: StopKind = StopKind.ALONG_PATH) -> StopDesk:
+        """A desk with a person who wants a stop from a SYNC on."""
+        wish = StopRequest(kind, StoppedByPerson("a person"))
+        return StopDesk(lambda: wish if self.sync_index >= sync else None)
+
+    def follow(self) -> None:
+        """Bring the joints to their targets of the SYNC before."""
         jammed = self.jam_at is not None and self.sync_index >= self.jam_at
         q_rad = self.target_rad.copy()
         if jammed:

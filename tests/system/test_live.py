@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import _thread
 import threading
-import time
 from collections.abc import Callable
 
 import pytest
@@ -17,6 +16,7 @@ from gateway.live.page import LivePage
 from gateway.motion.arm import JointSide
 from gateway.motion.opening import axis_setups
 from tests.support.pages.browser import MISSING, Browser, available, browser
+from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.system
 
@@ -41,7 +41,7 @@ class Watcher(threading.Thread):
 
     def run(self) -> None:
         try:
-            wait_for(lambda: self._pages)
+            wait_until(lambda: self._pages)
             with browser() as window:
                 window.resize(*WIDE)
                 window.visit(self._pages[0].address)
@@ -49,13 +49,6 @@ class Watcher(threading.Thread):
         except BaseException as error:
             self.failure = error
             _thread.interrupt_main()
-
-
-def wait_for(what: Callable[[], object]) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not what():
-        assert time.monotonic() < until_s
-        time.sleep(0.05)
 
 
 @pytest.fixture
@@ -79,8 +72,8 @@ def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pa
     seen: dict[str, object] = {}
 
     def look(window: Browser) -> None:
-        wait_for(lambda: window.run("return document.getElementById('phase').textContent") == "moving")
-        wait_for(lambda: window.run("return live.arms[0].time.length > 100"))
+        wait_until(lambda: window.run("return document.getElementById('phase').textContent") == "moving")
+        wait_until(lambda: window.run("return live.arms[0].time.length > 100"))
         seen["drawn"] = window.run(DRAWN)
         seen["axes"] = window.run(
             "return [...document.querySelectorAll('.axes td:first-child')].map(e => e.textContent)"
@@ -97,7 +90,7 @@ def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pa
         window.in_light("light")
         window.picture(pictures / "live.png")
         window.run("document.getElementById('stop').click()")
-        wait_for(lambda: not window.run("return document.getElementById('over').hidden"))
+        wait_until(lambda: not window.run("return document.getElementById('over').hidden"))
         seen["over"] = window.run("return document.getElementById('over').textContent")
         seen["disabled"] = window.run("return document.getElementById('stop').disabled")
 

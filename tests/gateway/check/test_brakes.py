@@ -96,22 +96,13 @@ def test_one_controlword_holds_an_axis_that_falls_within_the_first_time(rig):
 def test_the_drive_is_commanded_to_hold_the_axis_where_it_was_measured(rig):
     opened, slaves = rig
     slaves[0].falls_rad_s2 = 10.0
-    seen: list[int] = []
-    plain = slaves[0]._sync
-
-    def sync() -> None:
-        seen.append(slaves[0].position)
-        plain()
-
-    slaves[0]._sync = sync  # type: ignore[method-assign]
     try_brakes(opened, MoveOptions(), Person(opened, slaves))
     commanded = slaves[0].commands
-    offset = len(seen) - len(commanded)
     words = [word for word, _ in commanded]
     begin = words.index(0x07, words.index(0x0F))
     end = words.index(0x0F, begin)
-    assert commanded[end][1] == seen[offset + end - 1]
-    assert abs(commanded[end][1] - commanded[begin][1]) > 0.004 * slaves[0]._joint_count
+    assert commanded[end][1] == slaves[0].measured[end - 1]
+    assert abs(commanded[end][1] - commanded[begin][1]) > 0.004 * slaves[0].joint_count
 
 
 def test_brakes_that_hold_are_left_to_themselves_for_longer_and_longer(rig):
@@ -147,7 +138,7 @@ def test_the_measured_torque_decides_whether_a_brake_is_tried(rig, word, tried):
     """0.1 % of the rated torque; what the model of the links says does not count."""
     opened, slaves = rig
     share = opened.workspace.torque_nm[2]
-    per_word_nm = abs(float(opened.arm.axes.joint_torque(unit(opened, 2))[2]))
+    per_word_nm = abs(float(opened.arm.axes.joint_torque(np.eye(6)[2] * opened.group.drives[2].scale.torque_nm)[2]))
     slaves[2].torque = round(word / 1000.0 * share / per_word_nm)
     items = try_brakes(opened, MoveOptions(), Person(opened, slaves))
     assert items[2].severity == ("ok" if tried else "warn")
@@ -156,21 +147,19 @@ def test_the_measured_torque_decides_whether_a_brake_is_tried(rig, word, tried):
         assert "switched on" not in slaves[2].states[slaves[2].states.index("operation enabled") : -60]
 
 
-def unit(opened: OpenArm, axis: int):
-    """Motor torques (N,) of one count of an axis' torque word."""
-    return np.eye(6)[axis] * opened.group.drives[axis].scale.torque_nm
-
-
 def test_an_axis_whose_torque_is_not_known_is_not_tried(rig, monkeypatch):
     opened, slaves = rig
-    plain = opened.arm._sample
 
-    def without_torque(epoch):
-        sample = plain(epoch)
-        sample.joint_torque_nm[3] = math.nan
-        return sample
+    def without_torque(plain):
+        def answered(*targets):
+            sample = plain(*targets)
+            sample.joint_torque_nm[3] = math.nan
+            return sample
 
-    monkeypatch.setattr(opened.arm, "_sample", without_torque)
+        return answered
+
+    for name, plain in (("exchange", opened.arm.exchange), ("hold", opened.arm.hold)):
+        monkeypatch.setattr(opened.arm, name, without_torque(plain))
     items = try_brakes(opened, MoveOptions(), Person(opened, slaves))
     assert [item.severity for item in items] == ["ok", "ok", "ok", "warn", "ok", "ok"]
     assert "torque of its drive is not known" in items[3].what

@@ -126,19 +126,12 @@ def test_a_request_at_any_sync_of_the_proof_is_answered_within_one_sync_and_the_
 
 
 @pytest.mark.parametrize(("code", "left"), [(0x8130, "switch on disabled"), (0x7305, "fault")])
-def test_a_fault_that_a_stopped_proof_has_provoked_is_reset_and_another_is_named(rig, phases, monkeypatch, code, left):
+def test_a_fault_that_a_stopped_proof_has_provoked_is_reset_and_another_is_named(rig, phases, code, left):
     """Some drives answer the lost heartbeat with FAULT, whatever 0x6007 says."""
     opened, slaves = rig
     slave, asked = slaves[2], list[int]()
-    supervise = slave._supervise_master
-
-    def faults() -> None:
-        supervise()
-        if slave.state == "quick stop":
-            slave.state = "fault"
-
     slave.values[0x603F, 0] = code
-    monkeypatch.setattr(slave, "_supervise_master", faults)
+    slave.without_master = dict.fromkeys(slave.without_master, "fault")
     desk = asks_at(slaves, phases["after they have stopped"], StopKind.ALONG_PATH, asked)
     with pytest.raises(StoppedByPerson, match="a person") as caught:
         prove_stop(opened, MoveOptions(desk))
@@ -164,13 +157,11 @@ def test_a_proof_that_was_stopped_is_not_kept_as_proven(rig, phases, tmp_path, m
 @pytest.mark.parametrize("phase", ["motion", "heartbeat withheld"])
 def test_contact_in_a_proof_stops_the_arm(rig, phases, phase):
     opened, slaves = rig
-    plain = slaves[1]._sync
 
-    def sync() -> None:
-        plain()
+    def pushes() -> None:
         slaves[1].torque = 900 if slaves[1].sync_seen >= phases[phase] else 0
 
-    slaves[1]._sync = sync  # type: ignore[method-assign]
+    slaves[1].at_sync = pushes
     with pytest.raises(LimitExceeded, match="joint 2"):
         prove_stop(opened)
     assert last_set_point(slaves) <= phases[phase] + 6
@@ -179,14 +170,12 @@ def test_contact_in_a_proof_stops_the_arm(rig, phases, phase):
 
 def test_a_joint_that_leaves_its_range_while_the_heartbeat_is_withheld_stops_the_arm(rig, phases):
     opened, slaves = rig
-    plain, turn = slaves[2]._sync, slaves[2]._joint_count * 3.5
 
-    def sync() -> None:
-        plain()
+    def leaves() -> None:
         if slaves[2].sync_seen >= phases["heartbeat withheld"]:
-            slaves[2].position = round(turn)
+            slaves[2].position = round(slaves[2].joint_count * 3.5)
 
-    slaves[2]._sync = sync  # type: ignore[method-assign]
+    slaves[2].at_sync = leaves
     with pytest.raises(LimitExceeded, match="joint 3"):
         prove_stop(opened)
     assert last_set_point(slaves) <= phases["heartbeat withheld"] + 6
@@ -200,7 +189,7 @@ def test_the_quick_stop_is_tried_while_the_arm_moves(rig, phases):
     for slave in slaves:
         quick = phases["quick stop"]
         assert (slave.commands[quick - 1][0], slave.commands[quick][0]) == (0x0F, 0x02)
-        step = abs(slave.commands[quick - 1][1] - slave.commands[quick - 2][1]) / slave._joint_count
+        step = abs(slave.commands[quick - 1][1] - slave.commands[quick - 2][1]) / slave.joint_count
         assert step / PERIOD_S == pytest.approx(SPEED_RAD_S, rel=0.05)
 
 
@@ -208,13 +197,11 @@ def test_a_drive_that_has_stopped_by_itself_is_no_contact(rig):
     """One gives up early: its torque vanishes and its setpoints go on without it."""
     opened, slaves = rig
     slaves[3].torque = 900
-    plain = slaves[3]._sync
 
-    def sync() -> None:
-        plain()
+    def gives_up() -> None:
         slaves[3].torque = 200 if slaves[3].state == "operation enabled" else 0
 
-    slaves[3]._sync = sync  # type: ignore[method-assign]
+    slaves[3].at_sync = gives_up
     arm = type(opened.group.drives[3]).arm
 
     def impatient(drive, master):

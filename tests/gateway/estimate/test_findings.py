@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from gateway.estimate import difference, posture, recommendation
-from gateway.estimate.consistency import physical_findings
+from gateway.estimate import EstimateOptions, difference, estimate
+from gateway.estimate.consistency import describe_masses, physical_findings
 from gateway.estimate.describe import axis_sigma
 from gateway.model.base import rest_base
+
+TOOL = (8.0, 0.12, -0.03, 0.05)
 
 
 def load(mass_kg: float, std_kg: float = 0.1, com_m=(0.0, 0.0, 0.1), com_std_m=(0.01, 0.01, 0.01)):
@@ -50,44 +53,36 @@ def test_the_noise_of_an_axis_is_that_of_its_own_rows():
     assert found == pytest.approx([2.0, np.nan, 4.0, np.nan, np.nan, 0.5], nan_ok=True)
 
 
-def test_what_lumps_with_the_load_is_named_and_nothing_else(arm):
+def test_what_lumps_with_the_load_is_named_and_nothing_else(arm, poses, measured):
     base = rest_base(arm.robot)
-    said = posture._limits(base, 6).what
+    table = measured(arm, poses, {"tool": TOOL})
+    said = estimate(table, arm.robot, EstimateOptions(inertials="exact"), "posture").findings[0].what
     listed = said[said.index("(") + 1 : said.rindex(");")].split("; ")
     assert listed == [name for name in base.names if "_6" in name]
     assert 0 < len(listed) < len(base.names)
 
 
-def test_moments_that_a_load_leaves_open_are_bounded_by_an_unknown_load():
-    """Mass up to an unknown load, moments up to that 0.3 m away; what is known stays as it is."""
-    known = SimpleNamespace(refused=None, covariance=np.diag([1.0, 2.0, 3.0, 4.0]), unidentifiable=())
-    assert recommendation._with_unknown(known, 1.0) == pytest.approx(known.covariance, abs=1e-9)  # type: ignore[arg-type]
-    half = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("com_y_m",))
-    wide = (0.3 * recommendation._UNKNOWN_KG) ** 2
-    assert np.diag(recommendation._with_unknown(half, 1.0)) == pytest.approx([1.0, 2.0, 3.0 + wide, 4.0])  # type: ignore[arg-type]
-    mass = SimpleNamespace(refused=None, covariance=known.covariance, unidentifiable=("mass_kg",))
-    assert recommendation._with_unknown(mass, 1.0)[0, 0] == pytest.approx(1.0 + recommendation._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
-    assert recommendation._with_unknown(mass, 0.25)[0, 0] == pytest.approx(0.25 + recommendation._UNKNOWN_KG**2)  # type: ignore[arg-type, index]
-    refused = SimpleNamespace(refused="too few", covariance=known.covariance, unidentifiable=())
-    assert recommendation._with_unknown(refused, 1.0) is None  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(("times", "said"), [(0.9, False), (1.1, True)])
-def test_rows_contradict_each_other_where_they_leave_more_than_friction_does(monkeypatch, times, said):
+@pytest.mark.parametrize(("times", "said"), [(0.9, False), (1.2, True)])
+def test_rows_contradict_each_other_where_they_leave_more_than_friction_does(
+    arm, poses, measured, monkeypatch, times, said
+):
     """Residuals in units of what the half differences scatter by, of the axes whose scatter is known."""
     sigma = np.array([1.0, 2.0, 4.0, 0.5, 1.0, 1.0])
     freedom = np.array([9, 9, 9, 9, 2, 9])
+    fit = difference.fit
+
+    def fitted(problem, *others):
+        size = times * difference.CONTRADICTS * np.where(problem.axis == 4, 1e6, 1.0)
+        return replace(fit(problem, *others), residual=size * sigma[problem.axis])
+
     monkeypatch.setattr(difference, "half_difference_scatter", lambda *_: (sigma**2 / 2.0, freedom))
     monkeypatch.setattr(difference, "disagree", lambda _masses: True)
-    axis = np.tile(np.arange(6), 20)
-    residual = times * difference.CONTRADICTS * sigma[axis] * np.where(axis == 4, 1e6, 1.0)
-    visits = SimpleNamespace(difference_nm=None, sum_nm=None)
-    contradiction = difference._contradiction(
-        visits,
-        SimpleNamespace(axis=axis),
-        SimpleNamespace(residual=residual),
-        {"a": 3.0, "b": 9.0},  # type: ignore[arg-type]
+    monkeypatch.setattr(difference, "fit", fitted)
+    table = measured(arm, poses, {"none": None, "tool": TOOL}, np.random.default_rng(3), left=0.1)
+    (load,) = estimate(table, arm.robot, EstimateOptions(), "difference").loads
+    assert (load.refused is not None) == said
+    about = (
+        f"{times * difference.CONTRADICTS:.0f} times what the friction leaves",
+        describe_masses(load.per_pose_mass_kg),
     )
-    assert (contradiction is not None) == said
-    for words in (f"{times * difference.CONTRADICTS:.0f} times what the friction leaves", "3 to 9 kg (median 6)"):
-        assert (words in (contradiction or "")) == said
+    assert [words in (load.refused or "") for words in about] == [said, said]

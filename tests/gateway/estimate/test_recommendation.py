@@ -10,8 +10,10 @@ import pytest
 from gateway.estimate import EstimateOptions, recommendation
 from gateway.estimate.recommendation import cost_of_missing_axes, next_pose
 from gateway.identify.budget import CONSTANTS
+from gateway.model.information import payload_information
 from gateway.model.regressor import load_regressor
 
+NAMES = ("mass_kg", "com_x_m", "com_y_m", "com_z_m")
 SIGMA = np.array([2.0, 3.0, 2.0, 1.0, 0.5, 0.4])
 
 
@@ -62,12 +64,29 @@ def test_cost_is_infinite_where_the_mass_is_open(arm, poses):
     assert np.isinf(cost_of_missing_axes(arm.robot, poses, only_vertical, EstimateOptions()))
 
 
-def test_the_mass_is_known_where_only_a_moment_is_open_and_open_where_it_hides_behind_one():
+def test_the_mass_is_known_where_only_a_moment_is_open_and_open_where_it_hides_behind_one(arm, poses, monkeypatch):
     """By the inverse of what is known; a direction that nothing is known of costs only what points along it."""
     plain = np.diag([4.0, 1.0, 9.0, 0.0])
-    assert recommendation._mass_variance(plain) == pytest.approx(1 / 4)
     coupled = plain.copy()
     coupled[0, 1] = coupled[1, 0] = 1.5
-    assert recommendation._mass_variance(coupled) == pytest.approx(np.linalg.inv(coupled[:3, :3])[0, 0])
-    row = np.array([[1.0, 0.0, 0.0, 2.0]])
-    assert np.isinf(recommendation._mass_variance(row.T @ row))
+    known = np.linalg.inv(coupled[:3, :3])[0, 0]
+    hidden = np.outer([1.0, 0.0, 0.0, 2.0], [1.0, 0.0, 0.0, 2.0])
+    for information, variance in ((plain, 1 / 4), (coupled, known), (hidden, np.inf)):
+        both = iter((information[None], np.eye(4)[None]))
+        monkeypatch.setattr(recommendation, "payload_information", lambda *_, both=both: next(both))
+        assert cost_of_missing_axes(arm.robot, poses, SIGMA, EstimateOptions()) == pytest.approx(np.sqrt(variance))
+
+
+@pytest.mark.parametrize(
+    ("unknown", "wide", "constants"),
+    [("", 0.0, 0.0), ("com_y_m", 300.0, 0.0), ("mass_kg", 1000.0, 0.0), ("mass_kg", 1000.0, 0.75)],
+)
+def test_moments_that_a_load_leaves_open_are_bounded_by_an_unknown_load(arm, poses, unknown, wide, constants):
+    """Mass up to an unknown load, moments up to that 0.3 m away; what is known stays as it is."""
+    known, options = np.diag([1.0, 2.0, 3.0, 4.0]), EstimateOptions(pose_choice=poses[:1])
+    what = {"label": "tool", "covariance": known, "unidentifiable": (unknown,), "budget": {CONSTANTS: constants}}
+    now = (1.0 - constants) * known + np.diag([wide if name == unknown else 0.0 for name in NAMES]) ** 2
+    gained = np.linalg.det(np.eye(4) + now @ payload_information(arm.robot, poses[:1], SIGMA, options.gravity_m_s2)[0])
+    found = next_pose(SimpleNamespace(**what, refused=None), arm.robot, SIGMA, options)
+    assert found.reduction == pytest.approx(np.sqrt(constants + (1.0 - constants) * gained**-0.25))
+    assert next_pose(SimpleNamespace(**what, refused="too few"), arm.robot, SIGMA, options) is None

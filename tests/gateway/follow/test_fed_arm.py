@@ -112,13 +112,13 @@ def test_another_law_is_refused_while_offsets_are_fed(fed, law):
 
 
 def test_an_offset_at_its_limit_is_not_sent(fed, feed, perfect):
-    fed.use(feed.law(assumed_load("heavy", 900.0, [0.0, 0.0, 0.3], "test")))
+    heavy = feed.law(assumed_load("heavy", 900.0, [0.0, 0.0, 0.3], "test"))
+    fed.use(heavy)
     fed.ramp.rise()
     with pytest.raises(LimitExceeded, match=r"axis \d: the feedforward requires .* Nm at the motor, its limit"):
         [fed.hold() for _ in range(20)]
-    limits = fed._law.limits_nm
     for row in perfect.commanded:
-        assert all(abs(c.torque_offset_nm) <= limit for c, limit in zip(row, limits, strict=True))
+        assert all(abs(c.torque_offset_nm) <= limit for c, limit in zip(row, heavy.limits_nm, strict=True))
     assert fed.ramp.gain == 0.0
 
 

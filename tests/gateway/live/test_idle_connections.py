@@ -30,7 +30,7 @@ async def served():
         server = uvicorn.Server(config_of(live_app(Pages(show, lambda: None), Door(port, TOKEN))))
         with contextlib.ExitStack() as quiet:
             quiet.enter_context(contextlib.suppress(asyncio.CancelledError))
-            serving = asyncio.create_task(server._serve([listener]))
+            serving = asyncio.create_task(server.serve([listener]))
             while not server.started:
                 await asyncio.sleep(0.001)
             try:

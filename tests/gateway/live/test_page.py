@@ -8,7 +8,6 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 import urllib.error
 import urllib.request
 from collections.abc import Iterator
@@ -21,6 +20,7 @@ from gateway.live.page import PORT, LivePage, live_page
 from gateway.motion.observer import MotionProgress
 from gateway.motion.stops import StopKind
 from tests.data.observed import observed
+from tests.support.processes import gone, wait_until
 
 PATIENCE_S = 30.0
 #: A command that dies without a word: its page has a process of its own, whose number it prints.
@@ -45,21 +45,18 @@ def answer(address: str) -> tuple[int, str]:
         return response.status, response.read().decode()
 
 
-def wait_for(what) -> None:
-    until_s = time.monotonic() + PATIENCE_S
-    while not what():
-        assert time.monotonic() < until_s
-        time.sleep(0.02)
-
-
-def test_the_printed_address_is_answered_and_the_end_ends_the_process():
+def test_the_printed_address_is_answered_and_the_end_ends_the_process(monkeypatch):
+    started, popen = [], subprocess.Popen
+    monkeypatch.setattr(
+        subprocess, "Popen", lambda *words, **named: started.append(popen(*words, **named)) or started[0]
+    )
     with live_page("a test") as page:
         status, text = answer(page.address)
         assert status == 200
         assert "<canvas" in text
         with pytest.raises(urllib.error.HTTPError, match="403"):
             answer(page.address.partition("?")[0])
-    assert page._process.poll() == 0
+    assert [process.returncode for process in started] == [0]
 
 
 @pytest.mark.slow
@@ -101,7 +98,7 @@ def test_a_page_that_is_killed_never_makes_the_loop_wait_and_stops_it_along_the_
     feed = page.feed
     feed.began(scene)
     os.kill(page.pid, signal.SIGKILL)
-    wait_for(lambda: page._process.poll() is not None)
+    wait_until(lambda: gone(page.pid))
     for sync in range(1, 4):
         feed.sampled(observed(sync, scene.workspaces[0].lower_rad * 0.0))
         feed.reported(MotionProgress("move", sync, 3))
@@ -119,12 +116,4 @@ def test_the_page_ends_when_its_command_is_gone():
     assert answer(address)[0] == 200
     program.communicate("\n")
     assert program.returncode == 1
-
-    def gone() -> bool:
-        try:
-            with open(f"/proc/{number}/stat", encoding="ascii") as stat:
-                return stat.read().rpartition(")")[2].split()[0] == "Z"
-        except OSError:
-            return True
-
-    wait_for(gone)
+    wait_until(lambda: gone(int(number)))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import shutil
+from contextlib import nullcontext
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -65,26 +67,46 @@ class Group:
         self.sync_sent_s = 12.5
         self.aligned: list[float] = []
         self.on_stop = lambda: None
-        position = SimpleNamespace(object="position")
-        setup = SimpleNamespace(profile=SimpleNamespace(position=position), torque_limit_nm=None)
+        self.access = ()
+        self.limits_nm: list[float | None] = []
+        self.connect = lambda: ()
+        self.enable = self.exchange = self.hold = self.disable = self.quick_stop = lambda *_: None
+        self.begin = self.prepare = self.sync = self.gather = self.check = self.abandon = lambda *_: None
+
+    def of(self, _bus, setups, *_pacing, **_options) -> nullcontext[Group]:
+        """Take the settings as the group of these drives does."""
+        self.setups = setups
         self.drives = [
             SimpleNamespace(
-                access=SimpleNamespace(read=lambda entry, node=node: 1000 * node if entry == "position" else None),
+                access=SimpleNamespace(read=lambda entry, setup=setup: {0x6064: 1000}[entry.index] * setup.node_id),
                 scale=SimpleNamespace(count_rad=0.001),
                 setup=setup,
             )
-            for node in range(1, 7)
+            for setup in setups
         ]
-        self.enable = self.exchange = self.hold = self.disable = self.quick_stop = lambda *_: None
-        self.begin = self.prepare = self.sync = self.gather = self.check = self.abandon = lambda *_: None
+        return nullcontext(self)
+
+    def configure(self) -> None:
+        self.limits_nm = [drive.setup.torque_limit_nm for drive in self.drives]
 
     def align(self, at_s: float) -> None:
         self.aligned.append(at_s)
 
 
-def test_an_arm_reads_positions_by_sdo_and_is_notified_of_a_drop():
+@pytest.fixture
+def group(monkeypatch) -> Group:
+    """What `open_arm` takes for the drives on the bus; they pass its check and say nothing of their ramps."""
     group = Group()
-    seen = opening._GroupDrives(group)  # type: ignore[arg-type]
+    monkeypatch.setattr(opening, "open_bus", lambda *_: nullcontext())
+    monkeypatch.setattr(opening, "DriveGroup", group.of)
+    monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: None)
+    monkeypatch.setattr(opening, "look_over", lambda *_: SimpleNamespace(refusing=(), items=(), readings=()))
+    return group
+
+
+def test_an_arm_reads_positions_by_sdo_and_is_notified_of_a_drop(small_cell, group):
+    with opening.open_arm(small_cell) as opened:
+        seen = opened.arm.drives
     assert seen.positions_rad() == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
     assert list(seen.brake_drop_rad()) == [0.0] * 6
     group.brake_drop_rad = (0.1,) * 6
@@ -99,50 +121,34 @@ def test_an_arm_reads_positions_by_sdo_and_is_notified_of_a_drop():
 
 @pytest.mark.parametrize("harder", ["ramp", "motion"])
 def test_a_drive_gives_no_more_torque_than_the_harder_of_motion_and_quick_stop_needs(
-    small_cell, workspace, monkeypatch, harder
+    small_cell, workspace, monkeypatch, group, harder
 ):
     config = small_cell.cell.arm[0]
     ramp = workspace.acceleration_rad_s2 * (3.0 if harder == "ramp" else 0.3)
     monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: ramp)
     monkeypatch.setattr(opening, "needed_torque_nm", lambda _space, _config, hardest, _known: 10.0 * hardest)
-    group = Group()
-    group.setups = axis_setups(small_cell, config)  # type: ignore[attr-defined]
-    for drive, setup in zip(group.drives, group.setups, strict=True):  # type: ignore[attr-defined]
-        drive.setup = setup
-    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()), ())  # type: ignore[arg-type]
+    with opening.open_arm(small_cell):
+        pass
     ratio = np.abs(AxisConversion.from_arm(config).ratio)
     expected = 10.0 * np.maximum(ramp, workspace.acceleration_rad_s2) / ratio
-    assert [drive.setup.torque_limit_nm for drive in group.drives] == pytest.approx(expected.tolist())
+    assert group.limits_nm == pytest.approx(expected.tolist())
 
 
-def test_where_a_ramp_is_not_known_no_torque_is_limited(small_cell, workspace, monkeypatch):
-    config = small_cell.cell.arm[0]
-    monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: None)
-    group = Group()
-    group.setups = axis_setups(small_cell, config)  # type: ignore[attr-defined]
-    for drive, setup in zip(group.drives, group.setups, strict=True):  # type: ignore[attr-defined]
-        drive.setup = setup
-    opening._limit_torques(group, config, workspace, SimpleNamespace(readings=()), ())  # type: ignore[arg-type]
-    assert [drive.setup.torque_limit_nm for drive in group.drives] == [None] * 6
+def test_where_a_ramp_is_not_known_no_torque_is_limited(small_cell, group):
+    with opening.open_arm(small_cell):
+        pass
+    assert group.limits_nm == [None] * 6
 
 
 @pytest.mark.parametrize("bus_name", [None, BusSpec("virtual", "elsewhere")])
 def test_the_bus_is_that_of_the_cell_unless_another_one_is_given(small_cell, monkeypatch, bus_name):
-    class Opened(Exception):  # noqa: N818 - ends what is tried
-        pass
-
-    asked = []
-
-    def open_bus(spec, trace):
-        asked.append((spec, trace))
-        raise Opened
-
+    open_bus = Mock(side_effect=ConnectionError)
     monkeypatch.setattr(opening, "open_bus", open_bus)
-    with pytest.raises(Opened), opening.open_arm(small_cell, BusOverride(spec=bus_name)):
+    with pytest.raises(ConnectionError), opening.open_arm(small_cell, BusOverride(spec=bus_name)):
         pass
     bus = small_cell.cell.bus[small_cell.cell.arm[0].bus]
     own = BusSpec(bus.interface, bus.channel, bus.bitrate_bit_s, dict(bus.options))
-    assert asked == [(bus_name or own, None)]
+    open_bus.assert_called_once_with(bus_name or own, None)
 
 
 @pytest.mark.parametrize(

@@ -40,16 +40,6 @@ def move(stream: Stream, workspace, target=TARGET) -> None:
     stream.move([straight(stream.q_rad[0], target, limits, PERIOD_S)], "move")
 
 
-def stand(stream: Stream) -> None:
-    for row in range(100):
-        stream.hold("hold", row, 100)
-
-
-def asked_at(fake, sync: int, kind: StopKind) -> MoveOptions:
-    wish = StopRequest(kind, StoppedByPerson("a person"))
-    return MoveOptions(StopDesk(lambda: wish if fake.sync_index >= sync else None))
-
-
 def test_a_motion_ends_with_the_brakes_on(station, workspace, fake, reported):
     with powered(Stream(station)) as stream:
         assert station.options.desk.under_power
@@ -61,7 +51,7 @@ def test_a_motion_ends_with_the_brakes_on(station, workspace, fake, reported):
 
 
 def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_path(station, workspace, fake):
-    moved = replace(station, options=asked_at(fake, 40, StopKind.ALONG_PATH))
+    moved = replace(station, options=MoveOptions(fake.asks_at(40, StopKind.ALONG_PATH)))
     with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
         move(stream, workspace)
     assert fake.log == ["enable", "disable"]
@@ -74,7 +64,7 @@ def test_a_wish_to_stop_brings_the_arm_to_rest_along_its_path(station, workspace
 
 
 def test_an_urgent_wish_is_a_quick_stop_with_the_next_sync(station, workspace, fake):
-    moved = replace(station, options=asked_at(fake, 40, StopKind.QUICK_STOP))
+    moved = replace(station, options=MoveOptions(fake.asks_at(40, StopKind.QUICK_STOP)))
     with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
         move(stream, workspace)
     assert fake.log == ["enable", "quick stop", "disable"]
@@ -82,9 +72,9 @@ def test_an_urgent_wish_is_a_quick_stop_with_the_next_sync(station, workspace, f
 
 
 def test_a_wish_while_the_arm_is_at_rest_is_answered_at_once(station, fake):
-    moved = replace(station, options=asked_at(fake, 5, StopKind.ALONG_PATH))
+    moved = replace(station, options=MoveOptions(fake.asks_at(5, StopKind.ALONG_PATH)))
     with pytest.raises(StoppedByPerson), powered(Stream(moved)) as stream:
-        stand(stream)
+        stream.stand(1.0, "hold")
     assert fake.log == ["enable", "disable"]
     assert fake.sync_index == 5
 
@@ -97,7 +87,7 @@ def test_a_wish_during_enabling_powers_nothing(station, fake):
         raise DriveFault("a stop was asked for")
 
     fake.enable = enable
-    moved = replace(station, options=asked_at(fake, 0, StopKind.ALONG_PATH))
+    moved = replace(station, options=MoveOptions(fake.asks_at(0, StopKind.ALONG_PATH)))
     with pytest.raises(StoppedByPerson), powered(Stream(moved)):
         pass
     assert asked == [True]
@@ -105,16 +95,15 @@ def test_a_wish_during_enabling_powers_nothing(station, fake):
 
 
 def test_a_defect_while_set_points_go_out_is_a_quick_stop(station, workspace, fake):
-    stream = Stream(station)
-    look = stream._look
+    exchange = fake.exchange
 
-    def broken(samples, modelled_nm):
+    def broken(commands):
         if fake.sync_index == 30:
             raise ZeroDivisionError
-        look(samples, modelled_nm)
+        return exchange(commands)
 
-    stream._look = broken
-    with pytest.raises(ZeroDivisionError), powered(stream):
+    fake.exchange = broken
+    with pytest.raises(ZeroDivisionError), powered(Stream(station)) as stream:
         move(stream, workspace)
     assert fake.log == ["enable", "quick stop", "disable"]
 
@@ -127,7 +116,7 @@ def test_observers_are_notified_after_the_arm_is_safe_and_cannot_prevent_it(stat
         if state.phase is Phase.STOPPING:
             raise BrokenPipeError(32, "Broken pipe")
 
-    options = asked_at(fake, 40, StopKind.QUICK_STOP)
+    options = MoveOptions(fake.asks_at(40, StopKind.QUICK_STOP))
     moved = replace(station, state=StateTracker("main", listen), options=options)
     with pytest.raises(BrokenPipeError), powered(Stream(moved)) as stream:
         move(stream, workspace)
@@ -223,7 +212,7 @@ def test_a_drop_after_an_error_is_among_its_notes_with_time_and_sync(station, wo
 
 def test_a_first_motion_that_was_stopped_is_not_done(station, workspace, fake):
     done = []
-    asked = asked_at(fake, 40, StopKind.ALONG_PATH)
+    asked = MoveOptions(fake.asks_at(40, StopKind.ALONG_PATH))
     options = replace(asked, first_done=lambda: done.append(1))
     with pytest.raises(StoppedByPerson), powered(Stream(replace(station, options=options))) as stream:
         move(stream, workspace)

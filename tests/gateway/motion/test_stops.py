@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import threading
+import weakref
 
 import pytest
 
@@ -60,11 +61,15 @@ def test_a_request_that_interrupts_another_one_is_not_overwritten(line, pending)
 
 
 def test_requests_that_repeat_do_not_pile_up():
-    desk, wish = StopDesk(), StopRequest(StopKind.ALONG_PATH, ValueError("full"))
-    desk.watch(lambda: wish)
-    for _ in range(100):
-        assert desk.look() == wish
-    assert len(desk._requests) == 1
+    """Of a hundred requests with a cause each the desk keeps one alive."""
+    desk, kept = StopDesk(), weakref.WeakSet[StoppedByPerson]()
+
+    def full() -> StopRequest:
+        kept.add(cause := StoppedByPerson("full"))
+        return StopRequest(StopKind.ALONG_PATH, cause)
+
+    desk.watch(full)
+    assert [desk.look().cause for _ in range(100)] == 100 * list(kept)
 
 
 def test_sources_are_asked_until_they_are_forgotten():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 from collections.abc import Callable
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -12,11 +13,14 @@ import pytest
 from gateway.errors import LimitExceeded
 from gateway.motion.arms import Arms
 from gateway.motion.contact import TAKE_OVER_S
+from gateway.motion.observer import Observers
 from gateway.motion.power import powered
+from gateway.motion.setpoints import MotionSetpoints
 from gateway.motion.state import StateTracker
-from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson
 from gateway.motion.stream import REPORT_S, REST_LONGEST_S, REST_SYNCS, MoveOptions, Station, Stream
-from gateway.motion.trajectory import MotionLimits, straight
+from gateway.motion.trajectory import Motion, MotionLimits, straight
+from gateway.motion.watch import Watch
 
 PERIOD_S = 0.01
 TARGET = np.array([0.3, 0.2, -0.2, 0.1, 0.2, -0.3])
@@ -46,9 +50,22 @@ def make(arm, workspace, notified) -> Callable[..., Stream]:
     return make
 
 
-def move(stream: Stream, workspace, target: np.ndarray = TARGET) -> None:
+def motion_of(stream: Stream, workspace, target: np.ndarray = TARGET) -> Motion:
     limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
-    stream.move([straight(stream.q_rad[0], target, limits, PERIOD_S)], "move")
+    return straight(stream.q_rad[0], target, limits, PERIOD_S)
+
+
+def move(stream: Stream, workspace, target: np.ndarray = TARGET) -> None:
+    stream.move([motion_of(stream, workspace, target)], "move")
+
+
+def rates_of(stream: Stream, workspace, listen: Callable[[list[float]], None] = lambda _rates: None) -> list[float]:
+    """Rate at every SYNC of the motion to the target, which a person stops."""
+    source, rates = MotionSetpoints(stream.q_rad, [motion_of(stream, workspace)]), list[float]()
+    source.take = lambda _at, rate, _samples: (rates.append(rate), listen(rates))  # type: ignore[method-assign]
+    with pytest.raises(StoppedByPerson):
+        stream.drive(source, "move")
+    return rates
 
 
 @pytest.mark.parametrize(("seconds", "syncs"), [(0.0, 0), (0.3, 30), (0.07, 7), (0.301, 31), (0.3 + 1e-13, 30)])
@@ -94,8 +111,7 @@ def test_setpoints_begin_where_the_arm_is_and_no_motion_is_none(make, fake, work
 @pytest.mark.parametrize(("kind", "urgent"), [(StopKind.ALONG_PATH, False), (StopKind.QUICK_STOP, True)])
 @pytest.mark.parametrize("moving", [False, True])
 def test_a_wish_says_how_urgent_it_is(make, fake, workspace, kind, urgent, moving):
-    wish = StopRequest(kind, StoppedByPerson("a person"))
-    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 20 else None))
+    stream = make(desk=fake.asks_at(20, kind))
     with pytest.raises(StoppedByPerson):
         move(stream, workspace) if moving else stream.stand(1.0, "hold")
     assert stream.urgent == urgent
@@ -106,7 +122,7 @@ def test_a_wish_says_how_urgent_it_is(make, fake, workspace, kind, urgent, movin
 def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_detected(make, fake, workspace):
     """The servo lags, so that rest takes a while after the last setpoint."""
     lag = 0.9
-    plain = fake._follow
+    plain = fake.follow
 
     def follow() -> None:
         before = fake.q_rad
@@ -115,56 +131,44 @@ def test_a_wish_that_becomes_urgent_while_the_arm_comes_to_rest_is_detected(make
 
     desk = StopDesk()
     stream = make(desk=desk)
-    fake._follow = follow
-    rate = []
-    send = stream._send
+    fake.follow = follow
 
-    def sent(setpoints, at, r) -> None:
-        rate.append(r)
-        if rate.count(0.0) == 2:
+    def ask(rates: list[float]) -> None:
+        if rates.count(0.0) == 2:
             desk.ask(StoppedByPerson("again"), StopKind.QUICK_STOP)
-        elif len(rate) == 30:
+        elif len(rates) == 30:
             desk.ask(StoppedByPerson("once"))
-        send(setpoints, at, r)
 
-    stream._send = sent  # type: ignore[method-assign]
-    with pytest.raises(StoppedByPerson, match="once"):
-        move(stream, workspace)
+    assert rates_of(stream, workspace, ask).count(0.0) == 2
     assert stream.urgent
-    assert rate.count(0.0) == 2
+    assert str(desk.look().cause) == "once"
 
 
 @pytest.mark.parametrize(("swing_rad", "rest_s"), [(0.0, (REST_SYNCS + 1) * PERIOD_S), (1e-3, REST_LONGEST_S)])
 def test_a_stop_ends_when_the_joints_stand_and_at_the_latest_after_its_time(make, fake, workspace, swing_rad, rest_s):
-    wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
-    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 40 else None))
-    rate = []
-    send, plain = stream._send, fake._follow
+    stream = make(desk=fake.asks_at(40))
+    plain = fake.follow
 
     def follow() -> None:
         plain()
         fake.q_rad = fake.q_rad + swing_rad * (-1) ** fake.sync_index
 
-    fake._follow = follow
-    stream._send = lambda setpoints, at, r: (rate.append(r), send(setpoints, at, r))  # type: ignore[method-assign]
-    with pytest.raises(StoppedByPerson):
-        move(stream, workspace)
-    assert rate.count(0.0) * PERIOD_S == pytest.approx(rest_s)
+    fake.follow = follow
+    assert rates_of(stream, workspace).count(0.0) * PERIOD_S == pytest.approx(rest_s)
     assert not stream.moving
 
 
 def test_a_joint_that_is_read_with_delay_is_not_at_rest(make, fake, workspace):
     """The servo lags, and its drive shows every position in three SYNCs."""
-    wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
-    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 40 else None))
-    plain, at = fake._follow, [fake.q_rad.copy()]
+    stream = make(desk=fake.asks_at(40))
+    plain, at = fake.follow, [fake.q_rad.copy()]
 
     def follow() -> None:
         plain()
         at.append(0.9 * at[-1] + 0.1 * fake.q_rad)
         fake.q_rad = at[fake.sync_index // 3 * 3 - fake.sync_index - 1].copy()
 
-    fake._follow = follow
+    fake.follow = follow
     with pytest.raises(StoppedByPerson):
         move(stream, workspace)
     assert at[-1] == pytest.approx(stream.q_rad[0], abs=5e-4)
@@ -180,7 +184,7 @@ def test_in_lockstep_a_job_is_just_done(make, fake):
 
 def test_by_the_clock_the_arm_is_held_while_a_job_is_done_beside_it(make, fake):
     stream = make("real")
-    stream._arms.enabled = True
+    stream.station.arms.enabled = True
     go_on = threading.Event()
     held = fake.hold
 
@@ -201,8 +205,7 @@ def test_a_stop_does_not_wait_for_the_job_beside_the_arm(make, fake, kind):
     """The axes are disabled while the job is still running; SYNCs go on until then."""
     desk, release = StopDesk(), threading.Event()
     stream = make("real", desk=desk)
-    ended: list[bool] = []
-    running: list[bool] = []
+    ended, running = list[bool](), list[bool]()
     plain, held = fake.disable, fake.hold
 
     def disable() -> None:
@@ -220,7 +223,7 @@ def test_a_stop_does_not_wait_for_the_job_beside_the_arm(make, fake, kind):
 
     def work() -> None:
         with powered(stream):
-            stream._arms.enabled = True
+            stream.station.arms.enabled = True
             stream.hold_while(job, "work")
 
     fake.disable, fake.hold = disable, hold
@@ -236,14 +239,14 @@ def test_a_stop_does_not_wait_for_the_job_beside_the_arm(make, fake, kind):
 def test_the_first_sync_of_an_arm_that_has_just_moved_is_over_before_a_job_begins(make, fake):
     """The drives' watch for stalls takes it for one of a moving arm, and a job may delay it."""
     stream = make("real")
-    stream._arms.enabled = True
+    stream.station.arms.enabled = True
     before = fake.sync_index
     assert stream.hold_while(lambda: fake.sync_index, "work") > before
 
 
 def test_a_job_that_fails_beside_the_arm_is_raised(make):
     stream = make("real")
-    stream._arms.enabled = True
+    stream.station.arms.enabled = True
     switch_s = sys.getswitchinterval()
     with pytest.raises(ZeroDivisionError):
         stream.hold_while(lambda: 1 / 0, "work")
@@ -252,7 +255,7 @@ def test_a_job_that_fails_beside_the_arm_is_raised(make):
 
 def test_arms_in_their_brakes_are_not_held_meanwhile(make, fake):
     stream = make("real")
-    stream._arms.enabled = False
+    stream.station.arms.enabled = False
     before = fake.sync_index
     assert stream.hold_while(lambda: 5, "work") == 5
     assert fake.sync_index == before
@@ -262,8 +265,7 @@ def test_arms_in_their_brakes_are_not_held_meanwhile(make, fake):
 def test_by_the_clock_a_motion_begins_with_one_sync_at_rest(make, fake, workspace, pacing, more):
     """What was computed since the last SYNC must not pass for a stall of the motion."""
     stream = make(pacing)
-    limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
-    motion = straight(stream.q_rad[0], TARGET, limits, PERIOD_S)
+    motion = motion_of(stream, workspace)
     before = fake.sync_index
     stream.move([motion], "move")
     assert fake.sync_index - before == len(motion) + more
@@ -272,8 +274,7 @@ def test_by_the_clock_a_motion_begins_with_one_sync_at_rest(make, fake, workspac
 @pytest.mark.parametrize(("override", "done"), [(1.0, None), (0.5, None), (1.0, lambda: None), (0.05, lambda: None)])
 def test_the_first_motion_is_never_faster_than_the_override(make, fake, workspace, override, done):
     stream = make(override=override, first_done=done)
-    limits = MotionLimits(workspace.speed_rad_s, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
-    motion = straight(stream.q_rad[0], TARGET, limits, PERIOD_S)
+    motion = motion_of(stream, workspace)
     before = fake.sync_index
     stream.move([motion], "move")
     share = override if done is None else min(0.1, override)
@@ -282,15 +283,16 @@ def test_the_first_motion_is_never_faster_than_the_override(make, fake, workspac
 
 
 def test_a_first_motion_that_was_stopped_has_not_ended(make, fake, workspace):
-    wish = StopRequest(StopKind.ALONG_PATH, StoppedByPerson("a person"))
-    stream = make(desk=StopDesk(lambda: wish if fake.sync_index >= 60 else None), first_done=lambda: None)
+    stream = make(desk=fake.asks_at(60), first_done=lambda: None)
     with pytest.raises(StoppedByPerson):
         move(stream, workspace)
     assert not stream.first_moved
 
 
 def test_the_monitor_uses_the_gravity_of_the_present_posture(make, fake, workspace):
-    stream = make()
+    observer = Mock()
+    stream = make(observers=Observers(observer))
     move(stream, workspace)
-    expected = stream._watches[0].modelled_torque(TARGET[None])[0]
-    assert stream._gravity_nm[0] == pytest.approx(expected, abs=1e-6)
+    stream.stand(PERIOD_S, "hold")
+    expected = Watch("main", workspace, PERIOD_S).modelled_torque(TARGET[None])[0]
+    assert observer.sampled.call_args.args[0].modelled_nm[0] == pytest.approx(expected, abs=1e-6)

@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gateway.data.sample import ArmSample
-from gateway.pair.balance import ForceBalance
+from gateway.pair.balance import SAMPLE_SHARE, ForceBalance
 from gateway.pair.calibration import PathWrenches
 from gateway.pair.joint_targets import ExternalTorque, JointFollower, Shown
 from gateway.pair.model_uncertainty import COULOMB_SHARE, DELAY_STD_S, LINK_SHARE, ModelUncertainty, constants_of
@@ -35,8 +35,8 @@ class Bench:
         lag_s = cell.config.servo_lag_s
         first, second = (ExternalTorque(arm, f, path.dt_s, lag_s) for arm, f in zip(cell.arms, followers, strict=True))
         self.arms = (first, second)
-        maps = PathWrenches(calibration_of(cell), path, slave)
-        self.balance = ForceBalance(self.arms, maps, path.dt_s, cell.config.force_filter_hz)
+        self.maps = PathWrenches(calibration_of(cell), path, slave)
+        self.balance = ForceBalance(self.arms, self.maps, path.dt_s, cell.config.force_filter_hz)
         self.q = [each.q_rad for each in self.arms]
         self.free = []
         for arm, q in zip(cell.arms, self.q, strict=True):
@@ -47,6 +47,7 @@ class Bench:
             rubbing = arm.coulomb_nm * np.sign(speed) + arm.viscous_nm_s_rad * speed
             self.free.append(arm.model_torque(q, speed, change) + rubbing)
         self.speed = [np.gradient(q, path.dt_s, axis=0) for q in self.q]
+        self.share_nm = [self.hands_nm(arm) for arm in (0, 1)]
 
     def tips(self, arm: int, turned_rad: np.ndarray) -> np.ndarray:
         """Fingertips (M, 4, 4) of an arm in the world, its joints turned by (N,)."""
@@ -74,6 +75,16 @@ class Bench:
         change = np.gradient(np.gradient(centre, self.path.dt_s, axis=0), self.path.dt_s, axis=0)
         return 0.5 * self.cell.config.part_mass_kg * (np.array([0.0, 0.0, -9.80665]) - change)
 
+    def hands_nm(self, arm: int, force_n=(0.0, 0.0, 0.0)) -> np.ndarray:
+        """Torque (M, N) of an arm for its share of the part and a force inside it, on gripper 2 as it is."""
+        inside = (-1.0, 1.0)[arm] * np.broadcast_to(force_n, (len(self.path), 3))
+        lever_m = self.centre() - self.tips(arm, np.zeros(1))[:, :3, 3]
+        return self.virtual_work_nm(arm, self.part_n() + inside, np.cross(lever_m, inside))
+
+    def held_nm(self, force_n: tuple[float, float, float]) -> np.ndarray:
+        """Torque of all joints for a force inside the part alone, at the start of the path."""
+        return np.concatenate([(self.hands_nm(arm, force_n) - self.share_nm[arm])[0] for arm in (0, 1)])
+
     def run(
         self, force_n: np.ndarray, extra_nm=(0.0, 0.0), uncertainty: ModelUncertainty | None = None, off_s=0.0
     ) -> ModelUncertainty:
@@ -84,12 +95,7 @@ class Bench:
         """
         joints = sum(arm.axes for arm in self.cell.arms)
         uncertainty = uncertainty or ModelUncertainty(constants_of(joints))
-        part, centre = self.part_n(), self.centre()
-        torque = []
-        for arm, sign in ((0, -1.0), (1, 1.0)):
-            arm_m = centre - self.tips(arm, np.zeros(1))[:, :3, 3]
-            moment = np.cross(arm_m, sign * force_n)
-            torque.append(self.free[arm] + self.virtual_work_nm(arm, part + sign * force_n, moment) + extra_nm[arm])
+        torque = [self.free[arm] + self.hands_nm(arm, force_n) + extra_nm[arm] for arm in (0, 1)]
         shown = [q + off_s * speed for q, speed in zip(self.q, self.speed, strict=True)]
         self.balance.begin(uncertainty)
         for m in range(len(self.path)):
@@ -99,6 +105,12 @@ class Bench:
                 for arm, q, nm in zip(self.arms, shown, torque, strict=True)
             ]
             self.balance.take(m, (seen[0], seen[1]), m - 1 if m else None)
+        return uncertainty
+
+    def learn_from(self, force_n: np.ndarray, *others, **named) -> ModelUncertainty:
+        """A path as that of `run`, from which the constants are learned."""
+        uncertainty = self.run(force_n, *others, **named)
+        self.balance.learn()
         return uncertainty
 
     def turns(self, arm: int, joint: int) -> np.ndarray:
@@ -124,8 +136,7 @@ def pulled(bench: Bench, force_n: tuple[float, float, float]) -> np.ndarray:
 @pytest.mark.parametrize("force_n", [(30.0, 0.0, 0.0), (0.0, -20.0, 10.0)])
 def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(bench, force_n):
     """A force that nothing hides is known but for what is expected of it beforehand."""
-    bench.run(pulled(bench, force_n))
-    bench.balance.learn()
+    bench.learn_from(pulled(bench, force_n))
     found = bench.balance.internal_force()
     wrong = np.linalg.norm(found.wrench[50:-50, :3] - force_n, axis=1)
     assert np.sqrt(np.mean(wrong**2)) < 2.5
@@ -136,8 +147,7 @@ def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(b
 @pytest.mark.parametrize("force_n", [(30.0, 0.0, 0.0), (0.0, -20.0, 10.0)])
 def test_thirteen_torques_hold_the_same_six_numbers(thirteen, force_n):
     """By virtual work of both hands; the other thirteen rows determine 5 constants a joint and 4 of the part."""
-    uncertainty = thirteen.run(pulled(thirteen, force_n))
-    thirteen.balance.learn()
+    uncertainty = thirteen.learn_from(pulled(thirteen, force_n))
     found = thirteen.balance.internal_force()
     wrong = np.linalg.norm(found.wrench[50:-50, :3] - force_n, axis=1)
     assert np.sqrt(np.mean(wrong**2)) < 2.5
@@ -150,8 +160,7 @@ def test_friction_of_the_additional_axis_is_estimated_too(thirteen):
     """Joint 3 of the arm of seven has a quarter less friction than the cell says; its neighbours do not."""
     extra = np.zeros((len(thirteen.path), 7))
     extra[:, 2] = -0.25 * thirteen.cell.arms[0].coulomb_nm[2] * thirteen.turns(0, 2)
-    uncertainty = thirteen.run(pulled(thirteen, (0.0, 0.0, 0.0)), (extra, 0.0))
-    thirteen.balance.learn()
+    uncertainty = thirteen.learn_from(pulled(thirteen, (0.0, 0.0, 0.0)), (extra, 0.0))
     assert uncertainty.value[2] == pytest.approx(-0.25 / COULOMB_SHARE, abs=0.35)
     assert np.abs(uncertainty.value[[0, 1, 3, 4, 5, 6, 7, 8]]).max() < 0.35
 
@@ -174,8 +183,8 @@ def test_links_and_delays_of_an_arm_ask_for_torque_of_its_own_joints_alone(thirt
 
 @pytest.mark.parametrize("which", ["bench", "thirteen"])
 def test_the_torque_of_constants_is_that_of_their_columns(which, request):
-    balance = request.getfixturevalue(which).balance
-    joints = balance._share.shape[1]
+    bench = request.getfixturevalue(which)
+    balance, joints = bench.balance, sum(arm.axes for arm in bench.cell.arms)
     random = np.random.default_rng(8)
     motion = random.standard_normal((3, balance.count, joints))
     by = random.standard_normal(constants_of(joints))
@@ -185,11 +194,12 @@ def test_the_torque_of_constants_is_that_of_their_columns(which, request):
 
 
 def test_both_hands_receive_the_force_and_the_weight_of_the_part(bench):
-    bench.run(pulled(bench, (30.0, 0.0, 0.0)))
-    one, two = bench.balance.inputs(700)
-    again = bench.balance._maps.internal(700, one, two)
-    assert again == pytest.approx(bench.balance._certain_force(bench.balance.wrench))
-    assert np.linalg.norm(again[:3]) > 10.0
+    """All of the force, where every joint turns and friction hides nothing."""
+    held_force(bench, bench.held_nm((30.0, 0.0, 0.0)), 1.0)
+    one, two = bench.balance.inputs(0)
+    for alone in ((one, None), (None, two)):
+        assert bench.maps.internal(0, *alone) == pytest.approx(bench.balance.wrench)
+    assert np.linalg.norm(bench.balance.wrench[:3]) > 10.0
 
 
 def test_a_change_of_friction_is_estimated_from_the_shared_part(bench):
@@ -208,8 +218,7 @@ def test_a_change_of_friction_is_estimated_from_the_shared_part(bench):
 def test_wrong_instants_determine_no_inertia(bench):
     """30 us at 4 ms feign accelerations above the true ones: torques without a cause would be attributed to rotors."""
     off_s = np.random.default_rng(1).normal(0.0, 30e-6, (len(bench.path), 1))
-    uncertainty = bench.run(np.zeros((len(bench.path), 3)), off_s=off_s)
-    bench.balance.learn()
+    uncertainty = bench.learn_from(np.zeros((len(bench.path), 3)), off_s=off_s)
     assert np.abs(uncertainty.value).max() < 1.5
     assert np.linalg.norm(bench.balance.internal_force().wrench[:, :3], axis=1).max() < 30.0
 
@@ -220,23 +229,18 @@ def test_a_cable_force_in_one_direction_changes_no_constants_of_the_arms(bench):
     free = pulled(bench, (0.0, 0.0, 0.0))
     uncertainty = ModelUncertainty(constants_of(12))
     for _ in range(3):
-        bench.run(free, uncertainty=uncertainty)
-        bench.balance.learn()
+        bench.learn_from(free, uncertainty=uncertainty)
         assert not bench.balance.internal_force().pulled
     cable = bench.virtual_work_nm(1, pulled(bench, (0.0, 20.0, 0.0)), free)
     before = uncertainty.value.copy()
-    bench.run(free, (0.0, cable), uncertainty)
-    bench.balance.learn()
+    bench.learn_from(free, (0.0, cable), uncertainty)
     assert bench.balance.internal_force().pulled
     assert np.array_equal(uncertainty.value, before)
-    bench.run(free, (0.0, cable), uncertainty)
-    bench.balance.learn()
+    bench.learn_from(free, (0.0, cable), uncertainty)
     assert not bench.balance.internal_force().pulled
     assert np.abs(uncertainty.value - before).max() > 0.3
-    bench.run(free, uncertainty=uncertainty)
-    bench.balance.learn()
-    bench.run(free, uncertainty=uncertainty)
-    bench.balance.learn()
+    bench.learn_from(free, uncertainty=uncertainty)
+    bench.learn_from(free, uncertainty=uncertainty)
     assert not bench.balance.internal_force().pulled
 
 
@@ -247,8 +251,7 @@ def test_friction_of_another_day_is_no_cable(bench):
             share * arm.coulomb_nm * np.stack([bench.turns(a, joint) for joint in range(6)], axis=1)
             for a, arm in enumerate(bench.cell.arms)
         ]
-        bench.run(pulled(bench, (0.0, 0.0, 0.0)), (extra[0], extra[1]))
-        bench.balance.learn()
+        bench.learn_from(pulled(bench, (0.0, 0.0, 0.0)), (extra[0], extra[1]))
         assert not bench.balance.internal_force().pulled
 
 
@@ -262,8 +265,9 @@ def test_a_joint_that_has_not_turned_yet_has_little_weight(bench):
         turned = np.ones((2, 6))
         turned[1, 2] = settled
         bench.balance.begin(ModelUncertainty(constants_of(12)))
-        share = bench.balance._share[row].reshape(2, 6)
-        one, two = (Shown(share[arm] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1))
+        one, two = (
+            Shown(bench.share_nm[arm][row] + extra[arm], turned[arm], np.zeros(6), np.zeros(6)) for arm in (0, 1)
+        )
         bench.balance.take(row + 1, (one, two), None)
         estimated_n.append(np.linalg.norm(bench.balance.wrench[:3]))
         std_n.append(np.sqrt(np.trace(bench.balance.covariance[:3, :3])))
@@ -274,13 +278,13 @@ def test_a_joint_that_has_not_turned_yet_has_little_weight(bench):
 def held_force(bench: Bench, extra_nm: np.ndarray, turned: float) -> np.ndarray:
     """Estimated force (3,) after twelve SYNCs at the start, with torques (12,) besides those of the part."""
     seen = [
-        Shown(nm, np.full(6, turned), np.zeros(6), np.zeros(6))
-        for nm in np.split(bench.balance._share[0] + extra_nm, 2)
+        Shown(bench.share_nm[arm][0] + extra_nm[6 * arm :][:6], np.full(6, turned), np.zeros(6), np.zeros(6))
+        for arm in (0, 1)
     ]
     bench.balance.begin(ModelUncertainty(constants_of(12)))
     for _ in range(12):
         bench.balance.take(0, (seen[0], seen[1]), None)
-    return bench.balance._maps.internal(0, *bench.balance.inputs(0))[:3]
+    return bench.maps.internal(0, *bench.balance.inputs(0))[:3]
 
 
 def test_hands_do_not_yield_to_what_friction_at_rest_may_be(bench):
@@ -300,14 +304,8 @@ def test_hands_do_not_yield_to_what_friction_at_rest_may_be(bench):
 
 def test_hands_yield_to_a_force_at_rest_that_no_friction_explains(bench):
     """150 N along the bar, by the work that it does on turned joints, with half of every joint's friction beside."""
-    pull = pulled(bench, (150.0, 0.0, 0.0))
-    centre = bench.centre()
-    torque = []
-    for arm, sign in ((0, -1.0), (1, 1.0)):
-        lever = centre - bench.tips(arm, np.zeros(6))[:, :3, 3]
-        torque.append(bench.virtual_work_nm(arm, sign * pull, np.cross(lever, sign * pull))[0])
     coulomb_nm = np.concatenate([arm.coulomb_nm for arm in bench.cell.arms])
-    force = held_force(bench, np.concatenate(torque) + 0.5 * coulomb_nm, 0.0)
+    force = held_force(bench, bench.held_nm((150.0, 0.0, 0.0)) + 0.5 * coulomb_nm, 0.0)
     assert 75.0 < force[0] < 150.0
 
 
@@ -329,11 +327,13 @@ def test_intervals_hold_what_they_say_where_constants_are_drawn(bench):
         for arm in (0, 1):
             off = COULOMB_SHARE * random.standard_normal(6) * bench.cell.arms[arm].coulomb_nm
             turning = np.stack([bench.turns(arm, joint) for joint in range(6)], axis=1)
-            extra.append(off * turning + bench.balance._sample_nm[:6] * 0.3 * random.standard_normal(turning.shape))
+            extra.append(
+                off * turning
+                + SAMPLE_SHARE * bench.cell.arms[arm].torque_limit_nm * 0.3 * random.standard_normal(turning.shape)
+            )
         time = np.linspace(0.0, 6.0, len(bench.path))[:, None]
         force = 15.0 * random.standard_normal(3) * np.sin(time + random.uniform(0.0, 6.0, 3))
-        uncertainty = bench.run(force, (extra[0], extra[1]))
-        bench.balance.learn()
+        uncertainty = bench.learn_from(force, (extra[0], extra[1]))
         found = bench.balance.internal_force()
         delay = bench.balance.delay
         wrong = found.wrench[40:-60, :3] - force[40 + delay : delay - 60]

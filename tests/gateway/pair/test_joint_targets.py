@@ -66,8 +66,9 @@ def test_an_arm_at_rest_needs_gravity_torque_alone_with_friction_of_either_sign(
     still = np.zeros(6)
     for index in range(60, 64):
         seen = external.update(index, sample(arm, 60, (index - 60) * DT_S, still), 0.0)
-    q = arm.start_rad[None]
-    row = external._still[62] - arm.model_torque(q, q * 0.0, q * 0.0)[0]
+    q = np.stack([external.q_rad[62], arm.start_rad])
+    there, here = arm.model_torque(q, q * 0.0, q * 0.0)
+    row = there - here
     assert seen.turned == pytest.approx(still)
     assert seen.external_nm == pytest.approx(-row, abs=1e-6)
 

@@ -52,6 +52,15 @@ def learning_of(rule: LearningRule, path: PairPath, cell: PairCalibration, lead:
     return IterativeLearning(rule, path, cell, first_function(path), lead)
 
 
+def move_knots(learning: IterativeLearning, path: PairPath, cell: PairCalibration, move, force_n: float) -> None:
+    """A cycle with a force that moves every knot of the second function by a correction [m, rad]."""
+    last = learning.second or learning.first
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, last.many(path.s_m))
+    corrections, force = np.zeros((len(path), 2, 6)), np.zeros((len(path), 6))
+    corrections[:, 1], force[:, 0] = move, force_n
+    learning.learn(Cycle(path.commands, base, corrections, force))
+
+
 @pytest.mark.parametrize(
     ("share", "expected"),
     [(2.0, [False, False, True, False, False, True]), (0.5, [True, True, False, False, True, False])],
@@ -203,16 +212,16 @@ def test_a_second_function_is_used_while_it_stays_settled(
     learning = learning_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
     found = []
     for distance_mm, force in zip(moved_mm, force_n, strict=True):
-        learning._choose(force, 1e-3 * distance_mm, 1e-4)
-        found.append(learning._in_use)
+        move_knots(learning, path, cell, (1e-3 * distance_mm, 0.0, 0.0, 1e-4, 0.0, 0.0), force)
+        found.append(learning.in_use is learning.second)
     assert found == used
 
 
 def test_a_turn_that_is_too_large_is_not_settled(path: PairPath, cell: PairCalibration) -> None:
     learning = learning_of(LearningRule(choice="convergence", smooth_s=0.0), path, cell)
     for _ in range(4):
-        learning._choose(1.0, 1e-5, 2.1e-4)
-    assert not learning._in_use
+        move_knots(learning, path, cell, (1e-5, 0.0, 0.0, 2.1e-4, 0.0, 0.0), 1.0)
+    assert learning.in_use is learning.first
 
 
 def test_reset_forgets_everything(path: PairPath, cell: PairCalibration) -> None:
@@ -281,11 +290,12 @@ def test_corrections_of_a_cycle_whose_force_is_known_stay_where_they_were_made(
     path: PairPath, cell: PairCalibration
 ) -> None:
     """With a lead of 10 commands; it belongs to corrections alone, which come later than their force."""
-    learning = learning_of(LearningRule(smooth_s=0.0), path, cell, lead=10)
-    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
+    base = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, FIXED)
+    everywhere = function_of_knots(path.s_m, np.tile(FIXED, (len(path), 1, 1)))
     jump = np.zeros((len(path), 2, 6))
     jump[60:, 1, 0] = 1e-3
-    plain = learning._asked(Cycle(path.commands, base, jump, jump[:, 1]))
-    known = learning._asked(Cycle(path.commands, base, jump, jump[:, 1], left=np.zeros((len(path), 6))))
-    assert np.flatnonzero(plain[:, 1, 0])[0] == 50
-    assert np.flatnonzero(known[:, 1, 0])[0] == 60
+    for left, at in ((None, 50), (np.zeros((len(path), 6)), 60)):
+        learning = IterativeLearning(LearningRule(smooth_s=0.0), path, cell, everywhere, 10)
+        learning.learn(Cycle(path.commands, base, jump, jump[:, 1], left=left))
+        again = slave_command(cell.w_t_b1, path.commands, cell.w_t_b2, learning.in_use.many(path.s_m))
+        assert np.flatnonzero(correction_between(again, base)[:, 0] > 1e-4)[0] == at

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from gateway.errors import LimitExceeded, PlanRefused
+from gateway.motion.observer import Observers
 from gateway.motion.power import powered
 from gateway.motion.stops import StopKind
 from gateway.motion.stream import MoveOptions, Stream
@@ -66,17 +68,17 @@ def test_a_posture_that_is_not_allowed_is_named_with_its_command(pair):
 @pytest.mark.parametrize("away_rad", [0.005, 0.08])
 def test_both_arms_come_slowly_and_at_the_same_time_to_the_start_of_a_path(pair, away_rad):
     pair.part.stiffness = (0.0, 0.0)
-    stream = Stream(pair.link.station(pair.cell, MoveOptions()))
+    observer = Mock()
+    stream = Stream(pair.link.station(pair.cell, MoveOptions(observers=Observers(observer))))
     motion = PairMotion(pair.cell, stream)
     goal = tuple(arm.start_rad + away_rad * np.array([0.2, -1.0, 0.5, 0, 0.1, 0]) for arm in pair.cell.arms)
-    path = []
     with powered(stream):
         motion.start()
         before = pair.drives[0].sync_index
-        send = stream._send
-        stream._send = lambda *words: (send(*words), path.append(np.concatenate(stream.q_rad)))  # type: ignore[method-assign]
+        observer.reset_mock()
         motion.approach(goal, dwell_s=0.1)
         syncs = pair.drives[0].sync_index - before
+        path = [np.concatenate(call.args[0].targets_rad) for call in observer.sampled.call_args_list]
     time_s = max(APPROACH_S, away_rad / APPROACH_RAD_S)
     assert syncs == pytest.approx((time_s + 0.1) / 0.004, abs=2)
     assert path[-1] == pytest.approx(np.concatenate(goal), abs=1e-9)

@@ -7,7 +7,7 @@ decelerates it at a constant rate. Nothing of it is shared with the product but 
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 
 import numpy as np
@@ -39,7 +39,10 @@ class Joint(Slave):
     falls_rad_s2 : acceleration of the joint while its drive does not hold it; 0 = the brake holds
     creeps_rad_s : speed at which the joint sinks in its brake
     commands : controlword and target position at every SYNC
+    measured : position at every SYNC, which the drive sends
     states, last_beats : state after every SYNC, and the SYNC of the master's last heartbeat by then
+    at_sync : called after every SYNC
+    without_master : state that it takes when the master's heartbeat is lost, by 0x6007
     farthest_rad : largest angle of the joint from where it was last held
     """
 
@@ -50,9 +53,12 @@ class Joint(Slave):
         self.falls_rad_s2 = self.creeps_rad_s = 0.0
         self.farthest_rad = 0.0
         self.commands: list[tuple[int, int]] = []
+        self.measured: list[int] = []
         self.states: list[str] = []
+        self.at_sync: Callable[[], None] = lambda: None
+        self.without_master = {1: "fault", 2: "switch on disabled", 3: "quick stop"}
         self.last_beats: list[int] = []
-        self._period_s, self._joint_count = period_s, joint_count
+        self._period_s, self.joint_count = period_s, joint_count
         self._beat_sync = 0
         self._speed = 0.0
         #: Where it was last held at rest; None = its brake has not been opened yet.
@@ -67,7 +73,7 @@ class Joint(Slave):
         limit_s = (self.values[0x1016, 1] & 0xFFFF) / 1000.0
         missing_s = (self.sync_seen - self._beat_sync) * self._period_s
         if self.supervises and limit_s and self.state == "operation enabled" and missing_s > limit_s:
-            self.state = {1: "fault", 2: "switch on disabled", 3: "quick stop"}[self.values[0x6007, 0]]
+            self.state = self.without_master[self.values[0x6007, 0]]
 
     def _sync(self) -> None:
         before = self.position
@@ -75,9 +81,11 @@ class Joint(Slave):
         if self.nmt != 5:
             return
         self.commands.append((self.controlwords[-1] if self.controlwords else 0, self.values[0x607A, 0]))
+        self.measured.append(before)
         self.states.append(self.state)
         self.last_beats.append(self._beat_sync)
         self._turn(before)
+        self.at_sync()
 
     def _turn(self, before: int) -> None:
         """The axis over the period that begins with this SYNC."""
@@ -94,8 +102,8 @@ class Joint(Slave):
             self._speed = faster
         else:
             return
-        self.position = before + round(step * self._joint_count)
-        self.farthest_rad = max(self.farthest_rad, abs(self.position - (self._held_count or 0)) / self._joint_count)
+        self.position = before + round(step * self.joint_count)
+        self.farthest_rad = max(self.farthest_rad, abs(self.position - (self._held_count or 0)) / self.joint_count)
 
 
 @contextmanager

@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -27,11 +26,12 @@ from gateway.data.blackbox.part import (
     unpack,
     width_of,
 )
-from gateway.data.blackbox.recorder import BoxRecorder
+from gateway.data.blackbox.recorder import PROGRAM, BoxRecorder
 from gateway.data.blackbox.recorder_process import KILLED
 from gateway.data.blackbox.recovery import BOTH_KILLED, recover_box
 from gateway.data.blackbox.ring_buffer import HEADER, KEPT_S, MOST_WALL_S, Ring, box_of, folder_of, parts_in
 from gateway.errors import InputError
+from tests.support.processes import pid_of, wait_until
 
 ROOT = Path(__file__).parents[4]
 #: Steps as the motion loop does, prints the time of each, and never ends.
@@ -39,7 +39,7 @@ LOOP = """
 import sys, time
 from pathlib import Path
 from types import SimpleNamespace
-from gateway.data.blackbox.recorder import BoxRecorder
+from gateway.data.blackbox.recorder import PROGRAM, BoxRecorder
 from gateway.data.blackbox.part import BoxHeader
 
 box = BoxRecorder(BoxHeader(Path(sys.argv[1]), (("main", 2),), "cell", "now", "test"))
@@ -58,13 +58,6 @@ def header(path: Path, *axes: int) -> BoxHeader:
     return BoxHeader(
         path, tuple((f"arm{number}", count) for number, count in enumerate(axes or (2,))), "cell", "now", "test"
     )
-
-
-def until(met, limit_s: float = 15.0) -> None:
-    end_s = time.monotonic() + limit_s
-    while not met():
-        assert time.monotonic() < end_s
-        time.sleep(0.02)
 
 
 def loop(path: Path) -> subprocess.Popen[str]:
@@ -102,8 +95,8 @@ def test_a_kill_leaves_what_was_there_up_to_a_second_before(tmp_path):
     process.kill()
     process.wait()
     process.stdout.close()
-    until(box_of(run).with_suffix(".blf").exists)
-    until(lambda: not folder_of(run).exists())
+    wait_until(box_of(run).with_suffix(".blf").exists)
+    wait_until(lambda: not folder_of(run).exists())
     box = read_box(box_of(run))
     assert box.reason == KILLED
     assert 0.0 <= last_s - box.time_s[-1] < 1.0
@@ -125,7 +118,7 @@ def test_both_killed_leave_their_parts(tmp_path):
     parts = parts_in(folder_of(run))
     assert 0.0 <= last_s - parts[-1].rows[-1, 0] < 1.0
     assert not box_of(run).exists()
-    until(
+    wait_until(
         lambda: recover_box(run) or box_of(run).with_suffix(".blf").exists()
     )  # a process that is killed dies in its time
     box = read_box(box_of(run))
@@ -226,12 +219,12 @@ def test_a_folder_that_cannot_be_written_is_said_and_ends_nothing(tmp_path):
 
 def test_the_loop_never_waits_for_a_stopped_process(tmp_path):
     box_recorder = BoxRecorder(header(tmp_path / "run.h5"))
-    os.kill(box_recorder._process.pid, signal.SIGSTOP)
+    os.kill(pid_of(PROGRAM), signal.SIGSTOP)
     try:
         for sync in range(20 * 1024):
             box_recorder.row(0.01 * sync, sync)[:] = sync
     finally:
-        os.kill(box_recorder._process.pid, signal.SIGCONT)
+        os.kill(pid_of(PROGRAM), signal.SIGCONT)
     assert box_recorder.close("a stop") == ""
     box = read_box(box_of(tmp_path / "run.h5"))
     assert box.sync_index[-1] == 20 * 1024 - 1
@@ -243,11 +236,11 @@ def test_a_delayed_process_goes_on_and_its_box_comes(tmp_path, monkeypatch):
     box_recorder = BoxRecorder(header(tmp_path / "run.h5"))
     box_recorder.wait_until_kept()
     box_recorder.row(0.01, 1)[:] = 1.0
-    os.kill(box_recorder._process.pid, signal.SIGSTOP)
+    os.kill(pid_of(PROGRAM), signal.SIGSTOP)
     assert "not complete after" in box_recorder.close("a stop")
     assert not box_of(tmp_path / "run.h5").exists()
-    os.kill(box_recorder._process.pid, signal.SIGCONT)
-    until(box_of(tmp_path / "run.h5").with_suffix(".blf").exists)
+    os.kill(pid_of(PROGRAM), signal.SIGCONT)
+    wait_until(box_of(tmp_path / "run.h5").with_suffix(".blf").exists)
     box = read_box(box_of(tmp_path / "run.h5"))
     assert (box.reason, box.sync_index.tolist()) == ("a stop", [1])
 

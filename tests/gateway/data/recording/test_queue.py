@@ -20,12 +20,14 @@ import pytest
 
 from gateway.cell.config import load_cell
 from gateway.data.recording.lock import sole_writer
+from gateway.data.recording.pipe import PROGRAM
 from gateway.data.recording.queue import VisitQueue
 from gateway.data.recording.reader import read
 from gateway.data.recording.writer import RecordingHeader, RecordingWriter
 from gateway.data.visit import Visit
 from gateway.errors import InputError
 from tests.data.visits import ARM_HEADER, CELL, header_of, visit, write_behind, write_slowly
+from tests.support.processes import children, gone, pid_of, wait_until
 
 ROOT = Path(__file__).parents[4]
 
@@ -35,15 +37,11 @@ def header() -> RecordingHeader:
     return header_of(load_cell(CELL))
 
 
-def _children() -> set[str]:
-    return {pid for task in Path("/proc/self/task").iterdir() for pid in (task / "children").read_text().split()}
-
-
 @pytest.fixture(autouse=True)
 def leaves_no_process():
-    before = _children()
+    before = set(children())
     yield
-    assert _children() <= before
+    assert set(children()) <= before
 
 
 @pytest.fixture
@@ -67,19 +65,6 @@ def until(queue: VisitQueue, met: Callable[[], bool], limit_s: float = 5.0) -> l
             return written
         time.sleep(0.002)
     raise TimeoutError
-
-
-def gone(pid: int, limit_s: float = 2.0) -> bool:
-    """Whether a process ends in time; a zombie without a waiting parent has ended."""
-    end_s = time.monotonic() + limit_s
-    while time.monotonic() < end_s:
-        try:
-            if Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
-                return True
-        except (FileNotFoundError, ProcessLookupError):
-            return True
-        time.sleep(0.005)
-    return False
 
 
 def test_the_file_is_the_one_of_the_writer(queue, tmp_path, header):
@@ -184,8 +169,8 @@ def test_a_full_disk_is_reported_and_the_file_before_stays(queue):
     queue.add("main", visit(1, -1))
     until(queue, lambda: not queue.waiting)
     before = queue.path.read_bytes()
-    endless = resource.prlimit(queue._process.pid, resource.RLIMIT_FSIZE)
-    resource.prlimit(queue._process.pid, resource.RLIMIT_FSIZE, (len(before) + 100, endless[1]))
+    endless = resource.prlimit(pid_of(PROGRAM), resource.RLIMIT_FSIZE)
+    resource.prlimit(pid_of(PROGRAM), resource.RLIMIT_FSIZE, (len(before) + 100, endless[1]))
     queue.add("main", visit(1, 1))
     assert until(queue, lambda: queue.failed is not None) == []
     assert "cannot be written: File too large" in str(queue.failed)
@@ -194,7 +179,7 @@ def test_a_full_disk_is_reported_and_the_file_before_stays(queue):
         queue.finish("main", "fail", "disk full", {})
     assert queue.written() == ()
     assert queue.path.read_bytes() == before
-    resource.prlimit(queue._process.pid, resource.RLIMIT_FSIZE, endless)
+    resource.prlimit(pid_of(PROGRAM), resource.RLIMIT_FSIZE, endless)
     queue.finish("main", "fail", "disk full", {})
     assert [each.number for each in queue.written()] == [2]
     assert [each.number for each in read(queue.path).arms[0].visits] == [1, 2]
@@ -249,7 +234,7 @@ def test_the_process_leaves_real_time(tmp_path, header):
         queue = VisitQueue(tmp_path / "run.h5", header, ARM_HEADER, None)
     finally:
         os.sched_setscheduler(0, before, os.sched_param(0))
-    assert os.sched_getscheduler(queue._process.pid) == os.SCHED_OTHER
+    assert os.sched_getscheduler(pid_of(PROGRAM)) == os.SCHED_OTHER
     queue.close()
 
 
@@ -266,15 +251,15 @@ def test_files_that_are_not_gone_on_with(queue, header):
 
 
 def test_signals_to_everybody_do_not_end_the_process(queue):
-    process = queue._process
+    process = pid_of(PROGRAM)
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        os.kill(process.pid, number)
-    assert os.getsid(process.pid) != os.getsid(0)
+        os.kill(process, number)
+    assert os.getsid(process) != os.getsid(0)
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == set()
     queue.add("main", visit())
     queue.finish("main", "success", "", {})
     assert len(read(queue.path).arms[0].visits) == 1
-    assert queue._process is process
+    assert pid_of(PROGRAM) == process
     assert queue.failed is None
 
 
@@ -286,7 +271,7 @@ def test_a_process_that_is_killed_is_replaced_once_the_arm_is_at_rest(tmp_path, 
     assert len(until(queue, lambda: not queue.waiting)) == 1
     gate.unlink()
     queue.add("main", visit(1, 1))
-    os.kill(queue._process.pid, signal.SIGKILL)
+    os.kill(pid_of(PROGRAM), signal.SIGKILL)
     until(queue, lambda: queue.failed is not None)
     assert "ended early; 1 visits were not yet written" in str(queue.failed)
     queue.add("main", visit(2, 1))
@@ -361,7 +346,8 @@ def test_a_killed_master_loses_nothing_it_had_reported(tmp_path):
     path = tmp_path / "run.h5"
     body = """
         import time
-        print(queue._process.pid, flush=True)
+        from tests.support.processes import pid_of
+        print(pid_of("gateway.data.recording"), flush=True)
         for n in range(10_000):
             while queue.full:
                 print(*[v.number for v in queue.written()], flush=True)
@@ -378,7 +364,7 @@ def test_a_killed_master_loses_nothing_it_had_reported(tmp_path):
         master.kill()
         reported = max([reported, *(int(number) for number in messages.read().split())])
     master.wait()
-    assert gone(writer)
+    wait_until(lambda: gone(writer), 2.0)
     numbers = [each.number for each in read(path).arms[0].visits]
     assert len(numbers) >= reported
     assert numbers == list(range(1, len(numbers) + 1))
