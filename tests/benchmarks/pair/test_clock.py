@@ -29,9 +29,7 @@ def friction(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     def fading(*plant: Any) -> LightWorld:
         world = LightWorld(*plant)
         motors = world.motors
-        world.after.append(
-            lambda _: np.multiply(world.friction_share, 0.9, world.friction_share, where=abs(motors.omega) < 1e-4)
-        )
+        world.after.append(lambda _: np.multiply(world.friction, 0.9, world.friction, where=abs(motors.omega) < 1e-4))
         return world
 
     monkeypatch.setitem(PLANTS, "light", fading)  # type: ignore[arg-type]
