@@ -59,7 +59,7 @@ def test_the_printed_address_is_answered_and_the_end_ends_the_process():
         assert "<canvas" in text
         with pytest.raises(urllib.error.HTTPError, match="403"):
             answer(page.address.partition("?")[0])
-    assert page._process.poll() == 0
+    assert page.process.poll() == 0
 
 
 @pytest.mark.slow
@@ -101,7 +101,7 @@ def test_a_page_that_is_killed_never_makes_the_loop_wait_and_stops_it_along_the_
     feed = page.feed
     feed.began(scene)
     os.kill(page.process.pid, signal.SIGKILL)
-    wait_for(lambda: page._process.poll() is not None)
+    wait_for(lambda: page.process.poll() is not None)
     for sync in range(1, 4):
         feed.sampled(observed(sync, scene.workspaces[0].lower_rad * 0.0))
         feed.reported(MotionProgress("move", sync, 3))
