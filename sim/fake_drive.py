@@ -59,7 +59,7 @@ class FakeDrive:
     axis : the motor that it drives
     reading_nm : torque measured last, at the gear output [Nm]
     error_code : 0x603F
-    quirks : deviations from a tolerant and healthy drive
+    quirks, behaviour : deviations from a tolerant and healthy drive, and what it does by them
     put : sends a frame on the bus
     """
 
@@ -74,7 +74,7 @@ class FakeDrive:
         self.reading_nm = 0.0
         self.automaton = Automaton()
         self.quirks = as_made(self.spec.profile)
-        self._behaviour = QuirkBehaviour(self)
+        self.behaviour = QuirkBehaviour(self)
         self._time_s = 0.0
         self.motion = DriveMotion(self)
         self.store = ObjectStore()
@@ -127,12 +127,12 @@ class FakeDrive:
         self.reset()
 
     def _mend(self) -> None:
-        self._behaviour = QuirkBehaviour(self)
+        self.behaviour = QuirkBehaviour(self)
         self.node.unpowered = False
         self.node.on_heartbeat_lost = self._heartbeat_lost
         self.node.on_heartbeat_resumed = self._heartbeat_resumed
-        self.node.may_start = self._behaviour.may_start
-        self.node.sdo.refuse = self._behaviour.refuse
+        self.node.may_start = self.behaviour.may_start
+        self.node.sdo.refuse = self.behaviour.refuse
         self.motion.brake_stuck, self.motion.wobble = False, None
         self.axis.slip_rad_s = self.axis.fall_rad_s2 = 0.0
 
@@ -182,7 +182,7 @@ class FakeDrive:
             if data is not None:
                 self._buffers[number] = None
                 self.rpdos[number].unpack(data)
-        self._behaviour.sync_received(self._time_s)
+        self.behaviour.sync_received(self._time_s)
         if self.node.state != OPERATIONAL:
             return
         for tpdo in self.tpdos:
@@ -197,7 +197,7 @@ class FakeDrive:
             if not tpdo.enabled or tpdo.transmission not in (0, *EVENT_TYPES):
                 continue
             if number == FLOODING_TPDO and self.quirks.flood_hz:
-                self._behaviour.flood(tpdo, time_s)
+                self.behaviour.flood(tpdo, time_s)
                 continue
             data, before = tpdo.pack(), self._last_event[number]
             waited = time_s - self._event_due_s[number]
@@ -283,7 +283,7 @@ class FakeDrive:
     def _nmt_changed(self, old: int, new: int) -> None:
         if new == OPERATIONAL:
             self._sync_count = 0
-            self._behaviour.entered_operational()
+            self.behaviour.entered_operational()
             self._last_event = [None] * PDO_COUNT
         elif old == OPERATIONAL:
             self._connection_lost(0)

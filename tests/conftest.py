@@ -59,7 +59,7 @@ STOPWATCH = pytest.StashKey[Stopwatch]()
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item):
     """Measure the processor time of a test, children included, without the fixtures that it shares with others."""
-    item.stash[STOPWATCH] = Stopwatch()
+    item.config.stash[STOPWATCH] = Stopwatch()
     return (yield)
 
 
@@ -68,7 +68,7 @@ def pytest_fixture_setup(fixturedef: pytest.FixtureDef, request: pytest.FixtureR
     """Take the set-up of a shared fixture out of the time of the test that happens to ask for it first."""
     if fixturedef.scope == "function":
         return (yield)
-    with request._pyfuncitem.stash[STOPWATCH].paused():
+    with request.config.stash[STOPWATCH].paused():
         return (yield)
 
 
@@ -77,7 +77,7 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo):
     """Note what a test took, and whether that is more than an unmarked test should take."""
     report = yield
     if call.when == "call":
-        spent_s = item.stash[STOPWATCH].spent_s()
+        spent_s = item.config.stash[STOPWATCH].spent_s()
         report.user_properties.append(("processor_time_s", spent_s))
         if spent_s > FAST_LIMIT_S and not _may_be_slow(item):
             report.user_properties.append(("too_slow_s", spent_s))

@@ -36,10 +36,10 @@ def load_std(cell: NatureCell, visits: Sequence[PlannedVisit], outliers: Sequenc
     arm, rows = cell.arm, rows_of(visits)
     still = np.zeros_like(rows.q_rad)
     tau = equilibrium(arm, rows, cell.effects, still)[0][0::2]
-    design, precision = _design(arm, rows, cell.effects, tau)
-    weight = _weights(arm, rows, cell.effects, tau)
+    design, precision = design_of(arm, rows, cell.effects, tau)
+    weight = weights_of(arm, rows, cell.effects, tau)
     for wrong in outliers:
-        weight[wrong.visit] = _without(weight[wrong.visit], wrong.joint - 1)
+        weight[wrong.visit] = without_axis(weight[wrong.visit], wrong.joint - 1)
     covariance = posterior(design, weight, precision)
     return centre_std(covariance[:4, :4], arm.load)
 
@@ -54,11 +54,11 @@ def log_likelihood_ratios(
     """
     arm, rows = cell.arm, rows_of(visits)
     tau = equilibrium(arm, rows, cell.effects, np.zeros_like(rows.q_rad))[0][0::2]
-    weight = np.concatenate([_weights(arm, rows, cell.effects, tau), np.linalg.inv(_scatter(arm, rows, tau))])
+    weight = np.concatenate([weights_of(arm, rows, cell.effects, tau), np.linalg.inv(_scatter(arm, rows, tau))])
     for wrong in outliers:
         for visit in (wrong.visit, wrong.visit + len(tau)):
-            weight[visit] = _without(weight[visit], wrong.joint - 1)
-    design, precision = _design(arm, rows, (), tau)
+            weight[visit] = without_axis(weight[visit], wrong.joint - 1)
+    design, precision = design_of(arm, rows, (), tau)
     lost, std = _lost(cell, rows, tau)
     below, above = ((0, len(tau)), (0, 0), (0, 0)), ((len(tau), 0), (0, 0), (0, 0))
     design = np.concatenate([np.pad(design, below), np.pad(lost, above)], axis=2)
@@ -107,7 +107,7 @@ def centre_std(covariance: Floats, load: Floats) -> Floats:
     return np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
 
 
-def _design(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: Floats) -> tuple[Floats, Floats]:
+def design_of(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: Floats) -> tuple[Floats, Floats]:
     """Columns (visits, 6, p), the load's four first, and the prior precision (p,) of each, 0 where there is none."""
     q, time_s, loaded = rows.q_rad[0::2], rows.time_s[0::2], rows.loaded[0::2]
     each = np.eye(6)
@@ -132,7 +132,7 @@ def _design(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: 
     return np.concatenate([part for part, _ in parts], axis=2), np.concatenate([std for _, std in parts]) ** -2.0
 
 
-def _weights(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: Floats) -> Floats:
+def weights_of(arm: NatureArm, rows: TableRows, effects: Sequence[Mechanism], tau: Floats) -> Floats:
     """Inverse covariance (visits, 6, 6) of the half-sums: friction, noise, rounding, and the pose that is not met."""
     covariance = _scatter(arm, rows, tau)
     for axis in range(6):
@@ -169,7 +169,7 @@ def _lost(cell: NatureCell, rows: TableRows, tau: Floats) -> tuple[Floats, Float
     return columns, np.repeat([std for _, std in parts], 6)
 
 
-def _without(weight: Floats, axis: int) -> Floats:
+def without_axis(weight: Floats, axis: int) -> Floats:
     """Inverse covariance (6, 6) when the row of one axis is not there: its information conditioned away."""
     out = weight - np.outer(weight[:, axis], weight[axis]) / weight[axis, axis]
     out[axis] = out[:, axis] = 0.0

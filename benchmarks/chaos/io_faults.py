@@ -10,21 +10,24 @@ import os
 import random
 import sys
 import tempfile
+import threading
 import time
+from collections.abc import Callable
 from contextlib import ExitStack, nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
 from benchmarks.chaos.judging import held_up
-from benchmarks.chaos.rig import Drives
+from benchmarks.chaos.rig import Drives, adapters
 from benchmarks.chaos.scenarios import TRIES, short_plan
 from drives.bus import SDO_ANSWER_BASE, BusSpec
+from drives.group import DriveGroup
 from drives.realtime import RealTime
 from gateway.acquire.events import Started
 from gateway.acquire.powered_run import RunRequest, run_plan
 from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.commands.console import Session
-from gateway.motion.opening import BusOverride, OpenArm, frame_log_watched, open_arm
+from gateway.motion.opening import BusOverride, frame_log_watched, open_arm
 from gateway.motion.stops import StopDesk
 from gateway.motion.stream import MoveOptions
 from sim.server import ABANDONED_S
@@ -43,45 +46,44 @@ GOES_ON = frozenset({"frozen terminal", "malformed frames", "lost SDO answers"})
 
 
 class Broken:
-    """The adapter of an open bus with one of the faults, from an instant on.
+    """The adapter of a bus with one of the faults, from an instant on.
 
     Attributes
     ----------
     touched : frames and calls that the fault has touched
     """
 
-    def __init__(self, opened: OpenArm, kind: str, rng: random.Random) -> None:
+    def __init__(self, kind: str, rng: random.Random) -> None:
         self.touched = 0
         self._lost: dict[int, bool] = {}
         self._kind, self._rng = kind, rng
-        self._bus = opened.group.bus
-        self._adapter, self._receive = self._bus._adapter, self._bus._receive
-        self._group, self._begins = opened.group, sys.maxsize
-        self._bus._adapter, self._bus._receive = self, self.recv
+        self._adapter: Any = None
+        self._on: Callable[[], bool] = lambda: False
 
-    def begin_in(self, syncs: int) -> None:
-        self._begins = self._group.sync_index + syncs
+    def take(self, adapter: Any) -> Broken:
+        self._adapter = adapter
+        return self
 
-    @property
-    def _on(self) -> bool:
-        return self._group.sync_index >= self._begins
+    def begin_in(self, syncs: int, group: DriveGroup) -> None:
+        begins = group.sync_index + syncs
+        self._on = lambda: group.sync_index >= begins
 
     def send(self, frame: Any, timeout: float | None = None) -> None:
-        if self._kind == "adapter unplugged" and self._on:
+        if self._kind == "adapter unplugged" and self._on():
             self.touched += 1
             raise OSError(19, "No such device")
         self._adapter.send(frame, timeout)
 
     def recv(self, timeout: float | None = None) -> Any:
-        if not self._on:
-            return self._receive(timeout)
+        if not self._on():
+            return self._adapter.recv(timeout)
         if self._kind == "adapter unplugged":
             self.touched += 1
             raise OSError(5, "Input/output error")
         if self._kind == "malformed frames" and self._rng.random() < MALFORMED_SHARE:
             self.touched += 1
             raise ValueError("invalid literal for int() with base 16: '1?8'")
-        frame = self._receive(timeout)
+        frame = self._adapter.recv(timeout)
         answer = frame is not None and SDO_ANSWER_BASE < frame.arbitration_id < SDO_ANSWER_BASE + 128
         if self._kind == "lost SDO answers" and answer:
             before = self._lost.get(frame.arbitration_id, False)
@@ -103,7 +105,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
     bus = drives.loaded.cell.bus[drives.loaded.cell.arm[0].bus]
     pacing, real = bus.pacing, bus.pacing == "real"
     error: BaseException | None = None
-    broken: Broken | None = None
+    broken = Broken(kind, rng)
     store, desk, planned = MemoryStore(), StopDesk(), 0
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
@@ -113,8 +115,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
             stderr, sys.stderr = sys.stderr, stack.enter_context(os.fdopen(slave, "w"))
             stack.callback(setattr, sys, "stderr", stderr)
             session = Session(verbosity=2)
-            session.console(err=True)
-            outlet = session._outlets[True]
+            outlet: Any = session.console(err=True).file
             detached = outlet.detached()
             detached.__enter__()
         trace = folder / "trace.log"
@@ -122,13 +123,13 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
         options = {"trace": trace} if kind == "failing frame log" else {}
         with suppress(KeyboardInterrupt):
             try:
-                with open_arm(drives.loaded, BusOverride(BusSpec.parse(drives.bus), **options)) as opened:
+                override = BusOverride(BusSpec.parse(drives.bus), **options)
+                with adapters(broken.take), open_arm(drives.loaded, override) as opened:
                     desk.watch(frame_log_watched(opened))
-                    made = broken = Broken(opened, kind, rng)
 
                     def listen(event: object) -> None:
                         if isinstance(event, Started):
-                            made.begin_in(rng.randint(*BEGINS))
+                            broken.begin_in(rng.randint(*BEGINS), opened.group)
                         if kind == "frozen terminal":
                             for _ in range(20):
                                 session.note(f"{event} {'-' * 200}")
@@ -146,18 +147,26 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
                     run_plan(station, RunRequest(plan, "none"))
             except Exception as raised:
                 error = raised
-        dropped = 0
-        if kind == "frozen terminal":
-            dropped = outlet._dropped_lines
-            outlet._failure = OSError()  # the queue is not read
-            with suppress(OSError):
-                detached.__exit__(None, None, None)
+        shown, unwritten = b"", kind == "frozen terminal"
+        if unwritten:
+            os.set_blocking(master, False)
+            leaving = threading.Thread(target=detached.__exit__, args=(None, None, None))
+            leaving.start()
+        while unwritten:
+            unwritten = leaving.is_alive()
+            with suppress(BlockingIOError):
+                shown += os.read(master, 1 << 16)
     until_s = time.monotonic() + NO_PROGRESS_S[pacing]  # drives without a master stop by themselves
     while PdsState.OPERATION_ENABLED in drives.watched().states and time.monotonic() < until_s:
         time.sleep(0.05)
     watched = drives.watched()
-    touched = 0 if broken is None else broken.touched
-    complaints = judge(kind, error, (len(store.visits), planned), watched.states, (touched, dropped))
+    complaints = judge(
+        kind,
+        error,
+        (len(store.visits), planned),
+        watched.states,
+        (broken.touched, b"lines were dropped" in shown),
+    )
     if kind != "adapter unplugged":
         complaints += [
             "the master's heartbeat was missed" for state in watched.states if state is PdsState.FAULT_REACTION_ACTIVE
@@ -172,7 +181,7 @@ def judge(
     error: BaseException | None,
     visits: tuple[int, int],
     states: tuple[PdsState, ...],
-    seen: tuple[int, int],
+    seen: tuple[int, bool],
 ) -> list[str]:
     """What is not as the safety page states."""
     complaints: list[str] = []

@@ -159,7 +159,7 @@ class Bench:
         work: Callable[[Bus], bool] = {"configure": self._configure, "apply": self._apply, "restore": self._restore}[
             what
         ]
-        self.wire._queue.clear()
+        self.wire.shutdown()
         for slave in self.slaves:
             slave.state, slave.nmt = "switch on disabled", 127
         try:

@@ -23,7 +23,7 @@ from typing import Any
 
 import can
 
-from benchmarks.chaos.rig import Rig
+from benchmarks.chaos.rig import Rig, adapters
 from benchmarks.chaos.witness import Witness
 from drives.bus import BusSpec, open_bus
 from drives.errors import DriveError
@@ -35,7 +35,7 @@ from gateway.cell.config import LoadedCell, load_cell
 from gateway.data.rest_pose import RestPose
 from gateway.errors import GatewayError
 from gateway.model.arm_model import arm_named
-from gateway.motion.opening import BusOverride, OpenArm, axis_setups, open_arm
+from gateway.motion.opening import BusOverride, axis_setups, open_arm
 from sim.faults import Fault
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
@@ -282,10 +282,12 @@ def _record(job: Job, pipe: Connection) -> None:
             pipe.send((event.pose, event.direction))
 
     loaded = load_cell(job.folder / "cell.toml")
+    made: list[Any] = []
     try:
-        with open_arm(loaded, BusOverride(BusSpec.parse(job.bus), ledger=job.ledger)) as opened:
+        override = BusOverride(BusSpec.parse(job.bus), ledger=job.ledger)
+        with adapters(lambda adapter: made.append(adapter) or adapter), open_arm(loaded, override) as opened:
             if job.frames:
-                block_queue(opened, job.frames, lambda: pipe.send("full"))
+                block_queue(made[0], job.frames, lambda: pipe.send("full"))
             pipe.send("moving")
             plan = plan_of_poses(loaded, opened.config, opened.workspace, poses())
             record(opened, plan, RecordRequest("none", job.path, resume=True), (notify,))
@@ -297,31 +299,19 @@ def _record(job: Job, pipe: Connection) -> None:
     os._exit(0)
 
 
-class _Blocked:
-    """An adapter that takes so many frames more and then none."""
+def block_queue(adapter: Any, frames: int, notify: Callable[[], None]) -> None:
+    """Let the transmit queue of an adapter fill up for ever after so many frames."""
+    plain, left = adapter.send, iter(range(frames - 1, -1, -1))
 
-    def __init__(self, adapter: Any, frames: int, notify: Callable[[], None]) -> None:
-        self._adapter = adapter
-        self._left = frames
-        self._notify = notify
-
-    def send(self, frame: can.Message, timeout: float | None = None) -> None:
-        """Send, as long as the queue is not full."""
-        self._left -= 1
-        if self._left == 0:
-            self._notify()
-        if self._left <= 0:
+    def send(frame: can.Message, timeout: float | None = None) -> None:
+        more = next(left, -1)
+        if more == 0:
+            notify()
+        if more <= 0:
             raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
-        self._adapter.send(frame, timeout)
+        plain(frame, timeout)
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._adapter, name)
-
-
-def block_queue(opened: OpenArm, frames: int, notify: Callable[[], None]) -> None:
-    """Let the transmit queue fill up for ever after so many frames."""
-    bus = opened.group._bus
-    bus._adapter = _Blocked(bus._adapter, frames, notify)
+    adapter.send = send
 
 
 def restore(job: Job) -> str:

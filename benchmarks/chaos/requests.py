@@ -139,19 +139,19 @@ def fall_without_voltage(period_s: float, acceleration: float) -> float:
     """Largest angle [rad] of a joint of the wire whose brake yields as the voltage is disabled in its test."""
     with _rig(cell_in_lockstep(period_s), period_s) as (opened, slaves):
         slave = slaves[0]
-        plain, opened_once = slave._sync, [False]
+        plain, opened_once = slave.on_frame, [False]
 
-        def sync() -> None:
-            plain()
+        def on_frame(can_id: int, data: bytes) -> None:
+            plain(can_id, data)
             opened_once[0] |= slave.state == "operation enabled"
             if opened_once[0] and slave.state == "switch on disabled":
                 slave.falls_rad_s2 = acceleration
 
-        slave._sync = sync  # type: ignore[method-assign]
+        slave.on_frame = on_frame  # type: ignore[method-assign]
         caught: list[float] = []
 
         def supported(_text: str) -> Callable[[], bool]:
-            slave._sync, slave.falls_rad_s2 = plain, 0.0  # type: ignore[method-assign]
+            slave.on_frame, slave.falls_rad_s2 = plain, 0.0  # type: ignore[method-assign]
             caught.append(slave.farthest_rad)
             return lambda: True
 

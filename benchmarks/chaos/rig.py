@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
+from unittest import mock
 
 import can
 
@@ -46,6 +47,14 @@ good = 0x02000000
 TPDO3, OFF = 2, 1 << 31
 #: A scenario that never begins, so that the wire is there and faults can be armed while it runs.
 IDLE = '[[fault]]\nkind = "warning"\nat_sync = 1000000000\n'
+
+
+@contextmanager
+def adapters(take: Callable[[Any], Any]) -> Iterator[None]:
+    """Let buses that are opened meanwhile have what `take` returns for their adapter."""
+    plain = can.Bus
+    with mock.patch("can.Bus", lambda **options: take(plain(**options))):
+        yield
 
 
 @dataclass(slots=True)

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.chaos.evidence import Evidence, Outcome, counters_of
 from benchmarks.chaos.judging import compare, follow, held_up, judge
-from benchmarks.chaos.rig import Drives
+from benchmarks.chaos.rig import Drives, adapters
 from drives.bus import BusSpec
 from drives.errors import DriveError
 from drives.realtime import RealTime
@@ -209,6 +209,7 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
     begin = Beginning(rig, kind, seed, fault)
     outcome.in_samples = begin.in_samples
     base, error, limits = 0, None, rig.watched().torque_limits
+    made: list[Any] = []
     with ExitStack() as stack:
         override = BusOverride(BusSpec.parse(rig.bus))
         if kind in BETWEEN_RUNS:
@@ -220,8 +221,10 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
             rig.arm(fault)
             limits = rig.watched().torque_limits
         try:
-            with open_arm(rig.loaded, override) as opened:
+            with adapters(lambda adapter: made.append(adapter) or adapter), open_arm(rig.loaded, override) as opened:
                 base = rig.sync()
+                if kind == "queue_full":
+                    fill_queue(made[0], random.Random(outcome.seed))
                 if kind in IN_BRAKES and fault is not None:
                     rig.arm(fault)
                 try:
@@ -261,8 +264,6 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
     if kind in LOOKS:
         outcome.error = LOOKS[kind](opened)
         return
-    if kind == "queue_full":
-        fill_queue(opened, random.Random(outcome.seed))
     store = MemoryStore()
     evidence.visits = store.visits
     station = VisitStation(
@@ -301,9 +302,8 @@ LOOKS: dict[str, Callable[[OpenArm], str]] = {
 }
 
 
-def fill_queue(opened: OpenArm, rng: random.Random) -> None:
-    """Let the adapter refuse a frame now and then, as a full transmit queue does."""
-    adapter = opened.group._bus._adapter
+def fill_queue(adapter: Any, rng: random.Random) -> None:
+    """Let an adapter refuse a frame now and then, as a full transmit queue does."""
     send = adapter.send
 
     def refuse(frame: can.Message, timeout: float | None = None) -> None:
@@ -311,15 +311,4 @@ def fill_queue(opened: OpenArm, rng: random.Random) -> None:
             raise can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
         send(frame, timeout)
 
-    opened.group._bus._adapter = _With(adapter, refuse)
-
-
-class _With:
-    """An adapter with another `send`."""
-
-    def __init__(self, adapter: Any, send: Callable[..., None]) -> None:
-        self._adapter = adapter
-        self.send = send
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._adapter, name)
+    adapter.send = refuse

@@ -119,14 +119,14 @@ class Witness:
         self._lines = array("d")
         self._frames = bytearray()
         self._last_s = 0.0
-        self._follow: Callable[[can.Message | None, float], None] = server._follow_the_clock
-        self._take: Callable[[can.Message], None] = server._take
+        self._pass: Callable[[float], None] = server.pass_until
+        self._serve: Callable[[can.Message | None], None] = server.serve
         changed: Any = server
-        changed._follow_the_clock, changed._take = self._followed, self._taken
+        changed.pass_until, changed.serve = self._passed, self._served
 
-    def _followed(self, message: can.Message | None, missing_s: float) -> None:
-        self._follow(message, missing_s)
-        now_s = self._server._real_at_s
+    def _passed(self, until_s: float) -> None:
+        self._pass(until_s)
+        now_s = self._server.real_at_s
         if now_s - self._last_s >= STEP_S:
             self._last_s = now_s
             self._note(now_s)
@@ -142,11 +142,12 @@ class Witness:
         for axis in axes:
             axis.fastest_rad_s = 0.0
 
-    def _taken(self, message: can.Message) -> None:
-        age_s = time.time() - message.timestamp if message.timestamp else 0.0
-        data = bytes(message.data)
-        self._frames += FRAME.pack(time.monotonic() - age_s, message.arbitration_id, len(data), data)
-        self._take(message)
+    def _served(self, message: can.Message | None) -> None:
+        if message is not None:
+            age_s = time.time() - message.timestamp if message.timestamp else 0.0
+            data = bytes(message.data)
+            self._frames += FRAME.pack(time.monotonic() - age_s, message.arbitration_id, len(data), data)
+        self._serve(message)
 
     @property
     def speed_rad_s(self) -> float:

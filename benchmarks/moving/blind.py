@@ -3,10 +3,11 @@
 python -m benchmarks.moving.blind [--seeds dev|test] [--cells N] [--out out/blind-moving] [--jobs N]
 
 Each arm is moved unloaded and loaded along an excitation trajectory and diagnosed. Every third arm has no mechanism;
-the others have one of `benchmarks.nature.moving_effects` in turn, of a strength from 1.5 to 20. The strength is what
-the mechanism adds beyond links, load, gains, friction, rotors, delays and cogging, each with its prior, on the axis
-where that is largest, in standard deviations of all rows over the root of 24: a blind cell at rest has 24 visits, and
-its strength is a root mean square over them. Friction that falls with speed is drawn in most arms and may be named.
+the others have one of `benchmarks.nature.moving_effects` in turn, of a strength from 1.5 to 20. Links, load, gains,
+friction, rotors, delays and cogging take over a part of what the mechanism adds, each within its prior. The strength is
+what is left on the axis where that is largest, in standard deviations of all rows, over the root of 24. A blind cell at
+rest has 24 visits, and its strength is a root mean square over them. Friction that falls with speed is drawn in most
+arms and may be named.
 Development seeds start at 0, test seeds at 30000.
 """
 

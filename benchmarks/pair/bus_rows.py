@@ -258,14 +258,14 @@ def first_slower(run: PairRun, decided: list[float], now_s: Callable[[], float])
     """Time at which the first setpoints slower than planned are sent once a stop is decided, as the only entry."""
     begun: list[float] = []
     stream = run.motion.stream
-    plain = stream._send
+    plain = stream.drive
 
-    def send(path_name: Any, at: float, rate: float) -> None:
-        if decided and not begun and rate < 1.0:
-            begun.append(now_s())
-        plain(path_name, at, rate)
+    def drive(source: Any, what: str) -> None:
+        planned = source.targets
+        source.targets = lambda *at: (decided and not begun and at[1] < 1.0 and begun.append(now_s()), planned(*at))[1]
+        plain(source, what)
 
-    stream._send = send  # type: ignore[method-assign]
+    stream.drive = drive  # type: ignore[method-assign]
     return begun
 
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from unittest import mock
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from gateway.motion.stream import MoveOptions, Stream
 from gateway.pair.link import PairLink, open_link
 from gateway.pair.pair_cell import PairCell, load_pair
 from gateway.pair.transform_function import function_of_knots
-from sim.pair.cell import PairOptions
-from sim.pair.world import PairWorld
+from sim.pair.cell import PLANTS, PairOptions
+from sim.pair.two_arms import TwoArms
 from sim.serve import free_bus
 from sim.simulation import ServeOptions, Simulation
 from tests.support.rigs.pacing import by_the_clock as by_the_clock_text
@@ -30,15 +31,21 @@ CYCLES = 100_000
 REAL_S = 20.0
 
 
-def _no_physics(world: PairWorld) -> None:
-    """One millisecond in which nothing moves."""
-    world.time_s = round(world.time_s + 0.001, 6)
+class Still(TwoArms):
+    """Arms that do not move, whatever time passes."""
+
+    def _stretch(self, ticks: float) -> None:
+        self.time_s = round(self.time_s + 0.001 * ticks, 6)
+
+
+#: The plant of PyBullet without its physics.
+STILL = mock.patch.dict(PLANTS, bullet=Still)
 
 
 def _serve(cell_file: Path, bus: str, ready: Any, stop: Any) -> None:
     """Simulated drives in a process of their own, without physics, until `stop`."""
-    PairWorld._tick = _no_physics  # type: ignore[method-assign]
-    simulation = Simulation(cell_file, ServeOptions(bus=bus), PairOptions(plant="bullet"))
+    with STILL:
+        simulation = Simulation(cell_file, ServeOptions(bus=bus), PairOptions(plant="bullet"))
     thread = threading.Thread(target=simulation.run)
     thread.start()
     ready.set()
@@ -65,18 +72,13 @@ def _served(cell_file: Path, bus: str) -> Iterator[None]:
 
 def lockstep(cycles: int = CYCLES) -> dict[str, Any]:
     """Twelve drives, both buses in lockstep, the arms held: the physics is left out, the drives are not."""
-    plain = PairWorld._tick
-    PairWorld._tick = _no_physics  # type: ignore[method-assign]
-    try:
-        with pair_rig(None) as rig, powered(Stream(rig.link.station(rig.cell, MoveOptions()))) as stream:
-            before = rig.link.statistics().incomplete
-            began = time.perf_counter()
-            for cycle in range(cycles):
-                stream.hold("hold", cycle, cycles)
-            took_s = time.perf_counter() - began
-            after = rig.link.statistics().incomplete
-    finally:
-        PairWorld._tick = plain  # type: ignore[method-assign]
+    with STILL, pair_rig(None) as rig, powered(Stream(rig.link.station(rig.cell, MoveOptions()))) as stream:
+        before = rig.link.statistics().incomplete
+        began = time.perf_counter()
+        for cycle in range(cycles):
+            stream.hold("hold", cycle, cycles)
+        took_s = time.perf_counter() - began
+        after = rig.link.statistics().incomplete
     return {"cycles": cycles, "incomplete": sum(after) - sum(before), "cycle_s": took_s / cycles}
 
 

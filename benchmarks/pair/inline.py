@@ -16,7 +16,7 @@ from typing import Any
 import can
 from can.interfaces import BACKENDS
 
-from sim.server import SYNC_ID, BusServer
+from sim.server import BusServer
 
 INTERFACE = "virtual"
 #: Between two looks at a bus on which nothing goes on [s].
@@ -64,10 +64,7 @@ class InlineBus(can.BusABC):
     def _work(self) -> bool:
         """Let the drives take one frame, or keep their time if none came; whether one did."""
         server, message = self._server, self._gone.popleft() if self._gone else None
-        if message is not None:
-            server._take(message)
-        if message is None or message.arbitration_id == SYNC_ID:
-            server._keep_time(time.monotonic())
+        server.serve(message)
         return message is not None
 
 

@@ -43,6 +43,8 @@ class LivePage:
     feed : Feed
     address : str
         Address for the browser.
+    process : subprocess.Popen
+        What serves the page.
 
     Raises
     ------
@@ -55,25 +57,20 @@ class LivePage:
         door = Door(listener.getsockname()[1], secrets.token_urlsafe(16))
         here, there = pair_of_sockets()
         with listener, there:
-            self._process = _started(there.fileno(), listener.fileno())
+            self.process = _started(there.fileno(), listener.fileno())
         self.address = door.address
         self.feed = Feed(here)
         for piece in pieces(Hello(door.port, door.token, title, stops)):
             here.send(piece)
 
-    @property
-    def pid(self) -> int:
-        """Number of the process."""
-        return self._process.pid
-
     def close(self, reason: str) -> None:
         """Report the end of the command to every page, and end the process."""
         self.feed.close(reason)
         try:
-            self._process.wait(PATIENCE_S)
+            self.process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+            self.process.kill()
+            self.process.wait()
 
 
 def _listener(port: int | None) -> socket.socket:

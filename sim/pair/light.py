@@ -36,6 +36,10 @@ class LightWorld(TwoArms):
     ----------
     arms : master and slave
     settings : WorldSettings
+
+    Attributes
+    ----------
+    friction : (J,) dry friction that each motor overcomes, share of its full size, -1 to 1
     """
 
     usual_ticks = 6.0
@@ -50,7 +54,7 @@ class LightWorld(TwoArms):
         self._acceleration = np.zeros(self.joints)
         #: What of a change of speed the speed loops have not taken up yet [rad/s].
         self._open = np.zeros(self.joints)
-        self._rubbing = np.zeros(self.joints)
+        self.friction = np.zeros(self.joints)
         self._need = self.motors.gear_nm.copy()
         self._inertia = np.diag(self._mass(self.q)) + self._rotor
 
@@ -99,7 +103,7 @@ class LightWorld(TwoArms):
         left = (self._open + asked) * math.exp(-seconds / SPEED_LOOP_S)
         self._acceleration, self._open = (self._open + asked - left) / seconds, left
         turned = np.array(theta) - motors.theta
-        self._rubbing = np.clip(self._rubbing + turned / BREAKAWAY_RAD, -1.0, 1.0)
+        self.friction = np.clip(self.friction + turned / BREAKAWAY_RAD, -1.0, 1.0)
         motors.theta, motors.omega = np.array(theta), np.array(omega)
         np.maximum(motors.fastest, np.abs(motors.omega), out=motors.fastest)
 
@@ -159,7 +163,7 @@ class LightWorld(TwoArms):
     def _report(self, ticks: float) -> None:
         """Torque that each motor gives, and whether it is all it has."""
         motors, omega = self.motors, self.motors.omega
-        rubbing = self._coulomb * self._rubbing + self._viscous * omega
+        rubbing = self._coulomb * self.friction + self._viscous * omega
         self._need = motors.gear_nm + self._rotor * self._acceleration + rubbing
         need = self._need.tolist()
         for i, axis in enumerate(motors.axes):

@@ -15,7 +15,8 @@ import pytest
 
 from sim.cellfile import ArmSpec, read_cell
 from sim.nominal import plant_of
-from sim.physics import ArmWorld
+from sim.pair.two_arms import TwoArms
+from sim.physics import ArmWorld, bullet
 from sim.plant import Plant
 from sim.serve import RunningSimulation, running
 
@@ -189,6 +190,27 @@ def ideal(arm: ArmSpec, **fields: object) -> Plant:
         reading_noise_nm=zero,
     )
     return replace(plain, **fields)
+
+
+def torques(loaded: tuple[int, int], q: np.ndarray, qd: np.ndarray | float = 0.0, qdd: np.ndarray | float = 0.0):
+    """Joint torques that a motion needs by PyBullet, whose engine (with its body in `loaded`) ends here."""
+    client, body = loaded
+    motion = [np.broadcast_to(each, q.shape).tolist() for each in (q, qd, qdd)]
+    needed = bullet.calculateInverseDynamics(body, *motion, physicsClientId=client)
+    bullet.disconnect(physicsClientId=client)
+    return np.array(needed)
+
+
+def power(world: TwoArms) -> None:
+    for axis in world.motors.axes:
+        axis.release()
+
+
+def go(world: TwoArms, seconds: float, sync_s: float = 0.004) -> None:
+    """SYNCs of both buses, in step."""
+    for _ in range(round(seconds / sync_s)):
+        world.ask(0, sync_s)
+        world.ask(1, sync_s)
 
 
 @pytest.fixture

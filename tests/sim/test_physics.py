@@ -10,20 +10,22 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from sim.build_errors import with_build_errors
+from sim.cellfile import read_cell
 from sim.friction import STRIBECK_RAD_S
 from sim.nominal import plant_of
 from sim.physics import ArmWorld, physical_chain
 from sim.plant import Payload
-from sim.tuning import Coupling
 from sim.urdf import write_chain
+from tests.sim.conftest import EXAMPLES
 
 G = 9.80665
+CHAINS = {name: read_cell(EXAMPLES / name / "cell.toml").arms[0].chain for name in ("large", "small")}
 
 
-def oracle(world: ArmWorld, gravity=(0.0, 0.0, -G)) -> pinocchio.Model:
+def oracle(world: ArmWorld, name="small", gravity=(0.0, 0.0, -G)) -> pinocchio.Model:
     """Pinocchio's model of the nominal chain; the payload is added by pinocchio, not by the simulator."""
     plant = world.plant
-    bare = physical_chain(world._chain, plant.with_payload(Payload()))
+    bare = physical_chain(CHAINS[name], plant.with_payload(Payload()))
     limits = np.full(6, 10.0)
     chain = replace(bare, lower_rad=-limits, upper_rad=limits, effort_nm=limits, velocity_rad_s=limits)
     model = pinocchio.buildModelFromXML(write_chain(chain))
@@ -75,17 +77,19 @@ def test_holding_torque_is_that_of_inverse_dynamics_bare_and_loaded(name, world_
         world.mount(payload)
         world.advance(4000)
         assert np.abs(world.qd_rad_s).max() < 1e-5
-        expected = needed(oracle(world), world.q_rad)
+        expected = needed(oracle(world, name), world.q_rad)
         np.testing.assert_allclose(world.joint_torque_nm(), expected, atol=2e-4 * np.abs(expected).max())
         np.testing.assert_allclose(world.reading_nm(), expected, atol=2e-4 * np.abs(expected).max())
         np.testing.assert_allclose(world.q_rad, POSE, atol=2e-4)
 
 
 def test_moving_torque_is_that_of_inverse_dynamics(world_of):
-    """Links fall freely from rest: acceleration of the first steps against pinocchio's forward dynamics."""
-    world = world_of("small")
+    """Links fall freely from rest, with small rotors: acceleration of the first steps by pinocchio."""
+    world = world_of("small", rotor_inertia_kg_m2=np.full(6, 1e-3))
     model = oracle(world)
-    world._gears = Coupling(np.zeros(6), np.zeros(6))
+    model.armature = world.plant.rotor_inertia_kg_m2
+    for axis in world.axes:
+        axis.free = True
     world.advance(20)
     fall = pinocchio.aba(model, model.createData(), np.zeros(6), np.zeros(6), np.zeros(6))
     np.testing.assert_allclose(world.qd_rad_s / 0.02, fall, rtol=0.02, atol=0.05)
@@ -117,7 +121,7 @@ def test_tilted_gravity_springs_and_offsets_act_as_the_plant_says(world_of):
     )
     release(world)
     world.advance(6000)
-    tau = needed(oracle(world, gravity), world.q_rad) - spring
+    tau = needed(oracle(world, gravity=gravity), world.q_rad) - spring
     np.testing.assert_allclose(world.joint_torque_nm(), tau, atol=0.01)
     factor = np.array([1.0, 1.0, np.sqrt(2.0), 1.0, 1.0, 1.0])
     expected = (tau * factor / scale + offset) * [1, 1, 1, 1, -1, 1]
@@ -232,7 +236,7 @@ def test_motor_torque_in_motion_is_dynamics_rotor_friction_and_gear(name, arm_of
     q, motor = (filtfilt(*smooth, part, axis=0) for part in np.array(rows).transpose(1, 0, 2))
     qd = np.gradient(q, 0.001, axis=0)
     qdd = filtfilt(*smooth, np.gradient(qd, 0.001, axis=0), axis=0)
-    model = oracle(world)
+    model = oracle(world, name)
     data = model.createData()
     away = np.abs(np.arange(len(q)) - 1500) > 200  # the swing turns back there
     away[:300] = away[-300:] = False

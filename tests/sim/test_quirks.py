@@ -66,7 +66,7 @@ def test_an_inhibit_time_is_taken_only_while_the_pdo_does_not_exist(start: Start
 def test_start_is_refused_until_the_communication_error_has_gone(start: Start) -> None:
     with start("start_refused", delay_s=0.7) as (master, simulation):
         drive, now = drive_of(simulation), [50.0]
-        drive._behaviour.clock = lambda: now[0]
+        drive.behaviour.clock = lambda: now[0]
         for elapsed_s in (0.0, 0.69):
             now[0] = 50.0 + elapsed_s
             master.send(0x000, bytes([1, 0]))
@@ -84,7 +84,7 @@ def test_start_is_refused_until_the_communication_error_has_gone(start: Start) -
 def test_start_may_be_refused_for_ever(start: Start) -> None:
     with start("start_never") as (master, simulation):
         drive, now = drive_of(simulation), [0.0]
-        drive._behaviour.clock = lambda: now[0]
+        drive.behaviour.clock = lambda: now[0]
         for now[0] in (1.0, 1e9):
             master.send(0x000, bytes([1, NODE]))
             master.wait(0x80 + NODE)

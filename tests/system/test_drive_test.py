@@ -66,24 +66,24 @@ def test_a_drive_that_answers_an_unknown_object_is_found_and_the_others_are_test
     assert "J3 node 3" in done.stderr
 
 
-def without_fault_report(drive, _arm):
+def without_fault_report(drive):
     drive.node.emergency = lambda *_, **__: None
 
 
-def flat_ramp(drive, _arm):
+def flat_ramp(drive):
     steep = drive.joint_ramp
     drive.joint_ramp = lambda word: steep(word) / 60.0
 
 
-def torque_of_the_sync_before_last(drive, arm):
-    kept, measure = deque(maxlen=3), arm._measure
+def torque_of_the_sync_before_last(drive):
+    kept, answer = deque(maxlen=3), drive.sync
 
     def delayed():
-        measure()
         kept.append(drive.reading_nm)
         drive.reading_nm = kept[0]
+        answer()
 
-    arm._measure = delayed
+    drive.sync = delayed
 
 
 @pytest.mark.slow
@@ -96,11 +96,7 @@ def torque_of_the_sync_before_last(drive, arm):
     ],
 )
 def test_a_defect_of_one_drive_is_found_there_alone(tested, defect, name, low, high, text):
-    def prepare(drives):
-        arm = drives.handle.simulation.arms[0]
-        defect(arm.drives[1], arm)
-
-    _, reports, _, drives = tested(code=7, prepare=prepare)
+    _, reports, _, drives = tested(code=7, prepare=lambda drives: defect(drives.handle.simulation.arms[0].drives[1]))
     assert [axis for axis, report in reports.items() if report["findings"]] == ["J2"]
     assert any(text in each for each in reports["J2"]["findings"])
     (figure,) = [each for each in reports["J2"]["figures"] if each["name"] == name]

@@ -127,7 +127,7 @@ def test_a_page_leaves_with_its_command(place, serve, gateway, pages):
     assert done.exit_code == 0, done.output
     (page,) = pages
     assert page.address in done.output.replace("\n", "")
-    assert page._process.poll() == 0
+    assert page.process.poll() == 0
     assert not page.feed.gone
 
 

@@ -71,7 +71,7 @@ def interrupt_motion(place, bus, pacing):
     start_rad = [drive.target_count * drive.scale.count_rad for drive in group.drives]
     for sync in range(1, math.ceil(0.3 / period_s)):
         group.exchange([DriveCommand(position_rad + 2.0 * period_s * sync) for position_rad in start_rad])
-    group.bus._adapter.shutdown()
+    group.bus.close()
     return opening
 
 

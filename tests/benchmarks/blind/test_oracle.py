@@ -43,7 +43,7 @@ def test_a_row_that_is_left_out_says_nothing_and_the_others_what_they_said():
     rng = np.random.default_rng(1)
     root = rng.standard_normal((6, 6))
     covariance = root @ root.T
-    weight = oracle._without(np.linalg.inv(covariance), 2)
+    weight = oracle.without_axis(np.linalg.inv(covariance), 2)
     rest = [0, 1, 3, 4, 5]
     assert weight[np.ix_(rest, rest)] == pytest.approx(np.linalg.inv(covariance[np.ix_(rest, rest)]))
     assert not weight[2].any()
@@ -108,10 +108,10 @@ def _miss(seed: int, condition: str) -> np.ndarray:
     arm, rows = cell.arm, rows_of(cell.visits)
     columns, outliers = cell.measure(cell.visits)
     tau = reported_nm(arm, rows, (), quiet(arm, rows))[1][0::2]
-    design, precision = oracle._design(arm, rows, (), tau)
-    weight = oracle._weights(arm, rows, (), tau)
+    design, precision = oracle.design_of(arm, rows, (), tau)
+    weight = oracle.weights_of(arm, rows, (), tau)
     for wrong in outliers:
-        weight[wrong.visit] = oracle._without(weight[wrong.visit], wrong.joint - 1)
+        weight[wrong.visit] = oracle.without_axis(weight[wrong.visit], wrong.joint - 1)
     covariance = oracle.posterior(design, weight, precision)
     left = halves(columns["tau_nm"], arm.friction.declared_efficiency).half_sum_nm - _expected(cell)
     error = (covariance @ np.einsum("vap,vab,vb->p", design, weight, left))[:4]

@@ -11,7 +11,7 @@ from benchmarks.golden.answers import answer_of, read_answers
 from benchmarks.golden.differences import changes
 from benchmarks.golden.tables import FILES, names
 
-#: Relative difference of a load that is no other answer.
+#: Relative difference below which a load counts as unchanged.
 SAME = 1e-3
 TWENTY = [name for name in names() if not name.startswith(FILES)][::12][:20]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from drives.errors import DriveFault, MasterStalled
 from gateway.pair.force_guard import cause_of
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairStopped
+from sim.pair.cell import PLANTS
 from sim.pair.light import LightWorld
 
 
@@ -23,13 +25,14 @@ def friction(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) ->
     """Of joints at rest: as it was when they stopped, or released by their drives."""
     if request.param == "stays":
         return
-    report = LightWorld._report
 
-    def faded(world: LightWorld, ticks: float) -> None:
-        world._rubbing = np.where(np.abs(world.motors.omega) < 1e-4, 0.9 * world._rubbing, world._rubbing)
-        report(world, ticks)
+    def fading(*plant: Any) -> LightWorld:
+        world = LightWorld(*plant)
+        motors = world.motors
+        world.after.append(lambda _: np.multiply(world.friction, 0.9, world.friction, where=abs(motors.omega) < 1e-4))
+        return world
 
-    monkeypatch.setattr(LightWorld, "_report", faded)
+    monkeypatch.setitem(PLANTS, "light", fading)  # type: ignore[arg-type]
 
 
 @pytest.mark.slow

@@ -55,7 +55,7 @@ def test_the_page_says_that_it_only_watches(cell, monkeypatch):
         page = pages[0]
         with urllib.request.urlopen(page.address, timeout=30.0) as answer:
             seen.append(answer.status)
-        os.kill(page.pid, signal.SIGKILL)
+        os.kill(page.process.pid, signal.SIGKILL)
         while not feed.gone:
             feed.pressed()
 
@@ -80,7 +80,7 @@ def test_a_bus_without_traffic_is_watched_until_the_page_is_gone(cell, monkeypat
 
     def killed(page, *arguments, **named) -> None:
         before(page, *arguments, **named)
-        os.kill(page.pid, signal.SIGKILL)
+        os.kill(page.process.pid, signal.SIGKILL)
 
     monkeypatch.setattr(LivePage, "__init__", killed)
     done = live(cell, "--bus", free_bus())

@@ -28,7 +28,7 @@ DIES = """
 import os
 from gateway.live.page import LivePage
 page = LivePage("dies")
-print(page.pid, page.address, flush=True)
+print(page.process.pid, page.address, flush=True)
 input()
 os._exit(1)
 """
@@ -97,8 +97,8 @@ def test_no_other_computer_on_the_network_reaches_it(page):
 def test_a_page_that_is_killed_never_makes_the_loop_wait_and_stops_it_along_the_path(page, scene):
     feed = page.feed
     feed.began(scene)
-    os.kill(page.pid, signal.SIGKILL)
-    wait_until(lambda: gone(page.pid))
+    os.kill(page.process.pid, signal.SIGKILL)
+    wait_until(lambda: gone(page.process.pid))
     for sync in range(1, 4):
         feed.sampled(observed(sync, scene.workspaces[0].lower_rad * 0.0))
         feed.reported(MotionProgress("move", sync, 3))

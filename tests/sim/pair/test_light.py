@@ -12,14 +12,16 @@ import numpy as np
 import pytest
 
 from sim.cellfile import read_cell
+from sim.pair.body import load_pair
 from sim.pair.cell import PairOptions, pair_units
 from sim.pair.geometry import jacobian
 from sim.pair.light import LightWorld
-from sim.pair.two_arms import TwoArms
+from sim.pair.two_arms import STEP_S, TwoArms
 from sim.pair.world import PairWorld
 from sim.serve import _obey
 from sim.simulation import GripError, ServeOptions, Simulation
 from sim.states import PdsState
+from tests.sim.conftest import go, power, torques
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 CELL = EXAMPLES / "pair" / "cell.toml"
@@ -58,15 +60,13 @@ def simulation_of() -> Iterator[Callable[..., Simulation]]:
         simulation.close()
 
 
-def power(world: TwoArms) -> None:
-    for axis in world.motors.axes:
-        axis.release()
-
-
-def go(world: TwoArms, seconds: float) -> None:
-    for _ in range(round(seconds / SYNC_S)):
-        world.ask(0, SYNC_S)
-        world.ask(1, SYNC_S)
+def push_apart(world: TwoArms, rest_s: float) -> float:
+    """Turn the second arm away from the first; return the force inside the part a while later."""
+    for step_rad, seconds in ((4e-6, 0.1), (0.0, rest_s)):
+        for axis in world.motors.axes[6:]:
+            axis.servo.reference_step_rad = step_rad
+        go(world, seconds)
+    return float(np.linalg.norm(world.wrench[:3]))
 
 
 def test_at_rest_the_motors_carry_what_the_arms_weigh(world_of: Worlds) -> None:
@@ -77,7 +77,7 @@ def test_at_rest_the_motors_carry_what_the_arms_weigh(world_of: Worlds) -> None:
     assert isinstance(light, LightWorld)
     assert isinstance(heavy, PairWorld)
     assert np.abs(light.motors.gear_nm).max() > 50.0
-    assert light.motors.gear_nm == pytest.approx(heavy._gravity(heavy.q), abs=1.0)
+    assert light.motors.gear_nm == pytest.approx(torques(load_pair(heavy.arms, STEP_S), heavy.q), abs=1.0)
     assert light.motors.shown_nm == pytest.approx(light.motors.gear_nm, abs=1e-6)
     assert np.abs(light.q - heavy.q).max() < 2e-4
     assert np.linalg.norm(light.wrench[:3]) < 1.0
@@ -112,7 +112,7 @@ def test_a_step_of_speed_takes_as_much_torque_however_short_the_stretch_it_is_se
         world.motors.axes[0].servo.offset_rad_s = 0.01
         seen = []
         for ticks in stretches:
-            world._stretch(ticks)
+            go(world, ticks * 1e-3, ticks * 1e-3)
             seen.append((float(world.motors.u_nm[0]) - rest_nm, ticks))
         impulse.append(sum(torque_nm * ticks for torque_nm, ticks in seen))
         most.append(max(abs(torque_nm) for torque_nm, _ in seen))
@@ -170,7 +170,7 @@ def test_a_mismatch_becomes_force_through_gears_and_part_in_series(world_of: Wor
     assert np.abs(expected[:3]).max() > 5.0
     assert np.abs(world.wrench - before - expected).max() < 0.05 * np.abs(expected).max()
     gear = world.motors.gear_nm + world.wrench @ closure.jacobian
-    assert gear == pytest.approx(world._gravity(world.q), abs=0.5)
+    assert gear == pytest.approx(torques(load_pair(world.arms, STEP_S), world.q), abs=0.5)
 
 
 def test_force_agrees_with_pybullet(world_of: Worlds) -> None:
@@ -179,12 +179,7 @@ def test_force_agrees_with_pybullet(world_of: Worlds) -> None:
         world = world_of(plant, 0)
         power(world)
         go(world, 0.2)
-        for axis in world.motors.axes[6:]:
-            axis.servo.reference_step_rad = 4e-6
-        go(world, 0.1)
-        for axis in world.motors.axes[6:]:
-            axis.servo.reference_step_rad = 0.0
-        go(world, 0.4)
+        push_apart(world, 0.4)
         last.append(world.wrench[:3].copy())
     assert np.linalg.norm(last[1]) > 15.0
     assert np.linalg.norm(last[0] - last[1]) < 0.35 * np.linalg.norm(last[1])  # friction is between them
@@ -194,24 +189,15 @@ def test_force_agrees_with_pybullet(world_of: Worlds) -> None:
 def test_open_grippers_carry_no_force_and_close_free_of_it(world_of: Worlds, plant: str) -> None:
     world = world_of(plant, 0)
 
-    def push_apart() -> float:
-        for axis in world.motors.axes[6:]:
-            axis.servo.reference_step_rad = 4e-6
-        go(world, 0.1)
-        for axis in world.motors.axes[6:]:
-            axis.servo.reference_step_rad = 0.0
-        go(world, 0.2)
-        return float(np.linalg.norm(world.wrench[:3]))
-
     power(world)
     go(world, 0.2)
     world.open_grippers()
-    assert push_apart() == 0.0
+    assert push_apart(world, 0.2) == 0.0
     world.open_grippers()
     world.close_grippers()
     go(world, 0.1)
     assert np.linalg.norm(world.wrench[:3]) < 3.0
-    assert push_apart() > 15.0
+    assert push_apart(world, 0.2) > 15.0
 
 
 def test_an_axis_without_torque_falls_and_one_without_brake_sinks(world_of: Worlds) -> None:
@@ -225,7 +211,8 @@ def test_an_axis_without_torque_falls_and_one_without_brake_sinks(world_of: Worl
     go(world, 0.1)
     fallen = axis.position_rad - before
     assert fallen * load < 0.0
-    inertia = world._inertia[1]  # type: ignore[attr-defined]
+    still, faster = (torques(load_pair(world.arms, STEP_S), world.q, 0.0, qdd) for qdd in (0.0, np.eye(12)[1]))
+    inertia = (faster - still)[1] + world.motors.train.rotor_kg_m2[1]
     least = 0.5 * (abs(load) - world.motors.train.coulomb_nm[1]) / inertia * 0.01
     assert abs(fallen) == pytest.approx(least, rel=0.35)
     axis.lock()
@@ -412,6 +399,13 @@ def test_a_bus_without_traffic_lets_no_more_time_pass_than_it_was_quiet(
 ) -> None:
     """A frame that comes while a thread waits for its turn is still answered at the instant at which it came."""
     server = simulation_of(CELL, pacing="real").servers[0]
-    began_s = server._real_at_s
-    server._follow_the_clock(None, began_s + 0.001)
-    assert server._real_at_s == pytest.approx(began_s + 0.001, abs=1e-9)
+    asked_s: list[float] = []
+
+    def recv(_timeout: float) -> None:
+        asked_s.extend([server.real_at_s, time.monotonic()])
+        server.stop()
+        time.sleep(0.05)
+
+    server.bus.recv = recv
+    server.run()
+    assert asked_s[0] < server.real_at_s <= asked_s[1] + server.step_s

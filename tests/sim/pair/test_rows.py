@@ -11,13 +11,15 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sim.cellfile import ArmSpec, read_cell
+from sim.pair.body import load_pair
 from sim.pair.cell import PairOptions, pair_units
 from sim.pair.geometry import ArmGeometry, bases, nominal_arms, tip
 from sim.pair.pair_errors import GEAR_RATIO, GEAR_STIFFNESS_NM_RAD, draw
 from sim.pair.rows import rows_of
-from sim.pair.two_arms import TwoArms
+from sim.pair.two_arms import STEP_S, TwoArms
 from sim.physics import bullet
 from sim.urdf import SimBody, SimChain
+from tests.sim.conftest import go, power, torques
 
 EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
 UNEQUAL = EXAMPLES / "pair-unequal"
@@ -105,12 +107,6 @@ def test_an_arm_whose_joints_stand_anywhere_has_rows_too(axes: int) -> None:
             assert tip(geometry, q) == pytest.approx(fingertip(arm, q), abs=1e-6)
 
 
-def torques(client: int, body: int, motion: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Joint torques of a body for angles, speeds and accelerations, by PyBullet."""
-    q, qd, qdd = (values.tolist() for values in motion)
-    return np.array(bullet.calculateInverseDynamics(body, q, qd, qdd, physicsClientId=client))
-
-
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_links_weigh_in_the_rows_what_they_weigh_in_the_file(robot: str) -> None:
     """Torques that hold an arm without a part and move it: two branches from rows, and PyBullet's own reading."""
@@ -120,13 +116,12 @@ def test_links_weigh_in_the_rows_what_they_weigh_in_the_file(robot: str) -> None
     axes = len(cell.arms[0].axes)
     rng = np.random.default_rng(6)
     q, qd, qdd = rng.uniform(-1.5, 1.5, (3, world.joints))
-    two = torques(world._client, world._body, (q, qd, qdd))[:axes]
+    two = torques(load_pair(world.arms, STEP_S), q, qd, qdd)[:axes]
     client = bullet.connect(bullet.DIRECT)
     bullet.setGravity(0.0, 0.0, -9.80665, physicsClientId=client)
     file, own = str(UNEQUAL / f"{robot}.urdf"), bullet.URDF_USE_INERTIA_FROM_FILE
     body = bullet.loadURDF(file, useFixedBase=True, flags=own, physicsClientId=client)
-    alone = torques(client, body, (q[:axes], qd[:axes], qdd[:axes]))
-    bullet.disconnect(physicsClientId=client)
+    alone = torques((client, body), q[:axes], qd[:axes], qdd[:axes])
     world.close()
     assert two == pytest.approx(alone, rel=1e-5, abs=1e-3)
 
@@ -175,13 +170,10 @@ def test_a_delayed_sync_of_the_slave_keeps_its_joints_back_and_leaves_the_master
         options = PairOptions(None, settings={"skew_s": skew_s}, plant=plant)  # type: ignore[arg-type]
         world = pair_units(read_cell(UNEQUAL / "seven-six.toml"), options)["left"].world
         world.part.let_go()
+        power(world)
         for axis in world.motors.axes:
-            axis.release()
-        for _ in range(40):
-            for axis in world.motors.axes:
-                axis.servo.reference_step_rad = 1e-4
-            world.ask(0, 0.004)
-            world.ask(1, 0.004)
+            axis.servo.reference_step_rad = 1e-4
+        go(world, 0.16)
         places.append(world.motors.theta.copy())
         world.close()
     behind = places[0] - places[1]
@@ -191,12 +183,9 @@ def test_a_delayed_sync_of_the_slave_keeps_its_joints_back_and_leaves_the_master
 
 def test_each_arm_of_thirteen_joints_reads_its_own(thirteen: TwoArms) -> None:
     """Held by its motors each drive reports what gravity asks of its own joint, but for noise."""
-    for axis in thirteen.motors.axes:
-        axis.release()
-    for _ in range(50):
-        thirteen.ask(0, 0.004)
-        thirteen.ask(1, 0.004)
-    gravity = thirteen._gravity(thirteen.q)
+    power(thirteen)
+    go(thirteen, 0.2)
+    gravity = torques(load_pair(thirteen.arms, STEP_S), thirteen.q)
     readings = thirteen.reading_nm(0), thirteen.reading_nm(1)
     assert (len(readings[0]), len(readings[1])) == (7, 6)
     rated = thirteen.motors.train.rated_nm

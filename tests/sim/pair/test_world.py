@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from sim.cellfile import read_cell
+from sim.pair.body import load_pair
 from sim.pair.cell import PairOptions, pair_units
 from sim.pair.geometry import frames, jacobian, tip
+from sim.pair.two_arms import STEP_S
 from sim.pair.workpiece import Stiffness, Workpiece
 from sim.pair.world import PairWorld, UnstableStepError
 from sim.physics import bullet
+from tests.sim.conftest import go, power
 
 CELL = Path(__file__).resolve().parents[3] / "examples" / "pair" / "cell.toml"
 
@@ -31,14 +34,16 @@ def world() -> Iterator[PairWorld]:
 
 
 def test_every_link_is_where_the_table_has_it(world: PairWorld) -> None:
+    client, body = load_pair(world.arms, STEP_S)
+    for joint, angle in enumerate(world.q.tolist()):
+        bullet.resetJointState(body, joint, angle, physicsClientId=client)
     for arm, truth in enumerate(world.arms):
         q = world.q[6 * arm : 6 * arm + 6]
         wanted = truth.geometry.base @ frames(truth.geometry, q)
         for link in range(1, 6):
-            state = bullet.getLinkState(
-                world._body, 6 * arm + link, computeForwardKinematics=1, physicsClientId=world._client
-            )
+            state = bullet.getLinkState(body, 6 * arm + link, computeForwardKinematics=1, physicsClientId=client)
             assert np.abs(np.array(state[4]) - wanted[link - 1, :3, 3]).max() < 1e-6
+    bullet.disconnect(physicsClientId=client)
 
 
 def test_deviation_and_its_jacobian_agree_with_differences(world: PairWorld) -> None:
@@ -54,8 +59,7 @@ def test_deviation_and_its_jacobian_agree_with_differences(world: PairWorld) -> 
 
 def test_the_grippers_close_free_of_force(world: PairWorld) -> None:
     assert np.abs(world.part.at(world.q).deviation).max() < 1e-12
-    world.ask(0, 0.05)
-    world.ask(1, 0.05)
+    go(world, 0.05, 0.05)
     assert np.linalg.norm(world.wrench[:3]) < 1.0
 
 
@@ -67,9 +71,7 @@ def test_a_push_on_gripper_2_is_answered_by_the_part(world: PairWorld) -> None:
     push = np.zeros(12)
     push[six] = rate[0] * 10.0
     world.push = push
-    for _ in range(40):
-        world.ask(0, 0.025)
-        world.ask(1, 0.025)
+    go(world, 1.0, 0.025)
     gear = [np.diag(1.0 / world.arms[i].train.stiffness_nm_rad) for i in (0, 1)]
     closure = world.part.at(world.q)
     first, second = closure.jacobian[:, :6], closure.jacobian[:, 6:]
@@ -93,11 +95,8 @@ def test_a_rigid_part_is_stable_at_the_usual_step() -> None:
 
 
 def test_one_arm_alone_goes_on_when_the_other_bus_does_not_respond(world: PairWorld) -> None:
-    for axis in world.motors.axes:
-        axis.release()
-    for _ in range(3):
-        world.ask(0, 0.004)
-        world.ask(1, 0.004)
+    power(world)
+    go(world, 0.012)
     together_s = world.time_s
     world.ask(0, 0.004)
     world.ask(0, 0.004)
@@ -115,10 +114,8 @@ def test_one_arm_alone_goes_on_when_the_other_bus_does_not_respond(world: PairWo
 
 def test_a_slave_that_is_one_sync_ahead_is_brought_into_step(world: PairWorld) -> None:
     """Bring-up sends the slave one SYNC more; afterwards both answers of a cycle are of the same instant."""
-    for axis in world.motors.axes:
-        axis.release()
-    world.ask(0, 0.004)
-    world.ask(1, 0.004)
+    power(world)
+    go(world, 0.004)
     world.ask(1, 0.004)
     for _ in range(3):
         times = []
