@@ -54,9 +54,8 @@ class Broken:
     """
 
     def __init__(self, kind: str, rng: random.Random) -> None:
-        self.touched = 0
         self._lost: dict[int, bool] = {}
-        self._kind, self._rng = kind, rng
+        self._kind, self._rng, self.touched = kind, rng, 0
         self._adapter: Any = None
         self._on: Callable[[], bool] = lambda: False
 
@@ -155,7 +154,8 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
         while unwritten:
             unwritten = leaving.is_alive()
             with suppress(BlockingIOError):
-                shown += os.read(master, 1 << 16)
+                while True:  # a terminal gives a few KiB at a time
+                    shown += os.read(master, 1 << 16)
     until_s = time.monotonic() + NO_PROGRESS_S[pacing]  # drives without a master stop by themselves
     while PdsState.OPERATION_ENABLED in drives.watched().states and time.monotonic() < until_s:
         time.sleep(0.05)
