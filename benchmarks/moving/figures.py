@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,13 +47,8 @@ def figures(cells: Sequence[Cell]) -> Figures:
 
 
 def tier_figures(cells: Sequence[Cell], tier: str) -> Figures:
-    """Figures of the cells of one tier."""
-    return load_figures(cells, tier) | width_figures(cells) | axis_figures(cells)
-
-
-def load_figures(cells: Sequence[Cell], tier: str) -> Figures:
-    """Errors of mass, centre of gravity and inertia."""
-    value, truth = _load(cells, "value"), _load(cells, "truth")
+    """Figures of one tier: load, its stated standard deviation over the oracle's, parameters of the axes."""
+    value, std, truth, oracle = (_load(cells, key) for key in ("value", "std", "truth", "oracle"))
     off = value - truth
     mass = 100.0 * np.abs(off[:, 0]) / truth[:, 0]
     out = {
@@ -69,21 +64,8 @@ def load_figures(cells: Sequence[Cell], tier: str) -> Figures:
     }
     if tier == "ratios":
         out["rms of the error of the mass"] = _rms(100.0 * off[:, 0] / truth[:, 0], "<= 3", "%")
-    return out
-
-
-def width_figures(cells: Sequence[Cell]) -> Figures:
-    """Stated standard deviation of the load against the oracle's."""
-    std, oracle = (_load(cells, key) for key in ("std", "oracle"))
-    out: Figures = {}
     for words, part in (("mass", slice(0, 1)), ("centre", slice(1, 4)), ("inertia", slice(4, 10))):
         out[f"standard deviation over the oracle's, {words}"] = middle((std / oracle)[:, part].ravel().tolist())
-    return out
-
-
-def axis_figures(cells: Sequence[Cell]) -> Figures:
-    """Errors of the axis parameters from motion, and the coverage of their intervals."""
-    out: Figures = {}
     for name in AXIS_NAMES:
         value, std, truth, oracle = (_axes(cells, name, key) for key in ("value", "std", "truth", "oracle"))
         if not np.isfinite(value).any():
@@ -127,20 +109,16 @@ def _axes(cells: Sequence[Cell], name: str, key: str) -> Floats:
 
 
 def _rms(values: Floats, goal: str, unit: str) -> dict:
-    known = values[np.isfinite(values)]
-    return _with_interval(known, lambda part: float(np.sqrt(np.mean(part**2))), goal, f"{unit} of {len(known)}")
-
-
-def _with_interval(values: Floats, statistic: Callable[[Floats], float], goal: str, unit: str = "") -> dict:
-    if not len(values):
+    known, unit = values[np.isfinite(values)], f"{unit} of {int(np.isfinite(values).sum())}"
+    if not len(known):
         return {"value": float("nan"), "interval": [float("nan")] * 2, "unit": unit, "goal": goal, "met": None}
-    value = statistic(values)
-    interval = bootstrap(values.tolist(), statistic)
+    squares = np.square(known)
+    value, (low, high) = float(np.sqrt(squares.mean())), bootstrap(squares.tolist(), np.mean)
+    interval = [float(np.sqrt(low)), float(np.sqrt(high))]
     return {"value": value, "interval": interval, "unit": unit, "goal": goal, "met": reached(value, goal)}
 
 
 def _count(hits: Sequence[float], goal: str = "printed") -> dict:
     value = float(np.sum(hits))
-    unit = f"of {len(hits)}"
     met = True if goal == "printed" else value == 0.0
-    return {"value": value, "interval": [value, value], "unit": unit, "goal": goal, "met": met}
+    return {"value": value, "interval": [value, value], "unit": f"of {len(hits)}", "goal": goal, "met": met}

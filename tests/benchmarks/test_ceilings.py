@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -79,3 +80,12 @@ def test_ceilings_are_lowered_and_never_raised(project: Path) -> None:
     text = (project / "pyproject.toml").read_text()
     assert "lines = 10\n" in text
     assert "private_functions_called_once = 0\n" in text
+
+
+def test_a_commit_that_raises_a_ceiling_fails(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for lines in (10, 12):
+        stated(project, lines)
+        for words in (["init", "-q"], ["add", "."], ["-c", "user.name=a", "-c", "user.email=a", "commit", "-qm", "a"]):
+            subprocess.run(["git", *words], cwd=project, check=True)
+    assert main([], project) == 1
+    assert "ceilings of lines add up to 12, 10 in HEAD~1" in capsys.readouterr().err

@@ -12,27 +12,11 @@ from sim.cellfile import read_cell
 from sim.nominal import plant_of
 from sim.physics import ArmWorld
 from tests.data.arm_classes import CLASSES, ArmClass, urdf_of_class, write_class
+from tests.support.rigs.worlds import moved
 
 BUS = 'interface = "virtual"\nchannel = "x"\nsync_period_s = 0.01\npacing = "lockstep"'
 #: Peak to peak at rest; following error at 0.4 rad/s, of which the position loop takes 13 mrad.
 HUNTING_RAD, LAG_RAD = 5e-5, 0.025
-
-
-def moved(world: ArmWorld, q: np.ndarray, seconds: float) -> np.ndarray:
-    """Smooth reference to a posture; the largest following error of each axis."""
-    start = np.array([axis.servo.reference_rad for axis in world.axes])
-    lag = np.zeros(len(start))
-    steps = int(seconds / 0.01)
-    for k in range(1, steps + 1):
-        share = k / steps
-        goal = start + (q - start) * share**3 * (10 - 15 * share + 6 * share**2)
-        for axis, target in zip(world.axes, goal.tolist(), strict=True):
-            axis.servo.reference_step_rad = (target - axis.servo.reference_rad) / 10
-        world.advance(10)
-        lag = np.maximum(lag, [abs(axis.servo.error_rad) for axis in world.axes])
-    for axis in world.axes:
-        axis.servo.reference_step_rad = 0.0
-    return lag
 
 
 @pytest.mark.parametrize("kind", CLASSES.values(), ids=CLASSES.keys())

@@ -17,6 +17,7 @@ from sim.physics import ArmWorld, physical_chain
 from sim.plant import Payload
 from sim.urdf import write_chain
 from tests.sim.conftest import EXAMPLES
+from tests.support.rigs.worlds import moved
 
 G = 9.80665
 CHAINS = {name: read_cell(EXAMPLES / name / "cell.toml").arms[0].chain for name in ("large", "small")}
@@ -45,20 +46,6 @@ def release(world: ArmWorld) -> None:
         axis.release()
 
 
-def drive_to(world: ArmWorld, q: np.ndarray, seconds: float) -> None:
-    """Smooth reference (quintic) from the present references, as a cyclic master would stream it."""
-    start = np.array([axis.servo.reference_rad for axis in world.axes])
-    steps = int(seconds / 0.01)
-    for k in range(1, steps + 1):
-        share = k / steps
-        goal = start + (q - start) * share**3 * (10 - 15 * share + 6 * share**2)
-        for axis, target in zip(world.axes, goal.tolist(), strict=True):
-            axis.servo.reference_step_rad = (target - axis.servo.reference_rad) / 10
-        world.advance(10)
-    for axis in world.axes:
-        axis.servo.reference_step_rad = 0.0
-
-
 LOADS = {
     "large": Payload("l", 70.0, np.array([0.05, -0.02, 0.22]), np.diag([1.5, 1.2, 0.9])),
     "small": Payload("s", 6.0, np.array([0.02, 0.01, 0.10]), np.diag([0.02, 0.02, 0.01])),
@@ -71,7 +58,7 @@ def test_holding_torque_is_that_of_inverse_dynamics_bare_and_loaded(name, world_
     world = world_of(name, zero_offset_rad=np.zeros(6))
     release(world)
     shift = np.array([axis.shift_rad for axis in world.axes])
-    drive_to(world, POSE - shift, 3.0)
+    moved(world, POSE - shift, 3.0)
     world.advance(4000)
     for payload in (Payload(), LOADS[name]):
         world.mount(payload)
@@ -148,7 +135,7 @@ def test_a_coupled_wrist_carries_the_torque_of_its_transpose(arm_of, world_of):
     release(world)
     goal = np.zeros(6)
     goal[[1, 2, 4]] = 0.2, -0.4, 0.9
-    drive_to(world, coupling @ goal, 2.0)
+    moved(world, coupling @ goal, 2.0)
     world.advance(5000)
     tau = needed(oracle(world), world.q_rad)
     motors = np.array([axis.torque_nm for axis in world.axes])
@@ -161,10 +148,10 @@ def test_a_payload_that_moves_is_followed(world_of):
     world.mount(LOADS["small"])
     release(world)
     world.advance(6000)
-    moved = replace(LOADS["small"], com_m=LOADS["small"].com_m + [0.0, 0.0, 0.1])
+    shifted = replace(LOADS["small"], com_m=LOADS["small"].com_m + [0.0, 0.0, 0.1])
     model = oracle(world)
     model.inertias[6] -= pinocchio.Inertia(6.0, LOADS["small"].com_m, LOADS["small"].inertia_kg_m2)
-    model.inertias[6] += pinocchio.Inertia(6.0, moved.com_m, moved.inertia_kg_m2)
+    model.inertias[6] += pinocchio.Inertia(6.0, shifted.com_m, shifted.inertia_kg_m2)
     np.testing.assert_allclose(world.joint_torque_nm(), needed(model, world.q_rad), atol=0.05)
 
 
@@ -182,8 +169,8 @@ def test_after_a_slow_approach_the_torque_is_near_the_edge_of_its_side(name, arm
     shift = np.array([axis.shift_rad for axis in world.axes])
     efficiency, edges, converted, gravity = plant.gear_efficiency, [], [], []
     for direction in (1.0, -1.0):
-        drive_to(world, POSE - shift - 0.03 * direction, 2.0)
-        drive_to(world, POSE - shift, 1.5)
+        moved(world, POSE - shift - 0.03 * direction, 2.0)
+        moved(world, POSE - shift, 1.5)
         world.advance(3000)
         u, tau = np.array([axis.servo.u_nm for axis in world.axes]), world.joint_torque_nm()
         behind = np.where(u * direction > 0, u * efficiency, u / efficiency)
