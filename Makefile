@@ -34,9 +34,10 @@ demo: $(if $(wildcard $(STAMP)),$(STAMP),$(SIM_STAMP))
 test: venv
 	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not slow"
 
-# Before a merge: whole commands, real time, and property tests with more examples.
+# Before a merge: whole commands, property tests with more examples, then alone on the machine what runs by its clock.
 test-slow: venv
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "slow or hypothesis" --hypothesis-profile=slow
+	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "(slow or hypothesis) and not clock" --hypothesis-profile=slow
+	$(BIN)/python -m pytest -m clock
 
 lint: venv
 	$(BIN)/ruff check .

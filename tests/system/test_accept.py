@@ -54,7 +54,7 @@ def test_a_right_load_passes_and_a_wrong_one_fails(place, serve, gateway, fast_a
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("by-the-clock")
+@pytest.mark.clock
 def test_a_right_load_passes_in_real_time(place, serve, gateway, fast_arm, tmp_path_factory):
     """The drives run in a process of their own over UDP; the result is that of a run in lockstep."""
     load = identified(place, gateway, fast_arm(serve()))

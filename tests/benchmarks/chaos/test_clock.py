@@ -13,7 +13,7 @@ from benchmarks.chaos.slow_disk import record_on_slow_disk
 from benchmarks.chaos.stalling import MEASURING, stall_masters
 from benchmarks.chaos.unbuffered import fastest_unbuffered
 
-pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.xdist_group("by-the-clock")]
+pytestmark = [pytest.mark.slow, pytest.mark.system, pytest.mark.clock]
 
 PERIOD_S = 0.02
 RECORD, MOVING = (

@@ -61,7 +61,7 @@ def test_fault_ends_as_stated_in_lockstep(running: Rig, kind: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("by-the-clock")
+@pytest.mark.clock
 @pytest.mark.parametrize("kind", BY_THE_CLOCK)
 def test_fault_ends_as_stated_by_the_clock(by_the_clock: Remote, kind: str) -> None:
     with RealTime():

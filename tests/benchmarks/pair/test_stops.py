@@ -263,7 +263,7 @@ def clocked(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.xdist_group("by-the-clock")
+@pytest.mark.clock
 def test_ctrl_c_by_the_clock_stops_both_along_the_path(clocked: Path) -> None:
     buses = f"left={free_bus()};right={free_bus()}"
     gateway = [sys.executable, "-m", "gateway.cli"]

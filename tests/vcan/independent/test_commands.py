@@ -9,7 +9,7 @@ import pytest
 from tests.support.independent_drives import SIX
 from tests.vcan.independent.conftest import EMULATED
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.xdist_group("by-the-clock")]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.clock]
 #: Mass [kg] and centre of gravity in the frame of the last link [m].
 LOAD = (3.2, (0.12, 0.02, -0.03))
 #: Joint angles [rad].

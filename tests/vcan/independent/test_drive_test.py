@@ -8,7 +8,7 @@ import pytest
 
 from tests.vcan.independent.conftest import EMULATED
 
-pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.xdist_group("by-the-clock")]
+pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.clock]
 
 
 @pytest.mark.skipif(EMULATED, reason="times are measured: an emulated processor is too slow")

@@ -17,7 +17,7 @@ from drives.errors import SdoAbort, SdoTimeout
 from drives.sdo import SdoClient
 from tests.support.independent_drives import PATIENCE, IndependentDrives
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.xdist_group("by-the-clock")]
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.clock]
 NODE = 5
 MASTER = 127
 PRE_OPERATIONAL, OPERATIONAL, STOPPED = 0x7F, 0x05, 0x04
