@@ -129,3 +129,8 @@ class EmcyLog:
     def last(self, node_id: int) -> Emergency | None:
         """Return the newest message of a node that is not an error reset."""
         return next((each for each in reversed(self._kept) if each.node_id == node_id and not each.is_reset), None)
+
+    def last_clause(self, node_id: int) -> str:
+        """Return the newest message of a node that is not an error reset, as a clause that ends an error message."""
+        last = self.last(node_id)
+        return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"

@@ -127,7 +127,7 @@ class EnableSequence:
         failures = []
         for drive, was, now in zip(self._exchange.drives, before, self._exchange.states, strict=True):
             if was in _LADDER and now in _LADDER and _LADDER.index(now) < _LADDER.index(was):
-                what = f"fell back from {was} to {now} while being enabled{self._guard.last_emergency(drive.node_id)}"
+                what = f"fell back from {was} to {now} while being enabled{self._guard.emcy.last_clause(drive.node_id)}"
                 advice = "check power stage, STO and enable input; it is not enabled again automatically"
                 failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
         raise_failures(failures)
@@ -162,7 +162,7 @@ def _enable_controlwords(exchange: SyncExchange, guard: Guard) -> list[int]:
         try:
             words.append(0 if state is None else next_controlword(state, State.OPERATION_ENABLED))
         except NoRoute as error:
-            what = f"{error}: {drive.fault_text()}{guard.last_emergency(drive.node_id)}"
+            what = f"{error}: {drive.fault_text()}{guard.emcy.last_clause(drive.node_id)}"
             advice = "find and remove the cause; nothing is reset automatically"
             failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
     raise_failures(failures)

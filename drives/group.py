@@ -10,8 +10,10 @@ send the master's heartbeat, so that a blocked master stops the arm as a crashed
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
+from typing import Final
 
 from drives import bringup, enable_checks, operational, stopping
 from drives.cia402 import Mode
@@ -21,6 +23,7 @@ from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
     DriveError,
+    DriveFault,
     DriveRebooted,
     NotStoodDown,
     SdoTimeout,
@@ -28,12 +31,18 @@ from drives.errors import (
     while_stopping,
 )
 from drives.exchange import SyncExchange
+from drives.gate import ArmState
 from drives.group_setup import DriveSetup, GroupOptions
 from drives.guard import Guard
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.proof import BrakeTest, DriveTest, HeartbeatLossTest, QuickStopTest
 
 __all__ = ["DriveGroup", "GroupOptions"]
+
+#: While a person is at the arm: interval at which every drive is read [s].
+_GATE_EVERY_S: Final = 1.0
+#: And how long one call listens [s]; a quarter of the shortest heartbeat time is longer.
+_ATTEND_S: Final = 0.02
 
 
 class DriveGroup(DriveSetup):
@@ -45,10 +54,58 @@ class DriveGroup(DriveSetup):
     they can be enabled.
     """
 
-    #: Motor angle of each axis from where it was last held to the farthest place after it was disabled; 0.0 = unknown.
-    brake_drop_rad: tuple[float, ...] = ()
     #: Stop test in progress; None = none.
     _test: DriveTest | None = None
+    #: Monotonic time of the last gate [s].
+    _gated_s: float = 0.0
+
+    # -- looking before anything is done ------------------------------------------------------------------------------
+
+    def gate(self, *, full: bool = False) -> ArmState:
+        """Read every drive: what may be done with the arm, and what may be said of it; nothing is written.
+
+        Drives that were exchanged, restarted, moved or written by others have to be configured again.
+
+        Parameters
+        ----------
+        full : bool
+            Also identity, configuration and the conditions for power, as before power comes on.
+        """
+        if self._gate is None:
+            raise ConfigurationRefused("the drives are not configured", advice="connect() and configure() first")
+        state = self._gate.read(full=full)
+        self._gated_s = time.monotonic()
+        self._configured &= all(type(drive.failure) in (type(None), DriveFault) for drive in state.drives)
+        return state
+
+    def positions_rad(self) -> list[float]:
+        """Read the motor positions by SDO."""
+        return [drive.access.read(drive.setup.profile.position.object) * drive.scale.count_rad for drive in self.drives]
+
+    @property
+    def brake_drop_rad(self) -> tuple[float, ...]:
+        """Return the motor angle of each axis from where it was last held to the farthest place after it was disabled.
+
+        0.0 = unknown.
+        """
+        return (0.0,) * len(self.setups) if self._exchange is None else self._exchange.brake_drop_rad
+
+    def attend(self) -> None:
+        """Keep the bus for a moment while a person is at the arm, which is in its brakes; call it again and again.
+
+        The master's heartbeat goes on for other masters on the bus, and every drive is read once a second.
+
+        Raises
+        ------
+        DriveError, SeveralFailures
+            What has changed since the gate before: the arm is not safe to approach.
+        """
+        self._require(not self._running, "disable() first")
+        if not self._producer.running:
+            self._producer.start(self.sync_index * self.timing.period_s)
+        self._bus.listen(_ATTEND_S)
+        if time.monotonic() - self._gated_s >= _GATE_EVERY_S:
+            self.gate().require_approach()
 
     # -- moving ------------------------------------------------------------------------------------------------------
 
@@ -77,14 +134,7 @@ class DriveGroup(DriveSetup):
         """
         exchange, guard = self._parts()
         self._require(self._configured and not self.enabled, "configure() first, and enable() once")
-        self._for_each(lambda drive: enable_checks.refuse_fault(drive, guard))
-        self._for_each(enable_checks.refuse_unsafe)
-        try:
-            self._for_each(enable_checks.refuse_exchanged)
-            self._for_each(enable_checks.refuse_lost_configuration)
-        except Exception:
-            self._configured = False
-            raise
+        self.gate(full=True).require_power()
         sequence = EnableSequence(exchange, guard, stop_requested)
         sequence.check_stop()
         try:
@@ -95,8 +145,7 @@ class DriveGroup(DriveSetup):
 
     def _enable(self, exchange: SyncExchange, guard: Guard, sequence: EnableSequence) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
-        if self._watch is not None:
-            enable_checks.refuse_rebooted(self._watch, self._bus)
+        self.gate().require_approach()  # what happened while the consumer times were written
         guard.forgive()
         self._bus.free_count = None  # from now on the guard watches for other masters
         exchange.restart()
@@ -364,7 +413,6 @@ class DriveGroup(DriveSetup):
             failures = stop(exchange)
         except Exception as error:
             failures = [while_stopping(error)]
-        self.brake_drop_rad = exchange.brake_drop_rad
         if failures:
             self._producer.stop()
             self._configured = False
@@ -405,7 +453,7 @@ class DriveGroup(DriveSetup):
             raise_failures(failures + later)
 
     def _stand_down(self, unreached: list[DriveError]) -> list[DriveError]:
-        """Disarm the heartbeat consumers of the drives that respond, then stop the heartbeat.
+        """Disarm the heartbeat consumers of the drives that respond, stop the heartbeat, leave OPERATIONAL.
 
         A failure here says nothing about the axes: whether they are disabled was read before.
         """
@@ -423,8 +471,19 @@ class DriveGroup(DriveSetup):
                 failures.append(DriveError(what, node=drive.node_id, advice="report this"))
         self._producer.stop()
         self._running = False
+        if self._gate is not None:
+            self._gate.restart()
         self._bus.free_count = self._bus.foreign_count
+        if not failures and not unreached:  # no PDO of any master can enable them now
+            try:
+                self._to_preoperational()
+            except DriveError as error:
+                failures.append(error)
         return failures
+
+    def _to_preoperational(self) -> None:
+        for node in (*self.drives, *self.instruments):
+            send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
 
     def close(self) -> None:
         """Disable if enabled, leave the drives in PRE-OPERATIONAL, stop listening; may be called again."""
@@ -433,8 +492,8 @@ class DriveGroup(DriveSetup):
         finally:
             self._producer.stop()
             try:
-                for node in (*self.drives, *self.instruments) if self._exchange is not None else ():
-                    send_nmt(self._bus, NmtCommand.ENTER_PREOPERATIONAL, node.node_id)
+                if self._exchange is not None:
+                    self._to_preoperational()
             except Exception:
                 self._bus.counts["unsent_at_close"] += 1
             self._forget()

@@ -27,6 +27,7 @@ from drives.errors import (
 )
 from drives.exchange import Pacing, SyncExchange, Timing
 from drives.foreign_master import FREE_S, refuse_foreign
+from drives.gate import Gate
 from drives.guard import Guard, Limits
 from drives.heartbeat import MASTER_NODE_ID, HeartbeatProducer, HeartbeatWatch
 from drives.instrument import Instrument, InstrumentSetup
@@ -136,6 +137,7 @@ class DriveSetup:
         self._watch: HeartbeatWatch | None = None
         self._exchange: SyncExchange | None = None
         self._guard: Guard | None = None
+        self._gate: Gate | None = None
         self._running = self._configured = False
         self._enable_controlwords = (ENABLE_OPERATION,) * len(setups)
         bus.add_chore(self._beat)
@@ -240,7 +242,6 @@ class DriveSetup:
             period_s = self.timing.period_s
             self._for_each(lambda drive: drive.configure(period_s), lambda device: device.configure(period_s))
             self._check_load(exchange, planned_bits)
-            self._for_each(lambda drive: drive.arm(self._master_node_id))
             self.ledger.settle()
         except BaseException:
             exchange.close()
@@ -254,6 +255,7 @@ class DriveSetup:
         )
         guard_limits = Limits(unanswered, self.options.foreign_frames)
         self._guard = Guard(self._bus, exchange, watch, self._emcy, guard_limits)
+        self._gate = Gate(self._bus, self.drives, watch, self._emcy)
         self._configured = True
 
     def _check_load(self, exchange: SyncExchange, planned_bits: int) -> None:
@@ -380,7 +382,7 @@ class DriveSetup:
         for listener in (self._watch, self._exchange):
             if listener is not None:
                 listener.close()
-        self._watch = self._exchange = self._guard = None
+        self._watch = self._exchange = self._guard = self._gate = None
         self._configured = False
 
     # -- looking back ------------------------------------------------------------------------------------------------

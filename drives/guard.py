@@ -58,7 +58,7 @@ class Guard:
         self._bus = bus
         self._exchange = exchange
         self._watch = watch
-        self._emcy = emcy
+        self.emcy = emcy
         self._symptoms = StatusMonitor(exchange, emcy)
         #: Axes (from 0) that may leave OPERATION ENABLED because they were commanded to.
         self.excused: frozenset[int] = frozenset()
@@ -122,16 +122,11 @@ class Guard:
             if reading is not None and decode_state(reading.statusword) is not State.OPERATION_ENABLED
         ]
 
-    def last_emergency(self, node_id: int) -> str:
-        """Return the last EMCY message of a node as a clause that ends an error message."""
-        last = self._emcy.last(node_id)
-        return "" if last is None else f"; last emergency: {last.text}{f' ({last.advice})' if last.advice else ''}"
-
     def explain(self, error: DriveError) -> None:
         """Add to each fault the emergency message of the drive."""
         for failure in error.failures if isinstance(error, SeveralFailures) else (error,):
             if isinstance(failure, DriveFault) and failure.node is not None:
-                failure.what += self.last_emergency(failure.node)
+                failure.what += self.emcy.last_clause(failure.node)
 
     def check_operational(self) -> None:
         """Raise an error for nodes that left the NMT state OPERATIONAL."""

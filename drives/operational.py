@@ -126,7 +126,7 @@ class NmtStart:
             return HeartbeatLost(what, node=drive.node_id, index=0x1017, advice=advice)
         said = "its NMT state is not known" if state is None else f"it is in NMT state {str(state).upper()}"
         what = f"does not go to OPERATIONAL, commanded for {PATIENCE_S:.0f} s: {said}"
-        what += self._guard.last_emergency(drive.node_id)
+        what += self._guard.emcy.last_clause(drive.node_id)
         advice = (
             "a communication error may be active: read 0x1001, 0x1003, error behaviour 0x1029 and SYNC period 0x1006"
         )

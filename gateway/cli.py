@@ -29,7 +29,7 @@ import click
 
 from drives.printable import without_controls
 from gateway import __version__
-from gateway.errors import ENDING_SIGNALS, IN_BRAKES, NOT_CONFIRMED
+from gateway.errors import ENDING_SIGNALS
 from gateway.motion.stops import StoppedByPerson, output_closed
 
 PROGRAM = "servo-gateway"
@@ -195,8 +195,7 @@ def report_error(error: BaseException) -> int:
         # a command that had an arm under power adds its state as a note
         why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
         notes = [note.removesuffix(".") for note in getattr(error, "__notes__", [])]
-        known = sorted(notes, key=lambda note: note not in (IN_BRAKES, NOT_CONFIRMED.removesuffix(".")))
-        _say(f"{why}: {'. '.join(known)}" if known else why)
+        _say(f"{why}: {'. '.join(notes)}" if notes else why)
         return CTRL_C
     if isinstance(error, click.ClickException):
         error.show()

@@ -37,9 +37,6 @@ EXIT_CODES: Final[Mapping[int, str]] = {
 ENDING_SIGNALS: Final = tuple(
     signal.Signals[name] for name in ("SIGINT", "SIGTERM", "SIGHUP") if name in signal.Signals.__members__
 )
-#: What is known of an arm that was under power, among the notes of what ended the command.
-IN_BRAKES: Final = "the arm is in its brakes, what was measured is kept"
-NOT_CONFIRMED: Final = "The state of the arm is not known: use the emergency stop."
 
 
 class GatewayError(Exception):

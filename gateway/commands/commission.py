@@ -71,8 +71,14 @@ class Dialogue(Protocol):
         """Announce the target, ask for permission, and move there."""
         ...
 
-    def mount(self, label: str) -> None:
-        """Ask the operator to mount a load, or (`none`) to clear the flange; return after confirmation."""
+    def mount(self, label: str, opened: OpenArm) -> None:
+        """Ask the operator to mount a load, or (`none`) to clear the flange; return after confirmation.
+
+        Raises
+        ------
+        DriveError
+            The arm is not safe to approach, or something has changed while the operator was asked.
+        """
         ...
 
     def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:
@@ -256,7 +262,7 @@ class _Robot:
         missing = self._missing(block.poses)
         if label != self._mounted and (missing or block == self._last):
             self._go_loading()
-            self._dialogue.mount(label)
+            self._dialogue.mount(label, self._opened)
             self._mounted = label
         if missing:
             self._record(block.poses)
@@ -269,7 +275,7 @@ class _Robot:
         missing = decide(search, None, opened.arm.where()).plan is not None
         if missing or label == job.labels[-1]:
             self._go_loading()
-            self._dialogue.mount(label)
+            self._dialogue.mount(label, self._opened)
             self._mounted = label
         if not missing:
             return

@@ -1,4 +1,4 @@
-"""Command `drive test`: timing and conformance of each drive of an arm."""
+"""Command `drive test`: timing of each drive of an arm."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PAGE = "drive-test.html"
 
 @click.group()
 def drive() -> None:
-    """Test single drives: timing and conformance."""
+    """Test single drives: timing."""
 
 
 @drive.command("test")
@@ -58,7 +58,7 @@ def drive_test(
     bus_spec: str | None,
     moving: MoveChoice,
 ) -> None:
-    """Test each drive against CiA 301 and CiA 402, and measure its timing. The arm moves a little, after confirmation.
+    """Measure the timing of each drive. The arm moves a little, after confirmation.
 
     A drive that fails is named and the test of the others goes on; what was measured is written in every case.
     """
@@ -112,8 +112,7 @@ def _write_page(test: DriveTestRun, cell: str, folder: Path) -> None:
 def _show(test: DriveTestRun, folder: Path) -> None:
     session, failed = session_of(), [report for report in test.reports if report.failed]
     for report in test.reports:
-        counts = ", ".join(f"{report.count(kind)} {kind}" for kind in ("pass", "fail", "not tested"))
-        session.show(f"{report.axis} node {report.node}: {counts}")
+        session.show(f"{report.axis} node {report.node}: {len(report.findings)} findings")
         for text in report.findings:
             session.show(f"  {text}")
     session.show(f"{folder / PAGE}: page of {len(test.reports)} drives")

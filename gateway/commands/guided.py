@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -264,16 +265,23 @@ class Terminal:
         )
         go_with_progress(self.session, opened, target, plan, options)
 
-    def mount(self, label: str) -> None:
-        """Ask for a load, or for an empty flange; its label or `yes` confirms it, typed after the prompt."""
+    def mount(self, label: str, opened: OpenArm) -> None:
+        """Ask for a load, or for an empty flange; its label or `yes` confirms it, typed after the prompt.
+
+        At a terminal the drives are read once a second meanwhile; what has changed ends the prompt.
+        """
         do = "Remove everything from the flange" if label == BARE_LABEL else f"Mount load '{label}' on the flange"
         answer = f"type {label} or yes, and press Enter"
+        state = opened.group.gate(full=True)
+        state.require_approach()
         self.session.settle()
         drop_typed_ahead()
-        self.session.note(f"All drives are disabled. {do}, then {answer}.")
+        self.session.note(f"Arm '{opened.config.name}': {state}. {do}, then {answer}.")
         self.session.settle()
         click.echo(f"HANG LOAD {label}")
         for _ in range(MOST_ANSWERS):
+            while sys.stdin.isatty() and not select.select([sys.stdin], [], [], 0.0)[0]:
+                opened.group.attend()
             line = sys.stdin.readline()
             if not line:
                 raise click.Abort

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Final
 import click
 
 from gateway.commands.shared_options import NOT_AGREED, Function, confirm, one_of, session_of
-from gateway.errors import IN_BRAKES, NOT_CONFIRMED
 
 if TYPE_CHECKING:
     from gateway.motion.observer import Observers
@@ -116,45 +115,6 @@ def _moves(named: Mapping[str, Any]) -> bool:
     return not asked or any(asked)
 
 
-class _Power:
-    """Observer that records whether arms were under power and whether all their drives were read as disabled."""
-
-    def __init__(self) -> None:
-        self.was_on = self.is_off = False
-
-    def began(self, _scene: object) -> None:
-        """Record that arms are about to be enabled."""
-        self.was_on, self.is_off = True, False
-
-    def sampled(self, _observed: object) -> None:
-        """Process the sample of one SYNC."""
-
-    def reported(self, _event: object) -> None:
-        """Record an event of the run."""
-
-    def ended(self, failure: BaseException | None) -> None:
-        """Record the end of the shutdown; its errors are part of the failure (`gateway.motion.power`)."""
-        unknown = NOT_CONFIRMED in getattr(failure, "__notes__", ()) or getattr(failure, "while_stopping", ())
-        self.is_off = not unknown
-
-
-@contextmanager
-def _arm_reported(power: _Power) -> Generator[None]:
-    """Return the known state of the arm for an interrupt or a defect; other errors describe it themselves."""
-    try:
-        yield
-    except BaseException as error:
-        stopped = isinstance(error, KeyboardInterrupt) or (isinstance(error, click.Abort) and not str(error))
-        defect = isinstance(error, Exception) and not (
-            hasattr(error, "exit_code") or isinstance(error, OSError | click.Abort)
-        )
-        if power.was_on and (stopped or defect):
-            known = IN_BRAKES if power.is_off else NOT_CONFIRMED
-            if known not in getattr(error, "__notes__", ()):
-                error.add_note(known)
-        raise
-
-
 @contextmanager
 def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
     """While open, signals and the hold-to-run key stop the motion; without motion the command ends at once.
@@ -166,13 +126,11 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
     from gateway.motion.stops import StopDesk, outputs_watched, signals_ask
     from gateway.motion.stream import MoveOptions
 
-    desk, power = StopDesk(outputs_watched()), _Power()
+    desk = StopDesk(outputs_watched())
     with ExitStack() as stack:
-        stack.enter_context(_arm_reported(power))
         stack.enter_context(signals_ask(desk))
         stack.enter_context(session_of().detached())
         observers = _shown(stack, desk) if move.live else Observers()
-        observers.add(power)
         options = MoveOptions(desk, move.override / 100.0, observers=observers)
         if not move.hold_to_run:
             yield options

@@ -83,7 +83,7 @@ def move(
         options = context.proven(opened, session.note, options)
         with context.last_seconds(options, opened):
             go_with_progress(session, opened, target, plan, options)
-    session.show(f"arm '{arm.name}' is at {target}, all drives disabled")
+        session.show(f"arm '{arm.name}' is at {target}; {opened.group.gate()}")
 
 
 def announce(session: Session, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Final
 
-from drives.bus import EMCY_BASE, HEARTBEAT_BASE, Bus, Frame
+from drives.bus import EMCY_BASE, Bus, Frame
 
 #: Half-width of the error of a time stamp [s]: by the kernel or the sender, and where the adapter gives none.
 STAMP_S: Final = 0.0001
@@ -53,10 +53,6 @@ class FrameRecord:
     def of(self, can_id: int, since_s: float = 0.0) -> list[SeenFrame]:
         """Return the frames with an id since a time."""
         return [frame for frame in self.frames if frame.can_id == can_id and frame.at_s >= since_s]
-
-    def heartbeats(self, node_id: int, since_s: float = 0.0) -> list[SeenFrame]:
-        """Return the heartbeats of a node."""
-        return self.of(HEARTBEAT_BASE + node_id, since_s)
 
     def emergencies(self, node_id: int, since_s: float = 0.0) -> list[SeenFrame]:
         """Return the emergency messages of a node."""

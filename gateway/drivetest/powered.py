@@ -26,7 +26,6 @@ from gateway.check.stop import motion_station, prove_stop, reset_provoked, stopp
 from gateway.drivetest.estimates import not_measured
 from gateway.drivetest.frames import FrameRecord
 from gateway.drivetest.motion_record import MotionRecord, PowerRun
-from gateway.drivetest.services import EMCY, STATES
 from gateway.drivetest.sheet import DriveSheet
 from gateway.drivetest.standstill import PositionTrack, Standstill, first_after
 from gateway.drivetest.torque_age import NAME as AGE
@@ -40,8 +39,6 @@ from gateway.result.drive_test import TimingFigure
 
 #: 0x6007: reaction of the drive to the lost heartbeat, a fault.
 _FAULT_OPTION: Final = 1
-#: Error code of a lost heartbeat (CiA 301, table 26).
-_HEARTBEAT_ERROR: Final = 0x8130
 #: A stop may last this many times the duration of the ramp in the drive, and longer by this [s] and two SYNCs.
 RAMP_FACTOR: Final = 2.0
 RAMP_MARGIN_S: Final = 0.05
@@ -172,11 +169,6 @@ class PoweredTests:
         last_s = self._last_heartbeat(run)
         method = "heartbeat withheld in a slow motion; last heartbeat until the speed is below 2 % of that motion"
         self._timed(sheet, LOSS, track, (run.at(last_s), run.at(last_s)), method)
-        seen = [frame for frame in self._record.emergencies(sheet.drive.node_id, last_s) if len(frame.data) >= 2]
-        codes = {int.from_bytes(frame.data[:2], "little") for frame in seen}
-        listed = ", ".join(f"0x{code:04X}" for code in sorted(codes)) or "no emergency message"
-        result = "pass" if _HEARTBEAT_ERROR in codes else "fail"
-        sheet.clause(EMCY, "emcy_heartbeat_lost", result, f"{listed} after the lost heartbeat (0x8130 is required)")
 
     def _last_heartbeat(self, run: PowerRun) -> float:
         """Return when the last heartbeat of the master was sent before the one gap of a run."""
@@ -298,10 +290,10 @@ class PoweredTests:
         row = [each[sheet.number] for each in run.rows]
         states = {decode_state(reading.statusword) for reading in row if reading is not None}
         shown = ", ".join(str(state) for state in states & faults) or "no fault state"
-        passed = "pass" if State.FAULT in states else "fail"
-        sheet.clause(STATES, "fault_reaction", passed, f"{shown} after the lost heartbeat with 0x6007 = 1")
-        stays = left.get(sheet.drive.node_id, "")
-        sheet.clause(STATES, "fault_reset", "fail" if stays else "pass", stays or "reset by bit 7 of the controlword")
+        if State.FAULT not in states:
+            sheet.findings.append(f"{shown} after the lost heartbeat with 0x6007 = 1")
+        if stays := left.get(sheet.drive.node_id, ""):
+            sheet.findings.append(stays)
         seen = [frame.at_s for frame in self._record.emergencies(sheet.drive.node_id, run.began_s)]
         emcy_s = first_after([run.at(at_s) for at_s in seen], bounds[0])
         begin_s = (emcy_s, emcy_s) if emcy_s is not None and emcy_s <= bounds[1] else bounds

@@ -60,7 +60,7 @@ class DriveTestRun:
             As `PoweredTests`.
         """
         with FrameRecord(self._opened.group.bus) as record:
-            self._say("services, NMT, SYNC and controlwords with the axes disabled")
+            self._say("SDO, SYNC and controlwords with the axes disabled")
             try:
                 run_unpowered(self._opened, self._sheets, record)
             finally:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from drives.drive import Cia402Drive
 from drives.errors import DriveError
-from gateway.result.drive_test import ClauseResult, DriveTestReport, Outcome, TimingFigure
+from gateway.result.drive_test import DriveTestReport, TimingFigure
 
 
 @dataclass(slots=True, eq=False)
@@ -19,14 +19,13 @@ class DriveSheet:
     number : int
         Axis, from 0.
     drive : Cia402Drive
-    clauses, figures, findings : lists
+    figures, findings : lists
     broken : str
         Why the drive is not tested further; empty = it is.
     """
 
     number: int
     drive: Cia402Drive
-    clauses: list[ClauseResult] = field(default_factory=list[ClauseResult])
     figures: list[TimingFigure] = field(default_factory=list[TimingFigure])
     findings: list[str] = field(default_factory=list[str])
     broken: str = ""
@@ -35,10 +34,6 @@ class DriveSheet:
     def axis(self) -> str:
         """Name of the axis."""
         return f"J{self.number + 1}"
-
-    def clause(self, clause: str, check: str, result: Outcome, detail: str) -> None:
-        """Add the result of one check."""
-        self.clauses.append(ClauseResult(clause, check, result, detail))
 
     def broke(self, error: DriveError, during: str) -> None:
         """Note a failure of the drive; the other drives are tested further."""
@@ -50,7 +45,7 @@ class DriveSheet:
         return next((each for each in self.figures if each.name == name and each.value is not None), None)
 
     def report(self) -> DriveTestReport:
-        """Return the report so far; a clause that failed is a finding."""
+        """Return the report so far."""
         identity = self.drive.identity
         found = {
             "vendor": None if identity is None else identity.vendor_id,
@@ -60,15 +55,7 @@ class DriveSheet:
             "firmware": None if identity is None else identity.software_version,
             "name": None if identity is None else identity.name,
         }
-        failed = [f"{each.clause}: {each.detail}" for each in self.clauses if each.result == "fail"]
-        return DriveTestReport(
-            self.axis,
-            self.drive.node_id,
-            found,
-            tuple(self.clauses),
-            tuple(self.figures),
-            (*failed, *(each for each in self.findings if each not in failed)),
-        )
+        return DriveTestReport(self.axis, self.drive.node_id, found, tuple(self.figures), tuple(self.findings))
 
 
 def usable(sheets: Sequence[DriveSheet]) -> list[DriveSheet]:

@@ -1,22 +1,20 @@
-"""Tests of the disabled drives: services, NMT, answers to SYNC at several periods, reaction to a controlword."""
+"""Tests of the disabled drives: answers to SDO, to SYNC at several periods, and to a controlword."""
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Sequence
 from typing import Final
 
 from drives import bringup
 from drives.busload import cycle_bits_worst, load_percent
-from drives.errors import DriveError, SdoTimeout
-from drives.heartbeat import NmtCommand, NmtState
+from drives.errors import DriveError
+from drives.heartbeat import NmtCommand
 from drives.objects import OBJECTS
 from drives.sdo import ONCE
 from gateway.drivetest.bench import DELAYED_SHARE, SyncBench, SyncSeries
 from gateway.drivetest.estimates import bracketed_quantile, not_measured, share_figure
 from gateway.drivetest.frames import FrameRecord
-from gateway.drivetest.services import HEARTBEAT, NMT, PDO, SDO, SYNC, check_services
 from gateway.drivetest.sheet import DriveSheet, usable
 from gateway.motion.opening import OpenArm
 
@@ -28,11 +26,6 @@ CONTROLWORDS: Final = 20
 TRANSFERS: Final = 30
 #: Bus load up to which a series is run [%].
 LOAD_LIMIT_PERCENT: Final = 70.0
-#: How long a node may take for an NMT command [s], and more than its heartbeat period.
-NMT_S: Final = 0.3
-#: Deviation of the heartbeat period that is allowed: share, and least value [s].
-HEARTBEAT_SHARE: Final = 0.2
-HEARTBEAT_LEAST_S: Final = 0.01
 #: Quantiles of the time from SYNC to TPDO.
 QUANTILES: Final = (("sync_to_tpdo_p05_s", 0.05), ("sync_to_tpdo_s", 0.5), ("sync_to_tpdo_p95_s", 0.95))
 #: What is counted, as in the names of the figures.
@@ -41,15 +34,13 @@ COUNTED: Final = ("missed_pdo", "late_pdo")
 
 def run_unpowered(opened: OpenArm, sheets: Sequence[DriveSheet], record: FrameRecord) -> None:
     """Run the tests that need no power; results and failures are added to the sheets."""
-    for sheet in sheets:
-        sheet.clauses += check_services(sheet.drive)
     group = opened.group
     bench = SyncBench(group.bus, [sheet.drive for sheet in sheets], record)
     try:
-        _nmt(bench, sheets)
         for sheet in usable(sheets):
             _sdo_time(sheet)
         if group.timing.pacing == "real":
+            bench.command(NmtCommand.START, 0.1)
             _at_cell_period(bench, sheets, group.timing.period_s)
             _reactions(bench, usable(sheets))
             bench.command(NmtCommand.ENTER_PREOPERATIONAL, 0.02)
@@ -61,59 +52,6 @@ def run_unpowered(opened: OpenArm, sheets: Sequence[DriveSheet], record: FrameRe
             refused = _with_period(sheet, group.timing.period_s)
             if refused:  # `DriveGroup.enable` refuses such a drive: nothing moves
                 sheet.findings.append(f"the interpolation period of the cell was not restored: {refused}")
-    for sheet in sheets:
-        _heartbeat(sheet, record)
-
-
-def _nmt(bench: SyncBench, sheets: Sequence[DriveSheet]) -> None:
-    """NMT commands, shown by the heartbeat; TPDOs only in OPERATIONAL; no SDO in STOPPED."""
-    wait_s = NMT_S + max((sheet.drive.setup.profile.heartbeat.producer_ms or 0) / 1000.0 for sheet in sheets)
-    began_s = time.monotonic()
-    for _ in range(3):
-        bench.sync()
-        bench.command(NmtCommand.ENTER_PREOPERATIONAL, 0.01)
-    for sheet in sheets:
-        came = len(bench.record.of(sheet.drive.answers[0][0], began_s))
-        result = "fail" if came else "pass"
-        sheet.clause(PDO, "pdo_only_in_operational", result, f"{came} TPDOs to 3 SYNCs in PRE-OPERATIONAL")
-    for command, state in (
-        (NmtCommand.STOP, NmtState.STOPPED),
-        (NmtCommand.ENTER_PREOPERATIONAL, NmtState.PREOPERATIONAL),
-        (NmtCommand.START, NmtState.OPERATIONAL),
-    ):
-        at_s = bench.command(command, wait_s)
-        for sheet in sheets:
-            _state_shown(sheet, bench.record, command, state, at_s)
-            if command is NmtCommand.STOP:
-                _no_sdo(sheet)
-    at_s = time.monotonic()
-    bench.command(NmtCommand.START, 0.1)
-    for sheet in sheets:
-        came = len(bench.record.of(sheet.drive.answers[0][0], at_s))
-        sheet.clause(SYNC, "tpdo_only_on_sync", "fail" if came else "pass", f"{came} TPDOs in 0.1 s without SYNC")
-
-
-def _state_shown(sheet: DriveSheet, record: FrameRecord, command: NmtCommand, state: NmtState, at_s: float) -> None:
-    name = f"nmt_{command.name.lower()}"
-    beats = record.heartbeats(sheet.drive.node_id, at_s)
-    if not beats:
-        why = "the profile sets no heartbeat" if sheet.drive.setup.profile.heartbeat.producer_ms is None else ""
-        sheet.clause(NMT, name, "not tested" if why else "fail", why or "no heartbeat after the command")
-        return
-    shown = beats[-1].data[0] & 0x7F
-    result = "pass" if shown == state else "fail"
-    sheet.clause(NMT, name, result, f"the heartbeat shows 0x{shown:02X} after command 0x{command:02X}")
-
-
-def _no_sdo(sheet: DriveSheet) -> None:
-    try:
-        sheet.drive.access.read(OBJECTS["device_type"], ONCE)
-    except SdoTimeout:
-        sheet.clause(NMT, "no_sdo_in_stopped", "pass", "no SDO answer in STOPPED")
-    except DriveError as error:
-        sheet.clause(NMT, "no_sdo_in_stopped", "fail", f"answers SDO in STOPPED: {error}")
-    else:
-        sheet.clause(NMT, "no_sdo_in_stopped", "fail", "answers SDO in STOPPED")
 
 
 def _sdo_time(sheet: DriveSheet) -> None:
@@ -126,7 +64,7 @@ def _sdo_time(sheet: DriveSheet) -> None:
             sheet.drive.access.read(OBJECTS["device_type"], ONCE)
             times_s.append(time.monotonic() - began_s)
     except DriveError as error:
-        sheet.clause(SDO, "sdo_repeated", "fail", f"{len(times_s)} of {TRANSFERS} transfers were answered: {error}")
+        sheet.findings.append(f"{len(times_s)} of {TRANSFERS} transfers were answered: {error}")
     sheet.figures.append(bracketed_quantile("sdo_answer_s", [(t, t) for t in times_s], 0.5, 0.0, method))
 
 
@@ -139,14 +77,6 @@ def _at_cell_period(bench: SyncBench, sheets: Sequence[DriveSheet], period_s: fl
         )
         for name, share in QUANTILES:
             sheet.figures.append(bracketed_quantile(name, series.delays_s, share, bench.record.resolution_s, method))
-        _one_each(sheet, series)
-
-
-def _one_each(sheet: DriveSheet, series: SyncSeries) -> None:
-    """One TPDO per SYNC (transmission type 1)."""
-    answered = f"{series.counted - series.missed} of {series.counted} SYNCs answered, {series.surplus} TPDOs too many"
-    good = series.missed <= 0.5 * series.counted and series.surplus <= 0.05 * series.counted
-    sheet.clause(SYNC, "tpdo_each_sync", "pass" if good else "fail", answered)
 
 
 def _reactions(bench: SyncBench, sheets: Sequence[DriveSheet]) -> None:
@@ -217,20 +147,3 @@ def _with_period(sheet: DriveSheet, period_s: float) -> str:
     except DriveError as error:
         return str(error)
     return ""
-
-
-def _heartbeat(sheet: DriveSheet, record: FrameRecord) -> None:
-    """Period of the heartbeat against 0x1017."""
-    producer_ms = sheet.drive.setup.profile.heartbeat.producer_ms
-    if producer_ms is None:
-        sheet.clause(HEARTBEAT, "heartbeat_period", "not tested", "the profile sets no heartbeat")
-        return
-    times = [frame.at_s for frame in record.heartbeats(sheet.drive.node_id)]
-    gaps = [after - before for before, after in zip(times, times[1:], strict=False)]
-    if len(gaps) < 3:
-        sheet.clause(HEARTBEAT, "heartbeat_period", "fail", f"{len(times)} heartbeats in the whole test")
-        return
-    median_s, allowed_s = statistics.median(gaps), max(HEARTBEAT_SHARE * producer_ms / 1000.0, HEARTBEAT_LEAST_S)
-    good = abs(median_s - producer_ms / 1000.0) <= allowed_s
-    detail = f"0x1017 is {producer_ms} ms, median of {len(gaps)} periods is {1000 * median_s:.1f} ms"
-    sheet.clause(HEARTBEAT, "heartbeat_period", "pass" if good else "fail", detail)

@@ -9,13 +9,22 @@ import numpy as np
 
 from drives.drive import DriveCommand
 from drives.epoch import Epoch
+from drives.gate import ArmState
 from gateway.cell.conversion import AxisConversion
 from gateway.data.sample import ArmSample
 from gateway.feedforward.identified import AxisConstants
 
 
 class ArmDrives(Protocol):
-    """Interface of the drives of an arm on any fieldbus; `drives.group.DriveGroup` implements it for CANopen."""
+    """Interface of the drives of an arm on any fieldbus; `drives.group.DriveGroup` implements it for CANopen.
+
+    Attributes
+    ----------
+    on_stop : callable
+        Called before the drives are stopped because of one of their errors.
+    """
+
+    on_stop: Callable[[], None]
 
     def positions_rad(self) -> Sequence[float]:
         """Return the motor positions, read while the drives are not enabled."""
@@ -65,20 +74,26 @@ class ArmDrives(Protocol):
         """Stop with the quick stop ramps of the drives."""
         ...
 
-    def brake_drop_rad(self) -> Sequence[float]:
-        """Return how far each motor has turned since the drives were disabled."""
+    def gate(self) -> ArmState:
+        """Read every drive: what may be done with the arm, and what may be said of it."""
         ...
 
-    def when_stopping(self, report: Callable[[], None], /) -> None:
-        """Register `report`, which is called before the drives are stopped because of one of their errors."""
+    def attend(self) -> None:
+        """Keep the bus for a moment while a person is at the arm; raise what has changed."""
         ...
 
     def align(self, at_s: float, /) -> None:
         """Real time: set the time at which the next SYNC is due (monotonic)."""
         ...
 
+    @property
     def sync_sent_s(self) -> float:
         """Monotonic time [s] of the last SYNC."""
+        ...
+
+    @property
+    def brake_drop_rad(self) -> Sequence[float]:
+        """How far each motor has turned since the drives were disabled."""
         ...
 
 
@@ -143,7 +158,7 @@ class Arm:
 
     def brake_drop_rad(self) -> np.ndarray:
         """Return how far each joint (N,) [rad] has moved since the drives were disabled."""
-        return self.axes.joint_bound(np.array(self.drives.brake_drop_rad()))
+        return self.axes.joint_bound(np.array(self.drives.brake_drop_rad))
 
     def command(
         self, q_rad: np.ndarray, ahead_rad: np.ndarray | None = None, offset_nm: np.ndarray | None = None

@@ -23,6 +23,7 @@ import numpy as np
 from drives.drive import DriveCommand
 from drives.errors import DriveError, NotStoodDown, StopRequested
 from drives.exchange import Pacing
+from drives.gate import ArmState
 from gateway.data.sample import ArmSample
 from gateway.motion.arm import Arm
 
@@ -100,7 +101,7 @@ class Arms:
         self.enabled = False
         if len(arms) > 1:
             for index, arm in enumerate(self.members):
-                arm.drives.when_stopping(lambda index=index: self._stop_others(index))
+                arm.drives.on_stop = lambda index=index: self._stop_others(index)
 
     @property
     def names(self) -> str:
@@ -187,6 +188,10 @@ class Arms:
         self._wait_stopped()
         self._all(lambda index: self.members[index].disable())
 
+    def gate(self) -> ArmState:
+        """Read the drives of all arms, as one record."""
+        return ArmState.of(self._all(lambda index: self.members[index].drives.gate()))
+
     def close(self) -> None:
         """Shut down the threads."""
         self._wait_stopped()
@@ -218,7 +223,7 @@ class Arms:
             self._abandon()
             self._wait_stopped()
             raise
-        self.skew_s.append(drives[-1].sync_sent_s() - drives[0].sync_sent_s())
+        self.skew_s.append(drives[-1].sync_sent_s - drives[0].sync_sent_s)
         try:
             return _each(
                 [

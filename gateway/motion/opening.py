@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -12,8 +12,7 @@ import numpy as np
 
 from drives.bringup import read_constants
 from drives.bus import BusSpec, open_bus
-from drives.drive import AxisSetup, DriveCommand, Identity
-from drives.epoch import Epoch
+from drives.drive import AxisSetup, Identity
 from drives.errors import ProfileError
 from drives.group import DriveGroup, GroupOptions
 from drives.instrument import InstrumentSetup
@@ -96,45 +95,6 @@ class OpenArm:
     preflight: tuple[Finding, ...]
     readings: tuple[Readings, ...]
     session: str = field(default_factory=lambda: uuid4().hex)
-
-
-class _GroupDrives:
-    """Adapter from a drive group to `ArmDrives`."""
-
-    def __init__(self, group: DriveGroup) -> None:
-        self.enable: Callable[[Callable[[], bool]], Epoch] = group.enable
-        self.exchange: Callable[[Sequence[DriveCommand]], Epoch] = group.exchange
-        self.hold: Callable[[], Epoch] = group.hold
-        self.begin: Callable[[Sequence[DriveCommand] | None], None] = group.begin
-        self.prepare: Callable[[float | None], float] = group.prepare
-        self.sync: Callable[[], None] = group.sync
-        self.gather: Callable[[], Epoch] = group.gather
-        self.check: Callable[[Epoch], None] = group.check
-        self.abandon: Callable[[], None] = group.abandon
-        self.disable: Callable[[], None] = group.disable
-        self.quick_stop: Callable[[], None] = group.quick_stop
-        self._group = group
-
-    def positions_rad(self) -> list[float]:
-        """Read the motor positions by SDO."""
-        drives = self._group.drives
-        return [drive.access.read(drive.setup.profile.position.object) * drive.scale.count_rad for drive in drives]
-
-    def brake_drop_rad(self) -> tuple[float, ...]:
-        """Return how far each motor has turned since it was disabled."""
-        return self._group.brake_drop_rad or (0.0,) * len(self._group.drives)
-
-    def when_stopping(self, report: Callable[[], None]) -> None:
-        """Register `report`; see `ArmDrives.when_stopping`."""
-        self._group.on_stop = report
-
-    def align(self, at_s: float) -> None:
-        """Real time: set the time at which the next SYNC is due (monotonic)."""
-        self._group.align(at_s)
-
-    def sync_sent_s(self) -> float:
-        """Monotonic time of the last SYNC."""
-        return self._group.sync_sent_s
 
 
 def frame_log_watched(opened: OpenArm) -> StopSource:
@@ -222,6 +182,8 @@ def _refuse_placeholders(config: ArmConfig) -> None:
 def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str | None = None) -> Generator[OpenArm]:
     """Connect, check and configure the drives of an arm; on exit they are disabled and the bus is closed.
 
+    An error that passes says what was just read of an arm that has been under power.
+
     The pre-flight check runs here: nothing is written to a drive that fails it.
 
     Parameters
@@ -270,16 +232,22 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
         require_passed(found.refusing, "check failed, the arm is not moved")
         _limit_torques(group, config, workspace, found, known)
         group.configure()
-        yield OpenArm(
+        opened = OpenArm(
             loaded=loaded,
             config=config,
             robot_text=text,
             workspace=workspace,
             profiles=tuple(setup.profile for setup in setups),
             group=group,
-            arm=Arm(config.name, _GroupDrives(group), AxisConversion.from_arm(config), known),
+            arm=Arm(config.name, group, AxisConversion.from_arm(config), known),
             identities=identities,
             constants=tuple(read_constants(access) for access in group.access),
             preflight=found.items,
             readings=found.readings,
         )
+        try:
+            yield opened
+        except BaseException as error:
+            if group.sync_index:  # power was on at least once
+                error.add_note(f"{group.gate()}.")
+            raise

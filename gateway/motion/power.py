@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Final
 
 from drives.errors import BrakeDropped, DriveError, NotStoodDown
+from drives.gate import ArmState
 from drives.realtime import RealTime
-from gateway.errors import NOT_CONFIRMED, LimitExceeded
+from gateway.errors import LimitExceeded
 from gateway.motion.arms import Arms
 from gateway.motion.state import Phase
 from gateway.motion.stream import Stream
@@ -37,21 +38,22 @@ def powered(stream: Stream) -> Generator[Stream]:
 
     The stop depends on the cause. After a stop along the path the arms are already at rest. While setpoints are being
     sent, and after an error of a drive or of a limit, all axes are stopped by their quick stop ramps at once. An
-    unconfirmed stop ends the heartbeat (`drives.stopping`). Observers are notified afterwards; the phase is
-    `Phase.UNKNOWN` unless every drive was read as disabled.
+    unconfirmed stop ends the heartbeat (`drives.stopping`). Then the gate reads every drive, and observers are
+    notified; the phase is `Phase.UNKNOWN` unless every drive was read as disabled.
 
     Raises
     ------
     BrakeDropped
         A joint dropped after its drive was disabled, also where the motion has ended without error or was stopped on
         request.
+    DriveError
+        A drive restarted, moved, or sent an emergency since it was disabled.
     DriveError, LimitExceeded, KeyboardInterrupt
         The cause that ended the motion; failures while stopping are in its notes.
     """
     station = stream.station
     desk, observers = station.options.desk, station.options.observers
     failure: BaseException | None = None
-    confirmed = False
     station.options.ready()
     with _on_time(station.arms):
         try:
@@ -65,19 +67,19 @@ def powered(stream: Stream) -> Generator[Stream]:
             raise
         finally:
             try:
-                confirmed = _make_safe(stream, failure)
+                _make_safe(stream, failure)
             except BaseException as error:
-                confirmed = isinstance(error, NotStoodDown)
                 failure = failure or error
                 raise
             finally:
                 desk.under_power = False
-                dropped = _brake_dropped(stream, failure)
-                failure = dropped or failure
-                _report_end(stream, failure, confirmed)
+                state = station.arms.gate()
+                changed = _brake_dropped(stream, failure) or (None if failure else _changed(state))
+                failure = changed or failure
+                _report_end(stream, failure, state)
                 observers.ended(failure)
-                if dropped is not None:
-                    raise dropped
+                if changed is not None:
+                    raise changed
             if stream.first_moved and station.options.first_done is not None:
                 station.options.first_done()
     wish = desk.look()
@@ -85,45 +87,40 @@ def powered(stream: Stream) -> Generator[Stream]:
         raise wish.cause
 
 
-def _make_safe(stream: Stream, failure: BaseException | None) -> bool:
-    """Stop and disable the arms; return whether every drive was read as disabled."""
+def _make_safe(stream: Stream, failure: BaseException | None) -> None:
+    """Stop and disable the arms; an error of this becomes a note of an earlier failure."""
     arms = stream.station.arms
     quick = stream.moving or stream.urgent or isinstance(failure, DriveError | LimitExceeded)
+    for action in (arms.quick_stop, arms.disable) if quick else (arms.disable,):
+        try:
+            action()
+        except Exception as error:
+            if failure is None:
+                raise
+            failure.add_note(f"{'after the stop' if isinstance(error, NotStoodDown) else 'while stopping'}: {error}")
+
+
+def _changed(state: ArmState) -> DriveError | None:
     try:
-        if quick:
-            _attempt(arms.quick_stop, failure)
-    finally:
-        disabled = _attempt(arms.disable, failure)
-    # drives that were disabled by their own error path are not read again
-    return disabled and not getattr(failure, "while_stopping", ())
+        state.require_approach()
+    except DriveError as error:
+        return error
+    return None
 
 
-def _attempt(action: Callable[[], None], failure: BaseException | None) -> bool:
-    """Call a function; its error becomes a note of an earlier failure. Return whether the axes did what it commands."""
-    try:
-        action()
-    except Exception as error:
-        if failure is None:
-            raise
-        disabled = isinstance(error, NotStoodDown)
-        failure.add_note(f"{'after the stop' if disabled else 'while stopping'}: {error}")
-        return disabled
-    return True
-
-
-def _report_end(stream: Stream, failure: BaseException | None, confirmed: bool) -> None:
-    state = stream.station.state
-    state.enter(Phase.STOPPING, stream.sync_index)
-    since = state.state
+def _report_end(stream: Stream, failure: BaseException | None, state: ArmState) -> None:
+    """Report the phase that the drives were read in."""
+    tracker = stream.station.state
+    tracker.enter(Phase.STOPPING, stream.sync_index)
+    since = tracker.state
     if failure is None:
-        state.enter(Phase.IN_BRAKES, stream.sync_index)
+        tracker.enter(Phase.IN_BRAKES, stream.sync_index)
         return
     failure.add_note(f"The motion ended at {since.since:%H:%M:%S} UTC, SYNC {since.sync_index} of this run.")
-    phase = Phase.STOPPED
-    if not confirmed:
-        phase = Phase.UNKNOWN
-        failure.add_note(NOT_CONFIRMED)
-    state.enter(phase, stream.sync_index, str(failure) or type(failure).__name__)
+    if not state.is_disabled:
+        failure.add_note(f"{state}.")
+    phase = Phase.STOPPED if state.is_disabled else Phase.UNKNOWN
+    tracker.enter(phase, stream.sync_index, str(failure) or type(failure).__name__)
 
 
 def _brake_dropped(stream: Stream, failure: BaseException | None) -> BrakeDropped | None:

@@ -1,4 +1,4 @@
-"""Page of a drive test: one table of figures over all drives, and the clauses of each."""
+"""Page of a drive test: one table of figures over all drives."""
 
 from __future__ import annotations
 
@@ -45,9 +45,6 @@ def render_drive_test(cell: str, created: str, reports: Sequence[DriveTestReport
         rows=_rows(reports),
         methods=_methods(reports),
         drives=[_identity(report) for report in reports],
-        clauses=_clauses(reports),
-        names=[report.axis for report in reports],
-        details=[(report.axis, [each for each in report.clauses if each.result == "fail"]) for report in reports],
     )
 
 
@@ -99,16 +96,4 @@ def _identity(report: DriveTestReport) -> tuple[str, ...]:
     numbers = [code(key) for key in ("vendor", "product", "revision")]
     serial, firmware = report.identity.get("serial"), report.identity.get("firmware")
     texts = ["\N{EN DASH}" if each is None else str(each) for each in (serial, firmware)]
-    counts = f"{report.count('pass')} / {report.count('fail')} / {report.count('not tested')}"
-    return (report.axis, str(report.node), *numbers, *texts, counts)
-
-
-def _clauses(reports: Sequence[DriveTestReport]) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """Return clause, check, and result with its detail of every drive."""
-    keys = list(dict.fromkeys((each.clause, each.check) for report in reports for each in report.clauses))
-    by_report = [{(each.clause, each.check): each for each in report.clauses} for report in reports]
-    rows: list[tuple[str, str, list[tuple[str, str]]]] = []
-    for key in keys:
-        found = [results.get(key) for results in by_report]
-        rows.append((*key, [("not tested", "") if each is None else (each.result, each.detail) for each in found]))
-    return rows
+    return (report.axis, str(report.node), *numbers, *texts)

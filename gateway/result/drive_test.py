@@ -1,4 +1,4 @@
-"""Result of a drive test: clauses of CiA 301 and CiA 402 with pass or fail, and timing figures with their intervals."""
+"""Result of a drive test: timing figures of a drive with their intervals, and what is wrong with it."""
 
 from __future__ import annotations
 
@@ -6,35 +6,12 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 from drives.files import replace_file
 
 FORMAT: Final = "servo-gateway drive-test"
 VERSION: Final = 1
-
-Outcome = Literal["pass", "fail", "not tested"]
-
-
-@dataclass(frozen=True, slots=True)
-class ClauseResult:
-    """Result of one conformance check.
-
-    Attributes
-    ----------
-    clause : str
-        Clause of the standard, for example `CiA 301 7.2.4 SDO`.
-    check : str
-        Name of the check, for programs.
-    result : "pass", "fail" or "not tested"
-    detail : str
-        What was measured, or why the clause was not tested.
-    """
-
-    clause: str
-    check: str
-    result: Outcome
-    detail: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +46,13 @@ class DriveTestReport:
     axis: str
     node: int
     identity: Mapping[str, Any]
-    clauses: tuple[ClauseResult, ...]
     figures: tuple[TimingFigure, ...]
     findings: tuple[str, ...]
 
     @property
     def failed(self) -> bool:
-        """Return whether a clause failed or a finding exists."""
-        return bool(self.findings) or any(clause.result == "fail" for clause in self.clauses)
-
-    def count(self, result: Outcome) -> int:
-        """Return the number of clauses with a result."""
-        return sum(clause.result == result for clause in self.clauses)
+        """Return whether a finding exists."""
+        return bool(self.findings)
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""

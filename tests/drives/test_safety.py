@@ -58,6 +58,9 @@ def test_a_drive_is_enabled_only_while_its_safety_chain_is_closed(bus, make_slav
         if not said:
             assert group.enable().complete
             return
+        state = group.gate(full=True)
+        assert state.safe_to_approach, "a person may open the safety chain to work at the arm"
+        assert not state.safe_to_power
         with pytest.raises(DriveFault, match=f"node 1: must not move: {said[0].split(':')[0]}") as caught:
             group.enable()
         assert all(text in str(caught.value) for text in said)

@@ -1,15 +1,18 @@
 """An arm without a bus: six drives that answer as a drive group does, with gravity, a friction band and noise."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drives.cia402 import State
 from drives.drive import DriveCommand, DriveReading
 from drives.epoch import Epoch
 from drives.errors import DriveFault
+from drives.gate import ArmState, DriveState
 from drives.profile_file import load_profile
 from drives.scaling import Constants, motor_scale
 from gateway.cell.config import LoadedCell, parse_cell
@@ -65,6 +68,8 @@ class FakeDrives:
         self.swing_nm = 0.0
         self.period_s = 0.01
         self.drop_on_enable_rad = 0.0
+        self.brake_drop_rad: Sequence[float] = (0.0,) * 6
+        self.on_stop: Callable[[], None] = lambda: None
 
     def positions_rad(self) -> Sequence[float]:
         return self.axes.motor_position(self.q_rad).tolist()
@@ -128,15 +133,15 @@ class FakeDrives:
         self.log.append("quick stop")
         self.target_rad = self.q_rad
 
-    def brake_drop_rad(self):
-        return (0.0,) * 6
-
-    def when_stopping(self, notify):
-        self.notify_others = notify
+    def gate(self) -> ArmState:
+        state = State.OPERATION_ENABLED if self.enabled else State.SWITCH_ON_DISABLED
+        fault = DriveFault("is enabled", node=1) if self.enabled else None
+        return ArmState((DriveState(1, state, fault),), datetime.now(UTC))
 
     def align(self, at_s):
         self.aligned_s = at_s
 
+    @property
     def sync_sent_s(self):
         return self.period_s * self.sync_index
 

@@ -10,11 +10,8 @@ import click
 import pytest
 from click.testing import CliRunner
 
-from drives.errors import BusError
 from gateway import cli
 from gateway.cli import main, paragraph
-from gateway.commands.console import Session
-from gateway.commands.motion_options import MoveChoice, stoppable
 from gateway.errors import ConfigError, DataUnusable, FindingFailed, GatewayError, InputError, PlanRefused
 from gateway.motion.stops import StoppedByPerson
 
@@ -310,36 +307,6 @@ def test_an_interrupted_command_that_powered_no_arm_says_nothing_of_an_arm(capsy
 def test_a_defect_says_nothing_of_motion(capsys):
     assert cli.report_error(ZeroDivisionError("division by zero")) == 1
     assert not re.search("motion|brakes|power", capsys.readouterr().err)
-
-
-@pytest.mark.parametrize(
-    ("began", "failure", "said"),
-    [
-        (False, None, "stopped"),
-        (True, KeyboardInterrupt(), "stopped: the arm is in its brakes, what was measured is kept"),
-        (True, BusError("x"), "stopped: the arm is in its brakes, what was measured is kept"),
-        (True, "not confirmed", "stopped: The state of the arm is not known: use the emergency stop"),
-    ],
-)
-def test_an_arm_that_was_under_power_is_reported_as_far_as_its_stop_is_confirmed(capsys, began, failure, said):
-    move = MoveChoice(100, False, True, None)
-
-    def command():
-        with click.Context(cli.main, obj=Session()), stoppable(move) as options:
-            if began:
-                options.observers.began(None)
-            if failure == "not confirmed":
-                failed = BusError("y")
-                failed.while_stopping += (BusError("z"),)
-                options.observers.ended(failed)
-            elif failure is not None:
-                options.observers.ended(failure)
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt) as caught:
-        command()
-    assert cli.report_error(caught.value) == 130
-    assert capsys.readouterr().err == f"{said}\n"
 
 
 @pytest.mark.parametrize(

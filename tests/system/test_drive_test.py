@@ -1,4 +1,4 @@
-"""`drive test` against simulated drives: services, page and files; refused inputs."""
+"""`drive test` against simulated drives: figures, page and files; refused inputs."""
 
 from __future__ import annotations
 
@@ -25,10 +25,6 @@ def tested(gateway, place, serve):
     return run
 
 
-def results(report):
-    return {each["check"]: each["result"] for each in report["clauses"]}
-
-
 @pytest.mark.slow
 def test_a_good_drive_has_no_finding_and_a_page(tested):
     _, reports, out, drives = tested("--axis", "J2", "--axis", "J3")
@@ -37,9 +33,6 @@ def test_a_good_drive_has_no_finding_and_a_page(tested):
     assert (report["format"], report["version"], report["node"]) == ("servo-gateway drive-test", 1, 2)
     assert report["findings"] == []
     assert report["identity"]["serial"] == 0x510002
-    assert {"pass", "not tested"} == set(results(report).values())
-    assert {"nmt_stop", "sdo_abort_unknown_object", "pdo_only_in_operational"} <= results(report).keys()
-    assert all(each["detail"] for each in report["clauses"])
     figures = {each["name"]: each for each in report["figures"]}
     for name, low, high in (
         ("heartbeat_loss_to_standstill_s", 0.5, 0.56),
@@ -53,21 +46,6 @@ def test_a_good_drive_has_no_finding_and_a_page(tested):
     page = (out / "drive-test.html").read_text()
     assert "2 drives tested, nothing found" in page
     assert drives.stand_still()
-
-
-@pytest.mark.slow
-def test_a_drive_that_answers_an_unknown_object_is_found_and_the_others_are_tested(tested):
-    def answers(drives):
-        drives.handle.simulation.arms[0].drives[2].store.constant((0x0FFF, 0), "u32", 0)
-
-    done, reports, _, _ = tested(code=7, prepare=answers)
-    assert results(reports["J3"])["sdo_abort_unknown_object"] == "fail"
-    assert [name for name, report in reports.items() if report["findings"]] == ["J3"]
-    assert "J3 node 3" in done.stderr
-
-
-def without_fault_report(drive):
-    drive.node.emergency = lambda *_, **__: None
 
 
 def flat_ramp(drive):
@@ -90,7 +68,6 @@ def torque_of_the_sync_before_last(drive):
 @pytest.mark.parametrize(
     ("defect", "name", "low", "high", "text"),
     [
-        (without_fault_report, "quick_stop_time_s", 0.0, 0.1, "0x8130 is required"),
         (flat_ramp, "quick_stop_time_s", 0.2, 0.5, "its ramp 0x6085 states"),
         (torque_of_the_sync_before_last, "torque_age_s", 0.015, 0.027, "age of the torque word"),
     ],

@@ -6,14 +6,24 @@ import io
 import os
 import pty
 import sys
+import threading
+from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import click
 import pytest
 
+from drives.cia402 import State
+from drives.errors import DriveRebooted
+from drives.gate import ArmState, DriveState
 from gateway.cli import main
 from gateway.commands.console import Session
 from gateway.commands.guided import Terminal
 from gateway.commands.motion_options import MoveChoice
+from gateway.motion.stops import StoppedByPerson
+from sim.drive_faults import act
+from sim.faults import Fault
+from sim.states import PdsState
 
 pytestmark = pytest.mark.system
 HEARTBEAT = "heartbeat is"
@@ -37,6 +47,23 @@ def terminal():
     return Terminal(Session(), "small", MoveChoice(100, False, True, None))
 
 
+class Waiting:
+    """An open arm in its brakes; from the third look at the drives of an arm that is attended on, a drive is gone."""
+
+    def __init__(self, looks: int = 1_000_000):
+        self.config = SimpleNamespace(name="main")
+        self.group, self.looks = self, looks
+
+    def gate(self, *, full: bool):
+        assert full, "before a person is called"
+        return ArmState((DriveState(1, State.SWITCH_ON_DISABLED),), datetime.now(UTC), full)
+
+    def attend(self):
+        self.looks -= 1
+        if self.looks < 0:
+            raise DriveRebooted("restarted", node=1)
+
+
 @pytest.mark.parametrize(
     ("typed", "label", "confirmed"),
     [
@@ -54,10 +81,10 @@ def terminal():
 def test_a_load_is_mounted_when_its_label_or_yes_is_typed(terminal, monkeypatch, capsys, typed, label, confirmed):
     monkeypatch.setattr(sys, "stdin", io.StringIO(typed))
     if confirmed:
-        terminal.mount(label)
+        terminal.mount(label, Waiting())
     else:
         with pytest.raises(click.Abort):
-            terminal.mount(label)
+            terminal.mount(label, Waiting())
     assert len(capsys.readouterr().out.splitlines()) == 1, "scripts read one line for one load"
 
 
@@ -73,9 +100,61 @@ def test_what_was_typed_before_the_prompt_does_not_confirm_it(terminal, monkeypa
             os.write(master, b"\nnot yet\ntool\nrest\n")
 
         monkeypatch.setattr(click, "echo", answer)
-        terminal.mount("tool")
+        terminal.mount("tool", Waiting())
         assert keyboard.readline() == "rest\n", "the prompt has read three lines, of which the last one confirms it"
     os.close(master)
+
+
+def test_a_change_of_a_drive_ends_the_prompt_without_an_answer(terminal, monkeypatch):
+    master, slave = pty.openpty()
+    with open(slave, encoding="utf-8") as keyboard:
+        monkeypatch.setattr(sys, "stdin", keyboard)
+        with pytest.raises(DriveRebooted):
+            terminal.mount("tool", Waiting(looks=3))
+    os.close(master)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("happens", "code", "said"),
+    [
+        ("stop", 130, "every drive was read as disabled at"),
+        ("reboot_keeps_all", 4, "node 3: restarted"),
+        ("energised", 4, "use the emergency stop (node 3: OPERATION ENABLED)"),
+        ("energised, stop", 130, "use the emergency stop (node 3: OPERATION ENABLED)"),
+    ],
+)
+def test_what_happens_while_a_load_is_mounted_is_read_from_the_drives(
+    place, serve, fast_arm, monkeypatch, capsys, happens, code, said
+):
+    """The arm was under power before; a person answers after something has happened to a drive."""
+    drives = fast_arm(serve())
+    simulation = drives.handle.simulation
+    done = threading.Event()
+
+    def change() -> None:
+        drive = simulation.arms[0].drives[2]
+        if happens.startswith("energised"):
+            drive.automaton.state = PdsState.OPERATION_ENABLED
+        elif happens != "stop":
+            act(simulation.servers[0], Fault(happens, node=3))
+        done.set()
+
+    def answer() -> str:
+        simulation.servers[0].later(change)
+        assert done.wait(10.0)
+        if "stop" in happens:
+            raise StoppedByPerson("stopped by SIGINT")
+        return "yes\n"
+
+    monkeypatch.setattr(sys, "stdin", Person(answer))
+    words = ["commission", place.cell, "--bus", drives.bus, "--yes", "--out", place.folder / "out"]
+    with pytest.raises(SystemExit) as left:
+        main([str(word) for word in words])
+    assert left.value.code == code
+    error = capsys.readouterr().err
+    assert said in error.splitlines()[-1]
+    assert ("every drive was read as disabled" in error.splitlines()[-1]) is not happens.startswith("energised")
 
 
 @pytest.mark.parametrize("command", ["check", "move"])

@@ -45,7 +45,7 @@ class Listener:
         self.done.append(str(target))
         self.overrides.append(options.override)
 
-    def mount(self, label) -> None:
+    def mount(self, label, _opened) -> None:
         self.done.append(f"mount {label}")
 
     def measure(self, *_arguments) -> None:

@@ -9,7 +9,7 @@ from gateway.drivetest.bench import SentSync, count_answers
 from gateway.drivetest.estimates import bracketed_quantile, quantile_ranks, share_figure
 from gateway.drivetest.standstill import PositionTrack
 from gateway.report.drive_test_page import render_drive_test
-from gateway.result.drive_test import ClauseResult, DriveTestReport, TimingFigure
+from gateway.result.drive_test import DriveTestReport, TimingFigure
 
 
 def track(at_s, count, left_s=10.0):
@@ -111,12 +111,11 @@ def test_drives_that_are_all_delayed_often_are_not_excused():
 
 
 def test_the_page_shows_what_was_not_measured_and_what_failed():
-    clause = ClauseResult("CiA 301 7.2.7 EMCY", "emcy", "fail", "no <message>")
     figures = (
         TimingFigure("quick_stop_time_s", 0.02, (0.01, 0.03), "s", 1, "ramp"),
         TimingFigure("torque_age_s", None, None, "s", 0, "not moved"),
     )
-    report = DriveTestReport("J2", 2, {"vendor": 1}, (clause,), figures, ("EMCY: no <message>",))
+    report = DriveTestReport("J2", 2, {"vendor": 1}, figures, ("EMCY: no <message>",))
     html = render_drive_test("cell", "2026", [report])
     assert "1 of 1 drives with findings: J2" in html
     assert "no &lt;message&gt;" in html

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
+from drives.cia402 import State
+from drives.gate import ArmState, DriveState
 from drives.profile_file import load_profile
 from drives.values import DriveCommand, DriveReading
 from gateway.cell.config import load_cell
@@ -38,6 +42,8 @@ class PerfectDrives:
     """Drives that are where they were commanded one SYNC before; the commands are kept."""
 
     statusword: int = OPERATION_ENABLED
+    brake_drop_rad: tuple[float, ...] = (0.0,) * 6
+    on_stop: Callable[[], None] = lambda: None
     commanded: list[tuple[DriveCommand, ...]] = field(default_factory=list)
     calls: list[str] = field(default_factory=list)
     at: tuple[float, ...] = (0.0,) * 6
@@ -69,15 +75,13 @@ class PerfectDrives:
         self.commanded.append(tuple(DriveCommand(p) for p in self.at))
         return self._row()
 
-    def brake_drop_rad(self):
-        return (0.0,) * 6
-
-    def when_stopping(self, notify):
-        """Do nothing."""
+    def gate(self):
+        return ArmState((DriveState(1, State.SWITCH_ON_DISABLED),), datetime.now(UTC))
 
     def align(self, at_s):
         """There is no clock."""
 
+    @property
     def sync_sent_s(self):
         return PERIOD_S * self.syncs
 

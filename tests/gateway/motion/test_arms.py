@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -24,7 +24,6 @@ class Drives(FakeDrives):
     def __init__(self, axes, gravity) -> None:
         super().__init__(axes, gravity, BAND_NM)
         self.sent_s = 0.0
-        self.notify_others: Callable[[], None] = lambda: None
         self.aligned_s: float | None = None
         self.ahead_s: float | None = None
         self.refused: Exception | None = None
@@ -43,7 +42,7 @@ class Drives(FakeDrives):
             return super().exchange(commands)
         except DriveFault:
             if not self.log_of_parts:
-                self.notify_others()
+                self.on_stop()
             raise
 
     def sync(self):
@@ -52,9 +51,10 @@ class Drives(FakeDrives):
 
     def check(self, epoch, /):
         if self.failed is not None:
-            self.notify_others()
+            self.on_stop()
         super().check(epoch)
 
+    @property
     def sync_sent_s(self):
         return self.sent_s
 
@@ -210,7 +210,7 @@ def test_after_a_stop_no_arm_is_stopped_a_second_time(pair, drives):
     up(pair)
     pair.quick_stop()
     assert [each.log for each in drives] == [["enable", "quick stop"]] * 2
-    drives[0].notify_others()
+    drives[0].on_stop()
     pair.close()
     assert [each.log for each in drives] == [["enable", "quick stop"]] * 2
     assert pair.stopped_by is None
@@ -282,7 +282,7 @@ def test_who_is_in_the_middle_of_a_sync_leaves_it_before_being_stopped(drives):
     drives[0].quick_stop = lambda: order.append("quick stop")  # type: ignore[method-assign]
 
     def fails():
-        drives[1].notify_others()
+        drives[1].on_stop()
         while "quick stop" not in order:  # the other arm is stopped while this one is being stopped here
             time.sleep(0.001)
         raise DriveFault("left OPERATION ENABLED: FAULT", node=3)
@@ -356,7 +356,7 @@ def test_a_drive_that_does_not_respond_leaves_its_joint_without_a_number(arm, fa
 
 
 def test_drop_is_a_bound_at_the_joints(arm, fake):
-    fake.brake_drop_rad = lambda: np.abs(fake.axes.ratio * 0.01).tolist()
+    fake.brake_drop_rad = np.abs(fake.axes.ratio * 0.01).tolist()
     assert arm.brake_drop_rad() == pytest.approx(np.full(6, 0.01))
 
 

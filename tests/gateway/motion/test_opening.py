@@ -63,15 +63,10 @@ class Group:
     """As much of a drive group as an arm asks for."""
 
     def __init__(self) -> None:
-        self.brake_drop_rad: tuple[float, ...] = ()
-        self.sync_sent_s = 12.5
-        self.aligned: list[float] = []
-        self.on_stop = lambda: None
+        self.sync_index = 0
         self.access = ()
         self.limits_nm: list[float | None] = []
         self.connect = lambda: ()
-        self.enable = self.exchange = self.hold = self.disable = self.quick_stop = lambda *_: None
-        self.begin = self.prepare = self.sync = self.gather = self.check = self.abandon = lambda *_: None
 
     def of(self, _bus, setups, *_pacing, **_options) -> nullcontext[Group]:
         """Take the settings as the group of these drives does."""
@@ -89,9 +84,6 @@ class Group:
     def configure(self) -> None:
         self.limits_nm = [drive.setup.torque_limit_nm for drive in self.drives]
 
-    def align(self, at_s: float) -> None:
-        self.aligned.append(at_s)
-
 
 @pytest.fixture
 def group(monkeypatch) -> Group:
@@ -102,21 +94,6 @@ def group(monkeypatch) -> Group:
     monkeypatch.setattr(opening, "quick_stop_rad_s2", lambda *_: None)
     monkeypatch.setattr(opening, "look_over", lambda *_: SimpleNamespace(refusing=(), items=(), readings=()))
     return group
-
-
-def test_an_arm_reads_positions_by_sdo_and_is_notified_of_a_drop(small_cell, group):
-    with opening.open_arm(small_cell) as opened:
-        seen = opened.arm.drives
-    assert seen.positions_rad() == pytest.approx([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
-    assert list(seen.brake_drop_rad()) == [0.0] * 6
-    group.brake_drop_rad = (0.1,) * 6
-    assert list(seen.brake_drop_rad()) == [0.1] * 6
-    seen.align(3.0)
-    assert (group.aligned, seen.sync_sent_s()) == ([3.0], 12.5)
-    configured = []
-    seen.when_stopping(lambda: configured.append(1))
-    group.on_stop()
-    assert configured == [1]
 
 
 @pytest.mark.parametrize("harder", ["ramp", "motion"])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from drives.errors import BrakeDropped, DriveFault, NotStoodDown
-from gateway.errors import NOT_CONFIRMED, LimitExceeded
+from gateway.errors import LimitExceeded
 from gateway.motion.arms import Arms
 from gateway.motion.power import BRAKE_DROP_RAD, powered
 from gateway.motion.state import Phase, StateTracker
@@ -149,7 +149,7 @@ def test_the_first_motion_with_a_set_of_drives_is_slow_and_the_next_one_is_not(s
 
 def test_a_joint_that_sinks_in_its_brake_is_reported(station, fake):
     tracker = station.state
-    fake.brake_drop_rad = lambda: fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
+    fake.brake_drop_rad = fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
     with pytest.raises(BrakeDropped, match=r"joint 2 sank by 0\.0080 rad"), powered(Stream(station)):
         pass
     assert "joint 2 sank by 0.0080 rad" in tracker.state.reason
@@ -157,7 +157,7 @@ def test_a_joint_that_sinks_in_its_brake_is_reported(station, fake):
 
 @pytest.mark.parametrize("cause", [StoppedByPerson("a person"), LimitExceeded("too fast", 1)])
 def test_a_drop_after_a_stop_is_an_error_of_the_drives_that_names_the_stop(station, fake, cause):
-    fake.brake_drop_rad = lambda: fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
+    fake.brake_drop_rad = fake.axes.motor_velocity(np.array([0.0, 0.008, 0.0, 0.0, 0.0, 0.0])).tolist()
     with pytest.raises(BrakeDropped) as dropped, powered(Stream(station)):
         raise cause
     assert dropped.value.exit_code == 4
@@ -168,7 +168,7 @@ def test_a_drop_after_a_stop_is_an_error_of_the_drives_that_names_the_stop(stati
 def test_a_joint_sinks_from_a_limit_on(station, fake, sunk_rad, said):
     drop_rad = np.zeros(6)
     drop_rad[3] = sunk_rad * BRAKE_DROP_RAD
-    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(drop_rad)).tolist()
+    fake.brake_drop_rad = np.abs(fake.axes.motor_velocity(drop_rad)).tolist()
     with pytest.raises(BrakeDropped) if said else nullcontext(), powered(Stream(station)):
         pass
     assert ("joint 4 sank" in station.state.state.reason) == said
@@ -184,11 +184,12 @@ def test_a_stop_that_fails_without_another_error_is_raised(station, fake):
         pass
     assert not station.options.desk.under_power
     assert station.state.state.phase is Phase.UNKNOWN
-    assert NOT_CONFIRMED in failed.value.__notes__
+    assert any("use the emergency stop (node 1: OPERATION ENABLED)" in note for note in failed.value.__notes__)
 
 
 def test_drives_that_are_disabled_are_in_their_brakes_whatever_fails_afterwards(station, fake):
     def full_disk():
+        fake.enabled = False
         raise NotStoodDown("every drive was read as disabled; then: the write ledger cannot be written")
 
     fake.disable = full_disk
@@ -200,7 +201,7 @@ def test_drives_that_are_disabled_are_in_their_brakes_whatever_fails_afterwards(
 
 def test_a_drop_after_an_error_is_among_its_notes_with_time_and_sync(station, workspace, fake):
     fake.fault_at = 30
-    fake.brake_drop_rad = lambda: np.abs(fake.axes.motor_velocity(np.full(6, 2 * BRAKE_DROP_RAD))).tolist()
+    fake.brake_drop_rad = np.abs(fake.axes.motor_velocity(np.full(6, 2 * BRAKE_DROP_RAD))).tolist()
     with pytest.raises(DriveFault, match="FAULT") as failed, powered(Stream(station)) as stream:
         move(stream, workspace)
     notes = " ".join(failed.value.__notes__)

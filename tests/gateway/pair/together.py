@@ -7,14 +7,17 @@ pose and that of the grasps, with the opposite force at the master's. Joint torq
 from __future__ import annotations
 
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from drives.cia402 import State
 from drives.epoch import Epoch
 from drives.errors import DriveFault
+from drives.gate import ArmState, DriveState
 from drives.values import DriveReading
 from gateway.cell.conversion import AxisConversion
 from gateway.model.arm_model import arm_robot
@@ -80,6 +83,7 @@ class Joints:
         self.log: list[str] = []
         self.offsets_nm: list[np.ndarray] = []
         self.unanswered: set[int] = set()
+        self.brake_drop_rad = (0.0,) * arm.axes
         self.fault_at: int | None = None
 
     def positions_rad(self):
@@ -119,15 +123,13 @@ class Joints:
     def quick_stop(self):
         self.log.append("quick stop")
 
-    def brake_drop_rad(self):
-        return (0.0,) * self.arm.axes
-
-    def when_stopping(self, notify):
-        self.notify = notify
+    def gate(self):
+        return ArmState((DriveState(1, State.SWITCH_ON_DISABLED),), datetime.now(UTC))
 
     def align(self, at_s):
         pass
 
+    @property
     def sync_sent_s(self):
         return 0.0
 
@@ -135,7 +137,7 @@ class Joints:
         self.sync_index += 1
         if self.sync_index == self.fault_at:
             self.enabled = False
-            self.notify()
+            self.on_stop()
             raise DriveFault("left OPERATION ENABLED: FAULT", node=3)
         q = self.part.q_rad[self.index]
         torque = self.arm.model_torque(q[None], qd_rad_s[None], qdd_rad_s2[None])[0]

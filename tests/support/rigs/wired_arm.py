@@ -20,7 +20,7 @@ from gateway.cell.config import LoadedCell
 from gateway.cell.conversion import AxisConversion
 from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
-from gateway.motion.opening import OpenArm, _GroupDrives
+from gateway.motion.opening import OpenArm
 from gateway.motion.workspace import Workspace, workspace_of
 from tests.drives.conftest import Slave, Wire
 
@@ -135,7 +135,7 @@ def wired_arm(wire: Wire, loaded: LoadedCell, period_s: float = 0.01) -> Generat
                 workspace=workspace_of(config, arm_robot(loaded, config)),
                 profiles=(profile,) * len(setups),
                 group=group,
-                arm=Arm(config.name, _GroupDrives(group), axes),
+                arm=Arm(config.name, group, axes),
                 identities=(),
                 constants=(),
                 preflight=(),

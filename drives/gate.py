@@ -1,0 +1,242 @@
+"""The gate before power and before a person: what was just read from every drive of an arm, as one record.
+
+What may be done with an arm, and what is said of it, comes from an `ArmState`. The gate reads by SDO and writes
+nothing. The brief gate reads state and position of each drive; boot-ups and emergencies since the gate before count too.
+The full gate also reads the identity, every configured object and PDO, and the conditions of the safety chain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from datetime import UTC, datetime
+from typing import Final
+
+from drives.bringup import POLL_S, read_identity
+from drives.bus import Bus
+from drives.cia402 import AT_REST, FAULTED, State, decode_state, describe
+from drives.drive import Cia402Drive
+from drives.emcy import EmcyLog
+from drives.enabling import BRAKE_DROP_REVOLUTIONS
+from drives.errors import (
+    ConfigurationRefused,
+    DriveError,
+    DriveFault,
+    DriveRebooted,
+    IdentityMismatch,
+    raise_failures,
+)
+from drives.heartbeat import HeartbeatWatch
+from drives.objects import object_name
+from drives.pdo import differences
+
+#: Differences of one drive that a message names beside the first one.
+_NAMED: Final = 8
+_AGAIN: Final = "check its supply, then run the command again"
+_LOST: Final = f"the drive restarted, was exchanged, or was written by another master: {_AGAIN}"
+
+
+@dataclass(frozen=True, slots=True)
+class DriveState:
+    """What was read of one drive.
+
+    Attributes
+    ----------
+    node_id : int
+    state : State or None
+        CiA 402 state; None = it was not read.
+    failure : DriveError or None
+        First reason against calling a person to the arm and against enabling it.
+    unsafe : DriveFault or None
+        Condition for power that does not hold, such as a closed safety chain; looked at by the full gate alone.
+    """
+
+    node_id: int
+    state: State | None
+    failure: DriveError | None = None
+    unsafe: DriveFault | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ArmState:
+    """What was read of all drives of one arm, or of several that move together.
+
+    Attributes
+    ----------
+    drives : tuple of DriveState
+    read_at : datetime
+        UTC, before the first drive was read.
+    is_full : bool
+        Read by the full gate.
+    """
+
+    drives: tuple[DriveState, ...]
+    read_at: datetime
+    is_full: bool = False
+
+    @classmethod
+    def of(cls, states: Iterable[ArmState]) -> ArmState:
+        """Return one record of several arms."""
+        each = tuple(states)
+        drives = tuple(drive for state in each for drive in state.drives)
+        return cls(drives, min(state.read_at for state in each), all(state.is_full for state in each))
+
+    @property
+    def is_disabled(self) -> bool:
+        """Return whether every drive was read in a state in which it exerts no torque."""
+        return all(drive.state in AT_REST for drive in self.drives)
+
+    @property
+    def safe_to_approach(self) -> bool:
+        """Return whether a person may be called to the arm: every drive is disabled, and nothing has changed."""
+        return self.is_disabled and all(drive.failure is None for drive in self.drives)
+
+    @property
+    def safe_to_power(self) -> bool:
+        """Return whether the drives may be enabled; never after a brief gate."""
+        return self.is_full and self.safe_to_approach and all(drive.unsafe is None for drive in self.drives)
+
+    def require_approach(self) -> None:
+        """Raise the failures of all drives, unless a person may be called to the arm."""
+        raise_failures([drive.failure for drive in self.drives if drive.failure is not None])
+
+    def require_power(self) -> None:
+        """Raise the failures of all drives, unless they may be enabled."""
+        reasons = [drive.failure or drive.unsafe for drive in self.drives]
+        raise_failures([reason for reason in reasons if reason is not None])
+
+    def __str__(self) -> str:
+        """Say what is known of the arm, as one sentence without its full stop."""
+        if self.is_disabled:
+            return f"every drive was read as disabled at {self.read_at:%H:%M:%S} UTC"
+        rest = [drive for drive in self.drives if drive.state not in AT_REST]
+        nodes = "; ".join(f"node {drive.node_id}: {drive.state or 'not read'}" for drive in rest)
+        return f"the state of the arm is not known: use the emergency stop ({nodes})"
+
+
+class Gate:
+    """Gate of the drives that share one SYNC.
+
+    Parameters
+    ----------
+    bus : Bus
+    drives : sequence of Cia402Drive
+        Configured.
+    watch : HeartbeatWatch
+        Has the boot-ups since the drives were configured.
+    emcy : EmcyLog
+        Emergencies count that came after the gate before, and after `restart`.
+    """
+
+    def __init__(self, bus: Bus, drives: Sequence[Cia402Drive], watch: HeartbeatWatch, emcy: EmcyLog) -> None:
+        self._bus, self._drives, self._watch, self._emcy = bus, tuple(drives), watch, emcy
+        self._emergencies = emcy.count
+
+    def restart(self) -> None:
+        """The drives have been disabled: emergencies of the motion are not those of drives in their brakes."""
+        self._emergencies = self._emcy.count
+
+    def read(self, *, full: bool) -> ArmState:
+        """Read every drive; an error is part of the record, so that the others are read too.
+
+        Parameters
+        ----------
+        full : bool
+            Also identity, configuration and the conditions for power.
+        """
+        began = datetime.now(UTC)
+        read = [self._read(drive, full) for drive in self._drives]
+        try:
+            self._bus.listen(POLL_S)  # a boot-up or an emergency that was sent while the last drive was read
+        except DriveError as error:
+            return ArmState(tuple(DriveState(drive.node_id, None, error) for drive in read), began, full)
+        new, self._emergencies = self._emcy.count - self._emergencies, self._emcy.count
+        latest = {each.node_id: each for each in self._emcy.messages[-new:]} if new else {}
+        states: list[DriveState] = []
+        for drive in read:
+            failure, sent = drive.failure, latest.get(drive.node_id)
+            if failure is None and drive.node_id in self._watch.booted:
+                what = "restarted (boot-up message) after it was configured"
+                failure = DriveRebooted(what, node=drive.node_id, advice=_AGAIN)
+            elif failure is None and sent is not None and not sent.is_reset:
+                what = f"sent an emergency while it was disabled: {sent.what}"
+                failure = DriveFault(what, node=drive.node_id, code=sent.code, advice=sent.advice or _AGAIN)
+            states.append(DriveState(drive.node_id, drive.state, failure, drive.unsafe))
+        return ArmState(tuple(states), began, full)
+
+    def _read(self, drive: Cia402Drive, full: bool) -> DriveState:
+        state, checks = None, [_refuse_moved]
+        if full:
+            checks = [_refuse_exchanged, _refuse_lost_configuration, _refuse_moved]
+        try:
+            status = drive.statusword()
+            state = decode_state(status)
+            self._refuse_energised(drive, status)
+            for check in checks:
+                check(drive)
+            faults = drive.safety_faults() if full else []
+        except DriveError as error:
+            return DriveState(drive.node_id, state, error)
+        if not faults:
+            return DriveState(drive.node_id, state)
+        advice = "release the emergency stop, close the safety chain, or have the encoder referenced"
+        unsafe = DriveFault(f"must not move: {'; '.join(faults)}", node=drive.node_id, advice=advice)
+        return DriveState(drive.node_id, state, unsafe=unsafe)
+
+    def _refuse_energised(self, drive: Cia402Drive, status: int) -> None:
+        """Refuse a drive in FAULT, which the gateway does not reset, and one that is energised."""
+        state = decode_state(status)
+        if state in FAULTED:
+            what = f"is in {describe(status)}: {drive.fault_text()}{self._emcy.last_clause(drive.node_id)}"
+            advice = "find and remove the cause, then reset the fault by hand; it is never reset automatically"
+        elif state not in AT_REST:
+            what, advice = f"is in {describe(status)} before it was enabled", "disable it first"
+        else:
+            return
+        raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice=advice)
+
+
+def _refuse_exchanged(drive: Cia402Drive) -> None:
+    """Refuse a device that reports another identity than the one that was connected."""
+    before, now = drive.identity, read_identity(drive.access.sdo)
+    if before is None or now == before:
+        return
+    names = [field.name for field in fields(now) if getattr(now, field.name) != getattr(before, field.name)]
+    changes = [f"{name.replace('_', ' ')} was {getattr(before, name)}, {getattr(now, name)} is read" for name in names]
+    what = f"is not the device that was connected: {'; '.join(changes)}"
+    raise IdentityMismatch(what, node=drive.node_id, index=0x1018, advice=_AGAIN)
+
+
+def _refuse_lost_configuration(drive: Cia402Drive) -> None:
+    """Refuse a drive that no longer holds what was configured; every object and PDO that differs is named."""
+    mapped = {(each.index, each.subindex) for plan in drive.commands for each in plan.entries}
+    lost = [
+        (address, f"{value:#x} was configured, {now:#x} is read now")
+        for address, value, now in drive.access.changed(without=mapped)
+    ]
+    pdos = [
+        ((plan.mapping, 0), f"{plan.name} {', '.join(changed)} since it was configured")
+        for plan in drive.plans
+        if (changed := differences(plan, drive.access.sdo.read))
+    ]
+    if lost or pdos:
+        ((index, subindex), first), *others = (*pdos, *lost)
+        named = [f"{object_name(*address)}: {what}" for address, what in others[:_NAMED]]
+        more = [f"and {len(others) - _NAMED} more"] if len(others) > _NAMED else []
+        what = "; ".join([first, *named, *more])
+        raise ConfigurationRefused(what, node=drive.node_id, index=index, subindex=subindex, advice=_LOST)
+    drive.check_interpolation_period()
+
+
+def _refuse_moved(drive: Cia402Drive) -> None:
+    """Refuse an axis that is not where it came to rest."""
+    if drive.rest_count is None:
+        return
+    position = drive.setup.profile.position.object
+    count = drive.access.read(position)
+    if abs(count - drive.rest_count) > abs(drive.scale.revolutions(BRAKE_DROP_REVOLUTIONS)):
+        drive.access.refuse(
+            position,
+            f"the axis came to rest at {drive.rest_count} counts, {count} counts are read now",
+            "the brake slipped, the axis was moved by hand, or the encoder lost its reference",
+        )
