@@ -14,9 +14,11 @@ from click.testing import CliRunner, Result
 from benchmarks.pair.bus_gap import GapRig, gap_rig
 from drives.errors import ConfigurationRefused
 from gateway.cli import main
+from gateway.motion.stops import StopKind
 from gateway.pair.pair_cell import load_pair
 from gateway.pair.pair_motion import PairStopped
 from sim.states import PdsState
+from tests.benchmarks.pair.test_stops import kinds_of
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 FAST = 3.0
@@ -106,22 +108,24 @@ def is_too_far(rig: GapRig) -> None:
 @pytest.mark.slow
 @pytest.mark.system
 @pytest.mark.parametrize(
-    ("harm", "said"),
+    ("harm", "said", "kind"),
     [
-        (stop_responding, "no distances for 5 cycles, its frames are missing"),
-        (sees_nothing, "no distances for 5 cycles, sensor 3 reports no valid value"),
-        (is_too_far, "sensor 4 measures 36.00 mm, its range is 5 to 35 mm"),
+        (stop_responding, "no distances for 5 cycles, its frames are missing", StopKind.ALONG_PATH),
+        (sees_nothing, "no distances for 5 cycles, sensor 3 reports no valid value", StopKind.ALONG_PATH),
+        (is_too_far, "sensor 4 measures 36.00 mm, its range is 5 to 35 mm", StopKind.QUICK_STOP),
     ],
 )
-def test_sensors_that_fail_and_a_gap_outside_its_range_stop_both_arms(
-    harm: Callable[[GapRig], None], said: str
+def test_sensors_that_fail_stop_both_arms_along_the_path_and_a_gap_outside_its_range_at_once(
+    harm: Callable[[GapRig], None], said: str, kind: StopKind
 ) -> None:
     with gap_rig(0) as rig:
         run = rig.run("E5", FAST)
+        kinds = kinds_of(run.motion.stream.station.options.desk)
         harm(rig)
         with pytest.raises(PairStopped, match=said):
             rig.power.attempt(run.cycle)
         states = [drive.automaton.state for arm in rig.arms for drive in arm.drives]
+    assert kinds[0] is kind
     assert len(states) == 12
     assert PdsState.OPERATION_ENABLED not in states
 

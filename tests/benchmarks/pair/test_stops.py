@@ -20,7 +20,6 @@ import pytest
 
 from benchmarks.chaos.part_pair_stops import stopped
 from benchmarks.chaos.programs import TRIES, disturbed
-from benchmarks.pair.bus_gap import gap_rig
 from benchmarks.pair.bus_rig import CELL, NO_LIMIT_N, PairRig, inline_rig
 from drives.errors import CommandRefused
 from gateway.data.blackbox.box import read_box
@@ -194,27 +193,6 @@ def test_an_arm_with_impossible_commands_stops_both() -> None:
     followed, stopping = PdsState.OPERATION_ENABLED, PdsState.QUICK_STOP_ACTIVE
     assert any(stopping in seen and followed not in seen for seen in states)
     assert PdsState.OPERATION_ENABLED not in states[-1]
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("distances_m", "kind"),
-    [(None, StopKind.ALONG_PATH), ([0.02, 0.02, 0.02, 0.036, 0.02, 0.02], StopKind.QUICK_STOP)],
-)
-def test_a_gap_without_a_value_stops_along_the_path_one_outside_its_range_at_once(
-    distances_m: list[float] | None, kind: StopKind
-) -> None:
-    with gap_rig(0) as rig:
-        run = rig.run("E5", 3.0)
-        kinds = kinds_of(run.motion.stream.station.options.desk)
-        if distances_m is None:
-            rig.device.node.unpowered = True
-        else:
-            rig.device.measure = lambda: distances_m
-        with pytest.raises(PairStopped):
-            rig.power.attempt(run.cycle)
-        rig.device.node.unpowered = False
-    assert kinds[0] is kind
 
 
 @pytest.mark.parametrize(("ahead", "gain_1_s"), [(0.8, 12.5), (0.0, 60.0), (0.5, 25.0)])

@@ -259,7 +259,9 @@ def test_a_sample_that_is_lost_spoils_the_cycle_for_learning(pair, store):
     store.save("first", constant_function(pair.cell.nominal_relation), learn_source="taught", speed=0.0)
     pair.drives[0].unanswered = {320}
     _, events = run(pair, store, "C2c")
+    assert not events[0].summary.complete
     assert not events[0].summary.learned
+    assert "incomplete" in events[0].summary.reason
     assert store.load("second") is None
 
 
