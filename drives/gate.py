@@ -1,7 +1,7 @@
 """The gate before power and before a person: what was just read from every drive of an arm, as one record.
 
 What may be done with an arm, and what is said of it, comes from an `ArmState`. The gate reads by SDO and writes
-nothing. The brief gate reads state and position of each drive; boot-ups and emergencies since the gate before count too.
+nothing. The brief gate reads state and position of each drive, and counts boot-ups and emergencies since the gate before.
 The full gate also reads the identity, every configured object and PDO, and the conditions of the safety chain.
 """
 

@@ -75,7 +75,7 @@ def test_between_motions_no_pdo_enables_a_drive(bus, slaves, waiting):
     ],
     ids=["enabled", "quick stop", "silent", "fault", "moved", "booted", "emergency"],
 )
-def test_after_a_change_of_one_drive_the_arm_is_not_safe_to_approach_and_nothing_is_powered(slaves, waiting, change, error, disabled, said):
+def test_after_a_change_of_one_drive_the_arm_is_not_safe(slaves, waiting, change, error, disabled, said):
     group, _ = waiting
     change(slaves[1])
     state = group.gate()

@@ -55,16 +55,15 @@ def test_a_right_load_passes_and_a_wrong_one_fails(place, serve, gateway, fast_a
 
 @pytest.mark.slow
 @pytest.mark.clock
-def test_a_right_load_passes_in_real_time(place, serve, gateway, fast_arm, tmp_path_factory):
+def test_a_right_load_passes_in_real_time(place, fast_arm, gateway, identified_by_table, tmp_path_factory):
     """The drives run in a process of their own over UDP; the result is that of a run in lockstep."""
-    load = identified(place, gateway, fast_arm(serve()))
-    changes = [('pacing = "lockstep"', 'pacing = "real"'), ("sync_period_s = 0.01", "sync_period_s = 0.02")]
-    cell = place.variant("real", *changes)
+    cell = place.variant("real", ('pacing = "lockstep"', 'pacing = "real"'))
     out = place.folder / "accepted"
     with running(cell, payload=place.payload) as drives:
         drives.mount("load")
         keep_proof_of_stop(cell, drives.bus, tmp_path_factory)
-        words = ["accept", cell, "--load", load, "--tolerance", "5%", "--bus", drives.bus, "--out", out, "--yes"]
+        words = ["accept", cell, "--load", identified_by_table, "--tolerance", "5%"]
+        words += ["--bus", drives.bus, "--out", out, "--yes"]
         done = gateway(*words, "--json", place.folder / "a.json")
     assert done.exit_code == 0, done.output
     answer = json.loads((place.folder / "a.json").read_text())
@@ -91,9 +90,11 @@ def identified_by_table(place, gateway):
     """A result of the small arm from a table, without a bus."""
     from gateway.data.rows import concatenate
     from gateway.data.table import write_csv
-    from tests.gateway.commands.test_accept import TOOL, rows
+    from tests.gateway.commands.test_accept import rows
 
-    write_csv(concatenate([rows("none", None), rows("load", TOOL, start_s=300.0)]), place.folder / "seen.csv")
+    # mass and centre of gravity as in the payload file
+    seen = [rows("none", None), rows("load", (6.0, 0.02, 0.01, 0.10), start_s=300.0)]
+    write_csv(concatenate(seen), place.folder / "seen.csv")
     done = gateway("estimate", place.folder / "seen.csv", "--cell", place.cell, "--json", place.folder / "r.json")
     assert done.exit_code == 0, done.output
     return place.folder / "r.json"

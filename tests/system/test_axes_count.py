@@ -11,6 +11,7 @@ import pytest
 from gateway.data.recording.reader import read
 from gateway.data.table import read_csv, write_csv
 from tests.cells import CELLS
+from tests.support.rigs.pacing import measured_shortly
 from tests.system.conftest import Place
 
 pytestmark = pytest.mark.system
@@ -25,6 +26,8 @@ def arm(request):
 def place(arm, tmp_path) -> Place:
     for name in ("cell.toml", "robot.urdf", "payload.toml"):
         shutil.copy(arm.folder / name, tmp_path / name)
+    cell = tmp_path / "cell.toml"
+    cell.write_text(measured_shortly(cell.read_text(encoding="utf-8")), encoding="utf-8")
     return Place(tmp_path)
 
 

@@ -73,7 +73,10 @@ def torque_of_the_sync_before_last(drive):
     ],
 )
 def test_a_defect_of_one_drive_is_found_there_alone(tested, defect, name, low, high, text):
-    _, reports, _, drives = tested(code=7, prepare=lambda drives: defect(drives.handle.simulation.arms[0].drives[1]))
+    two = ("--axis", "J2", "--axis", "J3")
+    _, reports, _, drives = tested(
+        *two, code=7, prepare=lambda drives: defect(drives.handle.simulation.arms[0].drives[1])
+    )
     assert [axis for axis, report in reports.items() if report["findings"]] == ["J2"]
     assert any(text in each for each in reports["J2"]["findings"])
     (figure,) = [each for each in reports["J2"]["figures"] if each["name"] == name]

@@ -25,6 +25,7 @@ from sim.cellfile import read_payloads
 from sim.serve import RunningSimulation, running
 from tests.cells import FOLDER as CELLS
 from tests.data.sheets import write_sheet
+from tests.support.rigs.pacing import measured_shortly
 from tests.system.conftest import command
 
 pytestmark = pytest.mark.system
@@ -32,7 +33,7 @@ pytestmark = pytest.mark.system
 OWN = Path(__file__).parents[2] / "examples" / "own"
 MOST_COMMANDS, MOST_ANSWERS = 8, 40
 #: Few poses, taken fast: this tests the procedure, not the accuracy.
-POSES = "poses = { count = 3, validation = 0, samples = 10, approach_speed_rad_s = 0.2 }\n"
+POSES = "poses = { count = 3, validation = 0, samples = 10, approach_speed_rad_s = 0.2 }\nsync_period_s = 0.02\n"
 LOCKSTEP = ("--pacing", "lockstep")
 
 
@@ -91,8 +92,11 @@ def newcomer(tmp_path) -> Iterator[Callable[[Path, Path], Newcomer]]:
     with ExitStack() as stack:
 
         def start(bench: Path, payload: Path) -> Newcomer:
-            bus = f"virtual:{uuid.uuid4().hex}"
-            drives = stack.enter_context(running(bench, bus, payload=payload, pacing="lockstep"))
+            bus, copied = f"virtual:{uuid.uuid4().hex}", tmp_path / "bench"
+            shutil.copytree(bench.parents[1], copied)
+            cell = copied / bench.relative_to(bench.parents[1])
+            cell.write_text(measured_shortly(bench.read_text(encoding="utf-8")), encoding="utf-8")
+            drives = stack.enter_context(running(cell, bus, payload=payload, pacing="lockstep"))
             return Newcomer(tmp_path, drives)
 
         yield start
@@ -181,6 +185,7 @@ def rows_on_the_bench(folder: Path) -> Path:
     keys = ("alpha_rad", "a_m", "d_m", "theta_offset_rad")
     rows = "\n".join(f"{key} = {table[f'dh_{key}']}" for key in keys)
     text = known("bench/cell.toml").replace('robot = "../arm.urdf"\n', f'[arm.dh]\nconvention = "standard"\n{rows}\n')
+    folder.mkdir(parents=True)
     shutil.copy(OWN / "bench" / "drive.toml", folder / "drive.toml")
     (folder / "bench.toml").write_text(text, encoding="utf-8")
     return folder / "bench.toml"
@@ -188,7 +193,8 @@ def rows_on_the_bench(folder: Path) -> Path:
 
 @pytest.mark.slow
 def test_from_rows_without_a_data_sheet_to_the_load(newcomer, tmp_path):
-    her = newcomer(rows_on_the_bench(tmp_path), OWN / "bench" / "payload.toml")
+    her = newcomer(rows_on_the_bench(tmp_path / "maker" / "bench"), OWN / "bench" / "payload.toml")
+    shutil.copy(OWN / "bench" / "drive.toml", tmp_path / "drive.toml")
     text = answers(known("answers.toml"), "robot", "profile", "flange_xyz_m") + ROWS + 'profile = "drive.toml"\n'
     her.types("cell", "new", "--bus", her.drives.bus, "--answers", her.writes("answers.toml", text), "-o", her.cell)
     her.types("check", her.cell, *LOCKSTEP)
@@ -258,28 +264,3 @@ def test_a_gripper_and_a_turned_flange(newcomer, tmp_path):
     x, y, z = load["com_m"]
     # z of the flange points along x of the last link, x of the flange against its z
     assert np.allclose(load["com_flange_m"], [0.03 - z, y, x], atol=1e-6)
-
-
-@pytest.mark.slow
-def test_seven_axes(newcomer, tmp_path):
-    place = CELLS / "seven"
-    her = newcomer(place / "cell.toml", place / "payload.toml")
-    shutil.copy(place / "robot.urdf", tmp_path / "robot.urdf")
-    (arm,) = load_cell(place / "cell.toml").cell.arm
-    lists = {
-        "position_sign": [axis.position_sign for axis in arm.axis],
-        "torque_sign": [axis.torque_sign for axis in arm.axis],
-        "zero_offset_rad": [axis.zero_offset_rad for axis in arm.axis],
-        "gear_ratio": [axis.gear_ratio.value for axis in arm.axis],
-        "torque_constant_nm_per_a": [axis.torque_constant_nm_per_a.value for axis in arm.axis],
-    }
-    text = 'robot = "robot.urdf"\nprofile = "generic-cia402"\ngear_efficiency = 0.85\nspeed_limit_rad_s = 0.8\n'
-    text += "max_load_kg = 6\nflange_xyz_m = [0, 0, 0.045]\nflange_rpy_rad = [0, 0, 0]\n"
-    text += "".join(f"{key} = {values}\n" for key, values in lists.items())
-    path = her.writes("answers.toml", text + POSES)
-    her.types("cell", "new", "--bus", her.drives.bus, "--answers", path, "-o", her.cell)
-    her.types("check", her.cell, *LOCKSTEP)
-    load = her.measures()
-    inside(load, place / "payload.toml")
-    her.counts(load)
-    assert load["frame"] == "link_7"

@@ -1,6 +1,6 @@
 """Tutorials, typed line by line: each command of a page works, and the load is within its interval.
 
-The port of the bus is a free one, because tests run in parallel.
+The port of the bus is a free one, because tests run in parallel. The arm of the example is measured in less time.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import pytest
 
 from sim.cellfile import read_payloads
 from sim.serve import free_bus, wait_until_ready
+from tests.support.rigs.pacing import measured_shortly
 from tests.system.conftest import command
 
 pytestmark = pytest.mark.system
@@ -63,7 +64,7 @@ def typed_page(
     for name in examples:
         shutil.copytree(ROOT / "examples" / name, tmp_path / "examples" / name)
     for cell in (tmp_path / "examples").rglob("cell.toml"):
-        cell.write_text(cell.read_text(encoding="utf-8").replace(port, free), encoding="utf-8")
+        cell.write_text(measured_shortly(cell.read_text(encoding="utf-8").replace(port, free)), encoding="utf-8")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.chdir(tmp_path)
     typed = []

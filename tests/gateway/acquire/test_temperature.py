@@ -18,6 +18,7 @@ from gateway.cli import main
 from gateway.data.recording.reader import read
 from gateway.result.result import read_result
 from sim.serve import running
+from tests.support.rigs.pacing import measured_shortly
 
 pytestmark = [pytest.mark.system, pytest.mark.slow, pytest.mark.xdist_group("session")]
 ROOT = Path(__file__).parents[3]
@@ -38,17 +39,14 @@ def cell(tmp_path) -> Path:
     (tmp_path / "warm.toml").write_text(profile + TEMPERATURE, encoding="utf-8")
     first, *others = (tmp_path / "cell.toml").read_text(encoding="utf-8").split("[[arm.axis]]")
     others[1:] = [axis.replace('"generic-cia402"', '"warm"') for axis in others[1:]]
-    text = "[[arm.axis]]".join([first, *others]).replace("[poses]", "[poses]\nsamples = 40", 1)
-    lines = text.splitlines()
-    kept = [line for k, line in enumerate(lines) if not (line.startswith("samples =") and lines[k - 1] != "[poses]")]
-    (tmp_path / "cell.toml").write_text("\n".join(kept), encoding="utf-8")
+    (tmp_path / "cell.toml").write_text(measured_shortly("[[arm.axis]]".join([first, *others])), encoding="utf-8")
     return tmp_path / "cell.toml"
 
 
 def test_the_recording_holds_the_temperature_of_the_drives(cell, tmp_path):
     pytest.importorskip("pybullet")
     loaded = with_pacing(load_cell(cell), "lockstep")
-    plan = make_plan(loaded, n_poses=5)
+    plan = make_plan(loaded, n_poses=3)
     truth = {}
     options = {"pacing": "lockstep", "payload": cell.parent / "payload.toml"}
     with running(cell, bus=f"virtual:{uuid.uuid4()}", **options) as simulation:

@@ -1,4 +1,4 @@
-"""Cells of the examples in lockstep: what tests and benchmarks that are not about the clock run on."""
+"""Cells of the examples in lockstep or measured shortly: what tests and benchmarks not about the clock run on."""
 
 from __future__ import annotations
 
@@ -15,3 +15,14 @@ def in_lockstep(text: str) -> str:
 def by_the_clock(text: str) -> str:
     """Text of a cell file in which every bus runs in real time."""
     return _PACING.sub('pacing = "real"', text)
+
+
+#: Keys of a cell file with values for which fewer SYNCs are simulated; accuracy suffers little.
+SHORTLY = {"sync_period_s": 0.02, "approach_speed_rad_s": 0.15, "samples": 30}
+
+
+def measured_shortly(text: str) -> str:
+    """Text of a cell file whose poses take a third of the SYNCs, without other poses."""
+    for key, value in SHORTLY.items():
+        text = re.sub(rf"(?m)^{key} = .*", f"{key} = {value}", text)
+    return text
