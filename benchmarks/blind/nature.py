@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,10 +90,10 @@ def diagnose_options(cell: NatureCell) -> DiagnoseOptions:
     )
 
 
-def first_diagnosis(cell: NatureCell) -> Result:
-    """Diagnosis of the first recording alone."""
-    table = simulated_table(cell.measure(cell.visits)[0], f"seed {cell.seed}")
-    return diagnose(table, robot_from_urdf(cell.stated.urdf, f"seed {cell.seed}"), diagnose_options(cell))
+def first_diagnosis(cell: NatureCell, *only: str) -> Result:
+    """Diagnosis of the first recording alone, by these effects or, where none is given, by the whole library."""
+    table, robot = simulated_table(cell.measure(cell.visits)[0], "first"), robot_from_urdf(cell.stated.urdf, "drawn")
+    return diagnose(table, robot, replace(diagnose_options(cell), only=frozenset(only)))
 
 
 def run_nuisance_only(task: tuple[int, str, bool]) -> dict:

@@ -26,6 +26,8 @@ LOADED: list[Payload] = [LOAD] * 8
 MODEL = ("t.csv", "--robot", "robot.urdf", "--inertials", "prior:0.05")
 BOTH = ("estimate", "diagnose")
 ESTIMATE, DIAGNOSE = BOTH
+#: Where the refusal comes from the units and bands of the table, a search for one effect is enough.
+QUICK = (ESTIMATE, "diagnose --only base_tilt")
 
 
 # -- a measured table of the small arm under a load of 5 kg, with a slip -----------------------------------------------
@@ -86,14 +88,14 @@ SMALL = r"t\.csv: the torques are [\d.]+ % of the gravity torque of the links: t
 REVERSED = "torque sign is reversed"
 #: Name, commands, exit code, what is said, table.
 TABLES: list[tuple[str, Sequence[str], int, str, Make]] = [
-    ("torque in mNm", BOTH, 7, BEYOND + ".*check the units", measured(scaled("tau%d_nm", 1e3))),
-    ("torque in Ncm", BOTH, 7, BEYOND + ".*check the units", measured(scaled("tau%d_nm", 100.0))),
+    ("torque in mNm", QUICK, 7, BEYOND + ".*check the units", measured(scaled("tau%d_nm", 1e3))),
+    ("torque in Ncm", QUICK, 7, BEYOND + ".*check the units", measured(scaled("tau%d_nm", 100.0))),
     ("torque in kNm", BOTH, 3, SMALL, measured(scaled("tau%d_nm", 1e-3))),
     ("torque of the motors", BOTH, 3, SMALL, measured(scaled("tau%d_nm", 1 / 120))),
     ("all torques reversed", [ESTIMATE], 7, FOREIGN, measured(scaled("tau%d_nm", -1.0))),
     ("torque of J2 reversed", [ESTIMATE], 7, "J2: " + REVERSED, measured(scaled("tau%d_nm", -1.0, [2]))),
-    ("all approaches reversed", BOTH, 7, f"J1, J2.*{REVERSED}, or the approach", measured(scaled("dir%d", -1.0))),
-    ("approach of J3 reversed", BOTH, 7, f"J3: {REVERSED}, or the approach", measured(scaled("dir%d", -1.0, [3]))),
+    ("all approaches reversed", QUICK, 7, f"J1, J2.*{REVERSED}, or the approach", measured(scaled("dir%d", -1.0))),
+    ("approach of J3 reversed", QUICK, 7, f"J3: {REVERSED}, or the approach", measured(scaled("dir%d", -1.0, [3]))),
     (
         "an approach of 2",
         BOTH,
@@ -104,7 +106,7 @@ TABLES: list[tuple[str, Sequence[str], int, str, Make]] = [
     ("angles in mrad", BOTH, 3, r"t\.csv:2: q1_rad = .*in radians", measured(scaled("q%d_rad", 1e3))),
     ("angles in turns", [ESTIMATE], 7, FOREIGN, measured(scaled("q%d_rad", 0.159155))),
     ("joints that begin at the second", [ESTIMATE], 7, FOREIGN, measured(turned)),
-    ("unloaded and loaded swapped", BOTH, 7, FOREIGN, measured(swapped)),
+    ("unloaded and loaded swapped", QUICK, 7, FOREIGN, measured(swapped)),
     ("one posture", BOTH, 6, "measured in one posture: .*add at least one posture", measured(where("pose", "1"))),
     ("a time that is none", BOTH, 3, r"t\.csv:5: time_s: 'nan' is not a finite", measured(at(3, "time_s", "nan"))),
     ("a label that controls a terminal", BOTH, 3, r"t\.csv:4: load: .*printable", measured(at(2, "load", "a\x1b[31m"))),
@@ -322,7 +324,7 @@ RESULTS: list[tuple[str, Sequence[str], int, str, Make]] = [
 
 SLIPS: list[Kind] = [
     *(
-        Kind(f"table: {name}, {command}", (command, *MODEL), code, (said,), make)
+        Kind(f"table: {name}, {command}", (*command.split(), *MODEL), code, (said,), make)
         for name, commands, code, said, make in TABLES
         for command in commands
     ),

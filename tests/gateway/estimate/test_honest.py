@@ -15,7 +15,7 @@ from gateway.estimate.posture import estimate_posture
 from gateway.model.visits import pair_visits
 
 BY_METHOD = {"joint": estimate_joint, "difference": estimate_difference, "posture": estimate_posture}
-SEEDS = 200
+SEEDS = 80
 TRUTH = np.array([8.0, 0.12, -0.03, 0.05])
 #: Share of the band by which either side scatters.
 SCATTER = 0.1
@@ -74,7 +74,7 @@ def inside(found):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("method", "seeds"), [("joint", 24), ("posture", 8), ("difference", SEEDS)], ids=["joint", "posture", "difference"]
+    ("method", "seeds"), [("joint", 12), ("posture", 8), ("difference", SEEDS)], ids=["joint", "posture", "difference"]
 )
 def test_intervals_hold_the_truth_in_every_condition(arm, poses, gravity, band_nm, table_of, method, seeds):
     hold = {}

@@ -12,6 +12,7 @@ from gateway.diagnose.options import DiagnoseOptions
 from tests.data.moving_arm import World, measured
 
 IGNORE = DiagnoseOptions(inertials="ignore")
+LOSSES = frozenset({"load_dependent_friction", "velocity_friction", "axis_coupling"})
 FOUND = [
     ("velocity_friction", (3,), World(stribeck={2: (0.15, 0.15)}), {}),
     ("axis_coupling", (5, 6), World(coupling=(4, 5, 1.0)), {"coefficient": (1.0, 0.05)}),
@@ -43,7 +44,7 @@ def found_alone(result, name, joints, truth):
 @pytest.mark.slow
 def test_residual_falls_to_the_noise_that_was_put_in():
     table, robot, scale = measured(2, World(load_friction={1: 0.25}, coupling=(4, 5, 1.0)))
-    result = diagnose_motion(table, robot, DiagnoseOptions(inertials="prior:0.05"))
+    result = diagnose_motion(table, robot, DiagnoseOptions(inertials="prior:0.05", only=LOSSES))
     assert {effect.name for effect in result.effects} == {"load_dependent_friction", "axis_coupling"}
     noise = 0.02 * np.sqrt(1.04) * scale
     assert np.all(np.array(result.after.holdout_rms_nm) < 1.8 * noise)
@@ -89,7 +90,8 @@ def test_commissioning_mistakes_fail_and_are_undone_before_the_rest_is_judged(wo
 def test_load_is_estimated_through_a_missing_balancer():
     payload = (6.0, 0.03, -0.02, 0.12)
     table, robot, _ = measured(5, World(spring=(0.8, 0.1), payload=payload), duration_s=30.0)
-    result = diagnose_motion(table, robot, DiagnoseOptions())
+    rivals = frozenset({"balancer_spring", "cable_torque", "base_tilt"})
+    result = diagnose_motion(table, robot, DiagnoseOptions(only=rivals))
     found_alone(result, "balancer_spring", (2,), {"phase_rad": (0.1, 0.1)})
     load = result.loads[0]
     assert load.label == "a"
@@ -111,12 +113,15 @@ def test_without_bare_rows_and_cad_the_load_is_unknown_and_said_so():
 def test_given_holdout_is_judged_and_never_fitted():
     table, robot, _ = measured(7, World(load_friction={1: 0.25}), duration_s=36.0)
     first, last = table.take(table.time_s < 24.0), table.take(table.time_s >= 24.5)
-    result = diagnose_motion(first, robot, DiagnoseOptions(inertials="ignore", holdout=last))
+    options = DiagnoseOptions(inertials="ignore", holdout=last, only=LOSSES)
+    result = diagnose_motion(first, robot, options)
     assert result.holdout_kind == "given"
     assert [effect.name for effect in result.effects] == ["load_dependent_friction"]
     last.tau_nm[:, 1] += 1e3
-    spoilt = diagnose_motion(first, robot, DiagnoseOptions(inertials="ignore", holdout=last))
+    spoilt = diagnose_motion(first, robot, options)
     assert spoilt.effects == ()
+    assert ("load_dependent_friction", (2,)) in {(item.name, item.joints) for item in spoilt.rejected}
+    assert any("does not predict" in finding.what for finding in spoilt.findings)
     assert spoilt.before.holdout_rms_nm[1] > 900
     assert spoilt.before.rms_nm == pytest.approx(result.before.rms_nm, rel=0.1)
 

@@ -7,27 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.nature.nature_cell import NatureCell, draw_cell
-from gateway.diagnose import DiagnoseOptions, diagnose
-from gateway.model.robot import robot_from_urdf
-from gateway.result.result import Result
+from benchmarks.blind.nature import first_diagnosis
+from benchmarks.nature.nature_cell import draw_cell
+from gateway.diagnose import diagnose
 from tests.data.resting_arm import Bench, effect, found
-from tests.support.rigs.tables import simulated_table
 
 SEEDS = (7000, 7001)
-
-
-def diagnosed(cell: NatureCell) -> Result:
-    """The first recording of an arm, with what its owner states."""
-    stated = cell.stated
-    options = DiagnoseOptions(
-        inertials=f"prior:{stated.link_std:.6g}",
-        efficiency=stated.efficiency,
-        gear_ratio=stated.gear_ratio,
-        gain_std=tuple(float(value) for value in stated.gain_std),
-    )
-    table = simulated_table(cell.measure(cell.visits)[0], "nature")
-    return diagnose(table, robot_from_urdf(stated.urdf, "nature"), options)
 
 
 @pytest.mark.slow
@@ -37,7 +22,7 @@ def test_what_every_arm_has_is_not_named(condition):
     named, away = [], []
     for seed in SEEDS:
         cell = draw_cell(seed, condition)
-        result = diagnosed(cell)
+        result = first_diagnosis(cell)
         if result.effects or result.verdict != "none_needed":
             named.append((seed, result.verdict, found(result)))
         away.append((result.loads[0].mass_kg - cell.arm.tool.mass_kg) / result.loads[0].mass_std_kg)
@@ -71,8 +56,8 @@ def test_a_constant_is_named_where_its_error_goes_beyond_what_is_stated(axis, ti
 def test_what_is_stated_of_the_constants_decides_what_is_named():
     """The same table: constants known to 1 % leave an error of 15 % to be named, constants known to 8 % do not."""
     bench = Bench(5, [effect("torque_constant_scale", [2], scale=1.0 / 1.15)], poses=12)
-    table = bench.both()
-    well, badly = (diagnose(table, bench.robot, replace(bench.options, gain_std=(std,) * 6)) for std in (0.01, 0.08))
+    table, options = bench.both(), replace(bench.options, only=frozenset({"torque_constant_scale", "balancer_spring"}))
+    well, badly = (diagnose(table, bench.robot, replace(options, gain_std=(std,) * 6)) for std in (0.01, 0.08))
     assert found(well) == [("torque_constant_scale", (2,))]
     assert found(badly) == []
     assert badly.verdict == "none_needed"

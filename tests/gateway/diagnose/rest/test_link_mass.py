@@ -83,7 +83,8 @@ def test_a_body_on_a_link_is_named_where_only_the_drawing_shows_it(seed: int) ->
     """
     cell = draw_effect_cell(seed)
     assert [(each.mechanism, each.joints) for each in cell.effects] == [("dressed_link", (4,))]
-    assert [(each.name, each.joints) for each in first_diagnosis(cell).effects] == [("link_mass", (4,))]
+    result = first_diagnosis(cell, "link_mass", "torque_constant_scale", "balancer_spring")
+    assert [(each.name, each.joints) for each in result.effects] == [("link_mass", (4,))]
 
 
 @pytest.mark.parametrize(

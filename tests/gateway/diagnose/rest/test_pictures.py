@@ -11,14 +11,15 @@ from gateway.model.robot import robot_from_urdf
 from sim.draw import choose_poses, draw_arm
 from sim.effects import apply_effects
 from sim.offline import PlannedVisit, measure, point_jacobian
+from tests.data.resting_arm import effect
 from tests.support.rigs.tables import simulated_table
 
 FRESH = 3
 COEFFICIENT = 0.5
 
 
-def diagnosed(hidden):
-    """Diagnosis of an arm with an effect, ten poses bare and loaded, three fresh ones loaded."""
+def diagnosed(hidden, *rivals):
+    """Search of an arm for an effect and rivals, ten poses bare and loaded, three fresh ones loaded."""
     rng = np.random.default_rng([4, 99])
     arm = draw_arm(rng)
     plant = apply_effects(arm.plant, [hidden], point_jacobian(arm.chain))
@@ -35,13 +36,14 @@ def diagnosed(hidden):
         gear_ratio=arm.gear_ratio,
         holdout=table(range(10, 10 + FRESH), "tool", 800.0),
         holdout_kind="fresh",
+        only=frozenset({hidden["name"], *rivals}),
     )
     return diagnose(seen, robot_from_urdf(arm.urdf, "drawn"), options), plant
 
 
 @pytest.fixture(scope="module")
 def friction():
-    return diagnosed({"name": "load_dependent_friction", "joints": [3], "parameters": {"coefficient": COEFFICIENT}})
+    return diagnosed(effect("load_dependent_friction", [3], coefficient=COEFFICIENT), "base_tilt")
 
 
 def test_every_visit_is_drawn_the_fresh_ones_too(friction):
@@ -81,7 +83,7 @@ def test_the_curve_of_a_friction_is_its_coefficient_times_the_torque(friction):
 @pytest.mark.slow
 def test_a_balancer_is_drawn_over_its_joint_angle():
     spring = {"stiffness_n_m": 2e4, "lever_m": 0.2, "anchor_m": 0.5, "free_length_m": 0.2}
-    result, plant = diagnosed({"name": "balancer_spring", "joints": [2], "parameters": spring})
+    result, plant = diagnosed(effect("balancer_spring", [2], **spring), "cable_torque", "torque_offset")
     curve = next(item for item in result.data.curves if item.name == "balancer_spring")
     assert (curve.joint, curve.x_label, curve.x_unit) == (2, "q2", "rad")
     x, y = np.array(curve.x), np.array(curve.y)
@@ -99,7 +101,7 @@ def test_a_balancer_is_drawn_over_its_joint_angle():
 
 @pytest.mark.slow
 def test_nothing_found_draws_no_curve():
-    result, _ = diagnosed({"name": "base_tilt", "joints": [], "parameters": {"tilt_x_rad": 0.0, "tilt_y_rad": 0.0}})
+    result, _ = diagnosed(effect("base_tilt", [], tilt_x_rad=0.0, tilt_y_rad=0.0), "cable_torque")
     assert result.effects == ()
     assert not result.data.curves
     assert not result.data.model_before_nm

@@ -42,4 +42,5 @@ def test_a_constant_that_drifts_is_no_wrong_constant_besides() -> None:
     """Magnets that weaken as they warm up are off from the first visit on, since the constant was stated cold."""
     cell = draw_effect_cell(25)
     assert [(effect.mechanism, effect.joints) for effect in cell.effects] == [("weak_magnets", (2,))]
-    assert [(effect.name, effect.joints) for effect in first_diagnosis(cell).effects] == [("thermal_drift", (2,))]
+    result = first_diagnosis(cell, "thermal_drift", "torque_constant_scale")
+    assert [(effect.name, effect.joints) for effect in result.effects] == [("thermal_drift", (2,))]
