@@ -1,7 +1,7 @@
 """The gate before power and before a person: what was just read from every drive of an arm, as one record.
 
 What may be done with an arm, and what is said of it, comes from an `ArmState`. The gate reads by SDO and writes
-nothing. The brief gate reads state and position of each drive, and counts boot-ups and emergencies since the gate before.
+nothing. The brief gate reads state and position of each drive; boot-ups and emergencies since the last one count.
 The full gate also reads the identity, every configured object and PDO, and the conditions of the safety chain.
 """
 
@@ -165,46 +165,45 @@ class Gate:
         return ArmState(tuple(states), began, full)
 
     def _read(self, drive: Cia402Drive, full: bool) -> DriveState:
-        state, checks = None, [_refuse_moved]
-        if full:
-            checks = [_refuse_exchanged, _refuse_lost_configuration, _refuse_moved]
+        """Read one drive up to the first reason against power and against a person at the arm."""
+        state, node, faults = None, drive.node_id, list[str]()
         try:
             status = drive.statusword()
             state = decode_state(status)
-            self._refuse_energised(drive, status)
-            for check in checks:
-                check(drive)
-            faults = drive.safety_faults() if full else []
+            if state in FAULTED:
+                what = f"is in {describe(status)}: {drive.fault_text()}{self._emcy.last_clause(node)}"
+                advice = "find and remove the cause, then reset the fault by hand; it is never reset automatically"
+                raise DriveFault(what, node=node, index=0x6041, code=status, advice=advice)
+            if state not in AT_REST:
+                what = f"is in {describe(status)} before it was enabled"
+                raise DriveFault(what, node=node, index=0x6041, code=status, advice="disable it first")
+            if full:
+                before, now = drive.identity, read_identity(drive.access.sdo)
+                if before is not None and now != before:
+                    names = [each.name for each in fields(now) if getattr(now, each.name) != getattr(before, each.name)]
+                    changes = "; ".join(
+                        f"{name.replace('_', ' ')} was {getattr(before, name)}, {getattr(now, name)} is read"
+                        for name in names
+                    )
+                    what = f"is not the device that was connected: {changes}"
+                    raise IdentityMismatch(what, node=node, index=0x1018, advice=_AGAIN)
+                _refuse_lost_configuration(drive)
+                faults = drive.safety_faults()
+            if drive.rest_count is not None:
+                position = drive.setup.profile.position.object
+                count = drive.access.read(position)
+                if abs(count - drive.rest_count) > abs(drive.scale.revolutions(BRAKE_DROP_REVOLUTIONS)):
+                    what = f"the axis came to rest at {drive.rest_count} counts, {count} counts are read now"
+                    advice = "the brake slipped, the axis was moved by hand, or the encoder lost its reference"
+                    drive.access.refuse(position, what, advice)
         except DriveError as error:
-            return DriveState(drive.node_id, state, error)
+            return DriveState(node, state, error)
         if not faults:
-            return DriveState(drive.node_id, state)
+            return DriveState(node, state)
         advice = "release the emergency stop, close the safety chain, or have the encoder referenced"
-        unsafe = DriveFault(f"must not move: {'; '.join(faults)}", node=drive.node_id, advice=advice)
-        return DriveState(drive.node_id, state, unsafe=unsafe)
-
-    def _refuse_energised(self, drive: Cia402Drive, status: int) -> None:
-        """Refuse a drive in FAULT, which the gateway does not reset, and one that is energised."""
-        state = decode_state(status)
-        if state in FAULTED:
-            what = f"is in {describe(status)}: {drive.fault_text()}{self._emcy.last_clause(drive.node_id)}"
-            advice = "find and remove the cause, then reset the fault by hand; it is never reset automatically"
-        elif state not in AT_REST:
-            what, advice = f"is in {describe(status)} before it was enabled", "disable it first"
-        else:
-            return
-        raise DriveFault(what, node=drive.node_id, index=0x6041, code=status, advice=advice)
-
-
-def _refuse_exchanged(drive: Cia402Drive) -> None:
-    """Refuse a device that reports another identity than the one that was connected."""
-    before, now = drive.identity, read_identity(drive.access.sdo)
-    if before is None or now == before:
-        return
-    names = [field.name for field in fields(now) if getattr(now, field.name) != getattr(before, field.name)]
-    changes = [f"{name.replace('_', ' ')} was {getattr(before, name)}, {getattr(now, name)} is read" for name in names]
-    what = f"is not the device that was connected: {'; '.join(changes)}"
-    raise IdentityMismatch(what, node=drive.node_id, index=0x1018, advice=_AGAIN)
+        return DriveState(
+            node, state, unsafe=DriveFault(f"must not move: {'; '.join(faults)}", node=node, advice=advice)
+        )
 
 
 def _refuse_lost_configuration(drive: Cia402Drive) -> None:
@@ -226,17 +225,3 @@ def _refuse_lost_configuration(drive: Cia402Drive) -> None:
         what = "; ".join([first, *named, *more])
         raise ConfigurationRefused(what, node=drive.node_id, index=index, subindex=subindex, advice=_LOST)
     drive.check_interpolation_period()
-
-
-def _refuse_moved(drive: Cia402Drive) -> None:
-    """Refuse an axis that is not where it came to rest."""
-    if drive.rest_count is None:
-        return
-    position = drive.setup.profile.position.object
-    count = drive.access.read(position)
-    if abs(count - drive.rest_count) > abs(drive.scale.revolutions(BRAKE_DROP_REVOLUTIONS)):
-        drive.access.refuse(
-            position,
-            f"the axis came to rest at {drive.rest_count} counts, {count} counts are read now",
-            "the brake slipped, the axis was moved by hand, or the encoder lost its reference",
-        )
