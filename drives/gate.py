@@ -48,7 +48,7 @@ class DriveState:
     failure : DriveError or None
         First reason against calling a person to the arm and against enabling it.
     unsafe : DriveFault or None
-        Condition for power that does not hold, such as a closed safety chain; looked at by the full gate alone.
+        Reason against power alone: a fault, which leaves the axis in its brake, or an open safety chain (full gate).
     """
 
     node_id: int
@@ -102,7 +102,7 @@ class ArmState:
 
     def require_power(self) -> None:
         """Raise the failures of all drives, unless they may be enabled."""
-        reasons = [drive.failure or drive.unsafe for drive in self.drives]
+        reasons = [drive.unsafe or drive.failure for drive in self.drives]
         raise_failures([reason for reason in reasons if reason is not None])
 
     def __str__(self) -> str:
@@ -166,17 +166,17 @@ class Gate:
 
     def _read(self, drive: Cia402Drive, full: bool) -> DriveState:
         """Read one drive up to the first reason against power and against a person at the arm."""
-        state, node, faults = None, drive.node_id, list[str]()
+        state, node, unsafe = None, drive.node_id, None
         try:
             status = drive.statusword()
             state = decode_state(status)
             if state in FAULTED:
                 what = f"is in {describe(status)}: {drive.fault_text()}{self._emcy.last_clause(node)}"
                 advice = "find and remove the cause, then reset the fault by hand; it is never reset automatically"
-                raise DriveFault(what, node=node, index=0x6041, code=status, advice=advice)
+                unsafe = DriveFault(what, node=node, index=0x6041, code=status, advice=advice)
             if state not in AT_REST:
                 what = f"is in {describe(status)} before it was enabled"
-                raise DriveFault(what, node=node, index=0x6041, code=status, advice="disable it first")
+                raise unsafe or DriveFault(what, node=node, index=0x6041, code=status, advice="disable it first")
             if full:
                 before, now = drive.identity, read_identity(drive.access.sdo)
                 if before is not None and now != before:
@@ -188,7 +188,9 @@ class Gate:
                     what = f"is not the device that was connected: {changes}"
                     raise IdentityMismatch(what, node=node, index=0x1018, advice=_AGAIN)
                 _refuse_lost_configuration(drive)
-                faults = drive.safety_faults()
+                if unsafe is None and (faults := drive.safety_faults()):
+                    advice = "release the emergency stop, close the safety chain, or have the encoder referenced"
+                    unsafe = DriveFault(f"must not move: {'; '.join(faults)}", node=node, advice=advice)
             if drive.rest_count is not None:
                 position = drive.setup.profile.position.object
                 count = drive.access.read(position)
@@ -197,13 +199,8 @@ class Gate:
                     advice = "the brake slipped, the axis was moved by hand, or the encoder lost its reference"
                     drive.access.refuse(position, what, advice)
         except DriveError as error:
-            return DriveState(node, state, error)
-        if not faults:
-            return DriveState(node, state)
-        advice = "release the emergency stop, close the safety chain, or have the encoder referenced"
-        return DriveState(
-            node, state, unsafe=DriveFault(f"must not move: {'; '.join(faults)}", node=node, advice=advice)
-        )
+            return DriveState(node, state, error, unsafe)
+        return DriveState(node, state, unsafe=unsafe)
 
 
 def _refuse_lost_configuration(drive: Cia402Drive) -> None:

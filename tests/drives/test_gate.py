@@ -68,12 +68,11 @@ def test_between_motions_no_pdo_enables_a_drive(bus, slaves, waiting):
         (lambda slave: setattr(slave, "state", "operation enabled"), DriveFault, False, "node 2: OPERATION ENABLED"),
         (lambda slave: setattr(slave, "state", "quick stop"), DriveFault, False, "node 2: QUICK STOP ACTIVE"),
         (lambda slave: setattr(slave, "alive", False), SdoTimeout, False, "node 2: not read"),
-        (lambda slave: setattr(slave, "state", "fault"), DriveFault, True, "read as disabled"),
         (lambda slave: setattr(slave, "position", slave.position + 50_000), ConfigurationRefused, True, "disabled"),
         (lambda slave: slave.heartbeat(0), DriveRebooted, True, "read as disabled"),
         (lambda slave: slave.emergency(bytes.fromhex("1032040000000000")), DriveFault, True, "read as disabled"),
     ],
-    ids=["enabled", "quick stop", "silent", "fault", "moved", "booted", "emergency"],
+    ids=["enabled", "quick stop", "silent", "moved", "booted", "emergency"],
 )
 def test_after_a_change_of_one_drive_the_arm_is_not_safe(slaves, waiting, change, error, disabled, said):
     group, _ = waiting
@@ -86,6 +85,17 @@ def test_after_a_change_of_one_drive_the_arm_is_not_safe(slaves, waiting, change
         state.require_approach()
     assert refused.value.node == 2
     assert not group.gate(full=True).safe_to_power or error is DriveFault and slaves[1].state == "switch on disabled"
+
+
+def test_a_fault_leaves_the_axis_in_its_brake_and_keeps_power_away(slaves, waiting):
+    group, _ = waiting
+    slaves[1].state = "fault"
+    state = group.gate(full=True)
+    assert (state.safe_to_approach, state.safe_to_power) == (True, False)
+    with pytest.raises(DriveFault, match="node 2.*FAULT"):
+        state.require_power()
+    slaves[1].state = "fault reaction"
+    assert not group.gate().safe_to_approach
 
 
 def test_while_a_person_is_at_the_arm_the_heartbeat_goes_on_and_a_change_is_raised(wire, slaves, waiting):

@@ -38,7 +38,6 @@ SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 TIME_LIMIT_S = 1800.0
 #: Times that a download is tried, and the pause between them [s].
 TRIES, PAUSE_S = 4, 15.0
-PYTEST = (sys.executable, "-m", "pytest", "-p", "no:cacheprovider")
 #: The emulator ends numpy's AVX2 sort with a segmentation fault: it does without.
 EMULATED = {"NPY_DISABLE_CPU_FEATURES": "X86_V3"}
 PASSED_ON = ("SERVO_GATEWAY_DATA", "HYPOTHESIS_PROFILE")
