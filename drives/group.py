@@ -145,6 +145,7 @@ class DriveGroup(DriveSetup):
 
     def _enable(self, exchange: SyncExchange, guard: Guard, sequence: EnableSequence) -> Epoch:
         self._for_each(lambda drive: drive.arm(self._master_node_id))
+        self.ledger.settle()
         self.gate().require_approach()  # what happened while the consumer times were written
         guard.forgive()
         self._bus.free_count = None  # from now on the guard watches for other masters
@@ -474,11 +475,12 @@ class DriveGroup(DriveSetup):
         if self._gate is not None:
             self._gate.restart()
         self._bus.free_count = self._bus.foreign_count
-        if not failures and not unreached:  # no PDO of any master can enable them now
-            try:
-                self._to_preoperational()
-            except DriveError as error:
-                failures.append(error)
+        try:
+            if not failures and not unreached:
+                self._to_preoperational()  # no PDO of any master can enable them now
+            self.ledger.settle()
+        except DriveError as error:
+            failures.append(error)
         return failures
 
     def _to_preoperational(self) -> None:

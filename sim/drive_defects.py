@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import can
 
 from sim.fake_drive import FakeDrive
-from sim.node import EMCY_OFF
 from sim.objects import Address, Setter
 from sim.pdo import Pdo
 
@@ -21,11 +20,8 @@ from sim.pdo import Pdo
 TPDO_DELAY_S, CONTROLWORD_DELAY_S = 0.008, 0.04
 #: Age of the torque word, in SYNCs.
 TORQUE_AGE_SYNCS = 3
-#: Period of the heartbeat over 0x1017.
-HEARTBEAT_FACTOR = 2.0
 #: Time that the brake takes to close after the motor is off [s].
 BRAKE_CLOSING_S = 0.08
-_NMT_STOP = 2
 _CONTROLWORD: Address = (0x6040, 0)
 _INTERPOLATION: tuple[tuple[Address, int], ...] = (((0x60C2, 1), 1), ((0x60C2, 2), -3))
 
@@ -87,38 +83,8 @@ def _shown_alone(drive: FakeDrive, address: Address, acts: int) -> None:
 # ----------------------------------------------------------------------------------------- EMCY, heartbeat, NMT, SYNC
 
 
-def _no_emergency(drive: FakeDrive) -> None:
-    node = drive.node
-    emergency = node.emergency
-
-    def silent(code: int, register: int) -> None:
-        shown = node.store.values[0x1014, 0]
-        node.store.values[0x1014, 0] = int(shown) | EMCY_OFF
-        emergency(code, register)
-        node.store.values[0x1014, 0] = shown
-
-    node.emergency = silent
-
-
-def _slow_heartbeat(drive: FakeDrive) -> None:
-    keep_time = drive.node.keep_time
-    drive.node.keep_time = lambda simulated_s, wall_s: keep_time(
-        simulated_s / HEARTBEAT_FACTOR, wall_s / HEARTBEAT_FACTOR
-    )
-
-
 def _ignores_master_loss(drive: FakeDrive) -> None:
     drive.node.on_heartbeat_lost = lambda _node: None
-
-
-def _ignores_stop(drive: FakeDrive) -> None:
-    execute = drive.node.nmt_command
-
-    def execute_but_stop(command: int) -> None:
-        if command != _NMT_STOP:
-            execute(command)
-
-    drive.node.nmt_command = execute_but_stop
 
 
 def _delayed_tpdo(drive: FakeDrive) -> None:
@@ -216,10 +182,7 @@ def _slow_brake(drive: FakeDrive) -> None:
 
 
 DEFECTS: dict[str, DriveDefect] = {
-    "no_emergency": DriveDefect(_no_emergency, "no EMCY is sent, although 0x1014 is valid"),
-    "slow_heartbeat": DriveDefect(_slow_heartbeat, "the heartbeat has twice the period of 0x1017"),
     "ignores_master_loss": DriveDefect(_ignores_master_loss, "the drive runs on without the master's heartbeat"),
-    "ignores_stop": DriveDefect(_ignores_stop, "NMT STOP is ignored"),
     "delayed_tpdo": DriveDefect(_delayed_tpdo, "TPDOs are sent 8 ms after they are due"),
     "every_second_sync": DriveDefect(_every_second_sync, "synchronous TPDOs are sent at every second SYNC"),
     "old_torque": DriveDefect(_old_torque, "the torque word is three SYNCs old"),

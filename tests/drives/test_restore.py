@@ -60,6 +60,20 @@ def restored(group: DriveGroup) -> None:
         group.restore()
 
 
+@pytest.mark.parametrize("node", [1, 2])
+def test_a_consumer_time_that_another_tool_wrote_after_a_run_stays(make_slave, group_of, path, node):
+    slaves = [make_slave(each) for each in (1, 2)]
+    with group_of(nodes=(1, 2)) as group:
+        group.connect()
+        group.configure()
+        group.enable()
+        group.disable()
+        assert not any(entry.open for entry in WriteLedger(path).entries)
+    slaves[node - 1].values[0x1016, 1] = 0x7F0064
+    restored(group_of(nodes=(1, 2)))
+    assert slaves[node - 1].values[0x1016, 1] == 0x7F0064
+
+
 def test_the_limit_of_an_exchanged_drive_is_its_own_original(drive, group_of):
     run_in = drive()
     run(group_of(2.0))

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from sim.drive_defects import DefectError
-from sim.node import OPERATIONAL, STOPPED
 from sim.serve import RunningSimulation, running
 from tests.sim.conftest import SMALL, Master
 
@@ -65,39 +64,6 @@ def enable(master: Master, simulation: RunningSimulation, node: int) -> None:
         master.send(0x200 + node, struct.pack("<Hih", 0x0F, position, 0))
         syncs(master, 1)
     assert drive_of(simulation, node).axis.fed
-
-
-def test_no_emergency_is_sent_on_a_fault_although_the_object_is_valid(start):
-    with start("no_emergency") as (master, simulation):
-        for node in (NODE, GOOD):
-            simulation.simulation.servers[0].later(lambda node=node: drive_of(simulation, node).raise_fault(0x7305))
-        syncs(master, 2)
-        assert [master.number(node, 0x1014) for node in (NODE, GOOD)] == [0x80 + NODE, 0x80 + GOOD]
-        assert [master.number(node, 0x603F) for node in (NODE, GOOD)] == [0x7305, 0x7305]
-        sent = {frame.arbitration_id for frame in master.seen}
-    assert 0x80 + GOOD in sent
-    assert 0x80 + NODE not in sent
-
-
-def test_the_heartbeat_has_twice_its_period(start):
-    with start("slow_heartbeat") as (_, simulation):
-        node = drive_of(simulation, NODE).node
-        sent: list[int] = []
-        node.send = lambda cob_id, _data: sent.append(cob_id)
-        node.store.values[0x1017, 0] = 100
-        for at_s in np.arange(1e9, 1e9 + 1.0, 0.01):
-            node.keep_time(float(at_s), float(at_s))
-    assert 5 <= len(sent) <= 6
-
-
-def test_nmt_stop_is_ignored(start):
-    with start("ignores_stop") as (master, simulation):
-        for node in (NODE, GOOD):
-            master.send(0, bytes([1, node]))
-            master.send(0, bytes([2, node]))
-        master.number(1, 0x1001)
-        states = [drive_of(simulation, node).node.state for node in (NODE, GOOD)]
-    assert states == [OPERATIONAL, STOPPED]
 
 
 def test_the_loss_of_the_master_is_ignored(start):
