@@ -175,8 +175,8 @@ class Gate:
                 advice = "find and remove the cause, then reset the fault by hand; it is never reset automatically"
                 unsafe = DriveFault(what, node=node, index=0x6041, code=status, advice=advice)
             if state not in AT_REST:
-                what = f"is in {describe(status)} before it was enabled"
-                raise unsafe or DriveFault(what, node=node, index=0x6041, code=status, advice="disable it first")
+                what, advice = f"is energised: {describe(status)}", "`servo-gateway restore CELL` disables it"
+                raise unsafe or DriveFault(what, node=node, index=0x6041, code=status, advice=advice)
             if full:
                 before, now = drive.identity, read_identity(drive.access.sdo)
                 if before is not None and now != before:

@@ -43,7 +43,7 @@ COMMANDS: dict[str, tuple[str, str]] = {
     "check": ("bus", "Check the drives against profile and cell file before motion."),
     "live": ("live", "Show the arms of a cell in a browser; the bus is only read."),
     "restore": ("bus", "Restore the drive parameters recorded in the write ledger."),
-    "drive": ("drive_test", "Test drives: timing and conformance to CiA 301 and CiA 402."),
+    "drive": ("drive_test", "Test drives: timing."),
     "config": ("config", "Drive parameters as DCF files: dump, diff, apply."),
     "move": ("move", "Move an arm to its home or loading posture, or to joint angles."),
     "plan": ("measure", "Choose rest poses: limits, duration, expected uncertainty (no bus)."),

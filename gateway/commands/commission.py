@@ -1,7 +1,7 @@
 """Guided commissioning: check, unloaded arm, each load, diagnosis, further poses, validation poses, result, report.
 
-If the cell defines a loading posture, the arm moves there before the operator mounts a load. The brakes are engaged
-during every prompt. All data is stored in one file, which is consistent after each visit.
+If the cell defines a loading posture, the arm moves there before the operator mounts a load. Every drive is read before
+that prompt. All data is stored in one file, which is consistent after each visit.
 """
 
 from __future__ import annotations

@@ -229,7 +229,7 @@ def test_a_drive_that_goes_to_fault_before_the_first_word_is_led_nowhere(group, 
 
 def test_a_drive_enabled_meanwhile_is_not_enabled_again(group, slaves):
     slaves[0].state = "operation enabled"
-    with pytest.raises(DriveFault, match="node 1.*before it was enabled.*disable it first"):
+    with pytest.raises(DriveFault, match="node 1.*is energised: OPERATION ENABLED.*servo-gateway restore"):
         group.enable()
     slaves[0].state = "switch on disabled"
     assert enabling_words(slaves) == set()
