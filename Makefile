@@ -10,7 +10,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 # Tests start the programs hundreds of times: without byte code on disk each start compiles them anew.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv demo test test-slow lint docs bench blind blind-nature blind-moving naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
+.PHONY: venv demo test test-slow test-diagnose test-others lint docs bench blind blind-nature blind-moving naming loads golden calibrated conflict certify vcan chaos soak mutants pair pair-full pair-clock follow moving fleet live blackbox space strangers pages package sbom clean
 
 venv: $(STAMP)
 
@@ -35,8 +35,15 @@ test: venv
 	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "not slow"
 
 # Before a merge: whole commands, property tests with more examples, then alone on the machine what runs by its clock.
-test-slow: venv
-	$(BIN)/python -m pytest -n 2 --dist loadgroup -m "(slow or hypothesis) and not clock" --hypothesis-profile=slow
+WORKERS ?= 2
+SLOW := $(BIN)/python -m pytest --dist loadgroup -m "(slow or hypothesis) and not clock" --hypothesis-profile=slow
+test-slow: test-diagnose test-others
+
+test-diagnose: venv
+	$(SLOW) -n $(WORKERS) tests/gateway/diagnose
+
+test-others: venv
+	$(SLOW) -n $(WORKERS) --ignore=tests/gateway/diagnose
 	$(BIN)/python -m pytest -m clock
 
 lint: venv
