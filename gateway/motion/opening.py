@@ -249,5 +249,6 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
             yield opened
         except BaseException as error:
             if group.sync_index:  # power was on at least once
-                error.add_note(f"Arm '{config.name}': {group.gate()}.")
+                kept = "; what was measured is kept" if isinstance(error, KeyboardInterrupt) else ""
+                error.add_note(f"Arm '{config.name}': {group.gate()}{kept}.")
             raise
