@@ -31,7 +31,6 @@ from gateway.motion.torque_need import needed_torque_nm
 from gateway.motion.workspace import Workspace, workspace_of
 from gateway.preflight.drive_check import Preflight, look_over, require_passed
 from gateway.preflight.rules import CONFIRM_TORQUE, Readings
-from gateway.result.result import Finding
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,8 +74,6 @@ class OpenArm:
     identities : tuple of Identity, one per axis
     constants : tuple of Constants, one per axis
         Read from the drives.
-    preflight : tuple of Finding
-        Findings of the pre-flight check before anything was written.
     readings : tuple of Readings, one per axis
         Objects of each drive before configuration, (index, subindex) -> value.
     session : str
@@ -92,7 +89,6 @@ class OpenArm:
     arm: Arm
     identities: tuple[Identity, ...]
     constants: tuple[Constants, ...]
-    preflight: tuple[Finding, ...]
     readings: tuple[Readings, ...]
     session: str = field(default_factory=lambda: uuid4().hex)
 
@@ -242,7 +238,6 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
             arm=Arm(config.name, group, AxisConversion.from_arm(config), known),
             identities=identities,
             constants=tuple(read_constants(access) for access in group.access),
-            preflight=found.items,
             readings=found.readings,
         )
         try:

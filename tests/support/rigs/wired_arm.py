@@ -138,7 +138,6 @@ def wired_arm(wire: Wire, loaded: LoadedCell, period_s: float = 0.01) -> Generat
                 arm=Arm(config.name, group, axes),
                 identities=(),
                 constants=(),
-                preflight=(),
                 readings=(),
             ),
             slaves,
