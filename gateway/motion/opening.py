@@ -244,6 +244,6 @@ def open_arm(loaded: LoadedCell, override: BusOverride | None = None, arm: str |
             yield opened
         except BaseException as error:
             if group.sync_index:  # power was on at least once
-                kept = "; what was measured is kept" if isinstance(error, KeyboardInterrupt) else ""
+                kept = "" if hasattr(error, "exit_code") else "; what was measured is kept"
                 error.add_note(f"Arm '{config.name}': {group.gate()}{kept}.")
             raise
