@@ -24,7 +24,7 @@ from drives.bus import SDO_ANSWER_BASE, BusSpec
 from drives.group import DriveGroup
 from drives.realtime import RealTime
 from gateway.acquire.events import Started
-from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.run_loop import run_plan
 from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.commands.console import Session
 from gateway.motion.opening import BusOverride, frame_log_watched, open_arm
@@ -143,7 +143,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
                     )
                     plan = short_plan(opened, seed)
                     planned = len(plan.visits)
-                    run_plan(station, RunRequest(plan, "none"))
+                    run_plan(station, plan, "none")
             except Exception as raised:
                 error = raised
         shown, unwritten = b"", kind == "frozen terminal"

@@ -27,7 +27,7 @@ from drives.realtime import RealTime
 from gateway.acquire.events import Event, Started, StateChanged
 from gateway.acquire.plan import Plan, plan_poses
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.run_loop import run_plan
 from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.check.brakes import try_brakes
 from gateway.check.moves import check_moves
@@ -276,7 +276,7 @@ def _act(rig: Drives, opened: OpenArm, outcome: Outcome, evidence: Evidence, beg
     plan = short_plan(opened, outcome.seed, LOCKSTEP_POSES_LONG if kind in BY_THE_CLOCK_TOO else LOCKSTEP_POSES)
     evidence.planned = len(plan.visits)
     try:
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     finally:
         if kind == "brake_slips":
             outcome.error = next((reason for reason in evidence.reasons if reason), "")

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from gateway.acquire.events import Listener
-from gateway.acquire.plan import MoveInwards, MoveTo, Plan, plan_to
+from gateway.acquire.plan import MoveInwards, MoveTo, Plan, check_plan, plan_to
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.powered_run import run_transfer
+from gateway.acquire.run_loop import motions_of, run_motions
 from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.cell.config import ArmConfig
 from gateway.errors import ConfigError, PlanRefused
@@ -151,11 +151,13 @@ def go(opened: OpenArm, plan: Plan, listeners: Sequence[Listener] = (), options:
 
     Raises
     ------
+    PlanRefused
+        The plan violates a limit, and no drive was enabled; or the arm dropped while its brakes opened.
     LimitExceeded, DriveError, KeyboardInterrupt
         The arm was stopped, and its brakes are on.
     """
     pacing = opened.group.timing.pacing
-    run_transfer(
-        VisitStation(opened.arm, opened.workspace, MemoryStore(), tuple(listeners), options or MoveOptions(), pacing),
-        plan,
-    )
+    options = options or MoveOptions()
+    station = VisitStation(opened.arm, opened.workspace, MemoryStore(), tuple(listeners), options, pacing)
+    check_plan(plan, opened.workspace)
+    run_motions(station, motions_of(plan), "", 0)

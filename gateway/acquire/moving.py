@@ -9,13 +9,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from gateway.acquire.events import Event, Listener, PeriodDone
-from gateway.acquire.moving_run import DrivenLeg, MovingRun, legs_from
-from gateway.acquire.passes import passes_of
+import numpy as np
+
+from gateway.acquire.events import Listener
+from gateway.acquire.passes import Pass, check_pass, free_torque_nm, passes_of
+from gateway.acquire.plan import Plan, Step, VisitSettings, plan_to, step_durations
 from gateway.acquire.planning import visit_settings
-from gateway.acquire.powered_run import Powered, tracked_state, under_power
-from gateway.acquire.session import RecordRequest, arm_header, keeping
+from gateway.acquire.run_loop import motions_of, run_motions
+from gateway.acquire.session import RecordRequest, keeping
 from gateway.acquire.station import VisitStation
+from gateway.cell.config import ArmConfig
 from gateway.data.recording.reader import read
 from gateway.errors import InputError
 from gateway.excite.excitation import MovingPlan, fingerprint
@@ -84,58 +87,44 @@ def record_moving(
     stored = None if earlier is None else earlier.arm(plan.arm)
     driven = frozenset[tuple[int, float, int]]() if stored is None else stored.driven(request.load)
     passes = passes_of(plan, request.load, driven, options.override, opened.group.timing.period_s)
-    header = arm_header(opened, () if stored is None else stored.poses, excitations_of(plan))
-    tally, missed = _Tally(), ()
-    with keeping(opened, request.path, header, earlier) as kept:
+    excitations = {fingerprint(excitation): excitation.plain() for excitation in plan.excitations}
+    missed: tuple[tuple[str, int], ...] = ()
+    with keeping(opened, request.path, earlier, excitations=excitations) as kept:
         kept.reason = "all periods driven"
         if passes:
-            station = kept.station((tally, *listeners), options)
+            station = kept.station(listeners, options)
             settings = replace(visit_settings(opened.loaded, opened.config), period_s=opened.group.timing.period_s)
-            legs = legs_from(station, opened.config, opened.arm.where(), passes, settings)
-            missed = run_legs(station, legs, request.load)
+            motions = plan_passes(station, opened.config, opened.arm.where(), passes, settings)
+            missed = run_motions(station, motions_of(motions), request.load, sum(len(one.periods) for one in passes))
     wanted = sum(excitation.periods for excitation in plan.excitations)
     return MovingSummary(
         path=request.path,
         load=request.load,
-        periods=tally.periods,
+        periods=kept.tally.periods,
         skipped=wanted - sum(len(one.periods) for one in passes if one.speed == options.override),
-        incomplete_epochs=tally.incomplete,
+        incomplete_epochs=kept.tally.incomplete_epochs,
         missed=missed,
         statistics=kept.statistics,
     )
 
 
-def run_legs(station: VisitStation, legs: Sequence[DrivenLeg], load: str) -> tuple[tuple[str, int], ...]:
-    """Drive legs from the present posture; after return or an error, the brakes are on and all periods are on disk.
-
-    Returns
-    -------
-    tuple of (str, int)
-        Excitation and number of the periods that lack a SYNC after a repetition.
+def plan_passes(
+    station: VisitStation, config: ArmConfig, start_rad: np.ndarray, passes: Sequence[Pass], settings: VisitSettings
+) -> Plan:
+    """Plan transfers and passes from the present posture without moving; call `check_moving_plan` first.
 
     Raises
     ------
-    LimitExceeded, DriveError, InputError, KeyboardInterrupt
-        The arm was stopped.
+    PlanRefused
+        The samples of a pass do not determine its motion, or no path within the limits leads to its start.
     """
-    transfer = legs[0].transfer
-    run = MovingRun(station, legs, load, tracked_state(station, transfer.arm))
-    # what is driven has been made slow already
-    as_it_is = replace(station.options, override=1.0)
-    under_power(station, run, Powered(transfer.arm, transfer.settings.period_s, as_it_is), run.execute)
-    return run.missed
-
-
-class _Tally:
-    def __init__(self) -> None:
-        self.periods = self.incomplete = 0
-
-    def __call__(self, event: Event) -> None:
-        if isinstance(event, PeriodDone):
-            self.periods += event.complete
-            self.incomplete += event.incomplete_epochs
-
-
-def excitations_of(plan: MovingPlan) -> dict[int, dict[str, Any]]:
-    """Return the excitations of a plan as plain values, keyed by fingerprint."""
-    return {fingerprint(excitation): excitation.plain() for excitation in plan.excitations}
+    steps: list[Step] = []
+    workspace, at = station.workspace, start_rad
+    for one in passes:
+        check_pass(config.name, one, workspace.robot.axes)
+        steps += plan_to(config.name, workspace, at, one.excitation.start_rad, settings).steps
+        modelled_nm = free_torque_nm(workspace, config, one.motion, station.arm.known)
+        steps.append(replace(one, modelled_nm=modelled_nm))
+        at = one.excitation.start_rad
+    plan = Plan(config.name, (), settings, tuple(start_rad.tolist()), tuple(steps), 0.0)
+    return replace(plan, duration_s=sum(step_durations(plan, workspace)))

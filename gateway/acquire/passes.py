@@ -28,13 +28,15 @@ Floats = NDArray[np.float64]
 
 #: Share of its speed at which the first excitation is driven once with a new load.
 TRIED_SPEED: Final = 0.25
+#: Rest before each pass [s]: following errors settle, so that the first period begins like the others.
+REST_S: Final = 0.3
 #: Tolerance for rounding [rad, rad/s].
 HAIR: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pass:
-    """Periods of one excitation that are driven without a stop between them.
+    """Step: periods of one excitation that are driven without a stop between them, after a rest of `REST_S`.
 
     Attributes
     ----------
@@ -45,12 +47,15 @@ class Pass:
         Their numbers, from 1.
     motion : Motion
         Motion of one period at that speed.
+    modelled_nm : array of shape (n, N) or None
+        Modelled joint torque [Nm] of one period without contact; None = gravity of the unloaded arm.
     """
 
     excitation: Excitation
     speed: float
     periods: tuple[int, ...]
     motion: Motion
+    modelled_nm: Floats | None = None
 
     @property
     def duration_s(self) -> float:

@@ -1,7 +1,7 @@
-"""Plan of a recording at rest: typed steps as data, checked before anything moves.
+"""Plan of a recording: typed steps as data, checked before anything moves.
 
-Every pose is approached slowly in both directions: from a small positive offset of all joints (last motion negative),
-then from the negative offset (last motion positive). After each approach the arm settles and is sampled.
+A pose at rest is approached slowly in both directions: from a small positive offset of all joints (last motion
+negative), then from the negative offset (last motion positive). After each approach the arm settles and is sampled.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gateway.acquire.passes import REST_S, Pass
 from gateway.acquire.route import Leg, Route, find_route, path_to
 from gateway.acquire.start_posture import inside_from
 from gateway.data.rest_pose import RestPose
@@ -68,7 +69,7 @@ class Sample:
     count: int
 
 
-Step = MoveTo | MoveInwards | Approach | Settle | Sample
+Step = MoveTo | MoveInwards | Approach | Settle | Sample | Pass
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,33 +268,39 @@ def approach_limits(workspace: Workspace, speed_rad_s: float | np.ndarray) -> Mo
     return MotionLimits(speed, workspace.acceleration_rad_s2, workspace.jerk_rad_s3)
 
 
-def inward_limits(workspace: Workspace) -> MotionLimits:
-    """Return the speed, acceleration and jerk limits of the motion back into the joint range."""
-    return approach_limits(workspace, workspace.inward_speed_rad_s())
+def motion_limits(step: MoveTo | MoveInwards | Approach, workspace: Workspace, settings: VisitSettings) -> MotionLimits:
+    """Return the speed, acceleration and jerk limits of the motion of a step."""
+    if isinstance(step, MoveTo):
+        return travel_limits(workspace)
+    inwards = isinstance(step, MoveInwards)
+    return approach_limits(workspace, workspace.inward_speed_rad_s() if inwards else settings.approach_speed_rad_s)
 
 
-def step_durations(plan: Plan, workspace: Workspace) -> list[float]:
-    """Return the expected time [s] of every step; the first move takes 0 s if the start is not known."""
-    travel = travel_limits(workspace)
-    slow = approach_limits(workspace, plan.settings.approach_speed_rad_s)
+def step_durations(plan: Plan, workspace: Workspace, override: float = 1.0) -> list[float]:
+    """Return the expected time [s] of every step; the first move takes 0 s if the start is not known.
+
+    A pass, which is planned at its reduced speed, has two: the rest before it, and its periods.
+    """
     at = plan.start_rad
     durations = []
     for step in plan.steps:
-        if isinstance(step, Settle):
-            durations.append(min(TYPICAL_SETTLE_S, step.timeout_s))
+        if isinstance(step, Pass):
+            durations += [REST_S, step.duration_s]
+        elif isinstance(step, Settle):
+            durations.append(min(TYPICAL_SETTLE_S, step.timeout_s) / override)
         elif isinstance(step, Sample):
-            durations.append(step.count * plan.settings.period_s)
+            durations.append(step.count * plan.settings.period_s / override)
         else:
-            limits = slow if isinstance(step, Approach) else travel
-            limits = inward_limits(workspace) if isinstance(step, MoveInwards) else limits
+            limits = motion_limits(step, workspace, plan.settings)
             start = np.array(step.q_rad if at is None else at)
-            durations.append(straight(start, np.array(step.q_rad), limits, plan.settings.period_s).duration_s)
+            motion = straight(start, np.array(step.q_rad), limits, plan.settings.period_s)
+            durations.append(motion.duration_s / override)
             at = step.q_rad
     return durations
 
 
 def check_plan(plan: Plan, workspace: Workspace) -> None:
-    """Refuse a plan that violates a limit or for which a limit is missing.
+    """Refuse a plan that violates a limit or for which a limit is missing; `check_pass` checks its passes.
 
     Raises
     ------
@@ -317,7 +324,7 @@ def check_plan(plan: Plan, workspace: Workspace) -> None:
         elif isinstance(step, Settle):
             if not (isinstance(before, Approach) and before.pose == step.pose):
                 raise PlanRefused(f"{where}: pose {step.pose} must be approached before it settles")
-        elif not (isinstance(before, Settle) and before.pose == step.pose):
+        elif isinstance(step, Sample) and not (isinstance(before, Settle) and before.pose == step.pose):
             raise PlanRefused(f"{where}: pose {step.pose} must settle before it is sampled")
         before = step
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from drives.exchange import Pacing
 from gateway.acquire.blackbox import BlackBoxWatch, black_box
-from gateway.acquire.events import Event, Listener, PoseDone, VisitDone
+from gateway.acquire.events import Event, Listener, PeriodDone, PoseDone, VisitDone
 from gateway.acquire.plan import Plan
 from gateway.acquire.planning import make_plan, plan_of_poses
-from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.run_loop import run_plan
 from gateway.acquire.station import VisitStation
 from gateway.cell.config import LoadedCell
 from gateway.data.blackbox.part import BoxHeader
@@ -142,13 +142,12 @@ def record(
         As `run_plan`.
     """
     earlier = read(request.path) if request.resume and request.path.exists() else None
-    poses = _all_poses(plan, earlier)
     stored = None if earlier is None else earlier.arm(plan.arm)
     wanted = {(pose.number, side) for pose in plan.poses for side in (-1, 1)}
     done = () if stored is None or request.again else tuple(wanted.intersection(stored.done(request.load)))
-    with keeping(opened, request.path, arm_header(opened, poses), earlier) as kept:
+    with keeping(opened, request.path, earlier, plan.poses) as kept:
         if len(done) < len(wanted):
-            run_plan(kept.station(listeners, options), RunRequest(plan, request.load, done))
+            run_plan(kept.station(listeners, options), plan, request.load, done)
     return kept.summary(request.load, len(done))
 
 
@@ -161,98 +160,113 @@ class Kept:
         Reason of the end of a run without error.
     statistics : dict
         Bus statistics, once the run has ended without error.
+    tally : Tally
     """
 
     def __init__(self, opened: OpenArm, queue: VisitQueue, watch: BlackBoxWatch) -> None:
         self.reason = "all poses measured"
         self._opened, self._queue, self._watch = opened, queue, watch
-        self._tally = _Tally(len(opened.config.axis))
+        self.tally = Tally(len(opened.config.axis))
         self.statistics: dict[str, Any] = {}
 
     def station(self, listeners: Sequence[Listener], options: MoveOptions | None) -> VisitStation:
         """Return the station of a run: the arm and the store for its visits."""
         opened, pacing = self._opened, self._opened.group.timing.pacing
         store = QueuedStore(self._queue, opened.config.name, pacing)
-        listening = (self._tally, *listeners)
+        listening = (self.tally, *listeners)
         options = options or MoveOptions()
         options.observers.add(self._watch)
         temperatures = motor_temperatures(opened)
         return VisitStation(opened.arm, opened.workspace, store, listening, options, pacing, temperatures)
-
-    def finish(self) -> None:
-        """Store that the run has ended without error."""
-        self.statistics = plain(asdict(self._opened.group.statistics))
-        self._queue.finish(self._opened.config.name, "success", self.reason, self.statistics)
 
     def summary(self, load: str, skipped: int) -> RecordingSummary:
         """Return the summary of what the run has added."""
         return RecordingSummary(
             path=self._queue.path,
             load=load,
-            visits=self._tally.visits,
+            visits=self.tally.visits,
             skipped=skipped,
-            incomplete_epochs=self._tally.incomplete,
-            friction_band_nm=self._tally.band_nm(),
+            incomplete_epochs=self.tally.incomplete_epochs,
+            friction_band_nm=self.tally.band_nm(),
             statistics=self.statistics,
         )
 
 
 @contextmanager
-def keeping(opened: OpenArm, path: Path, header: ArmHeader, earlier: Recording | None) -> Generator[Kept]:
+def keeping(
+    opened: OpenArm,
+    path: Path,
+    earlier: Recording | None,
+    poses: Sequence[RestPose] = (),
+    excitations: dict[int, dict[str, Any]] | None = None,
+) -> Generator[Kept]:
     """Open a recording for writing; on exit, also after an error, the measured data and the reason are on disk.
 
     Parameters
     ----------
     opened : OpenArm
     path : Path
-    header : ArmHeader
-        Description of the arm for the recording, as far as known.
     earlier : Recording or None
-        Recording that is continued.
+        Recording that is continued; its poses stay in the header.
+    poses : sequence of RestPose
+        Expected poses.
+    excitations : dict, optional
+        Expected excitations, keyed by fingerprint.
 
     Raises
     ------
     InputError
-        As `VisitQueue`.
+        The recording uses the number of a pose for another posture; or as `VisitQueue`.
     """
-    about = _recording_header(opened)
-    writer = VisitQueue(path, about, header, earlier)
-    box = BoxHeader(path, ((header.name, len(opened.config.axis)),), about.cell, about.created, about.software)
+    config, statistics = opened.config, opened.group.statistics
+    header = ArmHeader(
+        name=config.name,
+        poses=_all_poses(config.name, poses, earlier),
+        constants=opened.constants,
+        identities=[plain(asdict(identity)) for identity in opened.identities],
+        ledger=[plain(asdict(entry)) for entry in opened.group.noted],
+        excitations=excitations or {},
+    )
+    about = RecordingHeader(
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        cell=opened.loaded.text,
+        profiles={axis.profile: profile.text for axis, profile in zip(config.axis, opened.profiles, strict=True)},
+        robot=opened.robot_text,
+        software=software(),
+        calibration=opened.loaded.calibration,
+    )
+    queue = VisitQueue(path, about, header, earlier)
+    box = BoxHeader(path, ((config.name, len(config.axis)),), about.cell, about.created, about.software)
     try:
         with black_box(opened, box) as watch:
-            kept = Kept(opened, writer, watch)
+            kept = Kept(opened, queue, watch)
             yield kept
-            kept.finish()
+            kept.statistics = plain(asdict(statistics))
+            queue.finish(config.name, "success", kept.reason, kept.statistics)
     except BaseException as error:
-        _finish_broken(writer, opened, opened.config.name, error)
+        if queue.visits:
+            status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
+            reason = str(error) or "stopped by the operator"
+            try:
+                queue.finish(config.name, status, reason, plain(asdict(statistics)))
+            except GatewayError as failed:
+                error.add_note(str(failed))
         raise
     finally:
-        writer.close()
+        queue.close()
 
 
-def _finish_broken(writer: VisitQueue, opened: OpenArm, arm: str, error: BaseException) -> None:
-    """Store the reason of an early end if anything was measured; an error of this becomes a note."""
-    if not writer.visits:
-        return
-    status = "abort" if isinstance(error, KeyboardInterrupt) else "fail"
-    reason = str(error) or "stopped by the operator"
-    try:
-        writer.finish(arm, status, reason, plain(asdict(opened.group.statistics)))
-    except GatewayError as failed:
-        error.add_note(str(failed))
-
-
-def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
-    """Return the poses of the file and of the plan, each number once.
+def _all_poses(arm: str, new: Sequence[RestPose], earlier: Recording | None) -> tuple[RestPose, ...]:
+    """Return the poses of the file and the new ones, each number once.
 
     Raises
     ------
     InputError
         The file uses a number for another posture.
     """
-    stored = None if earlier is None else earlier.arm(plan.arm)
+    stored = None if earlier is None else earlier.arm(arm)
     poses = {pose.number: pose for pose in (() if stored is None else stored.poses)}
-    for pose in plan.poses:
+    for pose in new:
         known = poses.setdefault(pose.number, pose)
         if np.abs(np.array(known.q_rad) - np.array(pose.q_rad)).max() > 1e-6:
             raise InputError(
@@ -260,34 +274,6 @@ def _all_poses(plan: Plan, earlier: Recording | None) -> tuple[RestPose, ...]:
                 " with the poses of the file, or give new poses new numbers"
             )
     return tuple(poses[number] for number in sorted(poses))
-
-
-def _recording_header(opened: OpenArm) -> RecordingHeader:
-    """Return the header of a recording: cell, drive profiles, robot and software."""
-    return RecordingHeader(
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        cell=opened.loaded.text,
-        profiles={
-            axis.profile: profile.text for axis, profile in zip(opened.config.axis, opened.profiles, strict=True)
-        },
-        robot=opened.robot_text,
-        software=software(),
-        calibration=opened.loaded.calibration,
-    )
-
-
-def arm_header(
-    opened: OpenArm, poses: tuple[RestPose, ...], excitations: dict[int, dict[str, Any]] | None = None
-) -> ArmHeader:
-    """Return the header of an arm in a recording: expected content and drives."""
-    return ArmHeader(
-        name=opened.config.name,
-        poses=poses,
-        constants=opened.constants,
-        identities=[plain(asdict(identity)) for identity in opened.identities],
-        ledger=[plain(asdict(entry)) for entry in opened.group.noted],
-        excitations=excitations or {},
-    )
 
 
 class QueuedStore:
@@ -325,20 +311,25 @@ class QueuedStore:
             self._queue.finish(self._arm, "abort", UNFINISHED, {})
 
 
-class _Tally:
+class Tally:
+    """Number of stored visits and complete periods, their incomplete SYNCs, and the friction bands of the poses."""
+
     def __init__(self, axes: int) -> None:
-        self.visits = self.incomplete = 0
+        self.visits = self.periods = self.incomplete_epochs = 0
         self._axes = axes
         self._bands: list[tuple[float, ...]] = []
 
     def __call__(self, event: Event) -> None:
-        if isinstance(event, VisitDone):
-            self.visits += 1
-            self.incomplete += event.incomplete_epochs
+        """Count what an event reports."""
+        if isinstance(event, VisitDone | PeriodDone):
+            self.incomplete_epochs += event.incomplete_epochs
+            self.visits += isinstance(event, VisitDone)
+            self.periods += isinstance(event, PeriodDone) and event.complete
         elif isinstance(event, PoseDone):
             self._bands.append(event.friction_band_nm)
 
     def band_nm(self) -> tuple[float, ...]:
+        """Return the median friction band of the poses; NaN without one."""
         return tuple(np.median(self._bands, axis=0).tolist()) if self._bands else (float("nan"),) * self._axes
 
 

@@ -16,7 +16,7 @@ from drives.busload import cycle_bits_worst, load_percent
 from drives.torque_signals import TorqueSignalReader, TorqueSignals
 from gateway.acquire.events import Listener
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.run_loop import run_plan
 from gateway.acquire.start_posture import refuse_start
 from gateway.acquire.station import MemoryStore, VisitStation
 from gateway.check.torque import Scales, judge_torque
@@ -149,7 +149,7 @@ def check_moves(opened: OpenArm, listeners: Sequence[Listener] = (), options: Mo
             station = VisitStation(
                 opened.arm, opened.workspace, visits, tuple(listeners), options or MoveOptions(), pacing
             )
-            run_plan(station, RunRequest(plan, LOAD))
+            run_plan(station, plan, LOAD)
         except LimitExceeded as error:
             if not group.gate().is_disabled:
                 raise

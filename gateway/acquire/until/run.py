@@ -10,9 +10,8 @@ import numpy as np
 
 from gateway.acquire.events import Listener, Narrowed
 from gateway.acquire.plan import SIDES
-from gateway.acquire.powered_run import execute
-from gateway.acquire.rest_run import Run
-from gateway.acquire.session import RecordingSummary, arm_header, keeping
+from gateway.acquire.run_loop import MotionSource, run_motions
+from gateway.acquire.session import RecordingSummary, keeping
 from gateway.acquire.station import VisitStation, VisitStore
 from gateway.acquire.until.messages import ended, narrowed
 from gateway.acquire.until.search import LoadSearch, NextStep, decide
@@ -20,7 +19,7 @@ from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.table import Table
 from gateway.data.visit import Visit
 from gateway.motion.opening import OpenArm
-from gateway.motion.stream import MoveOptions, Stream
+from gateway.motion.stream import MoveOptions
 
 #: Conversion of visits to the samples that an estimation reads.
 Rows = Callable[[Sequence[Visit]], Table]
@@ -84,8 +83,7 @@ def record_until(
     InputError, PlanRefused, DriveError, KeyboardInterrupt
         As `record`.
     """
-    stored = None if earlier is None else earlier.arm(search.arm)
-    with keeping(opened, path, arm_header(opened, () if stored is None else stored.poses), earlier) as kept:
+    with keeping(opened, path, earlier) as kept:
         decision = run_until(kept.station(listeners, options), search, rows_of(opened, path))
         kept.reason = ended(decision, search.label)
     return UntilSummary(kept.summary(search.label, 0), decision, kept.reason)
@@ -108,28 +106,22 @@ def run_until(station: VisitStation, search: LoadSearch, rows: Rows) -> NextStep
     Raises
     ------
     PlanRefused, LimitExceeded, DriveError, InputError, KeyboardInterrupt
-        As `run_plan`.
+        As `run_motions`.
     """
     decision = decide(search, None, station.arm.where())
     if decision.plan is None:
         return decision
     collected = _Collected(station.store)
     station = replace(station, store=collected)
-    last = [decision]
 
-    def drive(run: Run, stream: Stream) -> None:
-        run.begin(stream, len(SIDES) * max(decision.verdict.ahead, 1), decision.expected_s)
-        run.steps()
-        while True:
+    def motions() -> MotionSource:
+        nonlocal decision
+        while decision.plan is not None:
+            stream = yield decision.plan, decision.expected_s
             at_rad = np.array(stream.q_rad[0])
             measured = rows([visit for visit in collected.visits if visit.complete])
-            new = stream.hold_while(lambda table=measured, at=at_rad: decide(search, table, at), "estimate")
-            last[0] = new
-            station.notify(Narrowed(search.label, new.verdict.poses, narrowed(new)))
-            if new.plan is None:
-                break
-            run.go_on(new.plan, new.expected_s)
-        run.end()
+            decision = stream.hold_while(lambda table=measured, at=at_rad: decide(search, table, at), "estimate")
+            station.notify(Narrowed(search.label, decision.verdict.poses, narrowed(decision)))
 
-    execute(station, decision.plan, search.label, drive)
-    return last[0]
+    run_motions(station, motions(), search.label, len(SIDES) * max(decision.verdict.ahead, 1))
+    return decision

@@ -10,10 +10,10 @@ import pytest
 
 from drives.errors import DriveFault
 from gateway.acquire.events import PeriodDone, Progress, Started, Stopped
-from gateway.acquire.moving import run_legs
-from gateway.acquire.moving_run import legs_from
+from gateway.acquire.moving import plan_passes
 from gateway.acquire.passes import TRIED_SPEED, passes_of
 from gateway.acquire.plan import VisitSettings
+from gateway.acquire.run_loop import motions_of, run_motions
 from gateway.errors import InputError, LimitExceeded, PlanRefused
 from gateway.excite.excitation import MovingPlan, fingerprint
 from gateway.motion.stops import StopDesk, StopKind, StoppedByPerson, StopRequest
@@ -53,8 +53,8 @@ def drive(station, plan, small_cell):
     def run(load="none", what=plan, driven=NOTHING, **changes):
         at = replace(station, **changes)
         passes = passes_of(what, load, driven, at.options.override, PERIOD_S)
-        legs = legs_from(at, small_cell.cell.arm[0], at.arm.where(), passes, SETTINGS)
-        return run_legs(at, legs, load)
+        motions = plan_passes(at, small_cell.cell.arm[0], at.arm.where(), passes, SETTINGS)
+        return run_motions(at, motions_of(motions), load, sum(len(one.periods) for one in passes))
 
     return run
 

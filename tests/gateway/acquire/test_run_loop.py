@@ -8,7 +8,7 @@ import pytest
 from drives.errors import DriveFault, IncompleteEpochs
 from gateway.acquire.events import PoseDone, Progress, SampleRepeated, Started, StateChanged, Stopped, VisitDone
 from gateway.acquire.plan import Plan, VisitSettings, plan_poses
-from gateway.acquire.powered_run import RunRequest, run_plan
+from gateway.acquire.run_loop import run_plan
 from gateway.data.rest_pose import RestPose
 from gateway.errors import InputError, LimitExceeded, PlanRefused, PoseNeverSettles
 from gateway.motion.state import SAFE, Phase
@@ -33,7 +33,7 @@ def plan(workspace) -> Plan:
 
 
 def test_all_poses_are_measured_from_both_sides(station, plan, store, events, fake):
-    run_plan(station, RunRequest(plan, "a"))
+    run_plan(station, plan, "a")
     assert fake.log == ["enable", "disable"]
     assert not fake.enabled
     assert sorted((v.pose, v.approach) for v in store.visits) == [(1, -1), (1, 1), (2, -1), (2, 1)]
@@ -54,7 +54,7 @@ def test_half_sums_are_gravity_and_half_differences_the_band(station, plan, even
     """Without gear losses: half sum = gravity of the fake, half difference = its band."""
     fake.axes = replace(fake.axes, efficiency=np.ones(6))
     object.__setattr__(station.arm, "axes", fake.axes)
-    run_plan(station, RunRequest(plan, "none"))
+    run_plan(station, plan, "none")
     done = [event for event in events if isinstance(event, PoseDone)]
     assert sorted(event.pose for event in done) == [1, 2]
     for event in done:
@@ -64,7 +64,7 @@ def test_half_sums_are_gravity_and_half_differences_the_band(station, plan, even
 
 
 def test_motion_keeps_the_limits(station, plan, fake, workspace):
-    run_plan(station, RunRequest(plan, "none"))
+    run_plan(station, plan, "none")
     path = np.array(fake.path)
     speed = np.diff(path, axis=0) / SETTINGS.period_s
     acceleration = np.diff(speed, axis=0) / SETTINGS.period_s
@@ -74,7 +74,7 @@ def test_motion_keeps_the_limits(station, plan, fake, workspace):
 
 
 def test_remaining_time_falls_to_zero(station, plan, events):
-    run_plan(station, RunRequest(plan, "none"))
+    run_plan(station, plan, "none")
     progress = [event for event in events if isinstance(event, Progress)]
     remaining = [event.remaining_s for event in progress]
     assert remaining[0] == pytest.approx(events[0].duration_s)
@@ -84,14 +84,14 @@ def test_remaining_time_falls_to_zero(station, plan, events):
 
 
 def test_done_visits_are_left_out(station, plan, store):
-    run_plan(station, RunRequest(plan, "none", done=((1, -1), (1, 1), (2, -1))))
+    run_plan(station, plan, "none", done=((1, -1), (1, 1), (2, -1)))
     assert [(v.pose, v.approach) for v in store.visits] == [(2, 1)]
 
 
 def test_incomplete_epochs_are_sampled_again_and_marked(station, plan, store, events, fake):
     lost = {sync: sync % 6 for sync in range(5, 20_000, 9)}
     fake.unanswered = lost
-    run_plan(station, RunRequest(plan, "none"))
+    run_plan(station, plan, "none")
     for visit in store.visits:
         assert len(visit) == SETTINGS.samples
         assert visit.incomplete_epochs > 0
@@ -114,7 +114,7 @@ def brought_to_rest(fake) -> bool:
 def test_too_many_incomplete_epochs_give_the_visit_up(station, plan, store, events, fake):
     fake.unanswered = dict.fromkeys(range(0, 20000, 2), 2)
     with pytest.raises(IncompleteEpochs, match="were not answered by all axes"):
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert brought_to_rest(fake)
     assert [visit.complete for visit in store.visits] == [False]
     assert isinstance(events[-1], Stopped)
@@ -123,7 +123,7 @@ def test_too_many_incomplete_epochs_give_the_visit_up(station, plan, store, even
 def test_a_pose_that_never_settles(station, plan, store, fake):
     fake.swing_nm = 3.0
     with pytest.raises(PoseNeverSettles, match="joint 5") as stopped:
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert stopped.value.exit_code == 5
     assert stopped.value.joint == 5
     assert brought_to_rest(fake)
@@ -133,7 +133,7 @@ def test_a_pose_that_never_settles(station, plan, store, fake):
 def test_contact_stops_by_the_drives_ramp(station, plan, fake, workspace):
     fake.contact_nm = {200: 1.2 * workspace.torque_nm[2]}
     with pytest.raises(LimitExceeded, match="joint 3 needs") as stopped:
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert stopped.value.joint == 3
     assert fake.sync_index == 200 + IN_A_ROW - 1
     assert fake.log == ["enable", "quick stop", "disable"]
@@ -142,14 +142,14 @@ def test_contact_stops_by_the_drives_ramp(station, plan, fake, workspace):
 def test_the_state_of_the_cell_is_reported_throughout(station, plan, fake):
     states = []
     listening = replace(station, listeners=(states.append,))
-    run_plan(listening, RunRequest(plan, "a"))
+    run_plan(listening, plan, "a")
     phases = [event.state.phase for event in states if isinstance(event, StateChanged)]
     assert phases[:4] == [Phase.HOLDING, Phase.MOVING, Phase.SETTLING, Phase.SAMPLING]
     assert phases[-2:] == [Phase.STOPPING, Phase.IN_BRAKES]
     states.clear()
     fake.fault_at = fake.sync_index + 100
     with pytest.raises(DriveFault) as failed:
-        run_plan(listening, RunRequest(plan, "a"))
+        run_plan(listening, plan, "a")
     stopping, stopped = [event.state for event in states if isinstance(event, StateChanged)][-2:]
     assert (stopping.phase, stopped.phase) == (Phase.STOPPING, Phase.STOPPED)
     assert stopped.phase in SAFE
@@ -160,16 +160,16 @@ def test_the_state_of_the_cell_is_reported_throughout(station, plan, fake):
 def test_a_joint_that_does_not_follow(station, plan, fake):
     fake.jam_at = 60
     with pytest.raises(LimitExceeded, match=r"joint 2 (is .* off its target|was commanded to move by)"):
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert fake.log == ["enable", "quick stop", "disable"]
 
 
 def test_drive_fault(station, plan, store, fake):
-    run_plan(replace(station, store=type(station.store)()), RunRequest(plan, "none"))
+    run_plan(replace(station, store=type(station.store)()), plan, "none")
     syncs = fake.sync_index
     fake.fault_at = syncs + int(0.9 * syncs)
     with pytest.raises(DriveFault):
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert fake.log[-2:] == ["quick stop", "disable"]
     assert len(store.visits) >= 2
 
@@ -182,7 +182,7 @@ def test_a_wish_to_stop_stops_gently_and_keeps_the_data(station, plan, store, ev
         return len(store.visits) == visits_before_stop and moved
 
     with pytest.raises(KeyboardInterrupt):
-        run_plan(stopped_by(station, asked), RunRequest(plan, "none"))
+        run_plan(stopped_by(station, asked), plan, "none")
     assert fake.log == ["enable", "disable"]
     assert len(store.visits) == visits_before_stop
     speed = np.diff(np.array(fake.path), axis=0) / SETTINGS.period_s
@@ -199,7 +199,7 @@ def test_a_wish_to_stop_while_sampling_keeps_the_samples_marked_incomplete(stati
         return sum(isinstance(e, Progress) and e.what == "sample pose 2" for e in events) == 2
 
     with pytest.raises(KeyboardInterrupt):
-        run_plan(stopped_by(station, asked), RunRequest(plan, "none"))
+        run_plan(stopped_by(station, asked), plan, "none")
     assert brought_to_rest(fake)
     assert not store.visits[-1].complete
     assert 0 < len(store.visits[-1]) < SETTINGS.samples
@@ -208,7 +208,7 @@ def test_a_wish_to_stop_while_sampling_keeps_the_samples_marked_incomplete(stati
 def test_full_disk_stops_the_arm(station, plan, store, fake):
     store.full_after = 1
     with pytest.raises(InputError, match="No space left"):
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert brought_to_rest(fake)
     assert len(store.visits) == 1
 
@@ -216,14 +216,14 @@ def test_full_disk_stops_the_arm(station, plan, store, fake):
 def test_a_start_outside_the_limits_is_refused_before_anything_is_enabled(station, plan, fake):
     fake.q_rad = np.array([0.0, 0.0, 0.0, 0.0, 2.5, 0.0])
     with pytest.raises(PlanRefused, match="joint 5 is .* rad outside"):
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert fake.log == []
 
 
 def test_an_arm_that_drops_when_its_brakes_open_is_not_moved(station, plan, fake):
     fake.drop_on_enable_rad = 0.05
     with pytest.raises(PlanRefused, match="while its brake opened"):
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert brought_to_rest(fake)
     assert len(fake.path) == 1
 
@@ -236,14 +236,14 @@ def test_errors_while_stopping_are_added_not_hidden(station, plan, fake):
     fake.quick_stop = broken
     fake.fault_at = 50
     with pytest.raises(DriveFault, match="FAULT") as stopped:
-        run_plan(station, RunRequest(plan, "none"))
+        run_plan(station, plan, "none")
     assert "cannot be stopped" in stopped.value.__notes__[0]
     assert brought_to_rest(fake)
 
 
 def test_an_arm_outside_its_range_comes_back_slowly_first(station, plan, fake, workspace, store):
     fake.q_rad = fake.target_rad = np.array([0.0, 0.2, 0.1, workspace.upper_rad[3] + 0.015, 0.3, 0.0])
-    run_plan(station, RunRequest(plan, "none"))
+    run_plan(station, plan, "none")
     path = np.array(fake.path)
     inside = int(np.argmax(path[:, 3] <= workspace.upper_rad[3] - 0.0199))
     speed = np.diff(path[: inside + 1], axis=0) / SETTINGS.period_s
