@@ -297,11 +297,17 @@ def check_mode(access: ObjectAccess, mode: Mode) -> None:
     deadline = time.monotonic() + access.profile.state_machine.transition_timeout_s
     while (shown := access.read(OBJECTS["mode_display"])) != mode.value:
         if time.monotonic() > deadline:
-            advice = "the drive does not support this mode in its present setting: see 0x6502"
-            if shown == 0 and access.profile.state_machine.mode_before_enable:
-                advice += "; if it shows 0 until it is enabled, set mode_before_enable = false in the profile"
-            access.refuse(OBJECTS["mode_display"], f"shows mode {shown} instead of {mode.value}", advice)
+            refuse_mode(access, mode, shown)
         access.bus.listen(POLL_S)
+
+
+def refuse_mode(access: ObjectAccess, mode: Mode, shown: int | None) -> NoReturn:
+    """Refuse a drive whose 0x6061 shows another mode, or None where it did not answer."""
+    advice = "the drive does not support this mode in its present setting: see 0x6502"
+    if shown == 0 and access.profile.state_machine.mode_before_enable:
+        advice += "; if it shows 0 until it is enabled, set mode_before_enable = false in the profile"
+    read = "does not answer" if shown is None else f"shows mode {shown}"
+    access.refuse(OBJECTS["mode_display"], f"{read} instead of {mode.value}", advice)
 
 
 def set_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import time
 from typing import Final
 
 from drives import bringup, drive_limits, other_pdos
 from drives.access import ObjectAccess
 from drives.bus import Bus, Frame
-from drives.cia402 import ENABLE_OPERATION, Mode
+from drives.cia402 import DISABLE_VOLTAGE, ENABLE_OPERATION, FAULT_RESET, FAULTED, Mode, State, decode_state, describe
 from drives.decode import Decoder, Fields, double_decoder, single_decoder
-from drives.errors import CommandRefused, ConfigurationRefused, DriveError
+from drives.errors import CommandRefused, ConfigurationRefused, DriveError, DriveFault
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.ledger import KnownDevice, WriteLedger
 from drives.objects import OBJECTS
@@ -238,6 +239,30 @@ class Cia402Drive:
         entry = self.setup.profile.emcy_entry(code)
         known = "" if entry is None else f", {entry.text}; {entry.advice}"
         return f"error code 0x{code:04X}{known}"
+
+    def reset_fault(self) -> None:
+        """Reset a fault by SDO at the request of a person.
+
+        The drive has the transition time of its profile to leave FAULT.
+
+        Raises
+        ------
+        DriveFault
+            The drive is still in FAULT.
+        """
+        control = OBJECTS["controlword"]
+        if decode_state(self.statusword()) is State.FAULT:
+            for word in (DISABLE_VOLTAGE, FAULT_RESET, DISABLE_VOLTAGE):
+                self.access.sdo.write(*control.address, control.type, word)
+        deadline_s = time.monotonic() + self.setup.profile.state_machine.transition_timeout_s
+        while decode_state(status := self.statusword()) in FAULTED and time.monotonic() < deadline_s:
+            self._bus.listen(bringup.POLL_S)
+        if decode_state(status) in FAULTED:
+            what, advice = (
+                f"is still in {describe(status)}: {self.fault_text()}",
+                "the cause of the fault is still present",
+            )
+            raise DriveFault(what, node=self.node_id, index=0x6041, code=status, advice=advice)
 
     # -- cyclic ------------------------------------------------------------------------------------------------------
 

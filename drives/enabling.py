@@ -1,4 +1,12 @@
-"""Enable all axes: from SWITCH ON DISABLED to an open brake, each axis holding its present position."""
+"""Enable all axes: NMT START, comparison of PDO and SDO, the CiA 402 transitions, open brakes.
+
+CiA 301 defines no answer to an NMT command. The NMT state is taken from the node's heartbeat or, where the profile sets
+none, from its answers to SYNC, which are sent in OPERATIONAL only. A node may refuse START while a communication error
+is active: the command is repeated.
+
+No axis is enabled twice: an axis that falls back to a lower state ends the sequence. The target of each axis is its
+position before the first controlword, so that an axis that drops is pulled back.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +14,38 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from drives.cia402 import NoRoute, State, next_controlword
+from drives.bringup import refuse_mode
+from drives.bus import Bus
+from drives.cia402 import Mode, NoRoute, State, decode_state, describe, next_controlword
+from drives.drive import Cia402Drive
 from drives.epoch import Epoch
-from drives.errors import DriveFault, StopRequested, TransitionTimeout, raise_failures
+from drives.errors import (
+    ConfigurationRefused,
+    DriveError,
+    DriveFault,
+    HeartbeatLost,
+    IncompleteEpochs,
+    NotOperational,
+    StopRequested,
+    TransitionTimeout,
+    raise_failures,
+)
 from drives.exchange import SyncExchange
 from drives.guard import Guard
+from drives.heartbeat import NmtCommand, NmtState, send_nmt
+from drives.instrument import Instrument
+from drives.objects import OBJECTS
+from drives.values import DriveReading
 
+#: Interval at which START is repeated to a node that is not OPERATIONAL, and how long: at least so many heartbeats [s].
+_REPEAT_S: Final = 0.2
+_PATIENCE_S: Final = 2.0
+_BEATS: Final = 3.0
+_SLICE_S: Final = 0.01
+#: SYNCs that a drive may leave unanswered at first.
+_FIRST_TRIES: Final = 10
+#: How far the first TPDO may be from SDO at standstill, in motor revolutions.
+_AGREEMENT_REVOLUTIONS: Final = 0.01
 #: Largest movement of an axis until its brake is open, in motor revolutions: behind a gear of 100 it is 0.016 rad of
 #: the joint. A drive that holds its position stays far below; one that lets its axis drop is stopped here.
 BRAKE_DROP_REVOLUTIONS: Final = 0.25
@@ -25,156 +59,262 @@ _LADDER: Final = (
     State.SWITCHED_ON,
     State.OPERATION_ENABLED,
 )
+_STUCK: Final = "check power stage, STO and enable input, and the drive's display"
 
 
-class EnableSequence:
-    """Sequence from SWITCH ON DISABLED to an open brake, checked at every SYNC.
-
-    No axis is enabled twice: an axis that falls back to a lower state ends the sequence. The target of each axis is its
-    position before the first controlword, so that an axis that drops is pulled back.
+def enable(
+    bus: Bus,
+    exchange: SyncExchange,
+    instruments: Sequence[Instrument],
+    guard: Guard,
+    stop_requested: Callable[[], bool],
+) -> Epoch:
+    """Bring configured drives, whose SYNC has not begun, from PRE-OPERATIONAL to OPERATION ENABLED with open brakes.
 
     Parameters
     ----------
+    bus : Bus
     exchange : SyncExchange
+    instruments : sequence of Instrument
+        Started too, but not waited for: a row is complete without them.
     guard : Guard
     stop_requested : callable
-        Whether a person has requested a stop.
+        Whether a person has requested a stop; called at every SYNC.
+
+    Returns
+    -------
+    Epoch
+        Complete, every axis enabled.
+
+    Raises
+    ------
+    StopRequested
+    NotOperational, HeartbeatLost, IncompleteEpochs
+        A node does not start, or does not answer SYNC.
+    ConfigurationRefused
+        PDO and SDO report different values, or another mode is shown.
+    DriveFault, TransitionTimeout, DriveRebooted, ForeignMaster, BusOff, SeveralFailures
+        An axis falls back, moves, or stays in a state; other events on the bus.
     """
 
-    def __init__(self, exchange: SyncExchange, guard: Guard, stop_requested: Callable[[], bool]) -> None:
-        machines = [drive.setup.profile.state_machine for drive in exchange.drives]
-        #: Longest time that a brake takes to open.
-        self.brake_s = max(machine.brake_delay_s for machine in machines)
-        self._limit_s = _TRANSITIONS * max(machine.transition_timeout_s for machine in machines) + self.brake_s
-        self._exchange, self._guard, self._stop_requested = exchange, guard, stop_requested
-        self._since_s = 0.0
-        self._held: tuple[int, ...] = ()
-
-    def check_stop(self) -> None:
-        """Raise if a person has requested a stop.
-
-        Raises
-        ------
-        StopRequested
-        """
-        if self._stop_requested():
+    def check_stop() -> None:
+        if stop_requested():
             raise StopRequested("a stop was requested while the drives were being enabled")
 
-    def walk(self, start: Epoch) -> Epoch:
-        """Command the transitions to OPERATION ENABLED, and return the first epoch with every axis enabled.
-
-        Parameters
-        ----------
-        start : Epoch
-            The last one, complete.
-
-        Returns
-        -------
-        Epoch
-            Complete, every axis enabled.
-
-        Raises
-        ------
-        DriveFault, TransitionTimeout, IncompleteEpochs, DriveRebooted, StopRequested, SeveralFailures
-        """
-        exchange, epoch = self._exchange, start
-        states = exchange.states
-        self._since_s = self._now_s()
-        self._held = tuple(reading.position_count for reading in start.readings if reading is not None)
-        waited = [0] * len(states)
-        while True:
-            self.check_stop()
-            raise_failures(_stuck(exchange, waited))
-            for drive, count in zip(exchange.drives, self._held, strict=True):
-                drive.hold(count)
-            words = _enable_controlwords(exchange, self._guard)
-            before = list(states)
-            epoch = exchange.cycle(words)
-            self._guard.check_bus()
-            self._guard.check_operational()
-            self._guard.check_unanswered()
-            self._refuse_backward(before)
-            self.check(epoch)
-            if epoch.complete and all(state is State.OPERATION_ENABLED for state in states):
-                return epoch
-            for axis, state in enumerate(states):
-                unchanged = state is before[axis] and state is not State.OPERATION_ENABLED
-                waited[axis] = waited[axis] + 1 if unchanged else 0
-
-    def check(self, epoch: Epoch) -> None:
-        """Check the epoch of one SYNC while the brakes open.
-
-        Raises
-        ------
-        DriveFault
-            An axis moves away from its position.
-        TransitionTimeout
-            The sequence exceeds its time limit.
-        StopRequested
-            A person requested a stop.
-        """
-        self.check_stop()
-        raise_failures(self._moved(epoch))
-        if self._now_s() - self._since_s > self._limit_s:
-            raise_failures(self._overdue(epoch))
-
-    def _now_s(self) -> float:
-        """Return the time for the limits [s]: SYNC time in lockstep, else the monotonic clock."""
-        exchange = self._exchange
-        return exchange.sync_time_s if exchange.timing.pacing == "lockstep" else time.monotonic()
-
-    def _refuse_backward(self, before: Sequence[State | None]) -> None:
-        failures = []
-        for drive, was, now in zip(self._exchange.drives, before, self._exchange.states, strict=True):
-            if was in _LADDER and now in _LADDER and _LADDER.index(now) < _LADDER.index(was):
-                what = f"fell back from {was} to {now} while being enabled{self._guard.emcy.last_clause(drive.node_id)}"
-                advice = "check power stage, STO and enable input; it is not enabled again automatically"
-                failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
-        raise_failures(failures)
-
-    def _moved(self, epoch: Epoch) -> list[DriveFault]:
-        failures = []
-        for drive, reading, held in zip(self._exchange.drives, epoch.readings, self._held, strict=True):
-            if reading is None:
-                continue
-            turns = abs(reading.position_count - held) / drive.scale.revolutions(1.0)
-            if turns > BRAKE_DROP_REVOLUTIONS:
-                what = f"moves while its brake opens: {turns:.2f} motor revolutions from its position"
-                advice = "check the brake, the load and the torque limit 0x6072; the axis may drop when it is enabled"
-                failures.append(DriveFault(what, node=drive.node_id, index=0x6064, advice=advice))
-        return failures
-
-    def _overdue(self, epoch: Epoch) -> list[TransitionTimeout]:
-        advice = "check power stage, STO and enable input, and the drive's display"
-        what = f"after {self._limit_s:.1f} s not all axes are enabled and responding"
-        slow = [
-            TransitionTimeout(f"{what}: it is in {state}", node=drive.node_id, index=0x6041, advice=advice)
-            for drive, state, reading in zip(self._exchange.drives, self._exchange.states, epoch.readings, strict=True)
-            if state is not State.OPERATION_ENABLED or reading is None
-        ]
-        return slow or [TransitionTimeout(what, advice=advice)]
+    epoch = _start(bus, exchange, instruments, guard, check_stop)
+    guard.forgive_cleared()  # a node may report why it refuses START, and that the cause was cleared
+    failures: list[DriveError] = []
+    for drive, reading in zip(exchange.drives, epoch.readings, strict=True):
+        try:
+            _compare_with_sdo(drive, reading)
+        except DriveError as error:
+            failures.append(error)
+    raise_failures(failures)
+    exchange.clock.restart()
+    epoch = exchange.cycle(None)
+    for _ in range(_FIRST_TRIES - 1):
+        if epoch.complete:
+            break
+        epoch = exchange.cycle(None)
+    _require_complete(exchange, epoch)
+    return _walk(exchange, guard, epoch, check_stop)
 
 
-def _enable_controlwords(exchange: SyncExchange, guard: Guard) -> list[int]:
+def _start(
+    bus: Bus,
+    exchange: SyncExchange,
+    instruments: Sequence[Instrument],
+    guard: Guard,
+    check_stop: Callable[[], None],
+) -> Epoch:
+    """Send NMT START until every drive is OPERATIONAL and answers SYNC; return the first complete epoch."""
+    drives, watch = exchange.drives, guard.watch
+    bus.drain()
+    for drive in drives:
+        watch.states[drive.node_id] = None
+    began_s = sent_s = time.monotonic()
+
+    def start(node_ids: Sequence[int]) -> None:
+        for node_id in node_ids:
+            send_nmt(bus, NmtCommand.START, node_id)
+
+    def start_again(node_ids: Sequence[int]) -> None:
+        nonlocal sent_s
+        if time.monotonic() - sent_s >= _REPEAT_S:
+            start(node_ids)
+            sent_s = time.monotonic()
+
+    def down(those: Sequence[Cia402Drive]) -> list[Cia402Drive]:
+        return [drive for drive in those if watch.states[drive.node_id] is not NmtState.OPERATIONAL]
+
+    start([node.node_id for node in (*drives, *instruments)])
+    beating = [drive for drive in drives if drive.setup.profile.heartbeat.producer_ms is not None]
+    slowest_s = max(
+        (_BEATS * (drive.setup.profile.heartbeat.producer_ms or 0) / 1000.0 for drive in beating), default=0
+    )
+    while waiting := down(beating):
+        if time.monotonic() - began_s > max(_PATIENCE_S, slowest_s):
+            raise_failures([_not_operational(drive, guard) for drive in waiting])
+        start_again([drive.node_id for drive in waiting])
+        check_stop()
+        bus.listen(_SLICE_S)
+        guard.check_bus()
+    exchange.clock.restart()
+    epoch, tries = exchange.cycle(None), 1
+    while not epoch.complete:
+        check_stop()
+        silent = down([drives[axis] for axis in epoch.missing])
+        if silent and time.monotonic() - began_s > _PATIENCE_S:
+            raise_failures([_not_operational(drive, guard) for drive in silent])
+        mute = [device for device, reading in zip(instruments, epoch.instruments, strict=True) if reading is None]
+        start_again([node.node_id for node in (*silent, *mute)])
+        if tries >= _FIRST_TRIES and not silent:
+            break
+        epoch, tries = exchange.cycle(None), tries + 1
+    _require_complete(exchange, epoch)
+    return epoch
+
+
+def _not_operational(drive: Cia402Drive, guard: Guard) -> DriveError:
+    state, producer_ms = guard.watch.states[drive.node_id], drive.setup.profile.heartbeat.producer_ms
+    if state is None and producer_ms is not None:
+        what = f"sends no heartbeat, although 0x1017 is {producer_ms} ms"
+        advice = "check the drive; leave heartbeat.producer_ms out of the profile if it has no heartbeat"
+        return HeartbeatLost(what, node=drive.node_id, index=0x1017, advice=advice)
+    said = "its NMT state is not known" if state is None else f"it is in NMT state {str(state).upper()}"
+    what = f"does not go to OPERATIONAL, commanded for {_PATIENCE_S:.0f} s: {said}"
+    what += guard.emcy.last_clause(drive.node_id)
+    advice = "a communication error may be active: read 0x1001, 0x1003, error behaviour 0x1029 and SYNC period 0x1006"
+    return NotOperational(what, node=drive.node_id, advice=f"{advice}; remove its cause, or switch it off and on")
+
+
+def _require_complete(exchange: SyncExchange, epoch: Epoch) -> None:
+    """Refuse drives that do not answer SYNC, so that no command is sent before their positions are known."""
+    advice = "check that its TPDOs are synchronous and that it is in NMT state OPERATIONAL"
+    what = f"does not respond to SYNC ({_FIRST_TRIES} sent)"
+    raise_failures(
+        [IncompleteEpochs(what, node=exchange.drives[axis].node_id, advice=advice) for axis in epoch.missing]
+    )
+
+
+def _compare_with_sdo(drive: Cia402Drive, reading: DriveReading | None) -> None:
+    """Refuse a drive whose first TPDO differs from SDO reads of the same objects, as with a shifted mapping."""
+    position = drive.access.read(drive.setup.profile.position.object)
+    status = drive.access.read(OBJECTS["statusword"])
+    if reading is None:
+        return
+    allowed = drive.scale.revolutions(_AGREEMENT_REVOLUTIONS) + 1.0
+    same_state = decode_state(status) is decode_state(reading.statusword)
+    if abs(position - reading.position_count) > allowed or not same_state:
+        raise ConfigurationRefused(
+            f"TPDO1 reports {describe(reading.statusword)} at {reading.position_count} counts, "
+            f"SDO reports {describe(status)} at {position} counts",
+            node=drive.node_id,
+            index=drive.plans[1].mapping,
+            advice="the PDO mapping is shifted, or the axis moves although it is not enabled",
+        )
+
+
+def _walk(exchange: SyncExchange, guard: Guard, epoch: Epoch, check_stop: Callable[[], None]) -> Epoch:
+    """Command the transitions to OPERATION ENABLED, and hold each axis until its brake is open and its mode shown."""
+    drives, states, timing = exchange.drives, exchange.states, exchange.timing
+    machines = [drive.setup.profile.state_machine for drive in drives]
+    brake_s = max(machine.brake_delay_s for machine in machines)
+    limit_s = _TRANSITIONS * max(machine.transition_timeout_s for machine in machines) + brake_s
+    held = tuple(reading.position_count for reading in epoch.readings if reading is not None)
+    mode, display = Mode.CYCLIC_SYNC_POSITION, OBJECTS["mode_display"]
+    late = [drive for drive, machine in zip(drives, machines, strict=True) if not machine.mode_before_enable]
+    #: Of drives that show their mode only when they are enabled: the question that is open.
+    asked = {drive: drive.access.sdo.post(*display.address, display.type) for drive in late}
+
+    def now_s() -> float:
+        return exchange.sync_time_s if timing.pacing == "lockstep" else time.monotonic()
+
+    began_s, held_s, waited, all_enabled = now_s(), 0.0, [0] * len(drives), False
+    while not all_enabled or held_s < brake_s or asked or not epoch.complete:
+        check_stop()
+        for drive, count in zip(drives, held, strict=True):
+            drive.hold(count)
+        before, words = list(states), _enable_controlwords(exchange)
+        epoch = exchange.cycle(words)
+        guard.emcy.sync_index = epoch.sync_index
+        if all_enabled:
+            guard.check(epoch)
+            held_s += timing.period_s
+        else:
+            guard.check_bus()
+            guard.check_operational()
+            guard.check_unanswered()
+        _refuse_backward(exchange, before)
+        check_stop()
+        raise_failures(_moved(exchange, epoch, held))
+        for axis, state in enumerate(states):
+            unchanged = state is before[axis] and state is not State.OPERATION_ENABLED
+            waited[axis] = waited[axis] + 1 if unchanged else 0
+        all_enabled |= epoch.complete and all(state is State.OPERATION_ENABLED for state in states)
+        for drive, answer in list(asked.items()) if all_enabled else ():
+            if answer.value == mode.value:
+                del asked[drive]
+            elif answer.answered or time.monotonic() > answer.until_s:
+                if now_s() - began_s > limit_s:
+                    refuse_mode(drive.access, mode, answer.value)
+                asked[drive] = drive.access.sdo.post(*display.address, display.type)
+        raise_failures(_stuck(exchange, waited))
+        if now_s() - began_s > limit_s and not (asked and all_enabled):
+            raise_failures(_overdue(exchange, epoch, limit_s))
+    return epoch
+
+
+def _enable_controlwords(exchange: SyncExchange) -> list[int]:
     words: list[int] = []
     failures = []
     for drive, state in zip(exchange.drives, exchange.states, strict=True):
         try:
             words.append(0 if state is None else next_controlword(state, State.OPERATION_ENABLED))
         except NoRoute as error:
-            what = f"{error}: {drive.fault_text()}{guard.emcy.last_clause(drive.node_id)}"
+            what = f"{error}: {drive.fault_text()}"
             advice = "find and remove the cause; nothing is reset automatically"
             failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
     raise_failures(failures)
     return words
 
 
-def _stuck(exchange: SyncExchange, waited: list[int]) -> list[TransitionTimeout]:
+def _refuse_backward(exchange: SyncExchange, before: Sequence[State | None]) -> None:
+    failures = []
+    for drive, was, now in zip(exchange.drives, before, exchange.states, strict=True):
+        if was in _LADDER and now in _LADDER and _LADDER.index(now) < _LADDER.index(was):
+            what = f"fell back from {was} to {now} while being enabled"
+            advice = "check power stage, STO and enable input; it is not enabled again automatically"
+            failures.append(DriveFault(what, node=drive.node_id, index=0x6041, advice=advice))
+    raise_failures(failures)
+
+
+def _moved(exchange: SyncExchange, epoch: Epoch, held: Sequence[int]) -> list[DriveFault]:
+    failures = []
+    for drive, reading, count in zip(exchange.drives, epoch.readings, held, strict=True):
+        turns = 0.0 if reading is None else abs(reading.position_count - count) / abs(drive.scale.revolutions(1.0))
+        if turns > BRAKE_DROP_REVOLUTIONS:
+            what = f"moves while its brake opens: {turns:.2f} motor revolutions from its position"
+            advice = "check the brake, the load and the torque limit 0x6072; the axis may drop when it is enabled"
+            failures.append(DriveFault(what, node=drive.node_id, index=0x6064, advice=advice))
+    return failures
+
+
+def _stuck(exchange: SyncExchange, waited: Sequence[int]) -> list[TransitionTimeout]:
     failures = []
     for drive, state, cycles in zip(exchange.drives, exchange.states, waited, strict=True):
         limit_s = drive.setup.profile.state_machine.transition_timeout_s
         if cycles * exchange.timing.period_s > limit_s:
             what = f"stays in {state} for more than {limit_s} s in the transition to OPERATION ENABLED"
-            advice = "check power stage, STO and enable input, and the drive's display"
-            failures.append(TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=advice))
+            failures.append(TransitionTimeout(what, node=drive.node_id, index=0x6041, advice=_STUCK))
     return failures
+
+
+def _overdue(exchange: SyncExchange, epoch: Epoch, limit_s: float) -> list[TransitionTimeout]:
+    what = f"after {limit_s:.1f} s not all axes are enabled and responding"
+    slow = [
+        TransitionTimeout(f"{what}: it is in {state}", node=drive.node_id, index=0x6041, advice=_STUCK)
+        for drive, state, reading in zip(exchange.drives, exchange.states, epoch.readings, strict=True)
+        if state is not State.OPERATION_ENABLED or reading is None
+    ]
+    return slow or [TransitionTimeout(what, advice=_STUCK)]

@@ -155,7 +155,7 @@ class EpochCollector:
         gap_s = max(gap_s, _SLOW * self._usual_s)
         left = self._gather(left, start + gap_s, gap_s)
         if left:
-            left = self._pursue(left, start + (timeout_s if left == len(self._sizes) else _OTHERS * timeout_s))
+            left = self._pursue(left, timeout_s if left == len(self._sizes) else _OTHERS * timeout_s)
         else:
             self._usual_s += 0.1 * (time.monotonic() - start - self._usual_s)
         if self._astray:
@@ -265,22 +265,28 @@ class EpochCollector:
                 after_s = time.monotonic() - self._sent_s
             self.alignment.came(slot, after_s)
 
-    def _pursue(self, left: int, limit_s: float) -> int:
-        """Query the drives that have not answered, and wait until each has answered by TPDO or SDO."""
+    def _pursue(self, left: int, patience_s: float) -> int:
+        """Query the drives that have not answered, and wait until each has answered by TPDO or SDO.
+
+        Only time in which this process was ready to receive counts: simulated drives may be stalled with it.
+        """
         inquiry = self._inquiry
         if inquiry is None:
-            return self._gather(left, limit_s, None)
-        ask_s = 0.0
-        while left and (now := time.monotonic()) < limit_s:
+            return self._gather(left, time.monotonic() + patience_s, None)
+        now, ask_s = time.monotonic(), 0.0
+        while left and patience_s > 0.0:
             missing = [slot for slot, data in enumerate(self.frames) if data is None]
             if now >= ask_s:
                 inquiry.ask(missing)
                 ask_s = now + _ASK_AGAIN_S
             elif all(inquiry.answered(slot) for slot in missing):
                 break
-            frame = self._bus.receive(min(ask_s, limit_s) - now)
+            wait_s = min(ask_s - now, patience_s)
+            frame = self._bus.receive(wait_s)
             if frame is not None and self._take(frame):
                 left -= 1
+            before, now = now, time.monotonic()
+            patience_s -= min(now - before, wait_s)
         return left
 
     def _take(self, frame: Frame) -> bool:

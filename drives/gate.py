@@ -7,8 +7,9 @@ The full gate also reads the identity, every configured object and PDO, and the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from typing import Final
 
@@ -24,15 +25,20 @@ from drives.errors import (
     DriveFault,
     DriveRebooted,
     IdentityMismatch,
+    SdoTimeout,
     raise_failures,
 )
 from drives.heartbeat import HeartbeatWatch
 from drives.objects import object_name
 from drives.pdo import differences
+from drives.sdo_channel import NOT_ANSWERING
 
 #: Differences of one drive that a message names beside the first one.
 _NAMED: Final = 8
 _AGAIN: Final = "check its supply, then run the command again"
+#: All drives are asked at once whether they are there, so often, and looked at in this interval [s].
+_QUESTIONS: Final = 2
+_LOOK_S: Final = 0.001
 _LOST: Final = f"the drive restarted, was exchanged, or was written by another master: {_AGAIN}"
 
 
@@ -49,12 +55,15 @@ class DriveState:
         First reason against calling a person to the arm and against enabling it.
     unsafe : DriveFault or None
         Reason against power alone: a fault, which leaves the axis in its brake, or an open safety chain (full gate).
+    arm : str
+        Which arm it belongs to, where several move together.
     """
 
     node_id: int
     state: State | None
     failure: DriveError | None = None
     unsafe: DriveFault | None = None
+    arm: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,10 +84,12 @@ class ArmState:
     is_full: bool = False
 
     @classmethod
-    def of(cls, states: Iterable[ArmState]) -> ArmState:
-        """Return one record of several arms."""
-        each = tuple(states)
-        drives = tuple(drive for state in each for drive in state.drives)
+    def of(cls, states: Mapping[str, ArmState]) -> ArmState:
+        """Return one record of several arms, by their names."""
+        each = tuple(states.values())
+        if len(each) == 1:
+            return each[0]
+        drives = tuple(replace(drive, arm=arm) for arm, state in states.items() for drive in state.drives)
         return cls(drives, min(state.read_at for state in each), all(state.is_full for state in each))
 
     @property
@@ -110,7 +121,9 @@ class ArmState:
         if self.is_disabled:
             return f"every drive was read as disabled at {self.read_at:%H:%M:%S} UTC"
         rest = [drive for drive in self.drives if drive.state not in AT_REST]
-        nodes = "; ".join(f"node {drive.node_id}: {drive.state or 'not read'}" for drive in rest)
+        nodes = "; ".join(
+            f"{drive.arm and f'arm {drive.arm}, '}node {drive.node_id}: {drive.state or 'not read'}" for drive in rest
+        )
         return f"the state of the arm is not known: use the emergency stop ({nodes})"
 
 
@@ -145,11 +158,12 @@ class Gate:
             Also identity, configuration and the conditions for power.
         """
         began = datetime.now(UTC)
-        read = [self._read(drive, full) for drive in self._drives]
         try:
+            silent = self._silent()
+            read = [silent.get(drive.node_id) or self._read(drive, full) for drive in self._drives]
             self._bus.listen(POLL_S)  # a boot-up or an emergency that was sent while the last drive was read
         except DriveError as error:
-            return ArmState(tuple(DriveState(drive.node_id, None, error) for drive in read), began, full)
+            return ArmState(tuple(DriveState(drive.node_id, None, error) for drive in self._drives), began, full)
         new, self._emergencies = self._emcy.count - self._emergencies, self._emcy.count
         latest = {each.node_id: each for each in self._emcy.messages[-new:]} if new else {}
         states: list[DriveState] = []
@@ -161,8 +175,24 @@ class Gate:
             elif failure is None and sent is not None and not sent.is_reset:
                 what = f"sent an emergency while it was disabled: {sent.what}"
                 failure = DriveFault(what, node=drive.node_id, code=sent.code, advice=sent.advice or _AGAIN)
-            states.append(DriveState(drive.node_id, drive.state, failure, drive.unsafe))
+            states.append(replace(drive, failure=failure))
         return ArmState(tuple(states), began, full)
+
+    def _silent(self) -> dict[int, DriveState]:
+        """Return the drives that do not answer, by node: together they take no longer to find than one."""
+        waiting = [drive.access.sdo for drive in self._drives]
+        began_s = time.monotonic()
+        for _ in range(_QUESTIONS):
+            for sdo in waiting:
+                sdo.ask()
+            until_s = time.monotonic() + max((sdo.timeout_s for sdo in waiting), default=0.0)
+            while (waiting := [sdo for sdo in waiting if sdo.asked]) and time.monotonic() < until_s:
+                self._bus.listen(_LOOK_S)
+        what = f"no SDO answer within {(time.monotonic() - began_s) * 1e3:.0f} ms"
+        return {
+            sdo.node_id: DriveState(sdo.node_id, None, SdoTimeout(what, node=sdo.node_id, advice=NOT_ANSWERING))
+            for sdo in waiting
+        }
 
     def _read(self, drive: Cia402Drive, full: bool) -> DriveState:
         """Read one drive up to the first reason against power and against a person at the arm."""

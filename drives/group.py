@@ -9,16 +9,13 @@ send the master's heartbeat, so that a blocked master stops the arm as a crashed
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from typing import Final
 
-from drives import bringup, enable_checks, operational, stopping
-from drives.cia402 import Mode
+from drives import enabling, stopping
 from drives.drive import DriveCommand
-from drives.enabling import EnableSequence
 from drives.epoch import Epoch
 from drives.errors import (
     ConfigurationRefused,
@@ -27,13 +24,13 @@ from drives.errors import (
     DriveRebooted,
     NotStoodDown,
     SdoTimeout,
+    StopRequested,
     raise_failures,
     while_stopping,
 )
 from drives.exchange import SyncExchange
 from drives.gate import ArmState
 from drives.group_setup import DriveSetup, GroupOptions
-from drives.guard import Guard
 from drives.heartbeat import NmtCommand, send_nmt
 from drives.proof import BrakeTest, DriveTest, HeartbeatLossTest, QuickStopTest
 
@@ -135,51 +132,25 @@ class DriveGroup(DriveSetup):
         exchange, guard = self._parts()
         self._require(self._configured and not self.enabled, "configure() first, and enable() once")
         self.gate(full=True).require_power()
-        sequence = EnableSequence(exchange, guard, stop_requested)
-        sequence.check_stop()
+        if stop_requested():
+            raise StopRequested("a stop was requested before the drives were enabled")
         try:
-            return self._enable(exchange, guard, sequence)
+            self._for_each(lambda drive: drive.arm(self._master_node_id))
+            self.ledger.settle()
+            self.gate().require_approach()  # what happened while the consumer times were written
+            guard.forgive()
+            self._bus.free_count = None  # from now on the guard watches for other masters
+            exchange.restart()
+            self._producer.start(exchange.sync_time_s)
+            self._running = True
+            epoch = enabling.enable(self._bus, exchange, self.instruments, guard, stop_requested)
         except BaseException as error:
             self._after(error, stopping.disable)
+            if isinstance(error, DriveError):
+                guard.explain(error)
             raise
-
-    def _enable(self, exchange: SyncExchange, guard: Guard, sequence: EnableSequence) -> Epoch:
-        self._for_each(lambda drive: drive.arm(self._master_node_id))
-        self.ledger.settle()
-        self.gate().require_approach()  # what happened while the consumer times were written
-        guard.forgive()
-        self._bus.free_count = None  # from now on the guard watches for other masters
-        exchange.restart()
-        self._producer.start(exchange.sync_time_s)
-        self._running = True
-        epoch = self._start_nodes(exchange, guard, sequence)
-        guard.forgive_cleared()  # a node may report why it refuses START, and that the cause was cleared
-        readings = {reading.node_id: reading for reading in epoch.readings if reading is not None}
-        self._for_each(lambda drive: enable_checks.compare_with_sdo(drive, readings[drive.node_id]))
-        exchange.clock.restart()
-        epoch = sequence.walk(enable_checks.first_epoch(exchange))
-        for drive in self.drives:
-            if not drive.setup.profile.state_machine.mode_before_enable:
-                bringup.check_mode(drive.access, Mode.CYCLIC_SYNC_POSITION)
         self.enabled = True
-        for _ in range(math.ceil(sequence.brake_s / self.timing.period_s)):
-            epoch = self.hold()
-            sequence.check(epoch)
-        while not epoch.complete:
-            epoch = self.hold()
-            sequence.check(epoch)
         return epoch
-
-    def _start_nodes(self, exchange: SyncExchange, guard: Guard, sequence: EnableSequence) -> Epoch:
-        """Send NMT START until every drive is OPERATIONAL; return the first complete epoch."""
-        watch = self._watch
-        if watch is None:
-            raise ConfigurationRefused("the drives are not configured", advice="connect() and configure() first")
-        start = operational.NmtStart(self._bus, self.drives, self.instruments, watch, guard)
-        start.begin()
-        start.confirm(sequence.check_stop)
-        exchange.clock.restart()
-        return enable_checks.first_epoch(exchange, lambda epoch: sequence.check_stop() or start.again(epoch))
 
     def exchange(self, commands: Sequence[DriveCommand]) -> Epoch:
         """Run one SYNC cycle: send a target to every axis and collect the readings of every axis.

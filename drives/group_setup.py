@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from drives import discovery, enable_checks, stopping
+from drives import discovery, stopping
 from drives.access import ObjectAccess
 from drives.admission import Admission, EmergencyListener
 from drives.bus import SYNC_ID, Bus
@@ -323,7 +323,7 @@ class DriveSetup:
         drive = next((each for each in self.drives if each.node_id == node_id), None)
         if drive is None:
             raise NodeMissing("is not connected", node=node_id, advice="connect() first")
-        enable_checks.reset_fault(drive)
+        drive.reset_fault()
 
     def restore(self) -> None:
         """Disable drives that an interrupted run left energised, then restore every object that is in the ledger.

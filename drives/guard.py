@@ -57,7 +57,7 @@ class Guard:
         self.limits = limits
         self._bus = bus
         self._exchange = exchange
-        self._watch = watch
+        self.watch = watch
         self.emcy = emcy
         self._symptoms = StatusMonitor(exchange, emcy)
         #: Axes (from 0) that may leave OPERATION ENABLED because they were commanded to.
@@ -68,7 +68,7 @@ class Guard:
 
     def forgive(self) -> None:
         """Reset the monitoring for a new run: boot-ups, heartbeat timers and frames of other masters are cleared."""
-        self._watch.forgive()
+        self.watch.forgive()
         self._symptoms.forgive()
         self.excused = frozenset()
         self._foreign_before, self._foreign_seen = dict(self._bus.foreign), self._bus.foreign_count
@@ -76,7 +76,7 @@ class Guard:
     def forgive_cleared(self) -> None:
         """Every node has started: reset its recorded state, and drop emergencies that were reported as cleared."""
         self._symptoms.forgive_cleared()
-        self._watch.left.clear()
+        self.watch.left.clear()
 
     def excuse(self, axes: frozenset[int]) -> None:
         """From now on these axes (from 0) and no others may leave OPERATION ENABLED."""
@@ -92,9 +92,9 @@ class Guard:
         DriveFault, DriveRebooted, NotOperational, HeartbeatLost, IncompleteEpochs, ForeignMaster, BusOff,
         SeveralFailures
         """
-        if self._watch.left:
+        if self.watch.left:
             self.check_operational()
-        if self._watch.booted or self._bus.bus_off or self._bus.foreign_count != self._foreign_seen:
+        if self.watch.booted or self._bus.bus_off or self._bus.foreign_count != self._foreign_seen:
             self.check_bus()
         if self.excused:
             kept = (None if axis in self.excused else each for axis, each in enumerate(epoch.readings))
@@ -126,15 +126,16 @@ class Guard:
         """Add to each fault the emergency message of the drive."""
         for failure in error.failures if isinstance(error, SeveralFailures) else (error,):
             if isinstance(failure, DriveFault) and failure.node is not None:
-                failure.what += self.emcy.last_clause(failure.node)
+                clause = self.emcy.last_clause(failure.node)
+                failure.what += "" if clause in failure.what else clause
 
     def check_operational(self) -> None:
         """Raise an error for nodes that left the NMT state OPERATIONAL."""
-        states, rule = self._watch.states, DRIVE_RULES["left_operational"]
+        states, rule = self.watch.states, DRIVE_RULES["left_operational"]
         raise_failures(
             [
                 rule.raised(f"left OPERATIONAL: its heartbeat shows {str(states[node]).upper()}", node=node)
-                for node in sorted(self._watch.left)
+                for node in sorted(self.watch.left)
             ]
         )
 
@@ -163,8 +164,8 @@ class Guard:
         """Raise an error for bus-off, boot-ups, stopped heartbeats and frames of another master."""
         self._bus.check()
         booted, lost = DRIVE_RULES["booted"], DRIVE_RULES["heartbeat_lost"]
-        raise_failures([booted.raised("booted during the run", node=node) for node in sorted(self._watch.booted)])
-        raise_failures([lost.raised("its heartbeat stopped", node=node) for node in sorted(self._watch.lost())])
+        raise_failures([booted.raised("booted during the run", node=node) for node in sorted(self.watch.booted)])
+        raise_failures([lost.raised("its heartbeat stopped", node=node) for node in sorted(self.watch.lost())])
         if self._bus.foreign_count != self._foreign_seen:
             self._check_foreign()
 

@@ -15,8 +15,9 @@ from drives.objects import RPDO_COMMUNICATION, RPDO_MAPPING, TPDO_COMMUNICATION,
 from drives.pdo import CONTROLWORD, INVALID
 from drives.profile_parts import ObjectReference
 
-#: PDOs of each direction in the predefined connection set of CiA 301.
-_PDOS: Final = 4
+#: Most PDOs of each direction (CiA 301); a device numbers its own in a row, so that it has no more after so many gaps.
+_PDOS: Final = 512
+_GAPS: Final = 8
 _LAST_SYNCHRONOUS: Final = 240
 _MOST_BYTES: Final = 8
 
@@ -29,7 +30,7 @@ class OtherPdo:
     ----------
     node_id : int
     name : str
-        TPDO1 to TPDO4, RPDO1 to RPDO4.
+        TPDO1 to TPDO512, RPDO1 to RPDO512.
     communication : int
         Index of its parameter record.
     cob_id : int
@@ -91,9 +92,13 @@ def other_pdos(access: NodeAccess, planned: Collection[int]) -> tuple[OtherPdo, 
         ("RPDO", RPDO_COMMUNICATION, RPDO_MAPPING),
         ("TPDO", TPDO_COMMUNICATION, TPDO_MAPPING),
     ):
+        gaps = 0
         for number in range(_PDOS):
             record = communication + number
-            cob_id = None if record in planned else access.read_optional(_u32(record, 1))
+            cob_id = INVALID if record in planned else access.read_optional(_u32(record, 1))
+            gaps = gaps + 1 if cob_id is None else 0
+            if gaps == _GAPS:
+                break
             if cob_id is None or cob_id & INVALID:
                 continue
             transmission = access.read(ObjectReference(index=record, subindex=2, type="u8"))

@@ -28,6 +28,7 @@ CCS_DOWNLOAD_SEGMENT, CCS_DOWNLOAD, CCS_UPLOAD, CCS_UPLOAD_SEGMENT = 0x00, 0x20,
 SCS_UPLOAD_SEGMENT, SCS_DOWNLOAD_SEGMENT, SCS_UPLOAD, SCS_DOWNLOAD, ABORT = 0x00, 0x20, 0x40, 0x60, 0x80
 TOGGLE: Final = 0x10
 EXPEDITED, SIZED = 0x02, 0x01
+NOT_ANSWERING: Final = "check power, node id, bit rate and that the node is not in NMT state STOPPED"
 #: Objects that `ask` requests in turn, so that a delayed answer is not taken for the answer to the next request.
 _QUESTIONS: Final = ((0x1000, 0), (0x1018, 1), (0x1001, 0), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 
@@ -308,7 +309,7 @@ class SdoChannel:
             node=self.node_id,
             index=index,
             subindex=subindex,
-            advice="check power, node id, bit rate and that the node is not in NMT state STOPPED",
+            advice=NOT_ANSWERING,
         )
 
     def _broken(self, what: str, address: tuple[int, int], code: int | None) -> SdoProtocolError:

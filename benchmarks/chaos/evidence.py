@@ -25,7 +25,7 @@ class Outcome:
     in_samples : the fault was meant for the samples of a visit
     counted : counters that were asked for, as found
     error : what is reported to the engineer
-    held_up : in real time: the machine that this runs on did not keep its time, which may be what was complained of
+    held_up : the machine that this runs on did not keep its time, which may be what was complained of
     tries : how often it was begun
     """
 

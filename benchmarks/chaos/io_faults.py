@@ -102,7 +102,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
     drives.renew()
     rng = random.Random(f"{kind} {seed}")
     bus = drives.loaded.cell.bus[drives.loaded.cell.arm[0].bus]
-    pacing, real = bus.pacing, bus.pacing == "real"
+    pacing = bus.pacing
     error: BaseException | None = None
     broken = Broken(kind, rng)
     store, desk, planned = MemoryStore(), StopDesk(), 0
@@ -171,7 +171,7 @@ def play(drives: Drives, kind: str, seed: int) -> tuple[list[str], bool]:
         complaints += [
             "the master's heartbeat was missed" for state in watched.states if state is PdsState.FAULT_REACTION_ACTIVE
         ]
-    busy = real and held_up(watched, bus.sync_period_s)
+    busy = held_up(watched, bus.sync_period_s, bus.pacing)
     drives.renew()
     return complaints, busy
 

@@ -17,6 +17,8 @@ from sim.states import PdsState
 SAFE_BOUND = 5
 #: In real time: a SYNC, or an answer, that is delayed by this share of a period is not on time.
 DELAYED_SHARE = 0.5
+#: In lockstep the master waits less long than this for a drive once others have answered [s].
+LOCKSTEP_S = 0.3
 ENABLED_WORD = 0x000F
 ENABLED = PdsState.OPERATION_ENABLED
 
@@ -173,9 +175,11 @@ def compare(watched: Watched, outcome: Outcome, evidence: Evidence, base: int) -
         outcome.complaints.append(f"{outcome.wrong} values of another SYNC in finished visits")
 
 
-def held_up(watched: Watched, period_s: float) -> bool:
-    """In real time: whether the machine that this runs on did not let master or drives keep their time."""
+def held_up(watched: Watched, period_s: float, pacing: str) -> bool:
+    """Return whether the machine that this runs on did not let master or drives keep their time."""
     seen, limit_s = watched.seen, DELAYED_SHARE * period_s
+    if pacing == "lockstep":
+        return seen.slowest_s > LOCKSTEP_S
     rhythm = zip(seen.states, seen.came_s, seen.came_s[1:], strict=False)
     return seen.slowest_s > limit_s or any(
         later - earlier > period_s + limit_s for row, earlier, later in rhythm if set(row[3]) == {ENABLED_WORD}

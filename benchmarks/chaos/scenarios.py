@@ -242,7 +242,7 @@ def play(rig: Drives, kind: str, seed: int) -> Outcome:
     judge(watched, outcome, fault, error, evidence)
     follow(watched, outcome, fault, begin.start)
     compare(watched, outcome, evidence, base)
-    outcome.held_up = bus.pacing == "real" and held_up(watched, bus.sync_period_s)
+    outcome.held_up = held_up(watched, bus.sync_period_s, bus.pacing)
     return outcome
 
 

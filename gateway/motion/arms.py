@@ -190,7 +190,8 @@ class Arms:
 
     def gate(self) -> ArmState:
         """Read the drives of all arms, as one record."""
-        return ArmState.of(self._all(lambda index: self.members[index].drives.gate()))
+        states = self._all(lambda index: self.members[index].drives.gate())
+        return ArmState.of({arm.name: state for arm, state in zip(self.members, states, strict=True)})
 
     def close(self) -> None:
         """Shut down the threads."""

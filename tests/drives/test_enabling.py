@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 
 from drives.enabling import BRAKE_DROP_REVOLUTIONS
-from drives.errors import DriveFault, IncompleteEpochs, StopRequested, TransitionTimeout
+from drives.errors import ConfigurationRefused, DriveFault, IncompleteEpochs, StopRequested, TransitionTimeout
 from drives.group import DriveGroup
 
 PERIOD_S = 0.004
@@ -35,6 +37,77 @@ def enabling_words(slaves):
 def targets(wire, node_id):
     """Every target position that was sent to a node."""
     return [struct.unpack("<Hih", data)[1] for can_id, data in wire.sent if can_id == 0x200 + node_id]
+
+
+# -- drives that show their mode only once they are enabled ---------------------------------------------------------
+
+
+@pytest.fixture(params=["lockstep", "real"])
+def mode_shown_when_enabled(request, bus, slaves, setups, generic):
+    """A group of drives whose 0x6061 stays 0 for a time under power, and the list that holds it in SYNCs."""
+    profile = generic.model_copy(
+        update={"state_machine": generic.state_machine.model_copy(update={"mode_before_enable": False})}
+    )
+    enabled: dict[int, int] = {}
+    delay_syncs = [75]
+
+    def mode_of(slave, plain):
+        def get(address):
+            if address != (0x6061, 0):
+                return plain(address)
+            if slave.state != "operation enabled":
+                return 0
+            return 8 if slave.sync_seen - enabled.setdefault(slave.node_id, slave.sync_seen) > delay_syncs[0] else 0
+
+        return get
+
+    for slave in slaves:
+        slave.get = mode_of(slave, slave.get)
+    chosen = [replace(setup, profile=profile) for setup in setups(3)]
+    with DriveGroup(bus, chosen, PERIOD_S, request.param) as group:
+        group.connect()
+        group.configure()
+        yield group, delay_syncs
+
+
+def longest_gap_s(wire):
+    """Longest time between two SYNCs since the first drive was enabled."""
+    enabled_s = next(at_s for at_s, sent in zip(wire.sent_at_s, wire.sent, strict=True) if sent[1][:1] == b"\x0f")
+    syncs = [at_s for at_s, (can_id, _) in zip(wire.sent_at_s, wire.sent, strict=True) if can_id == 0x80]
+    return max(later - before for before, later in pairwise(at_s for at_s in syncs if at_s > enabled_s))
+
+
+def test_sync_goes_on_while_the_mode_is_waited_for(mode_shown_when_enabled, wire):
+    group, _ = mode_shown_when_enabled
+    group.enable()
+    assert group.enabled
+    assert longest_gap_s(wire) < 2 * PERIOD_S
+
+
+def test_a_stop_is_detected_while_the_mode_is_waited_for(mode_shown_when_enabled, slaves, wire):
+    group, delay_syncs = mode_shown_when_enabled
+    delay_syncs[0] = 10_000
+    asked_s: list[float] = []
+
+    def asked():
+        if min(slave.controlwords.count(0x0F) for slave in slaves) < 30:
+            return False
+        asked_s.append(wire.now_s)
+        return True
+
+    with pytest.raises(StopRequested):
+        group.enable(asked)
+    assert {slave.state for slave in slaves} == {OFF}
+    assert wire.now_s - asked_s[0] < 2.0
+
+
+def test_a_mode_that_is_never_shown_is_refused_and_no_axis_stays_enabled(mode_shown_when_enabled, slaves, wire):
+    group, delay_syncs = mode_shown_when_enabled
+    delay_syncs[0] = 10_000
+    with pytest.raises(ConfigurationRefused, match="shows mode 0 instead of 8"):
+        group.enable()
+    assert {slave.state for slave in slaves} == {OFF}
+    assert longest_gap_s(wire) < 2 * PERIOD_S or group.timing.pacing == "lockstep"
 
 
 # -- a person who asks to stop ----------------------------------------------------------------------------------------

@@ -49,6 +49,14 @@ def test_a_lost_answer_leaves_a_gap_and_the_next_row_is_whole(group, slaves):
     assert group.statistics.incomplete == 1
 
 
+def test_in_lockstep_a_stall_of_this_process_costs_no_answer(wire, group, slaves):
+    """Longer than any time-out for an answer; simulated drives may have been stalled with it."""
+    slaves[1].tpdo_delay_s[slaves[1].sync_seen + 1] = 0.03
+    wire.held_up_s = 1.2
+    assert step(group, slaves).complete
+    assert group.statistics.incomplete == 0
+
+
 @pytest.mark.parametrize("delay_s", [0.025, 0.03, 0.039])
 def test_a_delayed_answer_never_enters_the_next_row(group, slaves, delay_s):
     slaves[2].tpdo_delay_s[slaves[2].sync_seen + 1] = delay_s

@@ -15,6 +15,7 @@ from drives.errors import (
     SdoTimeout,
     SeveralFailures,
 )
+from drives.gate import ArmState
 from drives.group import DriveGroup
 from drives.values import AxisSetup
 
@@ -246,3 +247,31 @@ def test_an_interpolation_period_that_may_not_be_written_has_to_be_the_sync_peri
                 ConfigurationRefused, match="interpolates over 0.001 s, the master sends a SYNC every 0.01"
             ):
                 group.configure()
+
+
+def test_drives_that_all_stay_unanswered_are_found_in_the_time_of_one(wire, slaves, waiting):
+    """The sentence that names the emergency stop does not come later for each drive that has lost its supply."""
+    group, _ = waiting
+    for slave in slaves:
+        slave.alive = False
+    began_s = wire.now_s
+    state = group.gate()
+    assert wire.now_s - began_s < 0.7
+    assert [type(drive.failure) for drive in state.drives] == [SdoTimeout, SdoTimeout]
+    assert "use the emergency stop (node 1: not read; node 2: not read)" in str(state)
+
+
+def test_an_answer_that_is_lost_once_is_asked_for_again(slaves, waiting):
+    group, _ = waiting
+    answers = iter([[]])
+    slaves[1].reply = lambda request, answer: next(answers, [(0.0, answer)])
+    assert group.gate().safe_to_approach
+
+
+def test_of_several_arms_a_node_is_named_with_its_arm(slaves, waiting):
+    group, _ = waiting
+    safe = group.gate()
+    slaves[1].state = "operation enabled"
+    both = ArmState.of({"left": safe, "right": group.gate()})
+    assert "(arm right, node 2: OPERATION ENABLED)" in str(both)
+    assert not both.safe_to_approach

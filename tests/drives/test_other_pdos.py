@@ -50,6 +50,17 @@ def test_pdos_that_are_not_used_are_switched_off_and_put_back(bus, slaves, setup
     assert {index: slave.values[index, 1] for index in found} == found
 
 
+@pytest.mark.parametrize("number", [5, 9, 16])
+def test_no_receive_pdo_beyond_the_first_four_takes_a_foreign_controlword(bus, slaves, setups, number):
+    (slave,) = slaves
+    for other in range(0x1400 + 8, 0x1400 + number - 1, 8):
+        slave.add_pdo(other, other + 0x200, 1 << 31, [])
+    slave.add_pdo(0x1400 + number - 1, 0x1600 + number - 1, 0x330, [CONTROLWORD])
+    with pytest.raises(ConfigurationRefused, match=f"RPDO{number} takes a controlword") as refused:
+        configured(bus, setups(1))
+    assert "write.allow" in str(refused.value)
+
+
 def test_what_is_off_already_is_not_touched(bus, slaves, setups):
     (slave,) = slaves
     slave.add_pdo(0x1802, 0x1A02, 1 << 31 | 0x381, [STATUSWORD])

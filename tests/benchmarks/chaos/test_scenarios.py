@@ -8,9 +8,8 @@ import pytest
 
 from benchmarks.chaos.remote import Remote, remote
 from benchmarks.chaos.rig import Rig, rig
-from benchmarks.chaos.scenarios import ELSEWHERE, kinds, play
+from benchmarks.chaos.scenarios import ELSEWHERE, kinds, play_again
 from benchmarks.chaos.stated import STATED
-from drives.realtime import RealTime
 from sim.faults import KINDS
 
 IN_LOCKSTEP = (
@@ -56,7 +55,7 @@ def by_the_clock() -> Iterator[Remote]:
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", IN_LOCKSTEP)
 def test_fault_ends_as_stated_in_lockstep(running: Rig, kind: str) -> None:
-    outcome = play(running, kind, seed=1)
+    outcome = play_again(running, kind, seed=1)
     assert outcome.fine, outcome.complaints
 
 
@@ -64,8 +63,7 @@ def test_fault_ends_as_stated_in_lockstep(running: Rig, kind: str) -> None:
 @pytest.mark.clock
 @pytest.mark.parametrize("kind", BY_THE_CLOCK)
 def test_fault_ends_as_stated_by_the_clock(by_the_clock: Remote, kind: str) -> None:
-    with RealTime():
-        outcome = play(by_the_clock, kind, seed=1)
+    outcome = play_again(by_the_clock, kind, seed=1)
     if not outcome.fine and outcome.held_up:
         pytest.skip("a sleeper on the same core saw longer stalls than this fault allows")
     assert outcome.fine, outcome.complaints
