@@ -135,9 +135,8 @@ def _directions(workspace: Workspace, start_rad: np.ndarray) -> Iterator[np.ndar
 def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof:
     """Move slowly, withhold the heartbeat and monitor every drive; repeat with a quick stop; then move back.
 
-    A drive that reacts to the lost heartbeat with a communication fault is reset afterwards, also after an interrupted
-    test, because the test has caused that fault. Any other fault remains. If a drive did not stop as stated, nothing
-    moves any more. An arm that was outside its joint range does not move back there.
+    Faults are reset as by `without_heartbeat`. If a drive did not stop as stated, nothing moves any more. An arm that
+    was outside its joint range does not move back there.
 
     Parameters
     ----------
@@ -154,16 +153,11 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     """
     options = options or MoveOptions()
     start_rad = opened.arm.where()
-    try:
-        test, speed_rad_s = stopped_slowly(opened, options, opened.group.withhold_heartbeat, goes_on=True)
-    except BaseException as error:
-        for node, what in reset_provoked(opened).items():
-            error.add_note(f"node {node}: {what}")
-        raise
-    proof = _judge(opened, test.traces(), speed_rad_s, reset_provoked(opened))
+    traces, speed_rad_s, left = without_heartbeat(opened, options)
+    proof = _judge(opened, traces, speed_rad_s, left)
     if not proof.passed:
         return proof
-    test, _ = stopped_slowly(opened, options, opened.group.try_quick_stop, goes_on=False)
+    test, _ = _stopped_slowly(opened, options, opened.group.try_quick_stop, goes_on=False)
     stopped = test.traces()
     proof = replace(proof, items=(*proof.items, *_quick_stop_items(opened, stopped)), quick_stop=stopped)
     if opened.workspace.path_into_range(start_rad) is None:
@@ -194,7 +188,8 @@ class _SlowMotion(MotionSetpoints):
         self._steady = int(np.argmax(speed >= 0.99 * speed.max()))
         self.speed_rad_s = float(speed.max())
         rows = len(motion) if goes_on else self._steady + 1
-        super().__init__(stream.q_rad, [_rows(motion, slice(0, rows))])
+        sent = {name: getattr(motion, name)[:rows] for name in ("q_rad", "qd_rad_s", "qdd_rad_s2")}
+        super().__init__(stream.q_rad, [replace(motion, **sent)])
         #: True where a drive (row) turns a joint (column).
         self._turns = np.array([opened.arm.axes.joint_bound(motor) > 0.0 for motor in np.eye(len(opened.config.axis))])
         self._stream, self._begin = stream, begin
@@ -214,11 +209,37 @@ class _SlowMotion(MotionSetpoints):
             self._stream.excuse(0, np.asarray(self._turns[stops].any(axis=0)))
 
 
-def stopped_slowly(
+def without_heartbeat(opened: OpenArm, options: MoveOptions) -> tuple[tuple[StopTrace, ...], float, dict[int, str]]:
+    """Move slowly, withhold the heartbeat and monitor every drive; return traces, speed [rad/s] and remaining faults.
+
+    A communication fault of a drive that was enabled when the heartbeat was withheld is reset, also after a test that
+    was interrupted. A fault from before, one that comes too early for a lost heartbeat, and any other fault remain; in
+    an interrupted test they are notes of its error.
+    """
+    tests: list[StopTest] = []
+
+    def begin() -> StopTest:
+        tests.append(opened.group.withhold_heartbeat())
+        return tests[0]
+
+    try:
+        test, speed_rad_s = _stopped_slowly(opened, options, begin, goes_on=True)
+    except BaseException as error:
+        if tests:
+            for node, what in _reset_provoked(opened, tests[0].traces()).items():
+                error.add_note(f"node {node}: {what}")
+        raise
+    return test.traces(), speed_rad_s, _reset_provoked(opened, test.traces())
+
+
+def _stopped_slowly(
     opened: OpenArm, options: MoveOptions, begin: Callable[[], StopTest], *, goes_on: bool
 ) -> tuple[StopTest, float]:
     """Move slowly, start a test and continue until it has ended; return the test and the speed [rad/s]."""
-    motion = _slowly_from(opened, opened.arm.where())
+    consumer_s = max(profile.heartbeat.consumer_ms for profile in opened.profiles) / 1000.0
+    motion = slow_motion(
+        opened.arm.name, opened.workspace, opened.arm.where(), consumer_s, opened.group.timing.period_s
+    )
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
         slow = _SlowMotion(opened, stream, motion, begin, goes_on)
@@ -230,11 +251,6 @@ def stopped_slowly(
             stream.hold("monitor the stop of the drives", 0, 1)
             slow.excuse()
     return test, slow.speed_rad_s
-
-
-def _slowly_from(opened: OpenArm, start_rad: np.ndarray) -> Motion:
-    consumer_s = max(profile.heartbeat.consumer_ms for profile in opened.profiles) / 1000.0
-    return slow_motion(opened.arm.name, opened.workspace, start_rad, consumer_s, opened.group.timing.period_s)
 
 
 def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> None:
@@ -273,10 +289,6 @@ def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[Fi
     return items
 
 
-def _rows(motion: Motion, rows: slice) -> Motion:
-    return Motion(motion.q_rad[rows], motion.qd_rad_s[rows], motion.qdd_rad_s2[rows], motion.period_s)
-
-
 def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
     """Return the station for a motion that is slow by itself: no override slows it further."""
     arm, timing = opened.arm, opened.group.timing
@@ -289,15 +301,16 @@ def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
     )
 
 
-def reset_provoked(opened: OpenArm) -> dict[int, str]:
+def _reset_provoked(opened: OpenArm, traces: tuple[StopTrace, ...]) -> dict[int, str]:
     """Reset the faults that the withheld heartbeat explains; return the remaining faults by node."""
     left: dict[int, str] = {}
-    for access in opened.group.access:
+    for access, trace in zip(opened.group.access, traces, strict=True):
         try:
             if decode_state(access.read(OBJECTS["statusword"])) is not State.FAULT:
                 continue
             code = access.read(OBJECTS["error_code"])
-            if code >> 8 != COMMUNICATION_CLASS:
+            early = trace.left_s is not None and trace.left_s < EARLY * trace.stated_s
+            if code >> 8 != COMMUNICATION_CLASS or early:
                 left[access.node_id] = f"stays in FAULT, error code 0x{code:04X}, which no lost heartbeat explains"
                 continue
             opened.group.reset_fault(access.node_id)

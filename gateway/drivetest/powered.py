@@ -22,7 +22,7 @@ from drives.objects import OBJECTS
 from drives.proof import STILL_S, StopTrace
 from gateway.check.brakes import AskSupport, try_brakes
 from gateway.check.proofs import keep_proof
-from gateway.check.stop import motion_station, prove_stop, reset_provoked, stopped_slowly
+from gateway.check.stop import motion_station, prove_stop, without_heartbeat
 from gateway.drivetest.estimates import not_measured
 from gateway.drivetest.frames import FrameRecord
 from gateway.drivetest.motion_record import MotionRecord, PowerRun
@@ -255,21 +255,16 @@ class PoweredTests:
                 ready.append(sheet)
             except (ConfigurationRefused, DriveError) as error:
                 sheet.figures.append(not_measured(FAULT_TIME, f"0x6007 = 1: {error}"))
-        number, left, traces = len(self._motion.runs), dict[int, str](), tuple[StopTrace, ...]()
+        if not ready:
+            return
+        number = len(self._motion.runs)
         try:
-            if ready:
-                test, _ = stopped_slowly(
-                    self._opened, self._options, self._opened.group.withhold_heartbeat, goes_on=True
-                )
-                traces = test.traces()
+            traces, _, left = without_heartbeat(self._opened, self._options)
         finally:
-            if ready:
-                left = reset_provoked(self._opened)
             for sheet in ready:
                 self._abort_connection(sheet, sheet.drive.setup.profile.heartbeat.abort_connection)
-        if ready:
-            self._each_run(number, partial(self._fault_time, left=left, ready=ready))
-            self._by_sdo(FAULT_TIME, ready, traces, since_fault=True)
+        self._each_run(number, partial(self._fault_time, left=left, ready=ready))
+        self._by_sdo(FAULT_TIME, ready, traces, since_fault=True)
 
     def _abort_connection(self, sheet: DriveSheet, option: int) -> None:
         reason = "reaction of the drive when the master's heartbeat stops"

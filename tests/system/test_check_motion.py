@@ -61,22 +61,6 @@ def test_a_drive_that_goes_on_without_its_master_is_found_and_stopped(place, gat
     assert drives.stand_still()
 
 
-@pytest.mark.slow
-def test_a_fault_that_the_withheld_heartbeat_provoked_is_reset_and_no_other(place, gateway, serve):
-    """Some drives go to FAULT whatever 0x6007 says; a fault of another class is the engineer's to look at."""
-    drives = serve()
-    devices = drives.handle.simulation.arms[0].drives
-    for device, code in zip(devices, (0x8130, 0x8130, 0x8130, 0x8130, 0x7305, 0x8130), strict=True):
-        device.node.on_heartbeat_lost = lambda _node, device=device, code=code: device.raise_fault(code)
-    done, body = check(gateway, place, drives, "--prove-stop", "--yes")
-    assert done.exit_code == 7, done.output
-    (item,) = failed(body)
-    assert item["where"] == "J5 node 5"
-    assert "0x7305" in item["what"]
-    assert all(drive["state"] == "FAULT" for drive in body["stop_proof"][0]["drives"])
-    assert [device.automaton.state.name for device in devices].count("FAULT") == 1
-
-
 @pytest.mark.parametrize("option", ["--move", "--prove-stop"])
 def test_nothing_moves_without_a_yes_or_with_a_failed_check(place, gateway, serve, option):
     drives = serve()

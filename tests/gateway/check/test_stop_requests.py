@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
+from drives.errors import DriveFault
 from gateway.check.proofs import ensure_proven, proven_on
 from gateway.check.stop import SPEED_RAD_S, prove_stop
 from gateway.errors import LimitExceeded
@@ -141,6 +142,28 @@ def test_a_fault_that_a_stopped_proof_has_provoked_is_reset_and_another_is_named
     assert bool(named) == (left == "fault")
 
 
+@pytest.mark.parametrize(
+    ("phase", "code"), [("bring-up", 0x8130), ("motion", 0x8130), ("last heartbeat", 0x8130), ("drives stop", 0x7305)]
+)
+def test_a_fault_that_no_lost_heartbeat_explains_stays(rig, phases, phase, code):
+    """It is older than the proof, comes before the heartbeat is withheld, comes too early, or is of another class."""
+    opened, slaves = rig
+    for slave in slaves:
+        slave.values[0x603F, 0] = code if slave is slaves[2] else 0x8130
+        slave.without_master = dict.fromkeys(slave.without_master, "fault")
+    slave = slaves[2]
+    slave.state = "fault" if phase == "bring-up" else slave.state
+    slave.at_sync = lambda: slave.sync_seen == phases[phase] + 3 and setattr(slave, "state", "fault")
+    if phase in ("last heartbeat", "drives stop"):
+        (finding,) = [item for item in prove_stop(opened).items if item.where == "J3 node 3"]
+        assert f"stays in FAULT, error code 0x{code:X}" in finding.what
+    else:
+        with pytest.raises(DriveFault, match="node 3.*FAULT"):
+            prove_stop(opened)
+    assert [each.state for each in slaves].count("fault") == 1
+    assert not any(word & 0x80 for word in slave.controlwords)
+
+
 def test_a_proof_that_was_stopped_is_not_kept_as_proven(rig, phases, tmp_path, monkeypatch):
     opened, slaves = rig
     path, asked = tmp_path / "proof.json", []
@@ -154,31 +177,21 @@ def test_a_proof_that_was_stopped_is_not_kept_as_proven(rig, phases, tmp_path, m
     assert proven_on(path, opened)
 
 
-@pytest.mark.parametrize("phase", ["motion", "heartbeat withheld"])
-def test_contact_in_a_proof_stops_the_arm(rig, phases, phase):
+@pytest.mark.parametrize(("phase", "joint"), [("motion", 2), ("heartbeat withheld", 2), ("heartbeat withheld", 3)])
+def test_contact_and_a_joint_outside_its_range_stop_the_arm_in_a_proof(rig, phases, phase, joint):
     opened, slaves = rig
+    slave = slaves[joint - 1]
 
-    def pushes() -> None:
-        slaves[1].torque = 900 if slaves[1].sync_seen >= phases[phase] else 0
+    def changes() -> None:
+        if slave.sync_seen >= phases[phase]:
+            name, value = ("torque", 900) if joint == 2 else ("position", round(slave.joint_count * 3.5))
+            setattr(slave, name, value)
 
-    slaves[1].at_sync = pushes
-    with pytest.raises(LimitExceeded, match="joint 2"):
+    slave.at_sync = changes
+    with pytest.raises(LimitExceeded, match=f"joint {joint}"):
         prove_stop(opened)
     assert last_set_point(slaves) <= phases[phase] + 6
-    assert {slave.state for slave in slaves} == {"switch on disabled"}
-
-
-def test_a_joint_that_leaves_its_range_while_the_heartbeat_is_withheld_stops_the_arm(rig, phases):
-    opened, slaves = rig
-
-    def leaves() -> None:
-        if slaves[2].sync_seen >= phases["heartbeat withheld"]:
-            slaves[2].position = round(slaves[2].joint_count * 3.5)
-
-    slaves[2].at_sync = leaves
-    with pytest.raises(LimitExceeded, match="joint 3"):
-        prove_stop(opened)
-    assert last_set_point(slaves) <= phases["heartbeat withheld"] + 6
+    assert {each.state for each in slaves} == {"switch on disabled"}
 
 
 def test_the_quick_stop_is_tried_while_the_arm_moves(rig, phases):
