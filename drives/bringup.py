@@ -306,8 +306,10 @@ def refuse_mode(access: ObjectAccess, mode: Mode, shown: int | None) -> NoReturn
     advice = "the drive does not support this mode in its present setting: see 0x6502"
     if shown == 0 and access.profile.state_machine.mode_before_enable:
         advice += "; if it shows 0 until it is enabled, set mode_before_enable = false in the profile"
-    read = "does not answer" if shown is None else f"shows mode {shown}"
-    access.refuse(OBJECTS["mode_display"], f"{read} instead of {mode.value}", advice)
+    what = (
+        f"shows mode {shown} instead of {mode.value}" if shown is not None else f"cannot be read; {mode.value} was set"
+    )
+    access.refuse(OBJECTS["mode_display"], what, advice)
 
 
 def set_interpolation_period(access: NodeAccess, sync_period_s: float) -> None:

@@ -258,10 +258,8 @@ class Cia402Drive:
         while decode_state(status := self.statusword()) in FAULTED and time.monotonic() < deadline_s:
             self._bus.listen(bringup.POLL_S)
         if decode_state(status) in FAULTED:
-            what, advice = (
-                f"is still in {describe(status)}: {self.fault_text()}",
-                "the cause of the fault is still present",
-            )
+            what = f"is still in {describe(status)}: {self.fault_text()}"
+            advice = "the cause of the fault is still present"
             raise DriveFault(what, node=self.node_id, index=0x6041, code=status, advice=advice)
 
     # -- cyclic ------------------------------------------------------------------------------------------------------

@@ -104,7 +104,8 @@ def enable(
     epoch = _start(bus, exchange, instruments, guard, check_stop)
     guard.forgive_cleared()  # a node may report why it refuses START, and that the cause was cleared
     failures: list[DriveError] = []
-    for drive, reading in zip(exchange.drives, epoch.readings, strict=True):
+    readings = [reading for reading in epoch.readings if reading is not None]  # the epoch is complete
+    for drive, reading in zip(exchange.drives, readings, strict=True):
         try:
             _compare_with_sdo(drive, reading)
         except DriveError as error:
@@ -149,11 +150,9 @@ def _start(
 
     start([node.node_id for node in (*drives, *instruments)])
     beating = [drive for drive in drives if drive.setup.profile.heartbeat.producer_ms is not None]
-    slowest_s = max(
-        (_BEATS * (drive.setup.profile.heartbeat.producer_ms or 0) / 1000.0 for drive in beating), default=0
-    )
     while waiting := down(beating):
-        if time.monotonic() - began_s > max(_PATIENCE_S, slowest_s):
+        slowest_s = max(drive.setup.profile.heartbeat.producer_ms or 0 for drive in waiting) / 1000.0
+        if time.monotonic() - began_s > max(_PATIENCE_S, _BEATS * slowest_s):
             raise_failures([_not_operational(drive, guard) for drive in waiting])
         start_again([drive.node_id for drive in waiting])
         check_stop()
@@ -197,12 +196,10 @@ def _require_complete(exchange: SyncExchange, epoch: Epoch) -> None:
     )
 
 
-def _compare_with_sdo(drive: Cia402Drive, reading: DriveReading | None) -> None:
+def _compare_with_sdo(drive: Cia402Drive, reading: DriveReading) -> None:
     """Refuse a drive whose first TPDO differs from SDO reads of the same objects, as with a shifted mapping."""
     position = drive.access.read(drive.setup.profile.position.object)
     status = drive.access.read(OBJECTS["statusword"])
-    if reading is None:
-        return
     allowed = drive.scale.revolutions(_AGREEMENT_REVOLUTIONS) + 1.0
     same_state = decode_state(status) is decode_state(reading.statusword)
     if abs(position - reading.position_count) > allowed or not same_state:
@@ -292,7 +289,7 @@ def _refuse_backward(exchange: SyncExchange, before: Sequence[State | None]) -> 
 def _moved(exchange: SyncExchange, epoch: Epoch, held: Sequence[int]) -> list[DriveFault]:
     failures = []
     for drive, reading, count in zip(exchange.drives, epoch.readings, held, strict=True):
-        turns = 0.0 if reading is None else abs(reading.position_count - count) / abs(drive.scale.revolutions(1.0))
+        turns = 0.0 if reading is None else abs(reading.position_count - count) / drive.scale.revolutions(1.0)
         if turns > BRAKE_DROP_REVOLUTIONS:
             what = f"moves while its brake opens: {turns:.2f} motor revolutions from its position"
             advice = "check the brake, the load and the torque limit 0x6072; the axis may drop when it is enabled"
