@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import sys
 import typing
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +25,7 @@ from benchmarks.reference_newcell import cell_answers_page
 from benchmarks.toml_words import kind_in_words
 from drives.profile import DriveProfile
 from gateway.cell.config import Cell
+from gateway.cell.plausible import BOUNDS
 from gateway.cli import main as program
 from gateway.diagnose.moving.moving_diagnosis_thresholds import MOVING
 from gateway.diagnose.rest.rest_diagnosis_thresholds import REST
@@ -193,6 +194,23 @@ def _found(effect: Effect) -> str:
 # ---------------------------------------------------------------------------------------------------------- thresholds
 
 
+def _numbers(title: str, rows: Iterable[Iterable[object]]) -> list[str]:
+    """A table of numbers with unit, meaning and origin."""
+    head = ["", f"## {title}", "", "| name | value | unit | what it is | origin |", "|---|---|---|---|---|"]
+    return head + [f"| {' | '.join(map(str, row))} |" for row in rows]
+
+
+def cell_page() -> str:
+    """Keys of a cell file, and the bounds of its values."""
+    intro = (
+        "TOML. A key that is not in this list is refused, and so is a constant without its source. `examples/` holds"
+        " three complete files; how motor and joint belong together: `gateway/cell/conversion.py`. A value beyond the"
+        " largest plausible one, in the last table, is refused."
+    )
+    rows = [(name, f"{value:.6g}", *about) for name, (value, *about) in BOUNDS.items()]
+    return keys_page("Cell file", intro, Cell) + "\n".join([*_numbers("Largest plausible values", rows), ""])
+
+
 def thresholds_page() -> str:
     """Every tuned number of the diagnosis."""
     intro = "Every tuned number, its unit, what it decides and where its value comes from."
@@ -203,8 +221,7 @@ def thresholds_page() -> str:
         ("At rest", REST),
         ("In motion", MOVING),
     ):
-        lines += ["", f"## {title}", "", "| name | value | unit | what it is | origin |", "|---|---|---|---|---|"]
-        lines += [f"| `{row[0]}` | {' | '.join(str(each) for each in row[1:])} |" for row in described(thresholds)]
+        lines += _numbers(title, ((f"`{name}`", *row) for name, *row in described(thresholds)))
     return "\n".join(lines) + "\n"
 
 
@@ -223,12 +240,7 @@ def _schema(model: type) -> str:
 
 
 PAGES: Final[Mapping[str, Callable[[], str]]] = {
-    "reference/cell-file.md": lambda: keys_page(
-        "Cell file",
-        "TOML. A key that is not in this list is refused, and so is a constant without its source. `examples/` holds"
-        " three complete files; how motor and joint belong together: `gateway/cell/conversion.py`.",
-        Cell,
-    ),
+    "reference/cell-file.md": cell_page,
     "reference/drive-profile.md": lambda: keys_page(
         "Drive profile",
         "TOML, one file a drive model. How to write one: [drive models](../how-to/drive-profiles.md).",

@@ -46,7 +46,7 @@ def read_identity(sdo: SdoClient) -> Identity:
     def text(name: str) -> str | None:
         try:
             return sdo.read_text(OBJECTS[name].index)
-        except (SdoAbort, SdoProtocolError):
+        except SdoAbort:
             return None
 
     return Identity(

@@ -189,11 +189,8 @@ def report_error(error: BaseException) -> int:
     if isinstance(error, SystemExit):
         return error.code if isinstance(error.code, int) else 1
     if isinstance(error, click.Abort | KeyboardInterrupt):
-        if isinstance(error, click.Abort) and str(error):
-            _say(str(error))
-            return CTRL_C
         # a command that had an arm under power adds its state as a note
-        why = str(error) if isinstance(error, StoppedByPerson) else "stopped"
+        why = str(error) if isinstance(error, StoppedByPerson | click.Abort) and str(error) else "stopped"
         notes = [note.removesuffix(".") for note in getattr(error, "__notes__", [])]
         _say(f"{why}: {'. '.join(notes)}" if notes else why)
         return CTRL_C

@@ -95,7 +95,7 @@ KINDS: dict[str, Kind] = {
     "node_killed": Kind("drive", "stops", 6, "the drive loses power"),
     "power_cycle": Kind("drive", "stops", 2, "the drive restarts during a run"),
     "reboot_keeps_all": Kind(
-        "drive", "goes on", None, "the drive restarts with its brake applied and keeps all objects"
+        "drive", "refuses", None, "the drive restarts with its brake applied and keeps all objects"
     ),
     "reboot_keeps_communication": Kind(
         "drive", "refuses", None, "the drive restarts with its brake applied and keeps 0x1000 to 0x1FFF"

@@ -37,6 +37,22 @@ def pictures(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     return PICTURES if request.config.getoption("--pictures") else tmp_path
 
 
+@pytest.fixture
+def pages(monkeypatch):
+    """Live pages that were started."""
+    from gateway.live.page import LivePage
+
+    started = []
+    before = LivePage.__init__
+
+    def noted(page, *arguments, **named) -> None:
+        before(page, *arguments, **named)
+        started.append(page)
+
+    monkeypatch.setattr(LivePage, "__init__", noted)
+    return started
+
+
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Keep the tests of a group on one worker: what they share is made once, and none disturbs another's clock.

@@ -21,8 +21,6 @@ QUICK_STOP_WORD = 2
 REST_SHARE = 0.02
 #: A gap between heartbeats of the master from which on they are withheld [s].
 GAP_S = 0.4
-#: Duration for which a brake alone has to hold an axis [s].
-HELD_S = 1.0
 #: Two stamps of one frame differ by less [s].
 SAME_S = 0.0002
 #: An axis is in motion above this speed [rad/s].
@@ -38,7 +36,6 @@ class TimingTruth:
     frame_s, frame_id, frame_data : of the bus
     motion_s : of each simulated step [s]
     position_rad, speed_rad_s, state, powered : of this drive at each step
-    alone : another motor of the arm is powered at each step: this axis is held by its brake while the arm is not
     node : node id
     filter_s : time constant of the filter of its torque word [s]
     """
@@ -51,7 +48,6 @@ class TimingTruth:
     speed_rad_s: np.ndarray
     state: np.ndarray
     powered: np.ndarray
-    alone: np.ndarray
     node: int
     filter_s: float
 
@@ -62,7 +58,6 @@ class TimingTruth:
             "sync_to_tpdo_s": self._sync_to_tpdo(),
             "heartbeat_loss_to_standstill_s": self._loss(losses[0]) if losses else None,
             "fault_reaction_time_s": self._fault(),
-            "brake_drop_rad": self._drop(),
         }
         found |= dict(zip(("quick_stop_time_s", "quick_stop_angle_rad"), self._quick_stop(), strict=True))
         return {name: value for name, value in found.items() if value is not None}
@@ -141,19 +136,6 @@ class TimingTruth:
                 return float(self.motion_s[rest] - sync_s[0]), float(travel)
         return None, None
 
-    def _drop(self) -> float | None:
-        """Largest movement of an axis at rest within one second after its motor was switched off."""
-        off = np.flatnonzero((self.powered[:-1] > 0) & (self.powered[1:] == 0))
-        off = off[np.abs(self.speed_rad_s[off]) < MOVING_RAD_S]
-        tried = off[self.alone[off + 1] > 0]  # the brake test, else the last time that the arm was disabled
-        return max((self._moved(int(index)) for index in (tried if len(tried) else off[-1:])), default=None)
-
-    def _moved(self, index: int) -> float:
-        end = int(np.searchsorted(self.motion_s, self.motion_s[index] + HELD_S))
-        alone = np.flatnonzero(self.powered[index + 1 : end] > 0)
-        end = index + 1 + int(alone[0]) if len(alone) else end
-        return float(np.abs(self.position_rad[index:end] - self.position_rad[index]).max())
-
 
 def read_truth(path: Path) -> list[TimingTruth]:
     """Return what a record holds of each drive."""
@@ -172,7 +154,6 @@ def read_truth(path: Path) -> list[TimingTruth]:
                 speed[:, number],
                 motion[:, number, 1],
                 powered[:, number],
-                np.delete(powered, number, axis=1).max(axis=1),
                 node=int(node),
                 filter_s=float(record["filter_s"][number]),
             )

@@ -70,7 +70,7 @@ def cost_of_path(seed: int) -> dict:
         cell = (EXAMPLE / "cell.toml").read_text(encoding="utf-8")
         for key, value in (
             ("acceleration_limit_rad_s2", rng.uniform(4, 12)),
-            ("speed_limit_rad_s", rng.uniform(1.0, 2.5)),
+            ("speed_limit_rad_s", rng.uniform(1.0, 1.7)),
             ("jerk_limit_rad_s3", rng.uniform(40, 120)),
         ):
             cell = "\n".join(f"{key} = {value:.3f}" if line.startswith(key) else line for line in cell.splitlines())

@@ -7,7 +7,7 @@ import re
 from benchmarks.chaos.evidence import Evidence, Outcome
 from benchmarks.chaos.rig import Watched
 from benchmarks.chaos.stated import SDO_REQUEST, STATED, Stated
-from drives.errors import DriveError, SeveralFailures
+from drives.errors import BrakeDropped, DriveError, SeveralFailures
 from gateway.errors import LimitExceeded, PoseNeverSettles
 from gateway.motion.reactions import REACTIONS
 from sim.faults import KINDS, Fault
@@ -78,7 +78,8 @@ def _names(stated: Stated, node: int, causes: list[Exception], said: str) -> boo
         return all(not isinstance(each, DriveError) or each.node is None for each in causes)
     if stated.named == "id":
         return f"id {SDO_REQUEST + node:03X}" in said
-    numbers = [each.node for each in causes if isinstance(each, DriveError)]
+    drives = [each for each in causes if isinstance(each, DriveError) and not isinstance(each, BrakeDropped)]
+    numbers = [each.node for each in drives]
     numbers += [each.joint for each in causes if isinstance(each, LimitExceeded | PoseNeverSettles)]
     word = "joint" if stated.named == "joint" else "node"
     others = {int(number) for number in re.findall(rf"\b{word} (\d)\b", said)}

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import bisect
+import functools
 import os
 import signal
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from typing import TypeVar
 
 from benchmarks.chaos.processes import FORK
 
 SLEEP_S = 0.001
 #: Above the motion loop's.
 PRIORITY = 60
+
+Seen = TypeVar("Seen")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +75,16 @@ class Sleeper:
 def joined(first: Sleepers, second: Sleepers) -> Sleepers:
     """What either saw."""
     return Sleepers(tuple(sorted(first.stalls + second.stalls)), first.real_time and second.real_time)
+
+
+def watched(run: Callable[[], Seen], stall_s: float) -> tuple[Seen, Sleepers]:
+    """What a function returns, and what a sleeper on each core of this process saw meanwhile."""
+    sleepers = [Sleeper(core, stall_s) for core in os.sched_getaffinity(0)]
+    try:
+        seen = run()
+    finally:
+        both = functools.reduce(joined, [sleeper.end() for sleeper in sleepers])
+    return seen, both
 
 
 def _sleep(core: int, stall_s: float, pipe: Connection) -> None:

@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Final, Literal
 
 from drives.errors import (
+    BrakeDropped,
     BusOff,
     ConfigurationRefused,
     DriveFault,
@@ -129,7 +130,7 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         "heartbeat_back": Stated(HeartbeatLost, "its heartbeat stopped", "heartbeat_lost"),
         "node_killed": Stated(IncompleteEpochs, _UNANSWERED, "silent"),
         "power_cycle": Stated(DriveRebooted, "booted during the run", "booted"),
-        "reboot_keeps_all": Stated(counts=(_COMPLETE,), real=()),
+        "reboot_keeps_all": Stated(DriveRebooted, "restarted .boot-up message. after it was configured"),
         "reboot_keeps_communication": Stated(ConfigurationRefused, r"6060:00.*0x8 was configured, 0x0 is read now"),
         "reboot_keeps_nothing": Stated(ConfigurationRefused, r"RPDO1 has .* since it was configured"),
         "boot_up_frame": Stated(DriveRebooted, "booted during the run", "booted"),
@@ -186,16 +187,16 @@ STATED: Final[Mapping[str, Stated]] = MappingProxyType(
         ),
         # drives that may not be moved
         "start_never": Stated(
-            NotOperational, "does not go to OPERATIONAL.*PREOPERATIONAL.*communication error may stand"
+            NotOperational, "does not go to OPERATIONAL.*PREOPERATIONAL.*communication error may be active"
         ),
         "emcy_disabled": Stated(ConfigurationRefused, r"1014:00.*EMCY messages are switched off"),
         "estop_pressed": Stated(DriveFault, r"must not move: emergency stop: 60FD:00"),
         "unreferenced": Stated(DriveFault, r"must not move: the encoder is not referenced: 60FD:00"),
-        "coasting_stop": Stated(FindingFailed, r"605A:00.*a quick stop cuts the power"),
+        "coasting_stop": Stated(FindingFailed, r"605E:00.*a fault disables the drive; the axis coasts"),
         "no_heartbeat": Stated(HeartbeatLost, r"1017:00.*sends no heartbeat"),
         "never_enables": Stated(TransitionTimeout, "stays in SWITCHED ON for more than"),
         "enables_and_drops": Stated(DriveFault, "left OPERATION ENABLED: SWITCHED ON", "left_enabled"),
-        "brake_slips": Stated(None, r"sank by 0\.\d+ rad in its brake", named="joint"),
+        "brake_slips": Stated(BrakeDropped, r"sank by 0\.\d+ rad in its brake", named="joint"),
         "brake_falls": Stated(None, r"sank by 0\.0[01]\d\d rad in its brake within .* held by its drive again"),
         # the bus
         "second_master_sync": Stated(

@@ -13,7 +13,7 @@ from gateway.cell.config import load_cell
 from gateway.data.sample import ArmSample
 from gateway.live.drawing import shown_arm
 from gateway.live.feed import Feed
-from gateway.live.wire import MOST_BYTES, ShownCell, pair_of_sockets
+from gateway.live.wire import ALIVE, ASK, MOST_BYTES, ShownCell, pair_of_sockets
 from gateway.model.arm_model import arm_robot
 from gateway.motion.observer import Observers
 from gateway.motion.state import StateTracker
@@ -44,7 +44,8 @@ def figures(cell: Path = SMALL / "cell.toml") -> dict[str, dict]:
             observers.sampled((sample,), (q_rad,), (torque_nm,))
             desk.look()
             spent_us.append(1e-3 * (time.perf_counter_ns() - began))
-            there.recv(MOST_BYTES)
+            while there.recv(MOST_BYTES) == ASK:
+                there.send(ALIVE)
     return {
         "handing on a SYNC and asking for a stop, median": {
             "value": round(float(np.median(spent_us)), 1),

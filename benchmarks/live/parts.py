@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import shutil
-import signal
 import struct
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 
@@ -19,7 +18,6 @@ from scipy import stats
 from benchmarks.chaos.processes import undisturbed
 from benchmarks.figure import figure
 from benchmarks.live.rig import (
-    Command,
     Counted,
     cell_in,
     counted,
@@ -237,39 +235,26 @@ def quick_stop_at(rows: Sequence[tuple[float, int, int]], clicked_s: float) -> f
 
 
 def mistreated(out: Path) -> Figures:
-    """In lockstep, where a run is the same every time: setpoints with the page killed, frozen, or opened 50 times."""
-    plain = _set_points(out, lambda _command, _stack: None, "plain", ())
-    cases: dict[str, Callable[[Command, ExitStack], None]] = {
-        "page killed": lambda command, _: os.kill(command.page_pid(), signal.SIGKILL),
-        "page's process frozen": lambda command, _: os.kill(command.page_pid(), signal.SIGSTOP),
-        "a browser that reads nothing": lambda command, stack: _open(command, stack, 1, read=False),
-        f"{PAGES} pages open": lambda command, stack: _open(command, stack, PAGES, read=True),
-    }
+    """In lockstep, where a run is the same every time: setpoints with the page opened 50 times or not read."""
+    plain = _set_points(out / "plain", 0)
     figures: Figures = {}
-    for name, act in cases.items():
-        other = _set_points(out, act, "mistreated", ("--live",))
+    for name, count, read in (("a browser that reads nothing", 1, False), (f"{PAGES} pages open", PAGES, True)):
+        other = _set_points(out / "mistreated", count, read=read)
         differ = abs(len(other) - len(plain)) + sum(a != b for a, b in zip(other, plain, strict=False))
         figures[f"{name}: setpoints that differ"] = figure(differ, "== 0", f"of {len(plain)}")
     return figures
 
 
-def _open(command: Command, stack: ExitStack, count: int, *, read: bool) -> None:
-    stack.enter_context(viewers(command.address(), count, read=read))
-
-
-def _set_points(
-    out: Path, act: Callable[[Command, ExitStack], None], name: str, more: tuple[str, ...]
-) -> list[tuple[int, int]]:
-    """Controlword and target of an axis, SYNC by SYNC, of a whole run."""
-    folder = out / name
+def _set_points(folder: Path, pages: int, *, read: bool = True) -> list[tuple[int, int]]:
+    """Controlword and target of an axis, SYNC by SYNC, of a whole run, with so many open pages."""
     shutil.rmtree(folder, ignore_errors=True)
     cell, trace = cell_in(folder, "lockstep", 2), folder / "frames.log"
+    more = ["--live"] if pages else []
     with recording(folder, cell, "--trace", str(trace), *more) as command, ExitStack() as stack:
-        if more:
-            command.address()
-            act(command, stack)
+        if pages:
+            stack.enter_context(viewers(command.address(), pages, read=read))
         command.process.wait(300.0)
         if command.process.returncode:
-            raise RuntimeError(f"{name}: {command.text[-500:]}")
+            raise RuntimeError(f"{folder.name}: {command.text[-500:]}")
     with can.LogReader(str(trace)) as frames:
         return [(word, target) for _, word, target in commands(frames)]

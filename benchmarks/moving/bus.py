@@ -20,11 +20,10 @@ from gateway.acquire.moving import record_moving
 from gateway.acquire.session import RecordRequest
 from gateway.cell.config import load_cell
 from gateway.cli import main
-from gateway.commands.cell_context import open_cell
 from gateway.excite.excitation import MovingPlan
 from gateway.excite.planning import MovingRequest, make_moving_plan
+from gateway.jobs.cell_context import open_cell
 from gateway.model.arm_model import arm_named
-from gateway.motion.opening import open_arm
 from gateway.result.result import read_result
 from sim.plant import Payload
 from sim.serve import RunningSimulation, running
@@ -87,11 +86,11 @@ def set_up(folder: Path, seed: int) -> Place:
 
 def record_both(place: Place, handle: RunningSimulation, plan: MovingPlan) -> None:
     """Drive a plan bare and loaded."""
-    context = open_cell(place.cell, handle.bus)
+    context = open_cell(place.cell, handle.bus, lambda _spec: None)
     arm = arm_named(context.loaded)
     for label in ("none", LABEL):
         handle.mount(label)
-        with open_arm(context.loaded, context.override(arm), arm.name) as opened:
+        with context.opened(arm) as opened:
             record_moving(opened, plan, RecordRequest(label, place.run(label)))
 
 

@@ -151,7 +151,7 @@ class AxisConfig(Strict):
     torque_sign: Literal[1, -1] = Field(default=1, description="-1 if the torque of the drive is opposite to the joint")
     zero_offset_rad: Finite = Field(default=0.0, description="joint angle at which the drive's position is zero")
     position_limit_rad: tuple[Finite, Finite] = Field(description="lowest and highest joint angle")
-    speed_limit_rad_s: Positive = Field(description="speed limit of the joint")
+    speed_limit_rad_s: Positive = Field(description="speed limit of the joint, at most the velocity in the URDF")
     torque_limit_nm: Positive = Field(description="torque limit of the joint; contact monitoring stops above it")
     torque_limit_source: str | None = Field(
         default=None, description="source of the limit; motion is refused if it begins with `assumed`"
@@ -192,14 +192,18 @@ class AxisConfig(Strict):
         if not low < high:
             what = f"position_limit_rad: lower limit {low} is not below upper limit {high}: write the lower one first"
             yield ("position_limit_rad",), what
-        yield from plausible.angles("position_limit_rad", self.position_limit_rad)
-        yield from plausible.angles("zero_offset_rad", (self.zero_offset_rad,))
-        yield from plausible.angles(
-            "following_error_limit_rad", (self.following_error_limit_rad,), plausible.LARGEST_FOLLOWING_RAD
-        )
-        yield from plausible.speed("speed_limit_rad_s", self.speed_limit_rad_s)
+        speed = max(self.speed_limit_rad_s, plausible.LOWERED_SPEED_RAD_S)
+        ramp = max(self.acceleration_rad_s2, plausible.LOWERED_RAMP_RAD_S2)
+        for bound, key, values, of in (
+            ("joint angle", "position_limit_rad", self.position_limit_rad, 1.0),
+            ("joint angle", "zero_offset_rad", (self.zero_offset_rad,), 1.0),
+            ("following error", "following_error_limit_rad", (self.following_error_limit_rad,), 1.0),
+            ("acceleration for each rad/s of speed", "acceleration_limit_rad_s2", (self.acceleration_rad_s2,), speed),
+            ("jerk for each rad/s2 of acceleration", "jerk_limit_rad_s3", (self.jerk_rad_s3,), ramp),
+        ):
+            yield from plausible.beyond(bound, key, *values, of=of)
         if not self.torque_limit_is_assumed:  # else motion is refused until it is confirmed
-            yield from plausible.torque_limit(self.torque_limit_nm)
+            yield from plausible.beyond("torque", "torque_limit_nm", self.torque_limit_nm)
         yield from plausible.ratio(self.gear_ratio.value)
         yield from plausible.torque_constant(self.torque_constant_nm_per_a.value, self.gear_ratio.value)
         yield from plausible.efficiency(self.gear_efficiency.value)
@@ -418,9 +422,8 @@ class ArmConfig(Strict):
             if rated is not None and key != "rated_load_kg" and self.flange_xyz_m is None:
                 yield (key,), f"arm '{self.name}': {key} counts from the flange: write flange_xyz_m too"
         if self.rated_load_kg is not None:
-            yield from plausible.mass("rated_load_kg", self.rated_load_kg.value)
-        if self.max_load_kg is not None:
-            yield from plausible.mass("max_load_kg", self.max_load_kg)
+            yield from plausible.beyond("load", "rated_load_kg.value", self.rated_load_kg.value)
+        yield from plausible.beyond("load", "max_load_kg", self.max_load_kg or 0.0)
 
     def _space(self) -> plausible.Found:
         """Check postures and surroundings."""
@@ -435,22 +438,20 @@ class ArmConfig(Strict):
     def _units(self) -> plausible.Found:
         """Check for numbers in a wrong unit."""
         yield from plausible.gravity(self.gravity_m_s2)
+        yield from plausible.speeds([axis.speed_limit_rad_s for axis in self.axis])
         for name in ("flange_rpy_rad", "base_rpy_rad", "tool_rpy_rad"):
-            yield from plausible.angles(name, getattr(self, name), plausible.LARGEST_TURN_RAD)
+            yield from plausible.beyond("angle of a frame", name, *getattr(self, name))
         for name in ("flange_xyz_m", "base_xyz_m", "tool_xyz_m", "rated_load_com_m", "max_load_com_m"):
-            yield from plausible.lengths(name, getattr(self, name))
+            yield from plausible.beyond("length", name, *(getattr(self, name) or ()))
         for name in ("floor_m", "column_radius_m"):
-            value = getattr(self, name)
-            yield from plausible.lengths(name, None if value is None else (value,))
+            yield from plausible.beyond("length", name, getattr(self, name) or 0.0)
         for name in ("start_rad", "home_rad", "loading_rad"):
-            yield from plausible.angles(name, getattr(self, name) or ())
+            yield from plausible.beyond("joint angle", name, *(getattr(self, name) or ()))
         if self.dh is not None:
             for name in ("alpha_rad", "theta_offset_rad"):
-                for key, what in plausible.angles(name, getattr(self.dh, name), plausible.LARGEST_TURN_RAD):
-                    yield ("dh", *key), what
+                yield from plausible.beyond("angle of a frame", f"dh.{name}", *getattr(self.dh, name))
             for name in ("a_m", "d_m"):
-                for key, what in plausible.lengths(name, getattr(self.dh, name)):
-                    yield ("dh", *key), what
+                yield from plausible.beyond("length", f"dh.{name}", *getattr(self.dh, name))
 
     def _outside(self, name: str, q_rad: tuple[float, ...]) -> plausible.Found:
         """Check that the joints of a posture are within their ranges."""

@@ -6,21 +6,13 @@ The ranges include every commercial arm, motor and gear, and exclude values in a
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from drives.toml_lines import KeyPath
 
 #: Two turns [rad]: no joint of an arm is moved further to be measured; 720 degrees would be read as 115 turns.
 LARGEST_ANGLE_RAD: Final = 4 * math.pi
-#: A turn of a frame [rad].
-LARGEST_TURN_RAD: Final = 2 * math.pi
-#: Faster than the hand axes of the fastest small arms, 1000 degrees a second [rad/s].
-LARGEST_SPEED_RAD_S: Final = 20.0
-#: A joint that is a quarter turn behind does not follow [rad].
-LARGEST_FOLLOWING_RAD: Final = math.pi / 2
-#: Larger than any arm of this kind [m].
-LARGEST_LENGTH_M: Final = 20.0
 #: From the last joint to the centre of gravity of any load [m].
 LARGEST_LEVER_M: Final = 5.0
 #: More than any six-axis arm carries: the strongest are rated for 2.3 t [kg].
@@ -38,42 +30,76 @@ DIRECT_CONSTANTS_NM_PER_A: Final = (0.001, 100.0)
 DIRECT_RATIO: Final = 5.0
 #: Of the earth, from the equator to the poles, with a margin [m/s2].
 GRAVITY_M_S2: Final = (9.7, 9.9)
+#: A speed limit [rad/s] or acceleration [rad/s2] that was lowered for a first motion does not make the other limits
+#: implausible: from here on down their bounds stay the same.
+LOWERED_SPEED_RAD_S: Final = 0.5
+LOWERED_RAMP_RAD_S2: Final = 2.0
+#: Joints from the base on with the lower bound of the speed; the others are taken for those of a wrist.
+LARGE_JOINTS: Final = 3
+
+_GENEROUS: Final = "generous bound"
+_GP4: Final = "ros-industrial/motoman, motoman_gp4_support/urdf/gp4_macro.xacro: J3 9.2 rad/s"
+_TX2: Final = "ros-industrial/staubli_experimental, staubli_tx2_60_support/urdf/tx2_60_macro.xacro: J6 25.2 rad/s"
+_RAMP: Final = "ICube-Robotics/staubli_driver_ros2, staubli_robot_description/config/tx2_60l/joint_limits.yaml: 167 ms"
+#: Of trajectories. The interface of that arm accepts 2 ms (libfranka: 15 rad/s2, 7500 rad/s3), at setpoints every 1 ms.
+_PANDA: Final = "moveit/moveit_resources, panda_moveit_config/config/joint_limits.yaml: J2 6.3 ms"
+#: Largest plausible magnitudes: value, unit, meaning, source (repository and file on GitHub).
+BOUNDS: Final[Mapping[str, tuple[float, str, str, str]]] = {
+    "joint angle": (LARGEST_ANGLE_RAD, "rad", "two turns: no joint is moved further", _GENEROUS),
+    "angle of a frame": (2 * math.pi, "rad", "a whole turn", _GENEROUS),
+    "following error": (1.0, "rad", "a joint that far behind does not follow", _GENEROUS),
+    "speed of joints 1 to 3": (12.0, "rad/s", "joints 1 to 3 of no six-axis arm are faster", _GP4),
+    "speed of other joints": (30.0, "rad/s", "no wrist joint of a six-axis arm is faster", _TX2),
+    "acceleration for each rad/s of speed": (1 / 0.012, "rad/s2", "full speed in 12 ms", _RAMP),
+    "jerk for each rad/s2 of acceleration": (1 / 0.004, "rad/s3", "full acceleration in 4 ms", _PANDA),
+    "length": (20.0, "m", "longer than any arm", _GENEROUS),
+    "load": (LARGEST_LOAD_KG, "kg", "more than any six-axis arm carries", _GENEROUS),
+    "torque": (LARGEST_TORQUE_NM, "Nm", "more than any joint has", _GENEROUS),
+}
+#: Unit that is typed by mistake for another one, and its size in that one.
+_TYPED: Final = {
+    "rad": ("degrees", math.pi / 180),
+    "m": ("millimetres", 1e-3),
+    "kg": ("grams", 1e-3),
+    "Nm": ("mNm", 1e-3),
+}
 
 Found = Iterator[tuple[KeyPath, str]]
 
 
-def angles(key: str, values_rad: Sequence[float], largest_rad: float = LARGEST_ANGLE_RAD) -> Found:
-    """Refuse angles that are only plausible in degrees."""
-    worst = max(values_rad, key=abs, default=0.0)
-    if abs(worst) > largest_rad:
-        in_rad = ", ".join(f"{math.radians(value):.4g}" for value in values_rad)
-        value = f"[{in_rad}]" if len(values_rad) > 1 else in_rad
+def beyond(bound: str, key: str, *values: float, of: float = 1.0) -> Found:
+    """Refuse values that are only plausible in another unit.
+
+    Parameters
+    ----------
+    bound : str
+        Name of a row of `BOUNDS`.
+    key : str
+        Key of the cell file that holds the values, with the names of its tables: `rated_load_kg.value`.
+    *values : float
+        In the unit of the row.
+    of : float
+        What the bound is multiplied by: the speed limit for an acceleration, the acceleration for a jerk.
+    """
+    value, unit, meaning, _ = BOUNDS[bound]
+    worst = max(values, key=abs, default=0.0)
+    if abs(worst) > value * of:
+        base, *per = unit.split("/")
+        typed, size = _TYPED[base]
+        converted = ", ".join(f"{each * size:.4g}" for each in values)
         yield (
-            (key,),
-            f"{key}: {worst:g} rad is beyond {largest_rad:.4g}, these are degrees: write {key} = {value}",
+            tuple(key.split(".")),
+            f"{key}: {worst:g} {unit} is beyond {value * of:.4g} {unit} ({meaning}); in {'/'.join([typed, *per])}? "
+            f"write {key} = {f'[{converted}]' if len(values) > 1 else converted}",
         )
 
 
-def speed(key: str, value_rad_s: float) -> Found:
-    """Refuse a speed that is only plausible in degrees per second."""
-    if value_rad_s > LARGEST_SPEED_RAD_S:
-        yield (
-            (key,),
-            f"{key}: {value_rad_s:g} rad/s is beyond {LARGEST_SPEED_RAD_S:g}, these are degrees a second:"
-            f" write {key} = {math.radians(value_rad_s):.4g}",
-        )
-
-
-def lengths(key: str, values_m: Sequence[float] | None) -> Found:
-    """Refuse lengths that are only plausible in millimetres."""
-    worst = max(values_m or (), key=abs, default=0.0)
-    if abs(worst) > LARGEST_LENGTH_M:
-        in_m = ", ".join(f"{value / 1000:g}" for value in values_m or ())
-        value = f"[{in_m}]" if len(values_m or ()) > 1 else in_m
-        yield (
-            (key,),
-            f"{key}: {worst:g} m is beyond {LARGEST_LENGTH_M:g}, these are millimetres: write {key} = {value}",
-        )
+def speeds(values_rad_s: Sequence[float]) -> Found:
+    """Refuse speed limits (N,) of the joints of an arm, from the base on, that are only plausible in degrees/s."""
+    for joint, value_rad_s in enumerate(values_rad_s):
+        bound = "speed of joints 1 to 3" if joint < LARGE_JOINTS else "speed of other joints"
+        for path, what in beyond(bound, "speed_limit_rad_s", value_rad_s):
+            yield ("axis", joint, *path), what
 
 
 def ratio(value: float) -> Found:
@@ -106,26 +132,6 @@ def efficiency(value: float) -> Found:
     if not 0 < value <= 1:
         percent = f"; in percent? write value = {value / 100:g}" if 1 < value <= 100 else ""
         yield ("gear_efficiency",), f"gear_efficiency must be in (0, 1], got {value:g}{percent}"
-
-
-def mass(key: str, value_kg: float) -> Found:
-    """Refuse a load mass above that of any arm."""
-    if value_kg > LARGEST_LOAD_KG:
-        yield (
-            (key,),
-            f"{key}: {value_kg:g} kg is beyond {LARGEST_LOAD_KG:g} kg, more than any six-axis arm carries: grams? write"
-            f" {value_kg / 1000:g}",
-        )
-
-
-def torque_limit(value_nm: float) -> Found:
-    """Refuse a torque limit above that of any joint."""
-    if value_nm > LARGEST_TORQUE_NM:
-        yield (
-            ("torque_limit_nm",),
-            f"torque_limit_nm: {value_nm:g} Nm is beyond {LARGEST_TORQUE_NM:g} Nm, more than any joint has: mNm? write"
-            f" torque_limit_nm = {value_nm / 1000:g}",
-        )
 
 
 def gravity(values_m_s2: Sequence[float]) -> Found:

@@ -1,15 +1,15 @@
 """Proofs that the drives stop on loss of the master, stored beside the write ledger and required before any motion.
 
-A proof is valid for these drives (serial number, firmware) with these settings, SYNC and gears. Any change makes it
-invalid, together with the record that these drives have moved before. The exchange of a drive without a serial number
-cannot be detected: its proof is valid only in the session in which it was made.
+A proof is valid for these drives (serial number, firmware) with these settings, SYNC and gears, and up to the speed
+override at which it was made. Any change makes it invalid, together with the record that these drives have moved
+before. The exchange of a drive without a serial number cannot be detected: its proof is valid only in the session in
+which it was made.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -21,13 +21,12 @@ from drives.values import Identity
 from gateway.cell.config import AxisConfig
 from gateway.check.stop import StopProof, prove_stop
 from gateway.errors import FindingFailed
-from gateway.motion.holdtorun import with_held_input
 from gateway.motion.opening import OpenArm
 from gateway.motion.stream import MoveOptions
 from gateway.preflight.drive_check import live_addresses, require_passed
 from gateway.preflight.rules import Readings
 
-SCHEMA: Final = 2
+SCHEMA: Final = 3
 
 
 def fingerprint(opened: OpenArm) -> dict[str, Any]:
@@ -75,10 +74,10 @@ def _settings(profile: DriveProfile, readings: Readings) -> dict[str, int | None
     return {f"{index:04X}:{subindex:02X}": value for (index, subindex), value in kept}
 
 
-def proven_on(path: Path, opened: OpenArm) -> str | None:
-    """Return the date of a proof for these drives with these settings; None without a proof."""
+def proven_on(path: Path, opened: OpenArm, override: float = 1.0) -> str | None:
+    """Return the date of a proof for these drives with these settings at this speed override; None without a proof."""
     stored = _stored(path, opened)
-    return None if stored is None else str(stored.get("date"))
+    return None if stored is None or not stored["override"] >= override else str(stored["date"])
 
 
 def first_motion_pending(path: Path, opened: OpenArm) -> bool:
@@ -109,14 +108,26 @@ def note_motion(path: Path, opened: OpenArm) -> None:
 
 
 def keep_proof(path: Path, opened: OpenArm, proof: StopProof) -> None:
-    """Store a passed proof; a failed one removes the stored one."""
+    """Store a passed proof, unless a valid one at a larger override is stored; a failed one removes the stored one."""
     if not proof.passed:
         path.unlink(missing_ok=True)
         return
+    stored = _stored(path, opened)
+    if stored is not None and stored["override"] > proof.override:
+        return
     date = datetime.now(UTC).isoformat(timespec="seconds")
     moved = not first_motion_pending(path, opened)
-    body = {"schema": SCHEMA, "date": date, "drives": fingerprint(opened), "moved": moved, "seen": proof.as_json()}
-    _write(path, body)
+    _write(
+        path,
+        {
+            "schema": SCHEMA,
+            "date": date,
+            "drives": fingerprint(opened),
+            "override": proof.override,
+            "moved": moved,
+            "seen": proof.as_json(),
+        },
+    )
 
 
 def _stored(path: Path, opened: OpenArm) -> dict[str, Any] | None:
@@ -134,8 +145,8 @@ def _write(path: Path, body: Mapping[str, Any]) -> None:
     replace_file(path, json.dumps(body, indent=1) + "\n")
 
 
-def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], options: MoveOptions) -> MoveOptions:
-    """Prove that loss of the master stops these drives before anything else moves; a valid stored proof is sufficient.
+def prove_now(opened: OpenArm, path: Path, say: Callable[[str], None], options: MoveOptions) -> None:
+    """Prove that loss of the master stops these drives, and store the proof.
 
     Parameters
     ----------
@@ -147,11 +158,6 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], optio
         Shows a remark to the operator.
     options : MoveOptions
 
-    Returns
-    -------
-    MoveOptions
-        Options of the next motion: the first motion with these drives is slow.
-
     Raises
     ------
     FindingFailed
@@ -159,28 +165,15 @@ def ensure_proven(opened: OpenArm, path: Path, say: Callable[[str], None], optio
     PlanRefused, DriveError, KeyboardInterrupt
         As `prove_stop`.
     """
-    options = with_held_input(opened, options)
-    date = proven_on(path, opened)
-    if date is not None:
-        say(f"drives stop on loss of the master: proven {date}")
-        return slow_at_first(opened, path, options)
     say("testing that the drives stop on loss of the master: a slow motion without heartbeat")
     proof = prove_stop(opened, options)
     keep_proof(path, opened, proof)
     require_passed(proof.items, "nothing is measured")
     say(f"every drive stopped by itself, within {1000 * max(trace.left_s or 0.0 for trace in proof.traces):.0f} ms")
-    return slow_at_first(opened, path, options)
 
 
-def slow_at_first(opened: OpenArm, path: Path, options: MoveOptions) -> MoveOptions:
-    """Return the options with a slow first motion, which is then noted, if these drives have not moved yet."""
-    if not first_motion_pending(path, opened):
-        return options
-    return replace(options, first_done=lambda: note_motion(path, opened))
-
-
-def require_proven(opened: OpenArm, path: Path) -> None:
-    """Require a valid proof where none can be made because two arms hold one part.
+def require_proven(opened: OpenArm, path: Path, override: float) -> None:
+    """Require a valid proof for a speed override where none can be made because two arms hold one part.
 
     Raises
     ------
@@ -194,8 +187,9 @@ def require_proven(opened: OpenArm, path: Path) -> None:
             " has to be proven to stop in each session, which is not possible while two arms hold a part; use"
             " drives with serial numbers (0x1018:04)"
         )
-    if proven_on(path, opened) is None:
+    if proven_on(path, opened, override) is None:
         raise FindingFailed(
             f"the arm is not moved: it is not proven that the drives of arm '{opened.config.name}', with their present"
-            " settings, stop on loss of the master; open both grippers, then: servo-gateway check CELL --prove-stop"
+            f" settings, stop on loss of the master at {override:.0%} of the speed; open both grippers, then:"
+            f" servo-gateway check CELL --prove-stop --override {100 * override:.0f}"
         )

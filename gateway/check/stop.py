@@ -58,6 +58,8 @@ class StopProof:
     items : tuple of Finding
     quick_stop : tuple of StopTrace
         Reaction of the drives to a quick stop; empty if not tested.
+    override : float
+        Speed override at which it was made.
     """
 
     arm: str
@@ -66,6 +68,7 @@ class StopProof:
     coast_rad: tuple[float, ...]
     items: tuple[Finding, ...]
     quick_stop: tuple[StopTrace, ...] = ()
+    override: float = 1.0
 
     @property
     def passed(self) -> bool:
@@ -83,7 +86,9 @@ class StopProof:
         }
 
 
-def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_s: float, period_s: float) -> Motion:
+def slow_motion(
+    arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_s: float, period_s: float, override: float = 1.0
+) -> Motion:
     """Return a slow motion of all joints that lasts longer than the heartbeat time, inside all limits.
 
     A joint outside its range moves towards it.
@@ -99,6 +104,8 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
         Longest heartbeat time of the drives.
     period_s : float
         SYNC period.
+    override : float
+        Speed override.
 
     Raises
     ------
@@ -108,7 +115,7 @@ def slow_motion(arm: str, workspace: Workspace, start_rad: np.ndarray, consumer_
     if inside_from(workspace, start_rad, arm) is not None:
         workspace = widened(workspace, start_rad)
     lasts_s = consumer_s + 2.0 * BEYOND_S
-    speed = min(SPEED_RAD_S, TRAVEL_RAD / lasts_s, float(workspace.speed_rad_s.min()))
+    speed = override * min(SPEED_RAD_S, TRAVEL_RAD / lasts_s, float(workspace.speed_rad_s.min()))
     for scale in (1.0, 0.5):
         for signs in _directions(workspace, start_rad):
             target = start_rad + scale * speed * lasts_s * signs
@@ -154,7 +161,7 @@ def prove_stop(opened: OpenArm, options: MoveOptions | None = None) -> StopProof
     options = options or MoveOptions()
     start_rad = opened.arm.where()
     traces, speed_rad_s, left = without_heartbeat(opened, options)
-    proof = _judge(opened, traces, speed_rad_s, left)
+    proof = replace(_judge(opened, traces, speed_rad_s, left), override=options.override)
     if not proof.passed:
         return proof
     test, _ = _stopped_slowly(opened, options, opened.group.try_quick_stop, goes_on=False)
@@ -238,7 +245,12 @@ def _stopped_slowly(
     """Move slowly, start a test and continue until it has ended; return the test and the speed [rad/s]."""
     consumer_s = max(profile.heartbeat.consumer_ms for profile in opened.profiles) / 1000.0
     motion = slow_motion(
-        opened.arm.name, opened.workspace, opened.arm.where(), consumer_s, opened.group.timing.period_s
+        opened.arm.name,
+        opened.workspace,
+        opened.arm.where(),
+        consumer_s,
+        opened.group.timing.period_s,
+        options.override,
     )
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
@@ -266,7 +278,7 @@ def go_slowly(opened: OpenArm, options: MoveOptions, target_rad: np.ndarray) -> 
         raise PlanRefused(f"arm '{opened.arm.name}' does not move back: no straight path back is inside the limits")
     with powered(Stream(motion_station(opened, options))) as stream:
         stream.take_over()
-        limits = approach_limits(workspace, SPEED_RAD_S)
+        limits = approach_limits(workspace, options.override * SPEED_RAD_S)
         stream.move([straight(stream.q_rad[0], target_rad, limits, opened.group.timing.period_s)], "go back")
 
 
@@ -290,7 +302,7 @@ def _quick_stop_items(opened: OpenArm, traces: tuple[StopTrace, ...]) -> list[Fi
 
 
 def motion_station(opened: OpenArm, options: MoveOptions) -> Station:
-    """Return the station for a motion that is slow by itself: no override slows it further."""
+    """Return the station for a motion that is planned at the speed override: nothing slows it further."""
     arm, timing = opened.arm, opened.group.timing
     return Station(
         arms=Arms((arm,), timing.pacing),

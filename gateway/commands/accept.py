@@ -23,6 +23,7 @@ from gateway.commands.shared_options import (
     measurement_options,
     note_remarks,
     output_option,
+    reserve,
     session_of,
     write_json,
 )
@@ -166,26 +167,23 @@ def _planned(job: _Job) -> AcceptancePlan:
 
 def _measured(job: _Job, how: MeasuringOptions) -> Path:
     """Measure the poses with the load mounted, as `record` does; return the recording."""
-    from gateway.acquire.session import RecordRequest, open_arm
-    from gateway.commands.cell_context import open_cell
+    from gateway.acquire.session import RecordRequest
     from gateway.commands.measure import show_plan
     from gateway.commands.progress import recording_with_progress
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.frame import begin_motion
 
     session, label = session_of(), job.entered.load.label
-    context = open_cell(how.cell, how.bus_spec, how.moving.pacing)
+    context = open_cell(how.cell, how.bus_spec, reserve, how.moving.pacing)
     with session.working("choosing poses and paths"):
         chosen = _planned(job)
     show_plan(chosen.plan)
     session.show(f"expected standard deviation of any error: at most {chosen.resolution:.2g} of the tolerance")
-    first = context.before_motion(job.arm)
-    how.moving.ask(
-        f"Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Arm '{job.arm.name}' of cell "
-        f"'{job.loaded.cell.name}' will move.{first} Is the load mounted, and is the area around the arm clear?"
-    )
     recording = how.recording(_RECORDING, context.loaded)
-    opening = open_arm(context.loaded, context.override(job.arm, None), job.arm.name)
-    with context.with_move_command(), stoppable(how.moving) as options, opening as opened:
-        options = context.proven(opened, session.note, options)
+    also = f" Load '{label}' of {job.entered.load.mass_kg:.4g} kg has to be mounted. Is it mounted?"
+    with stoppable(how.moving) as options, context.opened(job.arm) as opened:
+        options = begin_motion(context, (opened,), options, how.moving.ask, session.note, also=also)
+        how.keep(recording)
         recording_with_progress(session, opened, chosen.plan, RecordRequest(label, recording, how.resume), options)
     return recording
 

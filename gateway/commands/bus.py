@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from gateway.commands.console import findings_table, grid
-from gateway.commands.motion_options import MoveChoice, move_options, stoppable, support_asked
+from gateway.commands.motion_options import AT_HAND, MoveChoice, move_options, stoppable, support_asked
 from gateway.commands.shared_options import (
-    NOT_AGREED,
     bus_option,
     cell_argument,
     common,
@@ -28,15 +27,13 @@ if TYPE_CHECKING:
     from drives.ledger import LedgerEntry
     from drives.probe import ScanResult
     from gateway.cell.config import ArmConfig
-    from gateway.commands.cell_context import CellContext
+    from gateway.jobs.cell_context import CellContext
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
     from gateway.result.result import Finding
 
 
 DEFAULT_BUS = "socketcan:can0"
-#: Message when the operator declines for a further arm.
-ONE_NOT_MOVED = "declined: this arm has not moved"
 #: Number of remaining ledger objects that are listed without -v.
 _LISTED = 6
 
@@ -135,10 +132,10 @@ def check(
 
     Nothing is written and nothing moves unless --move, --prove-stop or --brakes is given; then it asks.
     """
-    from gateway.commands.cell_context import open_cell
+    from gateway.jobs.cell_context import open_cell
     from gateway.preflight.drive_check import require_passed
 
-    context = open_cell(cell, bus_spec, moving.pacing)
+    context = open_cell(cell, bus_spec, reserve, moving.pacing)
     session = session_of()
     items: dict[str, list[Finding]] = {}
     proofs: list[dict[str, Any]] = []
@@ -148,7 +145,6 @@ def check(
     wanted = _Wanted(move, prove_stop, brakes)
     if wanted.any and not failed:
         for arm in context.arms:
-            moving.ask(_question(context, arm, wanted), NOT_AGREED if arm is context.arms[0] else ONE_NOT_MOVED)
             found, seen = _in_motion(context, arm, wanted, moving)
             items[arm.name] += found
             proofs += seen
@@ -181,39 +177,32 @@ class _Wanted:
         return self.move or self.prove_stop or self.brakes
 
 
-def _question(context: CellContext, arm: ArmConfig, wanted: _Wanted) -> str:
-    text = f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move a little on every joint"
-    is_certain = wanted.prove_stop or not context.stop_proof(arm).exists()
-    if is_certain:
-        text += ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
-    if wanted.brakes:
-        text += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
-    besides = context.grippers if is_certain else context.before_motion(arm)
-    return f"{text}.{besides} Is the area clear of people and the emergency stop within reach?"
-
-
 def _in_motion(
     context: CellContext, arm: ArmConfig, wanted: _Wanted, moving: MoveChoice
 ) -> tuple[list[Finding], list[dict[str, Any]]]:
     """Run the checks with motion; the stop is proven first."""
     from gateway.check.brakes import try_brakes
-    from gateway.check.proofs import keep_proof, proven_on, slow_at_first
+    from gateway.check.proofs import keep_proof, proven_on
     from gateway.check.stop import prove_stop as prove
-    from gateway.motion.holdtorun import with_held_input
-    from gateway.motion.opening import open_arm
+    from gateway.jobs.frame import begin_motion
 
     items: list[Finding] = []
     seen: list[dict[str, Any]] = []
     path = context.stop_proof(arm)
-    opening = open_arm(context.loaded, context.override(arm), arm.name)
     with (
-        context.with_move_command(),
         stoppable(moving) as options,
-        opening as opened,
+        context.opened(arm) as opened,
         context.last_seconds(options, opened),
     ):
-        options = with_held_input(opened, options)
-        if wanted.prove_stop or proven_on(path, opened) is None:
+        proves = wanted.prove_stop or proven_on(path, opened, options.override) is None
+        what = "will move a little on every joint"
+        if proves:
+            what += ", and the master's heartbeat is stopped on purpose (the resulting drive faults are reset)"
+        if wanted.brakes:
+            what += ", and each axis in turn is held by its brake alone (its drive takes over if the brake slips)"
+        say = session_of().note
+        options = begin_motion(context, (opened,), options, moving.ask, say, what=what, also=AT_HAND, proof="own")
+        if proves:
             proof = prove(opened, options)
             keep_proof(path, opened, proof)
             items += proof.items
@@ -223,7 +212,7 @@ def _in_motion(
         if wanted.brakes:
             items += try_brakes(opened, options, support_asked(moving))
         if wanted.move and not any(item.severity == "fail" for item in items):  # a brake that does not hold: no power
-            items += _small_moves(opened, slow_at_first(opened, path, options))
+            items += _small_moves(opened, options)
     return items, seen
 
 
@@ -269,9 +258,9 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
     listed, and the exit code is 4. An object that another tool has written since keeps its value.
     """
     from drives.errors import DriveError, raise_failures
-    from gateway.commands.cell_context import open_cell
+    from gateway.jobs.cell_context import open_cell
 
-    context = open_cell(cell, bus_spec)
+    context = open_cell(cell, bus_spec, reserve)
     arms: list[dict[str, Any]] = []
     failures: list[DriveError] = []
     for arm in context.arms:
@@ -290,11 +279,11 @@ def restore(cell: Path, forget: bool, yes: bool, bus_spec: str | None, json_out:
             back = [entry for entry in before if entry not in left and entry not in superseded]
             _say_restored(arm.name, back, superseded, left)
             if left and forget:
-                confirm(
-                    f"{len(left)} objects of arm '{arm.name}' keep their current values. Remove them from the ledger?",
-                    yes=yes,
-                    declined="declined: the entries stay in the write ledger",
-                )
+                question = f"{len(left)} objects of arm '{arm.name}' keep their current values."
+                if not yes:
+                    confirm(
+                        f"{question} Remove them from the ledger?", "declined: the entries stay in the write ledger"
+                    )
                 group.ledger.forget(*left)
                 left, wrong = (), []
             failures += wrong

@@ -26,11 +26,12 @@ from gateway.commands.shared_options import (
     measurement_options,
     note_remarks,
     refuse_unwritable,
+    reserve,
     session_of,
     warm_option,
     write_json,
 )
-from gateway.data.labels import BARE_LABEL, label_refused
+from gateway.data.labels import label_refused
 from gateway.errors import GatewayError, PlanRefused
 
 if TYPE_CHECKING:
@@ -102,23 +103,24 @@ def calibrate(
 def _measured(arm: ArmConfig, about: AnalysisInputs, weight: Weight, how: MeasuringOptions) -> Path:
     """Measure the unloaded arm, the load, and the unloaded arm again; return the recording."""
     from drives.errors import DriveError
-    from gateway.commands.cell_context import open_cell
-    from gateway.commands.commission import Job, measure
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.commission import Job, measure
 
     rated_kg = arm.max_load_kg if arm.rated_load_kg is None else arm.rated_load_kg.value
     if rated_kg is not None and weight.mass_kg > rated_kg:
         raise PlanRefused(
             f"--known {weight.label}: {weight.mass_kg:.4g} kg is beyond the rated load of {rated_kg:.4g} kg"
         )
-    context = open_cell(how.cell, how.bus_spec, how.moving.pacing)
+    context = open_cell(how.cell, how.bus_spec, reserve, how.moving.pacing)
     recording = how.recording(_RECORDING, context.loaded)
+    context.reserve(arm)
+    how.keep(recording)
     refuse = partial(_refuse_plan, arm, about, weight)
     try:
-        with context.with_move_command(), stoppable(how.moving) as options:
+        with stoppable(how.moving) as options:
             job = Job(context, arm, (weight.label,), recording, options, is_bracketed=True)
-            besides = context.before_motion(arm, BARE_LABEL if job.begins_bare else None)
-            measure(job, Terminal(session_of(), context.loaded.cell.name, how.moving, besides, refuse))
-    except (GatewayError, DriveError, KeyboardInterrupt) as error:
+            measure(job, Terminal(session_of(), how.moving, refuse))
+    except (GatewayError, DriveError, KeyboardInterrupt, click.Abort) as error:
         if recording.exists():
             error.add_note(f"Measured data: {recording}; calibrate --resume continues once the cause is gone.")
         raise

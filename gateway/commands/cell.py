@@ -225,10 +225,10 @@ def _save(said: CellAnswers, path: Path) -> None:
 
 def _checked(output: Path, draft: Draft) -> list[Finding]:
     """Run the pre-flight check: of the drives if a bus is connected, otherwise of the files only."""
-    from gateway.commands.cell_context import open_cell
+    from gateway.jobs.cell_context import open_cell
     from gateway.model.arm_model import arm_robot
 
-    context = open_cell(output, None)
+    context = open_cell(output, None, reserve)
     (arm,) = context.arms
     arm_robot(context.loaded, arm)
     context.profiles(arm)

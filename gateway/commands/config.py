@@ -24,6 +24,7 @@ from gateway.commands.shared_options import (
     json_option,
     output_option,
     refuse_to_replace,
+    reserve,
     session_of,
     show_remarks,
     write_json,
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
     from drives.group import DriveGroup
     from drives.pdo import Step
     from gateway.cell.config import ArmConfig
-    from gateway.commands.cell_context import CellContext
+    from gateway.jobs.cell_context import CellContext
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 COLUMNS = ["object", "EDS default", "DCF", "drive", "type", "state"]
@@ -75,9 +76,9 @@ def config_dump(
     """
     from drives.configuration.dcf import beyond_limits, read_data_sheet
     from drives.configuration.object_reading import read_drive
-    from gateway.commands.cell_context import open_cell
+    from gateway.jobs.cell_context import open_cell
 
-    context, session = open_cell(cell, bus_spec), session_of()
+    context, session = open_cell(cell, bus_spec, reserve), session_of()
     by_node = _sheets(sheets)
     nodes: list[dict[str, Any]] = []
     for arm in context.arms:
@@ -345,9 +346,9 @@ def config_diff(
 
     Exit code 0 if every drive matches its file, otherwise 7.
     """
-    from gateway.commands.cell_context import open_cell
+    from gateway.jobs.cell_context import open_cell
 
-    context = open_cell(cell, bus_spec)
+    context = open_cell(cell, bus_spec, reserve)
     files = {arm.name: _files(context, arm, folder) for arm in context.arms}
     nodes: list[ComparedNode] = []
     for arm in context.arms:
@@ -417,9 +418,9 @@ def config_apply(
     """
     from drives.configuration.applying import planned_writes, require_at_rest, write_all
     from drives.configuration.applying import store as keep
-    from gateway.commands.cell_context import open_cell
+    from gateway.jobs.cell_context import open_cell
 
-    context = open_cell(cell, bus_spec)
+    context = open_cell(cell, bus_spec, reserve)
     files = {arm.name: _files(context, arm, folder) for arm in context.arms}
     done: list[dict[str, Any]] = []
     for arm in context.arms:
@@ -438,11 +439,9 @@ def config_apply(
             ]
             counts = [len(node.different) - len(left_out[node.drive.node_id]) for node in nodes]
             if any(counts) or store:
-                confirm(
-                    _question(arm, counts, store),
-                    yes=yes,
-                    declined=f"declined: nothing was written to the drives of arm '{arm.name}'",
-                )
+                if not yes:
+                    declined = f"declined: nothing was written to the drives of arm '{arm.name}'"
+                    confirm(_question(arm, counts, store), declined)
                 require_at_rest(accesses)
             write_all(work, _report)
             for access in accesses if store else ():

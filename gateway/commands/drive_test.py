@@ -4,24 +4,21 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from gateway.commands.measure import arm_option
-from gateway.commands.motion_options import MoveChoice, move_options, stoppable, support_asked
+from gateway.commands.motion_options import AT_HAND, MoveChoice, move_options, stoppable
 from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
     refuse_to_replace,
+    reserve,
     session_of,
     writes,
 )
 from gateway.errors import FindingFailed
-
-if TYPE_CHECKING:
-    from gateway.drivetest.run import DriveTestRun
 
 PAGE = "drive-test.html"
 
@@ -60,15 +57,16 @@ def drive_test(
 ) -> None:
     """Measure the timing of each drive. The arm moves a little, after confirmation.
 
-    A drive that fails is named and the test of the others goes on; what was measured is written in every case.
+    A drive that fails is named, and nothing moves any more. What was measured is written in every case.
     """
-    from gateway.commands.cell_context import open_cell
+    from gateway.commands.pages import write_page
     from gateway.drivetest.run import DriveTestRun, axes_named
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.frame import begin_motion
     from gateway.model.arm_model import arm_named
-    from gateway.motion.holdtorun import with_held_input
-    from gateway.motion.opening import frame_log_watched, open_arm
+    from gateway.report.drive_test_page import render_drive_test
 
-    context = open_cell(cell, bus_spec, moving.pacing)
+    context = open_cell(cell, bus_spec, reserve, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     try:
         numbers = axes_named(axes, len(arm.axis))
@@ -77,47 +75,28 @@ def drive_test(
     session = session_of()
     for name in [PAGE, *(f"J{number + 1}.json" for number in numbers)]:
         refuse_to_replace(folder / name, "-o", session)
-    context.reserve(arm)
-    moving.ask(
-        f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move a little on every joint, the master's "
-        "heartbeat is stopped on purpose (the resulting drive faults are reset), and each tested axis in turn is held "
-        f"by its brake alone.{context.grippers} Is the area clear of people and the emergency stop within reach?"
+    what = (
+        "will move a little on every joint, and the master's heartbeat is stopped on purpose (the resulting drive"
+        " faults are reset)"
     )
-    opening = open_arm(context.loaded, context.override(arm), arm.name)
-    with (
-        context.with_move_command(),
-        stoppable(moving) as options,
-        opening as opened,
-        context.last_seconds(options, opened),
-    ):
-        options = with_held_input(opened, options)
-        options.desk.watch(frame_log_watched(opened))
+    with stoppable(moving) as options, context.opened(arm) as opened, context.last_seconds(options, opened):
+        options = begin_motion(
+            context, (opened,), options, moving.ask, session.note, what=what, also=AT_HAND, proof="own"
+        )
         test = DriveTestRun(opened, numbers, folder, session.note)
         try:
-            test.run(options, context.stop_proof(arm), support_asked(moving))
+            test.run(options, context.stop_proof(arm))
         finally:
-            _write_page(test, context.loaded.cell.name, folder)
-    _show(test, folder)
-
-
-def _write_page(test: DriveTestRun, cell: str, folder: Path) -> None:
-    from gateway.commands.pages import write_page
-    from gateway.report.drive_test_page import render_drive_test
-
-    test.write()
-    created = datetime.now(UTC).isoformat(timespec="seconds")
-    write_page(folder / PAGE, render_drive_test(cell, created, test.reports))
-
-
-def _show(test: DriveTestRun, folder: Path) -> None:
-    session, failed = session_of(), [report for report in test.reports if report.failed]
+            created = datetime.now(UTC).isoformat(timespec="seconds")
+            write_page(folder / PAGE, render_drive_test(context.loaded.cell.name, created, test.reports))
+    failed = [report for report in test.reports if report.findings]
     for report in test.reports:
         session.show(f"{report.axis} node {report.node}: {len(report.findings)} findings")
         for text in report.findings:
             session.show(f"  {text}")
     session.show(f"{folder / PAGE}: page of {len(test.reports)} drives")
-    if test.error is not None and not isinstance(test.error, FindingFailed):
-        raise test.error
-    if failed:
+    if failed and (test.error is None or isinstance(test.error, FindingFailed)):
         names = ", ".join(f"{report.axis} node {report.node}" for report in failed)
         raise FindingFailed(f"the test of {names} has findings; see {folder / PAGE}")
+    if test.error is not None:
+        raise test.error

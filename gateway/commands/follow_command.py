@@ -25,6 +25,7 @@ from gateway.commands.shared_options import (
     operator_option,
     output_option,
     refuse_other_axes,
+    reserve,
     session_of,
     trace_option,
     write_json,
@@ -81,17 +82,17 @@ def follow(
     """
     from dataclasses import asdict, replace
 
-    from gateway.commands.cell_context import open_cell
     from gateway.feedforward.identified import with_identified
     from gateway.follow.comparison import result_of
     from gateway.follow.job import FollowRequest, drive, prepare
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.frame import begin_motion
     from gateway.model.arm_model import arm_named
-    from gateway.motion.opening import open_arm
     from gateway.report.follow_page import render_follow
     from gateway.result.origin import Origin, drives_of, files_of, in_words, software
     from gateway.result.values import plain_values
 
-    context = open_cell(cell, bus_spec, moving.pacing)
+    context = open_cell(cell, bus_spec, reserve, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     context = replace(context, loaded=with_identified(context.loaded, arm.name, identified))
     arm = arm_named(context.loaded, arm.name)
@@ -99,13 +100,9 @@ def follow(
     prepared = prepare(context.loaded, arm, FollowRequest(path_file, load_file, label))
     session = session_of()
     _announce(prepared, session)
-    first = context.before_motion(arm)
-    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is the area clear of people?")
-    override = replace(context.override(arm, trace), feedforward=True)
-    opening = open_arm(context.loaded, override, arm.name)
-    with context.with_move_command(), stoppable(moving) as options, opening as opened:
+    with stoppable(moving) as options, context.opened(arm, trace=trace, feedforward=True) as opened:
         identities = [asdict(identity) for identity in opened.identities]
-        options = context.proven(opened, session.note, options)
+        options = begin_motion(context, (opened,), options, moving.ask, session.note)
         with context.last_seconds(options, opened), session.progress(prepared.duration_s, "follow") as bar:
             job = drive(opened, prepared, lambda what, done: bar.set(done, prepared.duration_s, what), options)
     used = None if arm.identified is None else context.loaded.path(arm.identified)

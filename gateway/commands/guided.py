@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import select
-import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,12 +21,13 @@ from gateway.commands.shared_options import (
     bus_option,
     cell_argument,
     common,
-    drop_typed_ahead,
     load_option,
     note_remarks,
     operator_option,
     refuse_unwritable,
+    reserve,
     session_of,
+    typed_line,
     write_json,
 )
 from gateway.commands.thermal import thermal_choice, thermal_option, warm_up_option
@@ -44,8 +43,8 @@ if TYPE_CHECKING:
     from gateway.acquire.until.run import UntilSummary
     from gateway.acquire.until.search import LoadSearch
     from gateway.cell.config import LoadedCell
-    from gateway.commands.commission import Job
     from gateway.data.recording.recorded import Recording
+    from gateway.jobs.commission import Job
     from gateway.motion.opening import OpenArm
     from gateway.motion.stream import MoveOptions
     from gateway.result.acceptance import Expected
@@ -89,8 +88,8 @@ def commission(
     moving: MoveChoice,
 ) -> None:
     """Guided commissioning: check, unloaded arm, each load, diagnosis, validation poses, report. The arm moves."""
-    from gateway.commands.cell_context import open_cell
-    from gateway.commands.commission import Job
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.commission import Job
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.result.acceptance import check_expected
 
@@ -99,7 +98,7 @@ def commission(
         raise click.UsageError("--junit holds one measurement, --repeat makes several: give one of them")
     check_expected(expected, labels)
     drift = thermal_choice(thermal, warm_up_min, goal)
-    context = open_cell(cell, bus_spec, moving.pacing)
+    context = open_cell(cell, bus_spec, reserve, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     note_remarks(arm_robot(context.loaded, arm))
     job = Job(context, arm, labels, out / RECORDING, operator=operator, goal=goal, thermal=drift)
@@ -132,14 +131,15 @@ class _Commissioning:
         """
         from drives.errors import DriveError
         from gateway.acquire.thermal import WARM_UP_FILE
-        from gateway.commands.commission import commission as run
         from gateway.data.recording.reader import read
         from gateway.data.recording.writer import refuse_other_cell
+        from gateway.jobs.commission import commission as run
         from gateway.pipeline.accept import accept
         from gateway.report.render import render
         from gateway.result.result import to_dict
 
         job, recording = self.job, out / RECORDING
+        job.context.reserve(job.arm)
         out.mkdir(parents=True, exist_ok=True)
         refuse_unwritable(recording, "--out")
         if self.resume and recording.exists():
@@ -148,11 +148,10 @@ class _Commissioning:
             for path in (recording, out / WARM_UP_FILE, out / "result.json", out / "report.html"):
                 keep_earlier(path, session_of())
         try:
-            with job.context.with_move_command(), stoppable(self.moving) as options:
+            with stoppable(self.moving) as options:
                 job = replace(job, recording=recording, options=options, repetition=repetition)
-                besides = job.context.before_motion(job.arm, BARE_LABEL if job.begins_bare else None)
-                result = run(job, Terminal(session_of(), job.context.loaded.cell.name, self.moving, besides))
-        except (GatewayError, DriveError, KeyboardInterrupt) as error:
+                result = run(job, Terminal(session_of(), self.moving))
+        except (GatewayError, DriveError, KeyboardInterrupt, click.Abort) as error:
             if recording.exists():
                 error.add_note(f"Measured data: {recording}; commission --resume continues once the cause is gone.")
             raise
@@ -199,7 +198,7 @@ class MeasuringOptions:
     moving: MoveChoice
 
     def recording(self, name: str, loaded: LoadedCell) -> Path:
-        """Return OUT/name: rename an earlier one, or with --resume refuse one of another cell.
+        """Return OUT/name; with --resume refuse one of another cell.
 
         Raises
         ------
@@ -211,11 +210,14 @@ class MeasuringOptions:
         self.out.mkdir(parents=True, exist_ok=True)
         path = self.out / name
         refuse_unwritable(path, "--out")
-        if not self.resume:
-            keep_earlier(path, session_of())
-        elif path.exists():
+        if self.resume and path.exists():
             refuse_other_cell(read(path), loaded.text)
         return path
+
+    def keep(self, recording: Path) -> None:
+        """Rename an earlier recording, unless it is continued."""
+        if not self.resume:
+            keep_earlier(recording, session_of())
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,18 +227,13 @@ class Terminal:
     Attributes
     ----------
     session : Session
-    cell : str
     moving : MoveChoice
-    besides : str
-        What the first question before motion adds (`CellContext.before_motion`).
     refuse : callable
-        Checks a plan before the operator is asked for permission.
+        Checks a plan before the drives are opened.
     """
 
     session: Session
-    cell: str
     moving: MoveChoice
-    besides: str = ""
     refuse: Callable[[Plan], None] = lambda _plan: None
 
     def checked(self, items: Sequence[Finding]) -> None:
@@ -248,21 +245,20 @@ class Terminal:
             self.session.note("pre-flight check passed")
 
     def planned(self, plan: Plan) -> None:
-        """Show the plan and ask for permission to move."""
+        """Show the plan."""
         self.refuse(plan)
         show_plan(plan)
-        self.moving.ask(
-            f"Arm '{plan.arm}' of cell '{self.cell}' will move.{self.besides} Is the area clear of people?",
-            "declined: nothing has moved in this measurement",
-        )
+
+    def ask(self, question: str, meanwhile: Callable[[], None]) -> None:
+        """Ask for permission to move."""
+        self.moving.ask(question, meanwhile)
+
+    def announced(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
+        """Announce a posture to move to."""
+        announce(self.session, opened, target, plan, options)
 
     def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Announce the target, ask for permission, and move there."""
-        announce(self.session, opened, target, plan, options)
-        self.moving.ask(
-            f"Arm '{opened.config.name}' of cell '{self.cell}' will move. Is the area clear of people?",
-            f"declined: the motion to {target} was not started",
-        )
+        """Move there."""
         go_with_progress(self.session, opened, target, plan, options)
 
     def mount(self, label: str, opened: OpenArm) -> None:
@@ -274,21 +270,14 @@ class Terminal:
         answer = f"type {label} or yes, and press Enter"
         state = opened.group.gate(full=True)
         state.require_approach()
-        self.session.settle()
-        drop_typed_ahead()
         self.session.note(f"Arm '{opened.config.name}': {state}. {do}, then {answer}.")
-        self.session.settle()
-        click.echo(f"HANG LOAD {label}")
+        prompt = f"HANG LOAD {label}\n"
         for _ in range(MOST_ANSWERS):
-            while sys.stdin.isatty() and not select.select([sys.stdin], [], [], 0.0)[0]:
-                opened.group.attend()
-            line = sys.stdin.readline()
-            if not line:
-                raise click.Abort
-            if line.strip() == label or line.strip().lower() == "yes":
+            line = typed_line(prompt, opened.group.attend, err=False)
+            if line == label or line.lower() == "yes":
                 return
             self.session.note(f"This does not confirm it: once it is done, {answer}.", -1)
-            self.session.settle()
+            prompt = ""
         raise click.Abort
 
     def measure(self, opened: OpenArm, plan: Plan, request: RecordRequest, options: MoveOptions) -> None:

@@ -33,13 +33,13 @@ def live(cell: Path, port: int | None, recording: Path | None, bus_spec: str | N
     """
     from gateway.cell.buses import bus_specs
     from gateway.cell.config import load_cell
-    from gateway.live.page import live_page
+    from gateway.live.page import LivePage
     from gateway.live.watching import watch
 
     loaded = load_cell(cell)
     specs = bus_specs(loaded.cell, bus_spec)
     session = session_of()
-    with live_page(f"{loaded.cell.name}, watched", port, stops=False) as page:
+    with LivePage(f"{loaded.cell.name}, watched", port, stops=False) as page:
         session.show(f"live page: {page.address}")
         session.note("read only, nothing is sent; end with Ctrl-C")
         try:

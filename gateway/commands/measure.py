@@ -22,6 +22,7 @@ from gateway.commands.shared_options import (
     note_remarks,
     output_option,
     recording_file,
+    reserve,
     session_of,
     trace_option,
     unit_option,
@@ -225,10 +226,11 @@ def record(
 
     The first time with these drives, the command first proves that they stop on loss of the master.
     """
-    from gateway.acquire.session import RecordRequest, open_arm
+    from gateway.acquire.session import RecordRequest
     from gateway.acquire.until.run import UntilSummary
-    from gateway.commands.cell_context import open_cell
     from gateway.commands.record_moving import MovingWish, record_in_motion, refuse_mixed
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.frame import begin_motion, flange_question
     from gateway.model.arm_model import arm_named, arm_robot
     from gateway.result.values import plain_values
 
@@ -238,7 +240,7 @@ def record(
         moving_plan,
         rate_hz,
     )
-    context = open_cell(cell, bus_spec, moving.pacing)
+    context = open_cell(cell, bus_spec, reserve, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     if in_motion:
         record_in_motion(context, arm, MovingWish(label, output, resume, moving_plan, rate_hz, trace, json_out), moving)
@@ -253,11 +255,8 @@ def record(
     note_remarks(arm_robot(context.loaded, arm))
     if not moving.yes:
         asked.show(session)
-    first = context.before_motion(arm, label)
-    moving.ask(f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{first} Is the area clear of people?")
-    opening = open_arm(context.loaded, context.override(arm, trace), arm.name)
-    with context.with_move_command(), stoppable(moving) as options, opening as opened:
-        options = context.proven(opened, session.note, options)
+    with stoppable(moving) as options, context.opened(arm, trace=trace) as opened:
+        options = begin_motion(context, (opened,), options, moving.ask, session.note, also=flange_question(label))
         done = asked.run(session, opened, options)
     summary, more = (done.recording, {"until": as_json(done)}) if isinstance(done, UntilSummary) else (done, {})
     if json_out:

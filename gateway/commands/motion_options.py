@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from gateway.commands.shared_options import NOT_AGREED, Function, confirm, one_of, session_of
+from gateway.commands.shared_options import Function, confirm, one_of, session_of
+from gateway.jobs import SLOW_PERCENT
 
 if TYPE_CHECKING:
-    from gateway.motion.observer import Observers
-    from gateway.motion.stops import StopDesk
     from gateway.motion.stream import MoveOptions
 
-#: Speed override [%] of transfer motions: people may be closer to the arm than during a measurement.
-SLOW_PERCENT: Final = 10
 FULL_PERCENT: Final = 100
+#: What the question adds before a test that lets drives and brakes stop the arm.
+AT_HAND: Final = " Keep the emergency stop within reach."
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,9 +45,10 @@ class MoveChoice:
     pacing: str | None
     live: bool = False
 
-    def ask(self, question: str, declined: str = NOT_AGREED) -> None:
-        """Ask for confirmation before motion; no answer means no."""
-        confirm(question, yes=self.yes, declined=declined)
+    def ask(self, question: str, meanwhile: Callable[[], None]) -> None:
+        """Ask for confirmation before motion; no answer means no. At a terminal `meanwhile` is called until then."""
+        if not self.yes:
+            confirm(question, "declined", meanwhile)
 
 
 #: Names of the options.
@@ -130,7 +130,14 @@ def stoppable(move: MoveChoice) -> Generator[MoveOptions]:
     with ExitStack() as stack:
         stack.enter_context(signals_ask(desk))
         stack.enter_context(session_of().detached())
-        observers = _shown(stack, desk) if move.live else Observers()
+        observers = Observers()
+        if move.live:
+            from gateway.live.page import LivePage
+
+            page = stack.enter_context(LivePage(f"servo-gateway {click.get_current_context().info_name}"))
+            desk.watch(page.feed.pressed)
+            session_of().note(f"live page: {page.address}")
+            observers.add(page.feed)
         options = MoveOptions(desk, move.override / 100.0, observers=observers)
         if not move.hold_to_run:
             yield options
@@ -161,14 +168,3 @@ def support_asked(move: MoveChoice) -> Callable[[str], Callable[[], bool] | None
         return line_entered(sys.stdin.fileno())
 
     return ask
-
-
-def _shown(stack: ExitStack, desk: StopDesk) -> Observers:
-    """Serve the live page until the command ends; its button requests a stop."""
-    from gateway.live.page import live_page
-    from gateway.motion.observer import Observers
-
-    page = stack.enter_context(live_page(f"servo-gateway {click.get_current_context().info_name}"))
-    desk.watch(page.feed.pressed)
-    session_of().note(f"live page: {page.address}")
-    return Observers(page.feed)

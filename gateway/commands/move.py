@@ -15,6 +15,7 @@ from gateway.commands.shared_options import (
     common,
     joint_angles,
     note_remarks,
+    reserve,
     session_of,
     unit_option,
 )
@@ -58,12 +59,12 @@ def move(
     stop on loss of the master before it moves.
     """
     from gateway.acquire.goto import destination, plan_transfer
-    from gateway.commands.cell_context import open_cell
+    from gateway.jobs.cell_context import open_cell
+    from gateway.jobs.frame import begin_motion
     from gateway.model.arm_model import arm_named, arm_robot
-    from gateway.motion.opening import open_arm
     from gateway.motion.workspace import workspace_of
 
-    context = open_cell(cell, bus_spec, moving.pacing)
+    context = open_cell(cell, bus_spec, reserve, moving.pacing)
     arm = arm_named(context.loaded, arm_name)
     if not isinstance(to, str) and len(to) != len(arm.axis):
         raise click.UsageError(f"--to: {len(to)} joint angles, and arm '{arm.name}' has {len(arm.axis)} axes")
@@ -71,16 +72,10 @@ def move(
     note_remarks(robot)
     target = destination(arm, workspace_of(arm, robot), to)
     session = session_of()
-    with stoppable(moving) as options, open_arm(context.loaded, context.override(arm), arm.name) as opened:
+    with stoppable(moving) as options, context.opened(arm) as opened:
         plan = plan_transfer(opened, target)
         announce(session, opened, target, plan, options)
-        besides = context.before_motion(arm, opened=opened)
-        moving.ask(
-            f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move.{besides} Is the area clear of people?",
-            "declined: nothing has moved; the drives keep the settings that were written for this motion until"
-            " `servo-gateway restore CELL`",
-        )
-        options = context.proven(opened, session.note, options)
+        options = begin_motion(context, (opened,), options, moving.ask, session.note)
         with context.last_seconds(options, opened):
             go_with_progress(session, opened, target, plan, options)
         session.show(f"arm '{arm.name}' is at {target}; {opened.group.gate()}")

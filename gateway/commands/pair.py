@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,13 +21,14 @@ from gateway.commands.shared_options import (
     json_option,
     one_of,
     output_option,
+    reserve,
     session_of,
     write_json,
 )
 
 if TYPE_CHECKING:
-    from gateway.commands.cell_context import CellContext
     from gateway.commands.console import Session
+    from gateway.jobs.cell_context import CellContext
     from gateway.motion.stream import MoveOptions
     from gateway.pair.link import PairLink
     from gateway.pair.pair_cell import PairCell
@@ -51,36 +54,33 @@ def _open(
 
 
 def _context(cell: Path, pair: PairCell, bus_spec: str | None, pacing: str | None) -> CellContext:
-    from gateway.commands.cell_context import CellContext, typed_options
+    from gateway.jobs.cell_context import CellContext, typed_options
 
     specs = {arm.config.bus: spec for arm, spec in zip(pair.arms, pair.specs, strict=True)}
-    context = CellContext(pair.loaded, cell, specs, typed_options(bus_spec, pacing))
+    context = CellContext(pair.loaded, cell, specs, reserve, typed_options(bus_spec, pacing))
     for arm in pair.arms:
         context.reserve(arm.config)
     return context
 
 
-def _proven(context: CellContext, link: PairLink, options: MoveOptions) -> MoveOptions:
-    """Refuse unless the stop of both arms was proven before, in slow motion with open grippers."""
-    from gateway.check.proofs import require_proven
-    from gateway.motion.holdtorun import with_held_input
+@contextmanager
+def _in_motion(
+    context: CellContext, pair: PairCell, what: str, moving: MoveChoice
+) -> Generator[tuple[PairLink, MoveOptions]]:
+    """Open both arms and ask; the stop of their drives was proven before, in slow motion with open grippers."""
+    from gateway.jobs.frame import begin_motion
+    from gateway.pair.link import open_link
 
-    for opened in link.opened:
-        require_proven(opened, context.stop_proof(opened.config))
-        options = with_held_input(opened, options)
-    return options
-
-
-def _ask(pair: PairCell, what: str, moving: MoveChoice, session: Session) -> None:
+    session = session_of()
     for arm in pair.arms:
         for line in arm.said:
             session.note(f"arm '{arm.config.name}', {line}")
-    first, second = (arm.config.name for arm in pair.arms)
-    held = "with the part gripped" if pair.gap is None else f"with '{second}' clear of the part"
-    moving.ask(
-        f"Arms '{first}' and '{second}' of cell '{pair.loaded.cell.name}' are at the start {held} and will {what}."
-        " Is the area clear of people?"
-    )
+    held = "with the part gripped" if pair.gap is None else f"with '{pair.arms[1].config.name}' clear of the part"
+    what = f"are at the start {held} and will {what}"
+    with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
+        options = begin_motion(context, link.opened, options, moving.ask, session.note, what=what, proof="stored")
+        with context.last_seconds(options, *link.opened):
+            yield link, options
 
 
 @click.command()
@@ -98,7 +98,6 @@ def teach(
 
     Both arms move from point to point, and the force is reduced to zero at each.
     """
-    from gateway.pair.link import open_link
     from gateway.pair.pair_motion import PairMotionOptions
     from gateway.pair.session import open_taught_path, teach_pair
     from gateway.result.pair import TeachResult
@@ -108,22 +107,20 @@ def teach(
     lesson = open_taught_path(pair, kept, resume)
     session = session_of()
     context = _context(cell, pair, bus_spec, moving.pacing)
-    _ask(pair, f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points", moving, session)
-    with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
-        options = _proven(context, link, options)
-        with context.last_seconds(options, *link.opened):
-            function = teach_pair(
-                link,
-                pair,
-                kept,
-                lesson,
-                lambda point, done, count: session.show(
-                    f"point {done} of {count} at {point.s_m:.3f} m: {point.force_n[0]:.1f} N before,"
-                    f" {point.force_n[-1]:.1f} N after {len(point.force_n)} sweeps;"
-                    f" slave moved {1e3 * max(map(abs, point.correction_m)):.2f} mm"
-                ),
-                PairMotionOptions(moves=options),
-            )
+    what = f"move slowly along the path, to {pair.config.knots - len(lesson.points)} points"
+    with _in_motion(context, pair, what, moving) as (link, options):
+        function = teach_pair(
+            link,
+            pair,
+            kept,
+            lesson,
+            lambda point, done, count: session.show(
+                f"point {done} of {count} at {point.s_m:.3f} m: {point.force_n[0]:.1f} N before,"
+                f" {point.force_n[-1]:.1f} N after {len(point.force_n)} sweeps;"
+                f" slave moved {1e3 * max(map(abs, point.correction_m)):.2f} mm"
+            ),
+            PairMotionOptions(moves=options),
+        )
     session.show(f"{kept.folder / 'first.json'}: first function with {len(function)} points")
     if json_out:
         write_json(json_out, plain_values(TeachResult(points=tuple(lesson.points))))
@@ -165,7 +162,6 @@ def run_pair(
 
     Ctrl-C stops both arms on the path and keeps the learned function.
     """
-    from gateway.pair.link import open_link
     from gateway.pair.pair_motion import PairMotionOptions
     from gateway.pair.session import PairRunRequest, embodiment_of, first_function
     from gateway.pair.session import run_pair as run
@@ -179,18 +175,15 @@ def run_pair(
     session = session_of()
     session.note(f"{row.name}, {row.text}; function: {origin}; learning {'off' if kept.frozen else 'on'}", level=1)
     context = _context(cell, pair, bus_spec, moving.pacing)
-    _ask(pair, f"run {cycles} cycles at speed {at:g}", moving, session)
-    with context.with_move_command(), stoppable(moving) as options, open_link(pair, context.ledger) as link:
-        options = _proven(context, link, options)
-        with context.last_seconds(options, *link.opened):
-            result = run(
-                link,
-                pair,
-                kept,
-                PairRunRequest(embodiment, cycles),
-                lambda cycle: session.show(_cycle_line(cycle.summary)),
-                PairMotionOptions(speed=at, moves=options),
-            )
+    with _in_motion(context, pair, f"run {cycles} cycles at speed {at:g}", moving) as (link, options):
+        result = run(
+            link,
+            pair,
+            kept,
+            PairRunRequest(embodiment, cycles),
+            lambda cycle: session.show(_cycle_line(cycle.summary)),
+            PairMotionOptions(speed=at, moves=options),
+        )
     if result.statistics is not None:
         _show_statistics(result.statistics, session)
     if json_out:

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from gateway.acquire.passes import Pass
     from gateway.cell.config import ArmConfig, LoadedCell
-    from gateway.commands.cell_context import CellContext
     from gateway.data.recording.recorded import Recording
     from gateway.excite.excitation import MovingPlan
+    from gateway.jobs.cell_context import CellContext
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,10 +59,11 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
         As `record_moving`.
     """
     from gateway.acquire.passes import passes_of
-    from gateway.acquire.session import RecordRequest, open_arm
+    from gateway.acquire.session import RecordRequest
     from gateway.commands.progress import moving_with_progress
     from gateway.data.recording.reader import read
     from gateway.data.recording.writer import NOT_REPLACED, refuse_other_cell
+    from gateway.jobs.frame import begin_motion, flange_question
     from gateway.result.values import plain_values
 
     if wish.output.exists() and not wish.resume:
@@ -77,13 +78,9 @@ def record_in_motion(context: CellContext, arm: ArmConfig, wish: MovingWish, mov
     passes = passes_of(chosen, wish.label, driven, moving.override / 100.0, period_s)
     session = session_of()
     _show(arm.name, passes, period_s)
-    first = context.before_motion(arm, wish.label)
-    moving.ask(
-        f"Arm '{arm.name}' of cell '{context.loaded.cell.name}' will move fast.{first} Is the area clear of people?"
-    )
-    opening = open_arm(context.loaded, context.override(arm, wish.trace), arm.name)
-    with context.with_move_command(), stoppable(moving) as options, opening as opened:
-        options = context.proven(opened, session.note, options)
+    also, what = flange_question(wish.label), "will move fast"
+    with stoppable(moving) as options, context.opened(arm, trace=wish.trace) as opened:
+        options = begin_motion(context, (opened,), options, moving.ask, session.note, what=what, also=also)
         duration_s = sum(one.duration_s for one in passes)
         request = RecordRequest(wish.label, wish.output, wish.resume)
         summary = moving_with_progress(session, opened, chosen, request, (options, duration_s))

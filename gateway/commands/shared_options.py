@@ -5,9 +5,10 @@ from __future__ import annotations
 import contextlib
 import json
 import math
+import select
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -360,10 +361,6 @@ def reserve(spec: BusSpec) -> None:
         reserved.add(spec.wire)
 
 
-#: Message when the operator declines before anything was sent that moves an arm or writes to a drive.
-NOT_AGREED = "declined: nothing has moved, nothing was written"
-
-
 def drop_typed_ahead() -> None:
     """Drop what was typed at the terminal before a prompt; input from a pipe or a file is kept."""
     if sys.stdin is None or not sys.stdin.isatty():
@@ -374,26 +371,82 @@ def drop_typed_ahead() -> None:
         termios.tcflush(sys.stdin.fileno(), termios.TCIFLUSH)
 
 
-def confirm(question: str, *, yes: bool, declined: str = NOT_AGREED) -> None:
-    """Ask for confirmation before motion; no answer means no, and an answer typed before the question does not count.
+def typed_line(prompt: str, meanwhile: Callable[[], None] | None = None, *, err: bool = True) -> str:
+    """Return the line that is typed after a prompt, without its end; what was typed before does not count.
+
+    Parameters
+    ----------
+    prompt : str
+        Empty: a further line of the answer to an earlier prompt.
+    meanwhile : callable, optional
+        At a terminal, called again and again until a line was typed.
+    err : bool
+        Show the prompt on standard error, not on standard output.
+
+    Raises
+    ------
+    click.Abort
+        The input has ended.
+    """
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        session_of(context).settle()
+    line = ""
+    with _line_by_line():
+        if prompt:
+            drop_typed_ahead()
+            click.echo(prompt, nl=False, err=err)
+        try:
+            while meanwhile is not None and not _is_answered():
+                meanwhile()
+            with contextlib.suppress(OSError):  # the terminal was closed
+                line = "" if sys.stdin is None else sys.stdin.readline()
+        finally:
+            if prompt and not (line + prompt).endswith("\n"):
+                with contextlib.suppress(OSError):  # the terminal was closed
+                    click.echo(err=err)  # what is said next begins on a line of its own
+    if not line:
+        raise click.Abort
+    return line.strip()
+
+
+def _is_answered() -> bool:
+    """Return whether a line can be read at once; what is not a terminal is read as it comes."""
+    return sys.stdin is None or not sys.stdin.isatty() or bool(select.select([sys.stdin], [], [], 0.0)[0])
+
+
+@contextlib.contextmanager
+def _line_by_line() -> Generator[None]:
+    """Have the terminal show and correct what is typed, also where hold-to-run reads its keys one by one."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        yield
+        return
+    import termios
+
+    from gateway.motion.stops import terminal_mode
+
+    with terminal_mode(sys.stdin.fileno()) as mode:
+        mode[3] |= termios.ICANON | termios.ECHO
+        termios.tcsetattr(sys.stdin, termios.TCSADRAIN, mode)
+        yield
+
+
+def confirm(question: str, declined: str, meanwhile: Callable[[], None] | None = None) -> None:
+    """Ask for confirmation; no answer means no.
 
     Raises
     ------
     click.Abort
         With the text `declined`.
     """
-    if yes:
-        return
-    context = click.get_current_context(silent=True)
-    if context is not None:
-        session_of(context).settle()
-    drop_typed_ahead()
-    try:
-        agreed = click.confirm(question, err=True)
-    except click.Abort:
-        agreed = False
-    if not agreed:
-        raise click.Abort(declined)
+    answer = ""
+    while answer not in ("y", "yes"):
+        try:
+            answer = typed_line(f"{question} [y/N]: ", meanwhile).lower()
+        except click.Abort:
+            answer = "no"
+        if answer in ("", "n", "no"):
+            raise click.Abort(declined)
 
 
 def _unit(ctx: click.Context, _param: click.Parameter, value: str) -> None:

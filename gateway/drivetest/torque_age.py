@@ -14,7 +14,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.signal import savgol_filter
 from scipy.stats import t as student
 
-from gateway.drivetest.estimates import CONFIDENCE, not_measured
+from gateway.drivetest.estimates import CONFIDENCE
 from gateway.errors import PlanRefused
 from gateway.motion.trajectory import Motion
 from gateway.motion.workspace import Workspace
@@ -59,8 +59,10 @@ METHOD: Final = (
 )
 
 
-def modulated(workspace: Workspace, start_rad: np.ndarray, joint: int, period_s: float) -> tuple[Motion, Motion]:
-    """Return the motion of one joint, forth and back, inside all limits.
+def modulated(
+    workspace: Workspace, start_rad: np.ndarray, joint: int, period_s: float, override: float = 1.0
+) -> tuple[Motion, Motion]:
+    """Return the motion of one joint, forth and back, inside all limits, at a speed override.
 
     Raises
     ------
@@ -73,6 +75,7 @@ def modulated(workspace: Workspace, start_rad: np.ndarray, joint: int, period_s:
     rise = np.clip(np.minimum(at_s, at_s[-1] - at_s) / BLEND_S, 0.0, 1.0)
     blend = 0.5 - 0.5 * np.cos(np.pi * rise)
     speed = blend * (MEAN_RAD_S + SLOW_RAD_S * np.sin(SLOW_SHARE * omega * at_s) + FAST_RAD_S * np.sin(omega * at_s))
+    speed *= override * min(1.0, float(workspace.speed_rad_s[joint]) / (MEAN_RAD_S + SLOW_RAD_S + FAST_RAD_S))
     travel = np.cumsum(0.5 * (speed[1:] + speed[:-1])) * period_s
     inward = -1.0 if start_rad[joint] > (workspace.lower_rad[joint] + workspace.upper_rad[joint]) / 2 else 1.0
     for sign in (inward, -inward):
@@ -102,76 +105,52 @@ def torque_age(samples: np.ndarray, period_s: float) -> TimingFigure:
     """
     time_s, count, torque = samples.T
     window = max(5, 2 * round(_WINDOW_S / period_s / 2.0) + 1)
-    if len(time_s) < 6 * window:
-        return not_measured(NAME, "too few answers in the motion")
-    smooth = np.array(savgol_filter(count, window, 3), dtype=float)
-    fits = _Fit(time_s, smooth, torque)
-    parts = np.array_split(np.arange(len(time_s)), _PARTS)
-    delay_s = fits.best(np.arange(len(time_s)))
-    for _ in range(_REJECTIONS):
-        fits.reject(delay_s)
-        delay_s = fits.best(np.arange(len(time_s)))
-    if not fits.follows(delay_s):
-        return not_measured(NAME, "the torque word does not follow the acceleration of this axis enough")
-    singles = np.array([fits.best(np.setdiff1d(np.arange(len(time_s)), part)) for part in parts])
-    number = len(parts)
-    std_s = float(np.sqrt((number - 1) / number * np.sum((singles - singles.mean()) ** 2)))  # jackknife
-    half = float(student.ppf((1.0 + CONFIDENCE) / 2.0, number - 1)) * std_s
-    half += SYSTEMATIC_S
-    half += INTERPOLATION_PERIODS * period_s
-    if delay_s + half < 0.0:
-        return not_measured(NAME, "the torque word leads the acceleration of this axis: it did not move as commanded")
-    return TimingFigure(NAME, max(0.0, delay_s), (max(0.0, delay_s - half), delay_s + half), "s", len(time_s), METHOD)
+    if len(time_s) < 6 * window or not np.ptp(count):
+        return TimingFigure.not_measured(NAME, "too few answers in the motion")
+    time_s, smooth = time_s - time_s[0], np.array(savgol_filter(count, window, 3), dtype=float)
+    position = make_interp_spline(time_s, smooth / np.ptp(smooth), 5)
+    speed, gap_s, delays_s = position(time_s, 1), np.diff(time_s), np.arange(*_DELAYS_S, _GRID_S)
+    used = np.abs(speed) > _LEAST_SHARE * np.abs(speed).max()
+    used &= (time_s > _DELAYS_S[1]) & (time_s < time_s[-1] + _DELAYS_S[0])
+    for end_s in time_s[1:][gap_s > _GAP_PERIODS * np.median(gap_s)]:
+        used &= np.abs(time_s - end_s) > _SETTLE_S
 
+    def fit(rows: np.ndarray, delay_s: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the torque of each column at a delay, acceleration first, and the residual."""
+        at_s = time_s[rows] - delay_s
+        speed = position(at_s, 1)
+        columns = [position(at_s, 2), speed, position(at_s), speed > 0.0, speed < 0.0]
+        matrix = np.column_stack([np.asarray(column, dtype=float) for column in columns])
+        matrix /= np.linalg.norm(matrix, axis=0) + 1e-12
+        torques = matrix * np.linalg.lstsq(matrix, torque[rows], rcond=None)[0]
+        return torques, torque[rows] - torques.sum(axis=1)
 
-class _Fit:
-    """Least squares of the torque over the columns at a delay."""
-
-    def __init__(self, time_s: np.ndarray, count: np.ndarray, torque: np.ndarray) -> None:
-        self._time_s, self._torque = time_s - time_s[0], torque
-        self._spline = make_interp_spline(self._time_s, count / np.ptp(count), 5)
-        self._delays = np.arange(*_DELAYS_S, _GRID_S)
-        speed = self._spline(self._time_s, 1)
-        inside = (self._time_s > _DELAYS_S[1]) & (self._time_s < self._time_s[-1] + _DELAYS_S[0])
-        self._used = (np.abs(speed) > _LEAST_SHARE * np.abs(speed).max()) & inside
-        gaps = np.diff(self._time_s)
-        for end_s in self._time_s[1:][gaps > _GAP_PERIODS * np.median(gaps)]:
-            self._used &= np.abs(self._time_s - end_s) > _SETTLE_S
-
-    def best(self, rows: np.ndarray) -> float:
+    def best(rows: np.ndarray) -> float:
         """Return the delay with the smallest residual over some rows [s], by a parabola through the grid."""
-        chosen = rows[self._used[rows]]
-        cost = np.array([self._cost(chosen, delay) for delay in self._delays])
+        cost = np.array([float(np.sum(fit(rows, delay_s)[1] ** 2)) for delay_s in delays_s])
         least = int(np.clip(np.argmin(cost), 1, len(cost) - 2))
         before, here, after = cost[least - 1 : least + 2]
         bend = before - 2.0 * here + after
-        return float(self._delays[least] + (0.5 * _GRID_S * (before - after) / bend if bend > 0.0 else 0.0))
+        return float(delays_s[least] + (0.5 * _GRID_S * (before - after) / bend if bend > 0.0 else 0.0))
 
-    def reject(self, delay_s: float) -> None:
-        """Leave out samples that are outliers: contact of a cable, a setpoint that came with a delay."""
-        rows = np.flatnonzero(self._used)
-        residual = np.abs(self._parts(rows, delay_s)[1])
-        self._used[rows[residual > _OUTLIER * np.median(residual)]] = False
-
-    def follows(self, delay_s: float) -> bool:
-        """Return whether the delay is inside the grid, and the torque of the acceleration above the residual."""
-        rows = np.flatnonzero(self._used)
-        if not len(rows):
-            return False
-        parts, residual = self._parts(rows, delay_s)
-        inside = self._delays[1] < delay_s < self._delays[-2]
-        return inside and float(np.std(parts[:, 0])) > _LEAST_SIGNAL * float(np.std(residual))
-
-    def _cost(self, rows: np.ndarray, delay_s: float) -> float:
-        residual = self._parts(rows, delay_s)[1]
-        return float(residual @ residual)
-
-    def _parts(self, rows: np.ndarray, delay_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the torque of each column, acceleration first, and the residual."""
-        at = self._time_s[rows] - delay_s
-        speed = self._spline(at, 1)
-        columns = [self._spline(at, 2), speed, self._spline(at), speed > 0.0, speed < 0.0]
-        matrix = np.column_stack([np.asarray(column, dtype=float) for column in columns])
-        matrix /= np.linalg.norm(matrix, axis=0) + 1e-12
-        parts = matrix * np.linalg.lstsq(matrix, self._torque[rows], rcond=None)[0]
-        return parts, self._torque[rows] - parts.sum(axis=1)
+    rows = np.flatnonzero(used)
+    if not len(rows):
+        return TimingFigure.not_measured(NAME, "the answers have gaps in the whole motion")
+    age_s = best(rows)
+    for _ in range(_REJECTIONS):  # contact of a cable, a setpoint that came with a delay
+        residual = np.abs(fit(rows, age_s)[1])
+        rows = rows[residual <= _OUTLIER * np.median(residual)]
+        age_s = best(rows)
+    torques, residual = fit(rows, age_s)
+    follows = float(np.std(torques[:, 0])) > _LEAST_SIGNAL * float(np.std(residual))
+    if not follows or not delays_s[1] < age_s < delays_s[-2]:
+        return TimingFigure.not_measured(NAME, "the torque word does not follow the acceleration of this axis enough")
+    parts = np.array_split(np.arange(len(time_s)), _PARTS)
+    singles = np.array([best(np.setdiff1d(rows, part)) for part in parts])
+    std_s = float(np.sqrt((_PARTS - 1) / _PARTS * np.sum((singles - singles.mean()) ** 2)))  # jackknife
+    half = float(student.ppf((1.0 + CONFIDENCE) / 2.0, _PARTS - 1)) * std_s
+    half += SYSTEMATIC_S + INTERPOLATION_PERIODS * period_s
+    if age_s + half < 0.0:
+        why = "the torque word leads the acceleration of this axis: it did not move as commanded"
+        return TimingFigure.not_measured(NAME, why)
+    return TimingFigure(NAME, max(0.0, age_s), (max(0.0, age_s - half), age_s + half), "s", len(time_s), METHOD)

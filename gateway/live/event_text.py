@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-from gateway.acquire.events import (
-    Narrowed,
-    PeriodDone,
-    PoseDone,
-    SampleRepeated,
-    Started,
-    VisitDone,
-)
+from gateway.acquire.events import Narrowed, PeriodDone, PoseDone, SampleRepeated, Started, VisitDone
 from gateway.live.wire import Heard
 from gateway.report import notation
 
@@ -37,10 +30,6 @@ def saying(event: object) -> tuple[str, str] | None:
         return PLAIN, f"pose {event.pose} measured {side}"
     if isinstance(event, PoseDone):
         return PLAIN, f"pose {event.pose} measured from both directions"
-    return _of_motion(event)
-
-
-def _of_motion(event: object) -> tuple[str, str] | None:
     if isinstance(event, PeriodDone):
         lost = event.incomplete_epochs
         what = f"'{event.name}', period {event.period}"

@@ -14,10 +14,12 @@ import numpy as np
 
 from gateway.acquire.events import PoseDone, Progress
 from gateway.errors import PlanRefused
+from gateway.live import wire
 from gateway.live.drawing import stage_of
-from gateway.live.wire import HEAD, PER_AXIS, ROW, SHOWN, CommandOver, Ended, Happened, PoseSeen, ShownCell, pieces
+from gateway.live.wire import CommandOver, Ended, Happened, PoseSeen, ShownCell
 from gateway.motion.observed_fields import fill
 from gateway.motion.observer import MotionProgress, Observed, Scene
+from gateway.motion.reactions import ARM_RULES
 from gateway.motion.state import SAFE, Phase, StateTracker
 from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
 
@@ -30,9 +32,13 @@ WAITING: Final = 64
 #: Time limit for the final message after the motion [s].
 FAREWELL_S: Final = 0.5
 PHASES: Final = tuple(Phase)
-DEAD_BUTTON: Final = (
-    "the process of the live page has ended, and with it its stop button; start again, with or without --live"
-)
+#: Time between two heartbeat requests [s].
+ASK_S: Final = 0.2
+#: Largest share of the time between two calls of `Feed.pressed` that counts as time without an answer [s], at least
+#: one SYNC period: for the rest the command was itself stalled, or it did not move the arm.
+COUNTED_S: Final = 0.1
+#: Time given to the process of the page to start; it counts as `COUNTED_S` does [s].
+START_S: Final = 30.0
 _NUMBER_OF: Final = {phase: float(number) for number, phase in enumerate(PHASES)}
 
 
@@ -44,7 +50,8 @@ class Feed:
     channel : socket.socket
         This end of `wire.pair_of_sockets`.
     clock : callable
-        Monotonic time [s].
+        Monotonic time [s], in lockstep as well: the page process answers in real time, however fast the virtual clock
+        of the bus advances.
 
     Attributes
     ----------
@@ -59,12 +66,14 @@ class Feed:
         self.gone = False
         self._channel, self._clock = channel, clock
         self._waiting: deque[list[bytes]] = deque()
-        self._row = np.zeros(HEAD)
+        self._row = np.zeros(wire.HEAD)
         self._state: StateTracker | None = None
         self._modelled: tuple[np.ndarray, ...] = ()
         self._followed: tuple[np.ndarray, ...] = ()
         self._unanswered = 0
-        self._sent_s = self._told_s = self._progress_s = -math.inf
+        self._sent_s = self._asked_s = self._looked_s = -math.inf
+        self._progress_s: dict[type, float] = {}
+        self._no_answer_s, self._counted_s = -START_S, COUNTED_S
         self._presses = 0
 
     # -- calls of the motion loop
@@ -77,8 +86,9 @@ class Feed:
     def show(self, stage: ShownCell, state: StateTracker) -> None:
         """Register the observed arms."""
         self._state = state
-        self._row = np.zeros(HEAD + PER_AXIS * sum(arm.axes for arm in stage.arms))
+        self._row = np.zeros(wire.HEAD + wire.PER_AXIS * sum(arm.axes for arm in stage.arms))
         self._followed = ()
+        self._counted_s = max(COUNTED_S, stage.period_s)
         self._say(stage)
 
     def sampled(self, observed: Observed) -> None:
@@ -98,26 +108,23 @@ class Feed:
             return
         self._sent_s = now_s
         row, first = self._row, samples[0]
-        row[:HEAD] = now_s, first.sync_index, first.time_s, _NUMBER_OF[self._state.state.phase], self._unanswered
-        at, shown = HEAD, Observed(samples, followed, observed.modelled_nm)
+        row[: wire.HEAD] = now_s, first.sync_index, first.time_s, _NUMBER_OF[self._state.state.phase], self._unanswered
+        at, shown = wire.HEAD, Observed(samples, followed, observed.modelled_nm)
         for arm in range(len(samples)):
-            at = fill(row, at, shown, arm, SHOWN)
-        self._send(ROW + row.tobytes())
+            at = fill(row, at, shown, arm, wire.SHOWN)
+        if not self._sent(wire.ROW + row.tobytes()):
+            self.dropped += 1
 
     def reported(self, event: object) -> None:
         """Forward an event; progress events at a limited rate."""
-        now_s = self._clock()
-        if isinstance(event, MotionProgress):
-            if now_s - self._told_s < WORD_S:
-                return
-            self._told_s = now_s
-        elif isinstance(event, Progress) and event.remaining_s > 0.0:
-            if now_s - self._progress_s < WORD_S:
-                return
-            self._progress_s = now_s
-        elif isinstance(event, PoseDone):
+        if isinstance(event, PoseDone):
             self._say(PoseSeen(event, self._modelled[0]))
             return
+        if isinstance(event, MotionProgress) or (isinstance(event, Progress) and event.remaining_s > 0.0):
+            now_s = self._clock()
+            if now_s - self._progress_s.get(type(event), -math.inf) < WORD_S:
+                return
+            self._progress_s[type(event)] = now_s
         self._say(Happened(event))
 
     def ended(self, failure: BaseException | None) -> None:
@@ -130,22 +137,32 @@ class Feed:
     def pressed(self) -> StopRequest | None:
         """Return a stop request after the button was pressed; the second time a quick stop, as for a signal.
 
-        If the page process has ended, its button does not work: this also requests a stop along the path.
+        If the page process has ended or does not answer, its button does not work: this also requests a stop along the
+        path. Received answers are read first. Time counts as far as this was called regularly.
         """
-        received = b""
-        if not self.gone:
+        while not self.gone:
             try:
                 received = self._channel.recv(16)
             except BlockingIOError:
-                return None
+                break
             except OSError:
                 received = b""
-        if not received:
-            self.gone = True
-            return StopRequest(StopKind.ALONG_PATH, PlanRefused(DEAD_BUTTON))
-        self._presses += 1
-        kind = StopKind.ALONG_PATH if self._presses == 1 else StopKind.QUICK_STOP
-        return StopRequest(kind, StoppedByPerson("stopped by the button of the live page"))
+            self._no_answer_s, self.gone = 0.0, not received
+            if received == wire.STOP:
+                self._presses += 1
+                kind = StopKind.ALONG_PATH if self._presses == 1 else StopKind.QUICK_STOP
+                return StopRequest(kind, StoppedByPerson("stopped by the button of the live page"))
+        now_s = self._clock()
+        self._no_answer_s += min(now_s - self._looked_s, self._counted_s)
+        self._looked_s = now_s
+        if now_s - self._asked_s >= ASK_S and self._sent(wire.ASK):
+            self._asked_s = now_s
+        rule = ARM_RULES["page"]
+        if not self.gone and self._no_answer_s < rule.limit:
+            return None
+        what = "has ended" if self.gone else f"has not answered for {rule.limit:g} s"
+        dead = f"stopped: the process of the live page {what}, so its stop button does not work; {rule.advice}"
+        return StopRequest(StopKind.ALONG_PATH, PlanRefused(dead))
 
     def close(self, reason: str) -> None:
         """Send the final message with the reason; not to be called in the motion loop."""
@@ -165,7 +182,7 @@ class Feed:
         if len(self._waiting) >= WAITING:
             self.dropped += 1
             return
-        self._waiting.append(pieces(message))
+        self._waiting.append(wire.pieces(message))
         self._flush()
 
     def _flush(self) -> None:
@@ -176,10 +193,6 @@ class Feed:
                     return
                 message.pop(0)
             self._waiting.popleft()
-
-    def _send(self, row: bytes) -> None:
-        if not self._sent(row):
-            self.dropped += 1
 
     def _sent(self, datagram: bytes) -> bool:
         """Return whether the datagram was sent; otherwise the queue is full or the page is closed."""

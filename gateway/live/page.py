@@ -9,9 +9,8 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Generator
-from contextlib import contextmanager
-from typing import Final
+from types import TracebackType
+from typing import Final, Self
 
 from gateway.errors import ENDING_SIGNALS, ConfigError
 from gateway.live.feed import Feed
@@ -27,7 +26,7 @@ PATIENCE_S: Final = 3.0
 
 
 class LivePage:
-    """A served page.
+    """A page that is served in a `with` block, whose end it reports to the browsers.
 
     Parameters
     ----------
@@ -63,9 +62,16 @@ class LivePage:
         for piece in pieces(Hello(door.port, door.token, title, stops)):
             here.send(piece)
 
-    def close(self, reason: str) -> None:
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, _kind: type[BaseException] | None, error: BaseException | None, _trace: TracebackType | None
+    ) -> None:
         """Report the end of the command to every page, and end the process."""
-        self.feed.close(reason)
+        what = "." if error is None else f": {str(error) or type(error).__name__}"
+        with contextlib.suppress(Exception):
+            self.feed.close(f"The command has ended{what}")
         try:
             self.process.wait(PATIENCE_S)
         except subprocess.TimeoutExpired:
@@ -111,18 +117,3 @@ def _started(channel: int, listener: int) -> subprocess.Popen[bytes]:
         )
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextmanager
-def live_page(title: str, port: int | None = None, *, stops: bool = True) -> Generator[LivePage]:
-    """Serve the page during a command; report its end to the page."""
-    page = LivePage(title, port, stops=stops)
-    reason = "The command has ended."
-    try:
-        yield page
-    except BaseException as error:
-        reason = f"The command has ended: {str(error) or type(error).__name__}"
-        raise
-    finally:
-        with contextlib.suppress(Exception):
-            page.close(reason)

@@ -21,7 +21,7 @@ from gateway.live.guard import Door
 from gateway.live.idle_connections import MOST_WAITING, REQUEST_S, PunctualProtocol, most_connections
 from gateway.live.page_content import Show
 from gateway.live.server import Pages, live_app
-from gateway.live.wire import MOST_BYTES, STOP, Hello, Unpacker
+from gateway.live.wire import ALIVE, ASK, MOST_BYTES, STOP, Hello, Unpacker
 
 #: Between two frames of the page [s].
 FRAME_S: Final = 1.0 / 30.0
@@ -43,7 +43,10 @@ class Channel:
         self.gone = False
 
     def drain(self, show: Show) -> None:
-        """Read and process all received messages."""
+        """Read and process all received messages, and answer heartbeat requests.
+
+        This runs in the event loop that receives the presses of the button: if it is blocked, no answer is sent.
+        """
         while not self.gone:
             try:
                 datagram = self._end.recv(MOST_BYTES)
@@ -54,14 +57,17 @@ class Channel:
             if not datagram:
                 self.gone = True
                 return
+            if datagram == ASK:
+                self.send(ALIVE)
+                continue
             message = self._unpacker.take(datagram)
             if message is not None:
                 show.take(message)
 
-    def stop(self) -> None:
-        """Forward a press of the stop button."""
+    def send(self, datagram: bytes) -> None:
+        """Send a press of the stop button, or the answer to a heartbeat request."""
         with contextlib.suppress(OSError):
-            self._end.send(STOP)
+            self._end.send(datagram)
 
 
 async def first_word(end: socket.socket) -> Hello | None:
@@ -99,7 +105,7 @@ async def run(end: socket.socket, listener: socket.socket) -> None:
     if hello is None:
         return
     show, channel = Show(hello), Channel(end)
-    pages = Pages(show, channel.stop)
+    pages = Pages(show, lambda: channel.send(STOP))
     server = uvicorn.Server(config_of(live_app(pages, Door(hello.port, hello.token))))
     serving = asyncio.create_task(server.serve(sockets=[listener]))
     parent = os.getppid()

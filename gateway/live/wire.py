@@ -1,8 +1,8 @@
 """Messages between motion loop and page process over a non-blocking socket.
 
 A datagram is a row (`b"r"` and numbers) or a piece of a message (`b"p"`, the last one `b"P"`). The socket separates
-datagrams and bounds the queue. If it is full, messages wait for the next SYNC and samples are dropped. Each press of
-the stop button returns one byte.
+datagrams and bounds the queue. If it is full, messages wait for the next SYNC and samples are dropped. The page process
+returns one byte for each press of the stop button, and one for each heartbeat request.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ Floats = NDArray[np.float64]
 
 ROW: Final = b"r"
 PIECE, LAST_PIECE = b"p", b"P"
+#: Heartbeat: request of the motion loop, and answer of the page process.
+ASK, ALIVE = b"h", b"H"
 STOP: Final = b"S"
 #: Largest piece of a message; well below what a socket holds.
 PIECE_BYTES: Final = 32768

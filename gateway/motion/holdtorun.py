@@ -25,7 +25,7 @@ from drives.sdo import Posted, SdoClient
 from gateway.cell.config import HoldToRun
 from gateway.errors import ConfigError, PlanRefused
 from gateway.motion.opening import OpenArm
-from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest
+from gateway.motion.stops import StopKind, StoppedByPerson, StopRequest, terminal_mode
 from gateway.motion.stream import MoveOptions
 
 #: Time without a repeat that counts as a release, and longest time until the first repeat [s].
@@ -204,13 +204,9 @@ def held_key() -> Generator[HeldKey]:
     """
     if sys.stdin is None or not sys.stdin.isatty():
         raise ConfigError("--hold-to-run needs a terminal: standard input is not one; start the command in a terminal")
-    import termios  # with tty, of Linux and macOS
-    import tty
+    import tty  # of Linux and macOS
 
     terminal = sys.stdin.fileno()
-    before = termios.tcgetattr(terminal)
-    tty.setcbreak(terminal)
-    try:
+    with terminal_mode(terminal):
+        tty.setcbreak(terminal)
         yield HeldKey(terminal)
-    finally:
-        termios.tcsetattr(terminal, termios.TCSADRAIN, before)

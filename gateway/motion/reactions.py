@@ -104,11 +104,11 @@ ARM_RULES: Final[Mapping[str, Rule]] = MappingProxyType(
             "free the disk",
         ),
         "page": Rule(
-            "the process of the live page has ended: its stop button no longer works",
+            "the process of the live page has ended or does not answer: its stop button does not work",
             "along the path",
-            1,
-            "SYNC",
-            "start again, with or without --live",
+            2,
+            "s without an answer",
+            "start again, without --live if it repeats",
         ),
         "force": Rule(
             "two arms: internal force above twice its limit; quick stop if it then rises 2.5 times",

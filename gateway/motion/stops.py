@@ -164,6 +164,28 @@ def outputs_watched(descriptors: Sequence[int] = (1, 2)) -> StopSource:
     return closed
 
 
+@contextmanager
+def terminal_mode(terminal: int) -> Generator[list[Any]]:
+    """Yield the settings of a terminal (`termios.tcgetattr`), to be changed and set; afterwards they are as before.
+
+    Raises
+    ------
+    StoppedByPerson
+        The terminal is closed.
+    """
+    import termios  # of Linux and macOS
+
+    try:
+        before = termios.tcgetattr(terminal)
+    except termios.error as error:
+        raise StoppedByPerson(CLOSED) from error
+    try:
+        yield [*before]
+    finally:
+        with contextlib.suppress(termios.error):  # closed meanwhile: what ends the block is the cause
+            termios.tcsetattr(terminal, termios.TCSADRAIN, before)
+
+
 def output_closed(error: BaseException) -> bool:
     """Return True if an error means that the output is closed.
 

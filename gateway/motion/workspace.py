@@ -27,6 +27,8 @@ BAND_SHARE = 0.013
 #: Speed of that motion: share of the speed limit, and upper limit [rad/s].
 INWARD_SHARE = 0.1
 INWARD_SPEED_RAD_S = 0.05
+#: By how much a velocity may be rounded down in a URDF.
+ROUNDED = 1e-3
 TOO_CLOSE = f"the arm passes an obstacle at less than {500 * PATH_RESOLUTION_M:g} mm"
 
 
@@ -283,7 +285,8 @@ def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
     Raises
     ------
     ConfigError
-        The joint limits of the cell file and of the robot model do not overlap.
+        The joint limits of the cell file and of the robot model do not overlap, or a speed limit is above the velocity
+        of the robot model.
     """
     limits = np.array([axis.position_limit_rad for axis in arm.axis])
     lower, upper = np.maximum(limits[:, 0], robot.lower_rad), np.minimum(limits[:, 1], robot.upper_rad)
@@ -291,6 +294,13 @@ def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
         raise ConfigError(
             f"arm '{arm.name}', axis {joint + 1}: position_limit_rad {limits[joint].tolist()} and the limits "
             f"[{robot.lower_rad[joint]:.3f}, {robot.upper_rad[joint]:.3f}] rad of the robot model do not overlap"
+        )
+    speed_rad_s = np.array([axis.speed_limit_rad_s for axis in arm.axis])
+    stated = robot.velocity_rad_s > 0.0  # NaN: not stated
+    for joint in np.flatnonzero(stated & (speed_rad_s > (1.0 + ROUNDED) * robot.velocity_rad_s)):
+        raise ConfigError(
+            f"arm '{arm.name}', axis {joint + 1}: speed_limit_rad_s {speed_rad_s[joint]:g} is above the velocity "
+            f"{robot.velocity_rad_s[joint]:g} rad/s of the robot model; lower it, or correct the URDF by the data sheet"
         )
     flange = np.zeros(3) if robot.flange is None else robot.flange[:3, 3]
     load_com = flange if arm.max_load_com_m is None else np.array(arm.max_load_com_m)
@@ -301,7 +311,7 @@ def workspace_of(arm: ArmConfig, robot: Robot) -> Workspace:
         gravity_m_s2=np.array(arm.gravity_m_s2),
         lower_rad=lower,
         upper_rad=upper,
-        speed_rad_s=np.array([axis.speed_limit_rad_s for axis in arm.axis]),
+        speed_rad_s=speed_rad_s,
         acceleration_rad_s2=np.array([axis.acceleration_rad_s2 for axis in arm.axis]),
         jerk_rad_s3=np.array([axis.jerk_rad_s3 for axis in arm.axis]),
         torque_nm=np.array([axis.torque_limit_nm for axis in arm.axis]),

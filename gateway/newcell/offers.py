@@ -132,16 +132,11 @@ def _shifted(node: SeenNode) -> bool:
 
 def speed_limits(robot: Robot, axes: Axes) -> Answer:
     """Return a slow speed limit for the first motion, within the limits of robot and motors."""
-    found: list[float] = []
-    for joint in range(robot.axes):
-        bounds = [FIRST_SPEED_RAD_S]
-        if math.isfinite(robot.velocity_rad_s[joint]):
-            bounds.append(float(robot.velocity_rad_s[joint]))
-        node = axes.nodes[joint]
+    found: list[float] = np.fmin(FIRST_SPEED_RAD_S, robot.velocity_rad_s).tolist()  # NaN: the robot states none
+    for joint, node in enumerate(axes.nodes):
         motor = None if node is None else node.read("max_motor_speed")
         if motor is not None and motor.value > 0:
-            bounds.append(_rounded(motor.value * math.pi / 30.0 / abs(axes.ratio[joint])))
-        found.append(min(bounds))
+            found[joint] = min(found[joint], _rounded(motor.value * math.pi / 30.0 / abs(axes.ratio[joint])))
     return Answer(tuple(found), f"{ASSUMED}: slow for a first motion, at most {FIRST_SPEED_RAD_S:g} rad/s")
 
 

@@ -7,7 +7,7 @@ from itertools import chain
 from typing import Any, Final
 
 from gateway.cell import plausible
-from gateway.cell.plausible import Found
+from gateway.cell.plausible import Found, beyond, speeds
 from gateway.model.load_bounds import LoadBounds
 from gateway.newcell import questions
 
@@ -15,17 +15,17 @@ Check = Callable[[Any], Iterable[Found]]
 
 _CHECKS: Final[Mapping[str, Check]] = {
     questions.GEAR_RATIO.key: lambda values: map(plausible.ratio, values),
-    questions.POSITION_LIMIT.key: lambda values: (plausible.angles("position_limit_rad", pair) for pair in values),
-    questions.ZERO_OFFSET.key: lambda values: [plausible.angles("zero_offset_rad", values)],
-    questions.SPEED_LIMIT.key: lambda values: (plausible.speed("speed_limit_rad_s", value) for value in values),
-    questions.FLANGE.key: lambda values: [plausible.lengths("flange_xyz_m", values)],
-    questions.FLANGE_TURN.key: lambda values: [plausible.angles("flange_rpy_rad", values, plausible.LARGEST_TURN_RAD)],
+    questions.POSITION_LIMIT.key: lambda pairs: (beyond("joint angle", "position_limit_rad", *pair) for pair in pairs),
+    questions.ZERO_OFFSET.key: lambda values: [beyond("joint angle", "zero_offset_rad", *values)],
+    questions.SPEED_LIMIT.key: lambda values: [speeds(values)],
+    questions.FLANGE.key: lambda values: [beyond("length", "flange_xyz_m", *values)],
+    questions.FLANGE_TURN.key: lambda values: [beyond("angle of a frame", "flange_rpy_rad", *values)],
     questions.MOUNTING.key: lambda values: [plausible.gravity(values)],
-    questions.TORQUE_LIMIT.key: lambda values: map(plausible.torque_limit, values),
-    "dh_alpha_rad": lambda values: [plausible.angles("dh_alpha_rad", values)],
-    "dh_theta_offset_rad": lambda values: [plausible.angles("dh_theta_offset_rad", values)],
-    "dh_a_m": lambda values: [plausible.lengths("dh_a_m", values)],
-    "dh_d_m": lambda values: [plausible.lengths("dh_d_m", values)],
+    questions.TORQUE_LIMIT.key: lambda values: (beyond("torque", "torque_limit_nm", v) for v in values),
+    "dh_alpha_rad": lambda values: [beyond("joint angle", "dh_alpha_rad", *values)],
+    "dh_theta_offset_rad": lambda values: [beyond("joint angle", "dh_theta_offset_rad", *values)],
+    "dh_a_m": lambda values: [beyond("length", "dh_a_m", *values)],
+    "dh_d_m": lambda values: [beyond("length", "dh_d_m", *values)],
 }
 
 

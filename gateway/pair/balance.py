@@ -156,7 +156,8 @@ class ForceBalance:
         for part in (slice(0, 3), slice(3, 6)):
             size = float(np.linalg.norm(wrench[part]))
             along = wrench[part] / size if size > 0.0 else wrench[part]
-            std = math.sqrt(along @ self._feigned[part, part] @ along)
+            # the filtered variance fades to nothing while all joints turn, and rounding may take it below that
+            std = math.sqrt(max(0.0, along @ self._feigned[part, part] @ along))
             certain[part] = max(0.0, size - CERTAIN_STD * std) * along
         return certain
 

@@ -238,7 +238,7 @@ def run_pair(
     stream = Stream(link.station(cell, replace(moves, override=1.0)))
     options = replace(options, speed=speed * moves.override, laws_s=servo_laws(cell, store, row))
     run = PairRun(cell, stream, row, first, options, function_back(store, row))
-    if store.frozen:
+    if store.frozen or moves.first_done is not None:  # a first motion is slower than what is learned
         run.controller.freeze()
     cycles: list[PairCycle] = []
 

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 from gateway.report.page import Head, page
 from gateway.result.drive_test import DriveTestReport, TimingFigure
 from gateway.result.numerals import significant
 
-#: Text, factor and unit of each figure on the page, in this order; others follow by their name.
-FIGURES: dict[str, tuple[str, float, str]] = {
+#: Text, factor and unit of each figure for a reader, in the order of the page.
+SHOWN: Final[dict[str, tuple[str, float, str]]] = {
     "controlword_to_reaction_s": ("Controlword to reaction", 1e3, "ms"),
     "sync_to_tpdo_s": ("SYNC to TPDO, median", 1e3, "ms"),
     "sync_to_tpdo_p05_s": ("SYNC to TPDO, 5 % quantile", 1e3, "ms"),
     "sync_to_tpdo_p95_s": ("SYNC to TPDO, 95 % quantile", 1e3, "ms"),
-    "sdo_answer_s": ("SDO answer, median", 1e3, "ms"),
     "torque_age_s": ("Age of the torque word", 1e3, "ms"),
     "heartbeat_loss_to_standstill_s": ("Heartbeat loss to standstill", 1e3, "ms"),
     "quick_stop_time_s": ("Quick stop, time", 1e3, "ms"),
     "quick_stop_angle_rad": ("Quick stop, angle", 1e3, "mrad"),
     "fault_reaction_time_s": ("Fault reaction to standstill", 1e3, "ms"),
-    "brake_drop_rad": ("Drop in the brake", 1e3, "mrad"),
     "missed_pdo_2ms": ("Missed TPDOs at 2 ms", 1e2, "%"),
     "late_pdo_2ms": ("Delayed TPDOs at 2 ms", 1e2, "%"),
     "missed_pdo_4ms": ("Missed TPDOs at 4 ms", 1e2, "%"),
@@ -32,9 +31,21 @@ FIGURES: dict[str, tuple[str, float, str]] = {
 
 def render_drive_test(cell: str, created: str, reports: Sequence[DriveTestReport]) -> str:
     """Return the HTML page of the drives of one arm."""
-    failed = [report for report in reports if report.failed]
+    failed = [report for report in reports if report.findings]
     good = f"{len(reports)} drives tested, nothing found"
     names = ", ".join(report.axis for report in failed)
+    rows: list[list[str]] = []
+    methods: list[tuple[str, str]] = []
+    for name, (text, _, unit) in SHOWN.items():
+        figures = {report.axis: report.figure(name) for report in reports}
+        if not any(figures.values()):
+            continue
+        rows.append([f"{text} [{unit}]", *map(figure_text, figures.values())])
+        axes: dict[str, list[str]] = {}
+        for axis, figure in figures.items():
+            if figure is not None:
+                axes.setdefault(figure.method, []).append(axis)
+        methods += [(text, method if len(axes) == 1 else f"{', '.join(who)}: {method}") for method, who in axes.items()]
     return page(
         "drive_test.html.j2",
         Head(f"Drive test: {cell}", "Drive test", (("cell", cell), ("", created))),
@@ -42,50 +53,19 @@ def render_drive_test(cell: str, created: str, reports: Sequence[DriveTestReport
         headline=f"{len(failed)} of {len(reports)} drives with findings: {names}" if failed else good,
         findings=[(f"{report.axis} node {report.node}", text) for report in failed for text in report.findings],
         columns=["figure", *(f"{report.axis} (node {report.node})" for report in reports)],
-        rows=_rows(reports),
-        methods=_methods(reports),
+        rows=rows,
+        methods=methods,
         drives=[_identity(report) for report in reports],
     )
 
 
-def _order(reports: Sequence[DriveTestReport]) -> list[str]:
-    found = {figure.name for report in reports for figure in report.figures}
-    return [*(name for name in FIGURES if name in found), *sorted(found - FIGURES.keys())]
-
-
-def _rows(reports: Sequence[DriveTestReport]) -> list[list[str]]:
-    rows: list[list[str]] = []
-    for name in _order(reports):
-        text, factor, unit = FIGURES.get(name, (name, 1.0, ""))
-        cells = [_cell(report, name, factor) for report in reports]
-        rows.append([f"{text} [{unit}]" if unit else text, *cells])
-    return rows
-
-
-def _cell(report: DriveTestReport, name: str, factor: float) -> str:
-    figure = _figure(report, name)
+def figure_text(figure: TimingFigure | None) -> str:
+    """Return value and interval of a figure in the unit of `SHOWN`; a dash if it was not measured."""
     if figure is None or figure.value is None or figure.interval is None:
         return "\N{EN DASH}"
+    factor = SHOWN[figure.name][1]
     low, high = (significant(factor * end, 2) for end in figure.interval)
     return f"{significant(factor * figure.value, 3)} [{low}, {high}]"
-
-
-def _figure(report: DriveTestReport, name: str) -> TimingFigure | None:
-    return next((figure for figure in report.figures if figure.name == name), None)
-
-
-def _methods(reports: Sequence[DriveTestReport]) -> list[tuple[str, str]]:
-    """Return what was done for each figure; a reason for a missing one names its axes."""
-    methods: list[tuple[str, str]] = []
-    for name in _order(reports):
-        axes: dict[str, list[str]] = {}
-        for report in reports:
-            figure = _figure(report, name)
-            if figure is not None:
-                axes.setdefault(figure.method, []).append(report.axis)
-        text = FIGURES.get(name, (name, 1.0, ""))[0]
-        methods += [(text, method if len(axes) == 1 else f"{', '.join(who)}: {method}") for method, who in axes.items()]
-    return methods
 
 
 def _identity(report: DriveTestReport) -> tuple[str, ...]:

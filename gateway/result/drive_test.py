@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,6 +21,7 @@ class TimingFigure:
     Attributes
     ----------
     name : str
+        Its last part is the unit of a time or angle.
     value : float or None
         None where it was not measured; `method` then states why.
     interval : (float, float) or None
@@ -38,28 +39,28 @@ class TimingFigure:
     samples: int
     method: str
 
+    @classmethod
+    def not_measured(cls, name: str, why: str) -> TimingFigure:
+        """Return a figure without a value."""
+        unit = "1" if "_pdo_" in name else name.rpartition("_")[2]
+        return cls(name, None, None, unit, 0, why)
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True, eq=False)
 class DriveTestReport:
-    """Results of one drive; `identity` has plain values, None where the drive lacks an object."""
+    """Results of one drive, filled while its test runs; `identity` has plain values, None where it lacks an object."""
 
     axis: str
     node: int
     identity: Mapping[str, Any]
-    figures: tuple[TimingFigure, ...]
-    findings: tuple[str, ...]
+    figures: list[TimingFigure] = field(default_factory=list[TimingFigure])
+    findings: list[str] = field(default_factory=list[str])
 
-    @property
-    def failed(self) -> bool:
-        """Return whether a finding exists."""
-        return bool(self.findings)
+    def figure(self, name: str) -> TimingFigure | None:
+        """Return the figure of a name; None if the test has not reached it."""
+        return next((figure for figure in self.figures if figure.name == name), None)
 
-    def as_json(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {"format": FORMAT, "version": VERSION} | asdict(self)
-
-    def write(self, folder: Path) -> Path:
-        """Write the report to its file in a folder; return the path."""
-        path = folder / f"{self.axis}.json"
-        replace_file(path, json.dumps(self.as_json(), indent=1) + "\n")
-        return path
+    def write(self, folder: Path) -> None:
+        """Write the report to its file in a folder."""
+        body = {"format": FORMAT, "version": VERSION} | asdict(self)
+        replace_file(folder / f"{self.axis}.json", json.dumps(body, indent=1) + "\n")

@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import _thread
+import json
+import os
+import signal
 import threading
 from collections.abc import Callable
 
+import can
+import numpy as np
 import pytest
+from websockets.sync.client import connect
 
+from benchmarks.chaos.programs import TRIES, disturbed
+from benchmarks.live.parts import commands, quick_stop_at
 from drives.bus import BusSpec, open_bus
 from drives.listen_only import ListenOnlyBus
 from gateway.cell.config import load_cell
@@ -15,8 +23,10 @@ from gateway.cell.conversion import AxisConversion
 from gateway.live.page import LivePage
 from gateway.motion.arm import JointSide
 from gateway.motion.opening import axis_setups
+from sim.serve import running
 from tests.support.pages.browser import MISSING, Browser, available, browser
 from tests.support.processes import wait_until
+from tests.support.rigs.proofs import keep_proof_of_stop
 
 pytestmark = pytest.mark.system
 
@@ -34,7 +44,7 @@ return drawn;
 class Watcher(threading.Thread):
     """Does something with the page of a run, beside it; a run that it fails on is interrupted."""
 
-    def __init__(self, pages: list[LivePage], look: Callable[[Browser], None]) -> None:
+    def __init__(self, pages: list[LivePage], look: Callable[[LivePage], None]) -> None:
         super().__init__(daemon=True)
         self._pages, self._look = pages, look
         self.failure: BaseException | None = None
@@ -42,27 +52,10 @@ class Watcher(threading.Thread):
     def run(self) -> None:
         try:
             wait_until(lambda: self._pages)
-            with browser() as window:
-                window.resize(*WIDE)
-                window.visit(self._pages[0].address)
-                self._look(window)
+            self._look(self._pages[0])
         except BaseException as error:
             self.failure = error
             _thread.interrupt_main()
-
-
-@pytest.fixture
-def pages(monkeypatch) -> list[LivePage]:
-    """Live pages that were started."""
-    started: list[LivePage] = []
-    before = LivePage.__init__
-
-    def noted(page: LivePage, *arguments: object, **named: object) -> None:
-        before(page, *arguments, **named)  # type: ignore[arg-type]
-        started.append(page)
-
-    monkeypatch.setattr(LivePage, "__init__", noted)
-    return started
 
 
 @pytest.mark.slow
@@ -71,7 +64,13 @@ def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pa
     drives = serve()
     seen: dict[str, object] = {}
 
-    def look(window: Browser) -> None:
+    def look(page: LivePage) -> None:
+        with browser() as window:
+            window.resize(*WIDE)
+            window.visit(page.address)
+            clicked(window)
+
+    def clicked(window: Browser) -> None:
         wait_until(lambda: window.run("return document.getElementById('phase').textContent") == "moving")
         wait_until(lambda: window.run("return live.arms[0].time.length > 100"))
         seen["drawn"] = window.run(DRAWN)
@@ -118,6 +117,54 @@ def test_a_person_sees_the_arm_and_stops_it_by_a_click(place, serve, gateway, pa
     assert (tmp_path / "light.png").read_bytes() != (tmp_path / "dark.png").read_bytes()
     assert "stopped by the button of the live page" in str(seen["over"])
     assert seen["disabled"] is True
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("pacing", "number", "problem"),
+    [
+        ("lockstep", signal.SIGSTOP, "has not answered for 2 s"),
+        ("lockstep", signal.SIGKILL, "has ended"),
+        pytest.param("real", signal.SIGSTOP, "has not answered for 2 s", marks=pytest.mark.clock),
+    ],
+)
+def test_an_arm_whose_page_freezes_or_dies_is_stopped_along_its_path(
+    place, gateway, pages, tmp_path_factory, pacing, number, problem
+):
+    cell = place.variant(pacing, ('pacing = "lockstep"', f'pacing = "{pacing}"'))
+
+    def strike(page: LivePage) -> None:
+        """Send the signal once the page has shown a moving arm for a second: five heartbeats."""
+        shown = 0
+        with connect(page.address.replace("http", "ws").replace("/?", "/feed?"), open_timeout=PATIENCE_S) as messages:
+            while shown < 30:
+                shown += json.loads(messages.recv(PATIENCE_S)).get("frame", {}).get("phase") == "moving"
+        os.kill(page.process.pid, number)
+
+    with running(cell, payload=place.payload) as drives:
+        keep_proof_of_stop(cell, drives.bus, tmp_path_factory)
+        wanted = ("record", cell, "--bus", drives.bus, "--load", "none", "--yes", "--live")
+        for attempt in range(TRIES):
+            pages.clear()
+            trace = place.folder / f"{attempt}.log"
+            watcher = Watcher(pages, strike)
+            watcher.start()
+            # so slow that the run is over in minutes only: the signal comes first
+            done = gateway(*wanted, "-o", place.folder / f"{attempt}.h5", "--override", "5", "--trace", trace)
+            watcher.join(PATIENCE_S)
+            if not disturbed(done.output):
+                break
+    assert watcher.failure is None
+    assert done.exit_code == 5, done.output
+    text = " ".join(done.output.split())
+    assert f"the process of the live page {problem}, so its stop button does not work; start again" in text
+    assert "every drive was read as disabled" in text
+    with can.LogReader(str(trace)) as frames:
+        rows = commands(frames)
+    steps = np.diff([target for _, _, target in rows])
+    # the brakes close by a quick stop where an axis still trembles, once the setpoints have come to rest
+    assert (quick_stop_at(rows, 0.0) or np.inf) > rows[1 + np.flatnonzero(steps)[-1]][0]
+    assert np.abs(np.diff(steps)).max() < 0.5 * np.abs(steps).max()  # setpoints slow down, they do not end suddenly
 
 
 @pytest.mark.slow

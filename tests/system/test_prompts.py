@@ -7,23 +7,24 @@ import os
 import pty
 import sys
 import threading
-from datetime import UTC, datetime
+import tty
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import click
 import pytest
 
-from drives.cia402 import State
 from drives.errors import DriveRebooted
-from drives.gate import ArmState, DriveState
 from gateway.cli import main
 from gateway.commands.console import Session
 from gateway.commands.guided import Terminal
 from gateway.commands.motion_options import MoveChoice
+from gateway.commands.shared_options import confirm
 from gateway.motion.stops import StoppedByPerson
 from sim.drive_faults import act
 from sim.faults import Fault
 from sim.states import PdsState
+from tests.support.rigs.brakes import in_brakes
 
 pytestmark = pytest.mark.system
 HEARTBEAT = "heartbeat is"
@@ -44,7 +45,7 @@ class Person:
 
 @pytest.fixture
 def terminal():
-    return Terminal(Session(), "small", MoveChoice(100, False, True, None))
+    return Terminal(Session(), MoveChoice(100, False, True, None))
 
 
 class Waiting:
@@ -56,7 +57,7 @@ class Waiting:
 
     def gate(self, *, full: bool):
         assert full, "before a person is called"
-        return ArmState((DriveState(1, State.SWITCH_ON_DISABLED),), datetime.now(UTC), full)
+        return in_brakes(full=full)
 
     def attend(self):
         self.looks -= 1
@@ -95,14 +96,36 @@ def test_what_was_typed_before_the_prompt_does_not_confirm_it(terminal, monkeypa
         os.write(master, b"yes\ntool\n")
         asked = click.echo
 
-        def answer(text: str) -> None:
-            asked(text)
+        def answer(text: str, **how: bool) -> None:
+            asked(text, **how)
             os.write(master, b"\nnot yet\ntool\nrest\n")
 
         monkeypatch.setattr(click, "echo", answer)
         terminal.mount("tool", Waiting())
         assert keyboard.readline() == "rest\n", "the prompt has read three lines, of which the last one confirms it"
     os.close(master)
+
+
+@pytest.mark.parametrize(("typed", "agrees"), [(b"no\x7f\x7fy\n", True), (b"y\x7fn\n", False), (b"\n", False)])
+def test_a_question_is_answered_by_a_line_also_where_keys_are_read_one_by_one(monkeypatch, typed, agrees):
+    master, slave = pty.openpty()
+    tty.setcbreak(slave)
+    looks = iter([lambda: None, lambda: os.write(master, typed)])
+    with open(slave, encoding="utf-8") as keyboard:
+        monkeypatch.setattr(sys, "stdin", keyboard)
+        os.write(master, b"y\n")  # typed ahead
+        with nullcontext() if agrees else pytest.raises(click.Abort, match="declined"):
+            confirm("Is the area clear?", "declined", lambda: next(looks, lambda: None)())
+    os.close(master)
+
+
+def test_a_terminal_that_is_closed_at_a_question_declines_it(monkeypatch):
+    master, slave = pty.openpty()
+    ends = iter([lambda: os.close(master)])
+    with open(slave, encoding="utf-8") as keyboard:
+        monkeypatch.setattr(sys, "stdin", keyboard)
+        with pytest.raises(click.Abort, match="declined"):
+            confirm("Is the area clear?", "declined", lambda: next(ends)())
 
 
 def test_a_change_of_a_drive_ends_the_prompt_without_an_answer(terminal, monkeypatch):

@@ -46,6 +46,18 @@ def test_a_brake_that_slips_is_found_and_one_that_holds_is_not(place, gateway, s
 
 
 @pytest.mark.slow
+def test_a_brake_that_closes_slowly_is_found(place, gateway, serve):
+    drives = serve()
+    drives.handle.simulation.arms[0].drives[2].motion.brake_closing_s = 0.08
+    done = gateway("check", place.cell, "--bus", drives.bus, "--brakes", "--yes", "--json", "-")
+    assert done.exit_code == 7, done.output
+    found = findings(done, "J3 node 3")[-1]
+    assert found["severity"] == "fail"
+    assert "in its brake" in found["what"]
+    assert drives.stand_still()
+
+
+@pytest.mark.slow
 def test_an_axis_that_sinks_in_its_brake_does_not_stand_and_ends_the_proof(place, gateway, serve):
     drives = serve(fault='[[fault]]\nkind = "brake_slips"\nnode = 3\n')
     done = gateway("check", place.cell, "--bus", drives.bus, "--prove-stop", "--yes")

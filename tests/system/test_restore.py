@@ -9,8 +9,7 @@ import shutil
 import pytest
 
 from drives.values import DriveCommand
-from gateway.commands.cell_context import open_cell
-from gateway.motion.opening import open_arm
+from gateway.jobs.cell_context import open_cell
 from sim.states import PdsState
 
 
@@ -62,9 +61,9 @@ def test_what_a_run_has_written_is_restored_from_a_copy_of_the_cell_past_a_missi
 
 def interrupt_motion(place, bus, pacing):
     """Enable the arm, move every motor at 2 rad/s, and send no other frame, as a killed master; return what is left."""
-    context = open_cell(place.cell, bus, pacing)
+    context = open_cell(place.cell, bus, lambda _spec: None, pacing)
     (arm,) = context.arms
-    opening = open_arm(context.loaded, context.override(arm), arm.name)
+    opening = context.opened(arm)
     group = opening.__enter__().group
     group.enable()
     period_s = group.timing.period_s

@@ -62,7 +62,7 @@ class Arm {
   take(told) {
     const axes = this.arm.axes;
     for (const row of told.rows) {
-      if (this.time.length && row[0] < this.time[this.time.length - 1]) this.forget();
+      if (this.time.length && row[0] < this.time[this.time.length - 1]) this.drop(this.time.length);
       this.time.push(row[0]);
       this.values.forEach((kind, number) => kind.forEach((joint, index) => joint.push(row[1 + number * axes + index])));
     }
@@ -78,10 +78,6 @@ class Arm {
     if (!count) return;
     this.time.splice(0, count);
     for (const kind of this.values) for (const joint of kind) joint.splice(0, count);
-  }
-
-  forget() {
-    this.drop(this.time.length);
   }
 
   draw() {
@@ -264,14 +260,8 @@ function redraw() {
 }
 
 window.addEventListener("resize", () => {
-  for (const arm of live.arms) {
-    arm.view.stale = true;
-    for (const chart of arm.all()) {
-      chart.resize();
-      chart.draw();
-    }
-  }
-  ask();
+  for (const arm of live.arms) for (const chart of arm.all()) chart.resize();
+  redraw();
 });
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
 connect();

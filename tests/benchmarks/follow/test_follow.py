@@ -9,6 +9,9 @@ import pytest
 
 pytest.importorskip("pybullet", reason="the simulated drives need the extra [sim]")
 
+from click.testing import CliRunner
+
+from gateway.cli import main
 from gateway.result.drawn import Drawn
 from gateway.result.follow import read_follow
 from gateway.result.result import LoadResult, Result, to_json
@@ -106,6 +109,13 @@ def test_a_load_20_percent_off_shows_as_a_trend_and_fails(place, drives, right, 
     assert result.findings[0].severity == "fail"
     assert result.trend.scale == pytest.approx(1 / factor - 1, abs=0.07)
     assert abs(result.trend.scale) > 3 * result.trend.scale_std
+
+
+def test_it_asks_before_it_moves(place, drives, right):
+    words = ["follow", place.cell, "--path", place.path, "--load", place.result, "--bus", drives.bus]
+    done = CliRunner().invoke(main, [str(word) for word in words], input="n\n")
+    assert done.exit_code == 130, done.output
+    assert "will move. Is the area clear of people?" in done.output
 
 
 def test_afterwards_the_drives_hold_no_offset_and_the_brakes_hold_the_arm(drives, right):

@@ -1,6 +1,7 @@
 """The cell file: complete ones load, and everything else is refused by file and key."""
 
 import copy
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -69,7 +70,12 @@ AXIS = ("arm", 0, "axis", 2)
         (AXIS, "gear_ratio", None, 'write gear_ratio = { value = NUMBER, source = "..." }'),
         (AXIS, "torque_constant_nm_per_a", None, "torque_constant_nm_per_a is missing"),
         (AXIS, "position_limit_rad", None, "position_limit_rad is missing"),
-        (AXIS, "speed_limit_rad_s", None, "speed_limit_rad_s is missing (speed limit of the joint): write"),
+        (
+            AXIS,
+            "speed_limit_rad_s",
+            None,
+            "missing (speed limit of the joint, at most the velocity in the URDF): write",
+        ),
         (AXIS, "torque_limit_nm", None, "torque_limit_nm is missing"),
         (AXIS, "gear_ratio", {"value": 100}, 'source is missing: write gear_ratio = { value = 100, source = "..." }'),
         (AXIS, "gear_ratio", {"value": 100, "source": ""}, 'J3: gear_ratio: source = "" is too short'),
@@ -115,6 +121,38 @@ def test_mistakes_are_named(cell, place, key, value, message):
     assert re.match(r"cell\.toml line \d+(, J\d)?: ", str(refused.value))
     assert message in str(refused.value)
     assert refused.value.exit_code == 3
+
+
+#: What is as fast as the fastest arms, and what is degrees: joint, key, value, other keys of the axis.
+FAST = [
+    (3, "speed_limit_rad_s", math.radians(585), {}),
+    (6, "speed_limit_rad_s", math.radians(1575), {}),
+    (4, "speed_limit_rad_s", 15.0, {}),
+    (1, "acceleration_limit_rad_s2", 60.0, {"speed_limit_rad_s": 5.0, "jerk_limit_rad_s3": 2000.0}),
+    (1, "jerk_limit_rad_s3", 300.0, {"acceleration_limit_rad_s2": 1.875}),
+    (1, "acceleration_limit_rad_s2", 40.0, {"speed_limit_rad_s": 0.02, "jerk_limit_rad_s3": 2000.0}),
+    (1, "following_error_limit_rad", 0.5, {}),
+]
+DEGREES = [
+    (1, "speed_limit_rad_s", 15.0, {}, "joints 1 to 3 .*in degrees/s[?] write speed_limit_rad_s = 0.2618"),
+    (3, "speed_limit_rad_s", 12.1, {}, "beyond 12 rad/s"),
+    (4, "speed_limit_rad_s", 60.0, {}, "beyond 30 rad/s .*write speed_limit_rad_s = 1.047"),
+    (6, "acceleration_limit_rad_s2", 86.0, {"speed_limit_rad_s": 1.0}, "full speed in 12 ms.*in degrees/s2[?] .*1.501"),
+    (2, "jerk_limit_rad_s3", 573.0, {}, "full acceleration in 4 ms.*in degrees/s3[?] .*10"),
+    (2, "jerk_limit_rad_s3", 573.0, {"acceleration_limit_rad_s2": 2.2}, "beyond 550 rad/s3"),
+    (5, "following_error_limit_rad", 1.5, {}, "beyond 1 rad .*write following_error_limit_rad = 0.02618"),
+]
+
+
+@pytest.mark.parametrize(("joint", "key", "value", "more", "message"), [*(row + (None,) for row in FAST), *DEGREES])
+def test_limits_in_degrees_are_refused_and_those_of_fast_arms_are_not(cell, joint, key, value, more, message):
+    cell["arm"][0]["axis"][joint - 1] |= more | {key: value}
+    if message is None:
+        assert getattr(parse_cell(as_toml(cell), "cell.toml").arm[0].axis[joint - 1], key) == value
+        return
+    with pytest.raises(ConfigError, match=rf"cell\.toml line \d+, J{joint}: {key}: .*{message}") as refused:
+        parse_cell(as_toml(cell), "cell.toml")
+    assert len(refused.value.lines) == 1
 
 
 def test_every_mistake_is_named_at_once(cell):

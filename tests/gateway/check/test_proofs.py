@@ -19,7 +19,7 @@ from gateway.preflight.drive_check import addresses
 LOADED = load_cell(Path(__file__).parents[3] / "examples" / "small" / "cell.toml")
 PROFILE = load_profile("generic-cia402")
 IDENTITY = Identity(1, 0x00020192, 2, 7, 0x10000, 5, "drive", "1", "2.3")
-PASSED = SimpleNamespace(passed=True, as_json=dict)
+PASSED = SimpleNamespace(passed=True, as_json=dict, override=1.0)
 FAILED = SimpleNamespace(passed=False, as_json=dict)
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from drives.errors import DriveFault
-from gateway.check.proofs import ensure_proven, proven_on
+from gateway.check.proofs import prove_now, proven_on
 from gateway.check.stop import SPEED_RAD_S, prove_stop
 from gateway.errors import LimitExceeded
 from gateway.motion.opening import OpenArm
@@ -170,10 +171,10 @@ def test_a_proof_that_was_stopped_is_not_kept_as_proven(rig, phases, tmp_path, m
     monkeypatch.setattr("gateway.check.proofs.fingerprint", lambda _opened: {"drives": 1})
     options = MoveOptions(asks_at(slaves, phases["quick stop"], StopKind.ALONG_PATH, asked))
     with pytest.raises(StoppedByPerson):
-        ensure_proven(opened, path, lambda _text: None, options)
+        prove_now(opened, path, lambda _text: None, options)
     assert asked
     assert proven_on(path, opened) is None
-    assert ensure_proven(opened, path, lambda _text: None, MoveOptions())
+    prove_now(opened, path, lambda _text: None, MoveOptions())
     assert proven_on(path, opened)
 
 
@@ -204,6 +205,20 @@ def test_the_quick_stop_is_tried_while_the_arm_moves(rig, phases):
         assert (slave.commands[quick - 1][0], slave.commands[quick][0]) == (0x0F, 0x02)
         step = abs(slave.commands[quick - 1][1] - slave.commands[quick - 2][1]) / slave.joint_count
         assert step / PERIOD_S == pytest.approx(SPEED_RAD_S, rel=0.05)
+
+
+@pytest.mark.parametrize("override", [1.0, 0.1])
+def test_a_proof_obeys_the_override_and_is_valid_up_to_it(rig, tmp_path, monkeypatch, override):
+    opened, slaves = rig
+    path = tmp_path / "proof.json"
+    monkeypatch.setattr("gateway.check.proofs.fingerprint", lambda _opened: {"drives": 1})
+    prove_now(opened, path, lambda _text: None, MoveOptions(override=override))
+    for slave in slaves:
+        steps = [abs(new - old) for (word, old), (now, new) in pairwise(slave.commands) if word == now == 0x0F]
+        fastest = max(steps) / slave.joint_count / PERIOD_S
+        assert fastest == pytest.approx(override * SPEED_RAD_S, rel=0.1)
+    assert proven_on(path, opened, override)
+    assert proven_on(path, opened, 1.0) is None or override == 1.0
 
 
 def test_a_drive_that_has_stopped_by_itself_is_no_contact(rig):

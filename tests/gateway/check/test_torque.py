@@ -10,8 +10,9 @@ from drives.torque_signals import TorqueSignals
 from gateway.cell.config import AxisConfig
 from gateway.check.torque import Scales, judge_torque
 from gateway.preflight.rules import Axis
+from tests.data.axes import axis_table
 
-KT = 0.31
+KT = axis_table()["torque_constant_nm_per_a"]["value"]
 RATED_NM, RATED_A = 1.27, 1.27 / KT
 SCALES = Scales(RATED_NM / 1000.0, RATED_A * KT / 1000.0)
 STEPS = np.arange(600)
@@ -21,22 +22,7 @@ NOISE = np.rint(np.random.default_rng(1).normal(0.0, 3.0, len(STEPS))).astype(in
 MEASURED = DEMAND + NOISE
 
 
-AXIS = Axis(
-    1,
-    AxisConfig.model_validate(
-        {
-            "node_id": 1,
-            "profile": "generic-cia402",
-            "torque_constant_nm_per_a": {"value": KT, "source": "datasheet"},
-            "gear_ratio": {"value": 100, "source": "datasheet"},
-            "gear_efficiency": {"value": 0.8, "source": "assumed"},
-            "position_limit_rad": [-2.0, 2.0],
-            "speed_limit_rad_s": 0.5,
-            "torque_limit_nm": 200.0,
-        }
-    ),
-    load_profile("generic-cia402"),
-)
+AXIS = Axis(1, AxisConfig.model_validate(axis_table()), load_profile("generic-cia402"))
 
 
 def judge(torque, demand=DEMAND, current=MEASURED, scales=SCALES):

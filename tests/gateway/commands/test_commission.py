@@ -15,11 +15,12 @@ from gateway.acquire.goto import transfer_from_here
 from gateway.acquire.plan import VisitSettings
 from gateway.acquire.thermal import Block, Thermal, blocks_of
 from gateway.cell.config import KeepOut
-from gateway.commands.commission import Job, _Robot
 from gateway.data.rest_pose import RestPose
+from gateway.jobs.commission import Job, _Robot
 from gateway.model.arm_model import arm_robot
 from gateway.motion.stream import MoveOptions
 from gateway.motion.workspace import workspace_of
+from tests.support.rigs.brakes import in_brakes
 
 LOADING = (0.3, 0.5, 0.6, 0.0, 0.4, 0.0)
 POSE = RestPose(1, (-0.3, 0.1, 0.1, 0.1, 0.1, 0.1), "fit")
@@ -29,9 +30,11 @@ POSE = RestPose(1, (-0.3, 0.1, 0.1, 0.1, 0.1, 0.1), "fit")
 class Listener:
     """A person who agrees, and what was done with the arm, in order."""
 
+    loaded: object
     done: list[str] = field(default_factory=list)
     overrides: list[float] = field(default_factory=list)
     keeping: bool = False
+    asked: str = ""
 
     @contextmanager
     def last_seconds(self, options, opened) -> Generator[None]:
@@ -39,7 +42,15 @@ class Listener:
         yield
         self.keeping = False
 
+    def announced(self, _opened, target, _plan, _options) -> None:
+        self.asked = f"will move to {target}. Is the area clear of people?"
+
+    def ask(self, question, _meanwhile) -> None:
+        assert question.endswith(self.asked)
+        self.asked = ""
+
     def bring(self, opened, target, plan, options) -> None:
+        assert not self.asked, "announced and asked before"
         assert transfer_from_here(opened, target, plan) is plan, "planned once"
         assert self.keeping, "a path that ends in a fault leaves a black box"
         self.done.append(str(target))
@@ -61,9 +72,13 @@ def robot(small_cell, workspace, arm, tmp_path):
         config = small_cell.cell.arm[0].model_copy(update={"loading_rad": loading})
         timing = SimpleNamespace(pacing="lockstep", period_s=0.01)
         opened: Any = SimpleNamespace(
-            loaded=small_cell, config=config, workspace=surroundings, arm=arm, group=SimpleNamespace(timing=timing)
+            loaded=small_cell,
+            config=config,
+            workspace=surroundings,
+            arm=arm,
+            group=SimpleNamespace(timing=timing, gate=in_brakes),
         )
-        listener: Any = Listener()
+        listener: Any = Listener(small_cell)
         job = Job(listener, config, ("a", "b"), tmp_path / "run.h5", MoveOptions(override=override), thermal=thermal)
         plan: Any = SimpleNamespace(poses=(POSE,), settings=VisitSettings(0.03, 0.05, 2.0, 40, 0.01))
         return _Robot(job, listener, opened, plan), listener

@@ -47,7 +47,7 @@ def test_ctrl_c_is_how_it_ends(cell, monkeypatch):
     assert shown == ["small"]
 
 
-def test_the_page_says_that_it_only_watches(cell, monkeypatch):
+def test_the_page_says_that_it_only_watches(cell, monkeypatch, pages):
     seen: list[int] = []
 
     def looked_at(_loaded, _specs, feed, _recording) -> None:
@@ -59,14 +59,6 @@ def test_the_page_says_that_it_only_watches(cell, monkeypatch):
         while not feed.gone:
             feed.pressed()
 
-    pages: list[LivePage] = []
-    before = LivePage.__init__
-
-    def noted(page, *arguments, **named) -> None:
-        before(page, *arguments, **named)
-        pages.append(page)
-
-    monkeypatch.setattr(LivePage, "__init__", noted)
     monkeypatch.setattr(WATCH, looked_at)
     done = live(cell)
     assert done.exit_code == 0, done.output

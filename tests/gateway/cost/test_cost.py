@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,7 +33,8 @@ def changed(text: str, **limits: float) -> str:
 @pytest.fixture
 def folder(tmp_path):
     """A fast arm of the large example: torque limits the swing."""
-    shutil.copy(EXAMPLES / "large" / "robot.urdf", tmp_path)
+    urdf = (EXAMPLES / "large" / "robot.urdf").read_text(encoding="utf-8")
+    (tmp_path / "robot.urdf").write_text(re.sub(r'velocity="[\d.]+"', 'velocity="5"', urdf), encoding="utf-8")
     text = (EXAMPLES / "large" / "cell.toml").read_text(encoding="utf-8")
     fast = {"speed_limit_rad_s": 2.0, "acceleration_limit_rad_s2": 8.0, "jerk_limit_rad_s3": 80.0}
     (tmp_path / "cell.toml").write_text(changed(text, **fast), encoding="utf-8")

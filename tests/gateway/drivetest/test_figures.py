@@ -5,15 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gateway.drivetest.bench import SentSync, count_answers
-from gateway.drivetest.estimates import bracketed_quantile, quantile_ranks, share_figure
-from gateway.drivetest.standstill import PositionTrack
+from gateway.drivetest import estimates
 from gateway.report.drive_test_page import render_drive_test
 from gateway.result.drive_test import DriveTestReport, TimingFigure
-
-
-def track(at_s, count, left_s=10.0):
-    return PositionTrack(np.array(at_s), np.array(count, dtype=float), np.array(at_s) < left_s)
 
 
 @pytest.mark.parametrize("period_s", [0.002, 0.004, 0.01])
@@ -27,7 +21,7 @@ def test_the_time_and_angle_of_a_ramp_are_within_their_bounds(period_s):
         after = np.clip(at - begin_s - ramp_s, 0.0, None)
         count = speed * (np.minimum(at, begin_s) + left - left**2 / (2 * ramp_s))
         count += -speed * 0.001 * np.exp(-after / 0.1) * np.sin(160.0 * after) * (after > 0)
-        rest = track(at, np.round(count)).until_rest(begin_s)
+        rest = estimates.until_rest(at, np.round(count), begin_s)
         assert rest is not None
         assert rest.low_s <= ramp_s <= rest.high_s + 1e-9
         unseen_share = 2.5 / period_s / abs(speed)  # speed below one count per SYNC
@@ -43,7 +37,7 @@ def test_the_angle_of_an_elastic_axis_that_springs_back_between_two_syncs_is_wit
         at, begin_s = 0.01 * np.arange(120), 0.8
         after = np.clip(at - begin_s - delay_s, 0.0, None)
         count = speed * (np.minimum(at, begin_s + delay_s) + np.exp(-10.0 * after) * np.sin(omega * after) / omega)
-        rest = track(at, np.round(count)).until_rest(begin_s)
+        rest = estimates.until_rest(at, np.round(count), begin_s)
         assert rest is not None
         peak_s = np.arctan(omega / 10.0) / omega
         travel = abs(speed) * (delay_s + np.exp(-10.0 * peak_s) * np.sin(omega * peak_s) / omega)
@@ -54,13 +48,7 @@ def test_the_angle_of_an_elastic_axis_that_springs_back_between_two_syncs_is_wit
 
 def test_an_axis_that_goes_on_is_not_at_rest():
     at = 0.01 * np.arange(100)
-    assert track(at, 5000.0 * at).until_rest(0.5) is None
-
-
-def test_bounds_of_leaving_operation_enabled_are_neighbouring_answers():
-    at = 0.01 * np.arange(50)
-    assert track(at, at, left_s=0.305).left_enabled() == pytest.approx((0.30, 0.31))
-    assert track(at, at).left_enabled() is None
+    assert estimates.until_rest(at, 5000.0 * at, 0.5) is None
 
 
 def test_intervals_of_a_median_hold_their_share():
@@ -69,53 +57,92 @@ def test_intervals_of_a_median_hold_their_share():
     for _ in range(400):
         true = rng.gamma(4.0, 0.001, 60)
         early, more = 0.0004 * rng.random(60), 0.0004 * rng.random(60)
-        figure = bracketed_quantile("x", list(zip(true - early, true + more, strict=True)), 0.5, 0.0, "drawn")
+        figure = estimates.quantile_figure("x", list(zip(true - early, true + more, strict=True)), 0.5, 0.0, "drawn")
         assert figure.interval is not None
         hits += figure.interval[0] <= 0.0036720607489 <= figure.interval[1]  # median of the distribution, by tables
     assert hits >= 376
-    assert quantile_ranks(1, 0.5) == (0, 0)
+    assert estimates.quantile_figure("x", [(0.1, 0.2)], 0.5, 0.01, "drawn").interval == pytest.approx((0.09, 0.21))
+    assert estimates.quantile_figure("x_s", [], 0.5, 0.0, "drawn").value is None
 
 
 def test_intervals_of_a_share_are_those_of_clopper_and_pearson():
-    figure = share_figure("x", 5, 500, "counted")
+    figure = estimates.share_figure("x", 5, 500, "counted")
     assert figure.interval == pytest.approx((0.003255, 0.023174), abs=1e-5)
-    assert share_figure("x", 0, 500, "counted").interval == pytest.approx((0.0, 0.007351), abs=1e-5)
-    assert share_figure("x", 0, 0, "counted").value is None
+    assert estimates.share_figure("x", 0, 500, "counted").interval == pytest.approx((0.0, 0.007351), abs=1e-5)
+    assert estimates.share_figure("x", 0, 0, "counted").value is None
 
 
 def sent(count, period_s=0.004):
-    return [SentSync(number * period_s, number * period_s + 0.0001) for number in range(count)]
+    begin_s = period_s * np.arange(count)
+    return np.column_stack([begin_s, begin_s + 0.0001])
 
 
 def test_missing_and_delayed_answers_differ_from_disturbed_syncs():
-    syncs = sent(100)
-    answers = [[[sync.after_s + 0.001] for sync in syncs] for _ in range(3)]
-    answers[0][7] = []
-    answers[1][9] = [syncs[9].after_s + 0.0038]
-    for own in answers:
-        own[50] = []  # the computer, not the drives
-    first, second, third = count_answers(answers, syncs, 0.004)
+    after_s = sent(100)[:, 1]
+    answers = [list(after_s + 0.001) for _ in range(3)]
+    answers[1][9] = after_s[9] + 0.0038
+    for times in answers:
+        times[50] = None  # the computer, not the drives
+    answers[0][7] = None
+    answers = [[at_s for at_s in times if at_s is not None] for times in answers]
+    first, second, third = estimates.count_answers(sent(100), answers, 0.004)
     assert (first.missed, first.delayed) == (1, 0)
     assert (second.missed, second.delayed) == (0, 1)
     assert (third.missed, third.delayed, third.counted) == (0, 0, 99)
     assert len(third.delays_s) == 99
-    (low, high) = third.delays_s[0]
-    assert low == pytest.approx(0.001)
-    assert high == pytest.approx(0.0011)
+    assert third.delays_s[0] == pytest.approx((0.001, 0.0011))
+
+
+def test_an_answer_after_the_next_sync_is_delayed_and_not_missed():
+    after_s = sent(100)[:, 1]
+    answers = [*after_s[:7], after_s[7] + 0.0042, *after_s[8:] + 0.001]
+    (seen,) = estimates.count_answers(sent(100), [sorted(answers)], 0.004)
+    assert (seen.missed, seen.delayed) == (0, 1)
+
+
+def test_syncs_that_this_computer_sent_with_a_delay_are_not_counted():
+    syncs = sent(100)
+    syncs[60:] += 0.002
+    (seen,) = estimates.count_answers(syncs, [np.delete(syncs[:, 1] + 0.001, 59)], 0.004)
+    assert (seen.missed, seen.counted) == (0, 99)
 
 
 def test_drives_that_are_all_delayed_often_are_not_excused():
-    syncs = sent(100)
-    answers = [[[sync.after_s + (0.0039 if number % 4 == 0 else 0.001)] for number, sync in enumerate(syncs)]] * 3
-    assert [each.delayed for each in count_answers(answers, syncs, 0.004)] == [25, 25, 25]
+    delays_s = np.where(np.arange(100) % 4 == 0, 0.0038, 0.001)
+    answers = [sent(100)[:, 1] + delays_s] * 3
+    assert [each.delayed for each in estimates.count_answers(sent(100), answers, 0.004)] == [25, 25, 25]
+
+
+def test_what_other_drives_lose_as_well_is_permitted():
+    assert estimates.permitted_share((0.0, 0.03, 0.0), 0) == pytest.approx(0.015)
+    assert estimates.permitted_share((0.0, 0.03, 0.0), 1) == 0.005
+    assert estimates.permitted_share((0.03, 0.03, 0.03), 0) == 0.03
+    assert estimates.permitted_share((0.03, 0.03), 0) == 0.005
+
+
+@pytest.mark.parametrize(
+    ("name", "low", "high", "limit", "text"),
+    [
+        ("controlword_to_reaction_s", 0.025, 0.035, 0.02, "Controlword to reaction: 30 [25, 35] ms; at most 20 ms"),
+        ("missed_pdo_10ms", 0.014, 0.046, 0.005, "Missed TPDOs at 10 ms: 3 [1.4, 4.6] %; at most 0.5 %"),
+        ("controlword_to_reaction_s", 0.015, 0.045, 0.02, None),  # the interval contains the limit
+        ("missed_pdo_4ms", 0.26, 0.34, None, None),
+    ],
+)
+def test_only_a_figure_whose_whole_interval_is_beyond_a_limit_is_a_finding(name, low, high, limit, text):
+    report = DriveTestReport("J2", 2, {})
+    figure = TimingFigure(name, (low + high) / 2, (low, high), "s", 10, "drawn")
+    estimates.add_figure(report, figure, limit, "repair it")
+    assert report.figures == [figure]
+    assert report.findings == ([] if text is None else [f"{text} is allowed; repair it"])
 
 
 def test_the_page_shows_what_was_not_measured_and_what_failed():
-    figures = (
+    figures = [
         TimingFigure("quick_stop_time_s", 0.02, (0.01, 0.03), "s", 1, "ramp"),
-        TimingFigure("torque_age_s", None, None, "s", 0, "not moved"),
-    )
-    report = DriveTestReport("J2", 2, {"vendor": 1}, figures, ("EMCY: no <message>",))
+        TimingFigure.not_measured("torque_age_s", "not moved"),
+    ]
+    report = DriveTestReport("J2", 2, {"vendor": 1}, figures, ["EMCY: no <message>"])
     html = render_drive_test("cell", "2026", [report])
     assert "1 of 1 drives with findings: J2" in html
     assert "no &lt;message&gt;" in html

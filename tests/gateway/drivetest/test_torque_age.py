@@ -74,8 +74,12 @@ def test_a_torque_without_inertia_gives_no_figure():
     assert torque_age(np.column_stack([at, count, torque]), 0.01).value is None
 
 
-def test_too_few_answers_give_no_figure():
+def test_too_few_answers_or_gaps_everywhere_give_no_figure():
     assert torque_age(np.zeros((0, 3)), 0.01).value is None
+    at = 0.01 * np.delete(np.arange(600), np.s_[::10])
+    count = 2e6 * (0.02 * at - 0.0005 * np.cos(24 * at))
+    assert "gaps" in torque_age(np.column_stack([at, count, np.cos(24 * at)]), 0.01).method
+    assert torque_age(np.column_stack([at, np.full(540, 7.0), np.zeros(540)]), 0.01).value is None
 
 
 def test_an_axis_without_space_is_not_moved(monkeypatch, here):

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
 
-from drives.cia402 import State
-from drives.gate import ArmState, DriveState
 from drives.profile_file import load_profile
 from drives.values import DriveCommand, DriveReading
 from gateway.cell.config import load_cell
@@ -21,6 +18,7 @@ from gateway.model.arm_model import arm_robot
 from gateway.motion.arm import Arm
 from gateway.motion.workspace import workspace_of
 from gateway.result.result import Result
+from tests.support.rigs.brakes import in_brakes
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 OPERATION_ENABLED, FAULT = 0x1637, 0x0608
@@ -76,7 +74,7 @@ class PerfectDrives:
         return self._row()
 
     def gate(self):
-        return ArmState((DriveState(1, State.SWITCH_ON_DISABLED),), datetime.now(UTC))
+        return in_brakes()
 
     def align(self, at_s):
         """There is no clock."""

@@ -84,9 +84,3 @@ def test_a_cell_that_does_not_say_what_the_arm_may_carry_is_refused(cell):
 def test_constants_that_cannot_be_are_refused(cell, old, new):
     change(cell, old, new)
     assert run(cell, RESULT, "--yes").exit_code == 3
-
-
-def test_it_asks_before_it_moves(cell):
-    done = run(cell, RESULT)
-    assert done.exit_code == 130
-    assert "will move" in done.output

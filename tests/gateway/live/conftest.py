@@ -10,10 +10,13 @@ from typing import Any
 import pytest
 
 from gateway.live.feed import Feed
-from gateway.live.wire import MOST_BYTES, Unpacker, pair_of_sockets
+from gateway.live.page_content import Show
+from gateway.live.page_process import Channel
+from gateway.live.wire import MOST_BYTES, Hello, Unpacker, pair_of_sockets
 from gateway.motion.arms import Arms
 from gateway.motion.observer import Scene
 from gateway.motion.state import StateTracker
+from gateway.motion.stops import StopRequest
 from tests.data.observed import PERIOD_S
 
 
@@ -28,6 +31,17 @@ class Rig:
 
     def later(self, seconds: float) -> None:
         self.now_s[0] += seconds
+
+    def run(self, seconds: float, *, answered: bool) -> StopRequest | None:
+        """SYNCs for a time; the first stop request. The page process answers heartbeat requests, or is frozen."""
+        channel, show = Channel(self.page), Show(Hello(8460, "word", "servo-gateway record", stops=True))
+        for _ in range(round(seconds / PERIOD_S)):
+            self.later(PERIOD_S)
+            if wish := self.feed.pressed():
+                return wish
+            if answered:
+                channel.drain(show)
+        return None
 
     def received(self) -> list[Any]:
         """Rows and messages that have come."""

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -112,6 +115,46 @@ def test_the_button_asks_for_a_stop_and_the_second_time_for_a_quick_one(rig):
     assert "live page" in str(wish.cause)
     rig.page.send(STOP)
     assert desk.look().kind is StopKind.QUICK_STOP  # type: ignore[union-attr]
+
+
+def test_a_page_that_does_not_answer_for_2_s_stops_the_arm_along_its_path(rig):
+    assert rig.run(5.0, answered=True) is None
+    frozen_s = rig.now_s[0]
+    wish = rig.run(5.0, answered=False)
+    assert 1.7 < rig.now_s[0] - frozen_s < 2.1
+    assert (wish.kind, wish.cause.exit_code) == (StopKind.ALONG_PATH, 5)
+    assert re.fullmatch(r"stopped: the process of the live page has not answered for 2 s, so its .*", str(wish.cause))
+
+
+def test_a_stall_of_the_command_is_not_taken_for_one_of_its_page(rig):
+    """A suspended computer, a prompt between two motions: the page may have been suspended as well."""
+    assert rig.run(1.0, answered=True) is None
+    for _ in range(5):
+        rig.later(3.0)
+        assert rig.run(0.1, answered=False) is None
+    assert rig.run(5.0, answered=True) is None
+    assert rig.run(2.1, answered=False) is not None, "it is still watched"
+
+
+def test_a_page_is_given_time_to_start_but_not_without_limit(rig):
+    assert rig.run(29.0, answered=False) is None
+    assert rig.run(1.0, answered=True) is None
+    assert rig.run(2.1, answered=False) is not None
+
+
+def test_a_page_that_never_starts_stops_the_arm(rig):
+    assert rig.run(33.0, answered=False) is not None
+
+
+def test_time_without_an_answer_counts_whole_where_the_sync_period_is_long(rig, scene):
+    rig.feed.began(replace(scene, period_s=1.0))
+    assert rig.run(0.5, answered=True) is None
+    wishes = []
+    for _ in range(3):
+        rig.later(1.0)
+        wishes.append(rig.feed.pressed())
+    assert wishes[0] is None
+    assert wishes[-1] is not None
 
 
 def test_a_pose_comes_with_what_the_model_asks_for_there(rig, scene):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import socket
 import subprocess
 import sys
@@ -16,10 +15,7 @@ import pytest
 
 from gateway.errors import ConfigError
 from gateway.live.guard import HOST
-from gateway.live.page import PORT, LivePage, live_page
-from gateway.motion.observer import MotionProgress
-from gateway.motion.stops import StopKind
-from tests.data.observed import observed
+from gateway.live.page import PORT, LivePage
 from tests.support.processes import gone, wait_until
 
 PATIENCE_S = 30.0
@@ -36,7 +32,7 @@ os._exit(1)
 
 @pytest.fixture
 def page() -> Iterator[LivePage]:
-    with live_page("a test") as page:
+    with LivePage("a test") as page:
         yield page
 
 
@@ -45,23 +41,19 @@ def answer(address: str) -> tuple[int, str]:
         return response.status, response.read().decode()
 
 
-def test_the_printed_address_is_answered_and_the_end_ends_the_process(monkeypatch):
-    started, popen = [], subprocess.Popen
-    monkeypatch.setattr(
-        subprocess, "Popen", lambda *words, **named: started.append(popen(*words, **named)) or started[0]
-    )
-    with live_page("a test") as page:
+def test_the_printed_address_is_answered_and_the_end_ends_the_process():
+    with LivePage("a test") as page:
         status, text = answer(page.address)
         assert status == 200
         assert "<canvas" in text
         with pytest.raises(urllib.error.HTTPError, match="403"):
             answer(page.address.partition("?")[0])
-    assert [process.returncode for process in started] == [0]
+    assert page.process.returncode == 0
 
 
 @pytest.mark.slow
 def test_two_pages_have_two_ports(page):
-    with live_page("another") as other:
+    with LivePage("another") as other:
         assert other.address != page.address
         assert answer(other.address)[0] == 200
 
@@ -83,7 +75,7 @@ def test_without_a_wish_the_next_free_port_is_taken():
             with contextlib.suppress(OSError):  # something else may be there: taken as well
                 listener.bind((HOST, number))
                 listener.listen()
-        page = stack.enter_context(live_page("a test"))
+        page = stack.enter_context(LivePage("a test"))
         assert int(page.address.split(":")[2].split("/")[0]) > PORT + 1
 
 
@@ -92,18 +84,6 @@ def test_no_other_computer_on_the_network_reaches_it(page):
     port = int(page.address.split(":")[2].split("/")[0])
     with socket.socket() as elsewhere, pytest.raises(ConnectionRefusedError):
         elsewhere.connect(("127.0.0.2", port))
-
-
-def test_a_page_that_is_killed_never_makes_the_loop_wait_and_stops_it_along_the_path(page, scene):
-    feed = page.feed
-    feed.began(scene)
-    os.kill(page.process.pid, signal.SIGKILL)
-    wait_until(lambda: gone(page.process.pid))
-    for sync in range(1, 4):
-        feed.sampled(observed(sync, scene.workspaces[0].lower_rad * 0.0))
-        feed.reported(MotionProgress("move", sync, 3))
-    assert feed.gone
-    assert feed.pressed().kind is StopKind.ALONG_PATH
 
 
 def test_the_page_ends_when_its_command_is_gone():

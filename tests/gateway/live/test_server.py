@@ -6,6 +6,7 @@ import asyncio
 import json
 import warnings
 from collections.abc import Iterator
+from unittest.mock import Mock
 
 import pytest
 from starlette.websockets import WebSocketDisconnect
@@ -25,19 +26,9 @@ HOME = f"http://127.0.0.1:{PORT}"
 SOCKET = f"ws://127.0.0.1:{PORT}/feed"
 
 
-class Stopped:
-    """Counts how often the button was pressed."""
-
-    def __init__(self) -> None:
-        self.presses = 0
-
-    def __call__(self) -> None:
-        self.presses += 1
-
-
 @pytest.fixture
-def stopped() -> Stopped:
-    return Stopped()
+def stopped() -> Mock:
+    return Mock()
 
 
 @pytest.fixture
@@ -93,7 +84,7 @@ def test_everybody_else_is_refused_and_nothing_is_stopped(client, stopped, heade
         answer = client.get(f"{path}?token={token}", headers=headers)
         assert answer.status_code == 403
         assert "address" in answer.text
-    assert stopped.presses == 0
+    stopped.assert_not_called()
 
 
 @pytest.mark.parametrize("origin", [HOME, f"http://localhost:{PORT}"])
@@ -104,7 +95,7 @@ def test_the_button_is_received_and_no_other_word(client, stopped, origin):
         for word in ("move", "stop now", "", "stop", "stop"):
             socket.send_text(word)
         socket.close()
-    assert stopped.presses == 2
+    assert stopped.call_count == 2
 
 
 def test_words_are_sent_before_frames_and_old_frames_are_left_out():

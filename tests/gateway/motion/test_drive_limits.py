@@ -12,6 +12,7 @@ from drives.profile_file import load_profile
 from gateway.cell.config import ArmConfig
 from gateway.cell.conversion import AxisConversion
 from gateway.motion.drive_limits import ROUNDING_RAD, motor_ranges_rad, motor_torques_nm, quick_stop_rad_s2
+from tests.data.axes import axis_table
 
 PROFILE = load_profile("generic-cia402")
 #: Joints 5 and 6: the motor of 6 turns with joint 5 too.
@@ -20,16 +21,9 @@ COUPLED[5][4] = 0.5
 
 
 def arm(coupling=None, **changes):
-    axis = {
-        "profile": "generic-cia402",
-        "torque_constant_nm_per_a": {"value": 0.31, "source": "datasheet p. 2"},
-        "gear_ratio": {"value": 100, "source": "datasheet p. 7"},
-        "gear_efficiency": {"value": 0.8, "source": "assumed"},
-        "position_limit_rad": [-1.0, 2.0],
-        "speed_limit_rad_s": 0.5,
-        "torque_limit_nm": 200.0,
-    }
-    axes = [axis | {"node_id": joint} | (changes if joint == 2 else {}) for joint in range(1, 7)]
+    axes = [
+        axis_table(joint, position_limit_rad=[-1.0, 2.0]) | (changes if joint == 2 else {}) for joint in range(1, 7)
+    ]
     table = {"name": "main", "bus": "a", "robot": "r.urdf", "axis": axes}
     return ArmConfig.model_validate(table | ({} if coupling is None else {"coupling": coupling}))
 

@@ -14,6 +14,7 @@ from gateway.motion.body import base_and_link_frames
 from gateway.motion.joint_path import path_points
 from gateway.motion.workspace import INWARD_MARGIN_RAD, TORQUE_SHARE, workspace_of
 from tests.data.around import NO_BOX, among_boxes
+from tests.data.axes import axis_table
 
 
 @pytest.fixture(scope="module")
@@ -115,19 +116,20 @@ def test_limits_of_cell_and_robot_are_joined(small_cell):
         workspace_of(arm, replace(robot, upper_rad=np.full(6, -3.0), lower_rad=np.full(6, -4.0)))
 
 
+@pytest.mark.parametrize("stated", [np.nan, 0.8, 12.0, -1.0])
+def test_a_speed_limit_up_to_the_velocity_of_the_robot_is_taken(small_cell, stated):
+    arm = small_cell.cell.arm[0]
+    robot = replace(arm_robot(small_cell, arm), velocity_rad_s=np.array([stated, 12.0, np.nan, 1.2, 1.2, 1.5]))
+    assert workspace_of(arm, robot).speed_rad_s.tolist() == [0.8, 0.8, 0.8, 1.2, 1.2, 1.5]
+    slower = replace(robot, velocity_rad_s=np.array([stated, 12.0, np.nan, 1.1, 1.2, 1.5]))
+    with pytest.raises(
+        ConfigError, match=r"axis 4: speed_limit_rad_s 1\.2 is above the velocity 1\.1 rad/s .*lower it"
+    ):
+        workspace_of(arm, slower)
+
+
 def test_rates_without_a_limit_follow_from_the_speed_limit():
-    axis = AxisConfig.model_validate(
-        {
-            "node_id": 1,
-            "profile": "generic-cia402",
-            "torque_constant_nm_per_a": {"value": 1, "source": "x"},
-            "gear_ratio": {"value": 100, "source": "x"},
-            "gear_efficiency": {"value": 0.8, "source": "x"},
-            "position_limit_rad": [-1, 1],
-            "speed_limit_rad_s": 0.6,
-            "torque_limit_nm": 100,
-        }
-    )
+    axis = AxisConfig.model_validate(axis_table(speed_limit_rad_s=0.6))
     assert axis.acceleration_rad_s2 == pytest.approx(1.0)
     assert axis.jerk_rad_s3 == pytest.approx(5.0)
 

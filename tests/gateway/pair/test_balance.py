@@ -144,6 +144,20 @@ def test_a_force_inside_the_part_is_found_with_its_sign_and_its_weight_is_none(b
     assert bench.balance.wrench[:3] == pytest.approx(force_n, abs=6.0)
 
 
+@pytest.mark.parametrize("joint", [2, 10])
+def test_what_the_friction_of_a_joint_at_rest_may_feign_fades_once_all_joints_turn(bench, joint):
+    """It fades to the smallest numbers there are, whose rounding does not keep a variance positive."""
+    rng, turned = np.random.default_rng(11), np.ones(12)
+    turned[joint] = 0.0
+    bench.balance.begin(ModelUncertainty(constants_of(12)))
+    for _ in range(2600):
+        torque = 30.0 * rng.normal(size=12)
+        seen = [Shown(torque[arm], turned[arm], turned[arm], np.zeros(6)) for arm in (slice(0, 6), slice(6, 12))]
+        bench.balance.take(1, (seen[0], seen[1]), None)
+        assert np.isfinite(bench.balance.inputs(1)).all()
+        turned = np.ones(12)
+
+
 @pytest.mark.parametrize("force_n", [(30.0, 0.0, 0.0), (0.0, -20.0, 10.0)])
 def test_thirteen_torques_hold_the_same_six_numbers(thirteen, force_n):
     """By virtual work of both hands; the other thirteen rows determine 5 constants a joint and 4 of the part."""

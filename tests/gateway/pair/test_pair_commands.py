@@ -148,13 +148,6 @@ def test_a_path_through_a_singular_posture_is_refused(cell: Path) -> None:
     assert result.exit_code in (4, 5)
 
 
-def test_nothing_moves_without_a_yes(cell: Path) -> None:
-    taught(cell)
-    result = CliRunner().invoke(main, ["run-pair", str(cell)], input="n\n")
-    assert result.exit_code == 130
-    assert "Is the area clear of people?" in result.output
-
-
 def test_learning_is_switched_off_on_and_forgotten(cell: Path) -> None:
     store = taught(cell)
     first = store.load("first")

@@ -7,17 +7,14 @@ pose and that of the grasps, with the opposite force at the master's. Joint torq
 from __future__ import annotations
 
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from drives.cia402 import State
 from drives.epoch import Epoch
 from drives.errors import DriveFault
-from drives.gate import ArmState, DriveState
 from drives.values import DriveReading
 from gateway.cell.conversion import AxisConversion
 from gateway.model.arm_model import arm_robot
@@ -27,6 +24,7 @@ from gateway.motion.workspace import workspace_of
 from gateway.pair.link import PairLink
 from gateway.pair.pair_cell import PairArm, PairCell, load_pair
 from gateway.pair.path import PathProgram
+from tests.support.rigs.brakes import in_brakes
 
 EXAMPLE = Path(__file__).resolve().parents[3] / "examples" / "pair"
 ENABLED = 0x1237
@@ -124,7 +122,7 @@ class Joints:
         self.log.append("quick stop")
 
     def gate(self):
-        return ArmState((DriveState(1, State.SWITCH_ON_DISABLED),), datetime.now(UTC))
+        return in_brakes()
 
     def align(self, at_s):
         pass

@@ -11,20 +11,10 @@ from drives.profile_file import load_profile, parse_profile
 from gateway.cell.config import AxisConfig
 from gateway.preflight.coasting import judge_coasting
 from gateway.preflight.rules import Axis
+from tests.data.axes import axis_table
 
 PROFILE = load_profile("generic-cia402")
-CONFIG = AxisConfig.model_validate(
-    {
-        "node_id": 4,
-        "profile": "generic-cia402",
-        "torque_constant_nm_per_a": {"value": 0.31, "source": "datasheet p. 2"},
-        "gear_ratio": {"value": -100, "source": "datasheet p. 7"},
-        "gear_efficiency": {"value": 0.8, "source": "assumed"},
-        "position_limit_rad": [-2.0, 2.0],
-        "speed_limit_rad_s": 0.5,
-        "torque_limit_nm": 200.0,
-    }
-)
+CONFIG = AxisConfig.model_validate(axis_table(4, -100))
 #: 0.5 rad/s over a ratio of 100 is 50 rad/s, 477.46 rpm; the profile's velocity is in 0.01 rpm.
 FULL_SPEED = 50 * 60 / (2 * math.pi) / 0.01
 GOOD = {

@@ -17,6 +17,7 @@ from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.preflight.drive_check import addresses, judge_bus_load, live_addresses
 from gateway.preflight.limits import judge_limits
 from gateway.preflight.rules import Axis, judge_axis, judge_identity, judge_settings, judge_state
+from tests.data.axes import axis_table
 
 PROFILE = load_profile("generic-cia402")
 COUNTS = 65536
@@ -40,21 +41,8 @@ GOOD = {
 }
 
 
-def axis_table(**changes):
-    return {
-        "node_id": 1,
-        "profile": "generic-cia402",
-        "torque_constant_nm_per_a": {"value": 0.31, "source": "datasheet p. 2"},
-        "gear_ratio": {"value": 100, "source": "datasheet p. 7"},
-        "gear_efficiency": {"value": 0.8, "source": "assumed"},
-        "position_limit_rad": [-2.0, 2.0],
-        "speed_limit_rad_s": 0.5,
-        "torque_limit_nm": 200.0,
-    } | changes
-
-
 def arm(**changes):
-    axes = [axis_table(node_id=joint, **(changes if joint == 1 else {})) for joint in range(1, 7)]
+    axes = [axis_table(joint, **(changes if joint == 1 else {})) for joint in range(1, 7)]
     return ArmConfig.model_validate({"name": "main", "bus": "a", "robot": "r.urdf", "axis": axes})
 
 

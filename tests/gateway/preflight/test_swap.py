@@ -11,6 +11,7 @@ from drives.values import Identity
 from gateway.cell.config import ArmConfig
 from gateway.preflight.rules import Axis
 from gateway.preflight.swap import SeenDrive, judge_places
+from tests.data.axes import axis_table
 
 COUNTS = 65536
 GENERIC = load_profile("generic-cia402")
@@ -27,18 +28,8 @@ AXES = (
 
 def arm():
     axes = [
-        {
-            "node_id": 10 + joint,
-            "profile": "generic-cia402",
-            "torque_constant_nm_per_a": {"value": 0.3, "source": "datasheet"},
-            "gear_ratio": {"value": ratio, "source": "datasheet"},
-            "gear_efficiency": {"value": 0.8, "source": "assumed"},
-            "position_sign": sign,
-            "zero_offset_rad": zero,
-            "position_limit_rad": list(limits),
-            "speed_limit_rad_s": 0.5,
-            "torque_limit_nm": torque,
-        }
+        axis_table(10 + joint, ratio, position_sign=sign, zero_offset_rad=zero)
+        | {"position_limit_rad": list(limits), "torque_limit_nm": torque}
         for joint, (ratio, sign, zero, limits, torque) in enumerate(AXES, start=1)
     ]
     return ArmConfig.model_validate({"name": "main", "bus": "a", "robot": "r.urdf", "axis": axes})

@@ -22,7 +22,6 @@ from click.testing import CliRunner, Result
 
 from gateway.cell.config import load_cell
 from gateway.cli import main
-from gateway.commands.cell_context import open_cell
 from gateway.excite.plan_file import plan_as_plain
 from gateway.excite.planning import MovingRequest, make_moving_plan
 from gateway.feedforward.dynamics import ArmDynamics
@@ -30,8 +29,8 @@ from gateway.feedforward.law import FeedforwardLaw
 from gateway.follow.comparison import result_of
 from gateway.follow.job import FollowRequest, Prepared, drive, prepare
 from gateway.follow.settings import Setting
+from gateway.jobs.cell_context import open_cell
 from gateway.model.arm_model import arm_named
-from gateway.motion.opening import open_arm
 from gateway.result.follow import FollowResult
 from gateway.result.result import read_result, to_json
 from sim.serve import RunningSimulation, running
@@ -160,10 +159,9 @@ def velocity_alone(prepared: Prepared) -> Setting:
 
 def followed(handle: RunningSimulation, cell: Path, request: FollowRequest, *names: str) -> FollowResult:
     """The result of a job under the named settings only."""
-    context = open_cell(cell, handle.bus)
+    context = open_cell(cell, handle.bus, lambda _spec: None)
     prepared = _prepared(context, request, names)
-    override = replace(context.override(prepared.arm), feedforward=True)
-    with open_arm(context.loaded, override, prepared.arm.name) as opened:
+    with context.opened(prepared.arm, feedforward=True) as opened:
         return result_of(drive(opened, prepared, lambda what, done: None))
 
 

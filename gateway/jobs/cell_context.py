@@ -20,12 +20,11 @@ from drives.profile import DriveProfile
 from gateway.acquire.blackbox import last_seconds
 from gateway.cell.buses import bus_specs
 from gateway.cell.config import ArmConfig, LoadedCell, load_cell, with_pacing, with_sync_period
-from gateway.check.proofs import ensure_proven, proven_on
-from gateway.commands.shared_options import reserve
-from gateway.data.labels import BARE_LABEL
 from gateway.errors import PlanRefused, WrongPlace
-from gateway.motion.opening import BusOverride, OpenArm, axis_setups, frame_log_watched
+from gateway.model.arm_model import arm_robot
+from gateway.motion.opening import BusOverride, OpenArm, axis_setups, open_arm
 from gateway.motion.stream import MoveOptions
+from gateway.motion.workspace import workspace_of
 from gateway.pair.gap import instruments_on
 from gateway.preflight.drive_check import check_arm, judge_bus_load
 from gateway.preflight.limits import MOVE_HOME
@@ -40,12 +39,6 @@ SLOWEST_MOVING_SYNC_S: Final = 0.01
 LEDGER: Final = "ledger.json"
 #: Object of the interpolation period.
 INTERPOLATION: Final = 0x60C2
-#: What the question before motion says of the proof of the stop, if there is none, or one that may be void.
-FIRST_PROOF: Final = " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
-PROOF_IF_VOID: Final = (
-    " If a drive or one of its settings was changed since the proof of its stop, the master's heartbeat is first"
-    " stopped on purpose to prove it again."
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +52,8 @@ class CellContext:
         The cell file.
     specs : mapping
         Bus of every name in the cell, after the overrides.
+    lock : callable
+        Locks a bus against other commands on this computer until the running command ends.
     options : tuple of str
         Bus and pacing options as typed, for a proposed command.
     sync_period_s : float or None
@@ -68,6 +63,7 @@ class CellContext:
     loaded: LoadedCell
     path: Path
     specs: Mapping[str, BusSpec]
+    lock: Callable[[BusSpec], None]
     options: tuple[str, ...] = ()
     sync_period_s: float | None = None
 
@@ -75,30 +71,6 @@ class CellContext:
     def arms(self) -> tuple[ArmConfig, ...]:
         """Arms of the cell."""
         return self.loaded.cell.arm
-
-    @property
-    def grippers(self) -> str:
-        """Additional question before one arm of a pair moves alone; empty for a single arm."""
-        return "" if self.loaded.cell.pair is None else " Are both grippers open?"
-
-    def before_motion(self, arm: ArmConfig, load: str | None = None, opened: OpenArm | None = None) -> str:
-        """Return what the question before motion adds; from now on no other command may use the bus of the arm.
-
-        Parameters
-        ----------
-        arm : ArmConfig
-        load : str, optional
-            Label of the first load to be measured: of the unloaded arm the flange has to be empty.
-        opened : OpenArm, optional
-            If its drives are read already, it is known whether their stop is proven.
-        """
-        self.reserve(arm)
-        text = FIRST_PROOF
-        if opened is not None and proven_on(self.stop_proof(arm), opened) is not None:
-            text = ""
-        elif opened is None and self.stop_proof(arm).exists():
-            text = PROOF_IF_VOID
-        return text + self.grippers + (" Is the flange empty?" if load == BARE_LABEL else "")
 
     def bus_spec(self, arm: ArmConfig) -> BusSpec:
         """The bus of an arm."""
@@ -111,7 +83,7 @@ class CellContext:
 
     def reserve(self, arm: ArmConfig) -> None:
         """Lock the bus of an arm until the command ends: before the first question about the arm."""
-        reserve(self.bus_spec(arm))
+        self.lock(self.bus_spec(arm))
 
     def profiles(self, arm: ArmConfig) -> tuple[DriveProfile, ...]:
         """Drive profiles of the axes."""
@@ -142,7 +114,8 @@ class CellContext:
         return _state_folder() / LEDGER
 
     def check(self, arm: ArmConfig) -> list[Finding]:
-        """Run the pre-flight check of an arm: connection and drives. Nothing is written."""
+        """Run the pre-flight check of an arm: limits of cell and robot, connection and drives. Nothing is written."""
+        workspace_of(arm, arm_robot(self.loaded, arm))
         return self.surroundings(arm) + self.check_drives(arm)
 
     def check_drives(self, arm: ArmConfig) -> list[Finding]:
@@ -200,15 +173,6 @@ class CellContext:
         folder.mkdir(parents=True, exist_ok=True)
         return folder / "".join(part if part.isalnum() or part in "-_." else "_" for part in name)
 
-    def proven(self, opened: OpenArm, say: Callable[[str], None], options: MoveOptions) -> MoveOptions:
-        """`ensure_proven`, with a black box where the proof is still to be made; the frame log is watched."""
-        options.desk.watch(frame_log_watched(opened))
-        path = self.stop_proof(opened.config)
-        with ExitStack() as stack:
-            if proven_on(path, opened) is None:
-                stack.enter_context(self.last_seconds(options, opened))
-            return ensure_proven(opened, path, say, options)
-
     @contextmanager
     def last_seconds(self, options: MoveOptions, *opened: OpenArm) -> Generator[None]:
         """Keep the last seconds of every arm while open; on failure they are stored beside the ledger."""
@@ -216,11 +180,6 @@ class CellContext:
             for each in opened:
                 stack.enter_context(last_seconds(each, _state_folder(), options.observers))
             yield
-
-    def override(self, arm: ArmConfig, trace: Path | None = None) -> BusOverride:
-        """Return the overrides for the bus of an arm; until the command ends no other command may use it."""
-        self.reserve(arm)
-        return BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger)
 
     @contextmanager
     def with_move_command(self) -> Generator[None]:
@@ -235,6 +194,23 @@ class CellContext:
         """Return the command that moves an arm to a posture."""
         named = ["--arm", arm] if len(self.arms) > 1 else []
         return shlex.join(["servo-gateway", "move", str(self.path), *named, *self.options, "--to", to])
+
+    @contextmanager
+    def opened(self, arm: ArmConfig, *, trace: Path | None = None, feedforward: bool = False) -> Generator[OpenArm]:
+        """Open an arm to move it, as `open_arm`; no other command may use its bus until the command ends.
+
+        Parameters
+        ----------
+        arm : ArmConfig
+        trace : Path, optional
+            File of the frame log.
+        feedforward : bool
+            Use velocity and torque offsets of the drives.
+        """
+        self.reserve(arm)
+        override = BusOverride(spec=self.bus_spec(arm), trace=trace, ledger=self.ledger, feedforward=feedforward)
+        with self.with_move_command(), open_arm(self.loaded, override, arm.name) as opened:
+            yield opened
 
     @contextmanager
     def connected(self, arm: ArmConfig) -> Generator[DriveGroup]:
@@ -275,7 +251,9 @@ def _state_folder() -> Path:
     return (Path(base) if base else Path.home() / ".local" / "state") / "servo-gateway"
 
 
-def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> CellContext:
+def open_cell(
+    path: Path, bus_spec: str | None, lock: Callable[[BusSpec], None], pacing: str | None = None
+) -> CellContext:
     """Read a cell file; `bus_spec` replaces buses as `bus_specs` says, `pacing` that of every bus.
 
     Raises
@@ -286,7 +264,7 @@ def open_cell(path: Path, bus_spec: str | None, pacing: str | None = None) -> Ce
         The SPEC is not understood.
     """
     loaded = with_pacing(load_cell(path), pacing)
-    return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec), typed_options(bus_spec, pacing))
+    return CellContext(loaded, path, bus_specs(loaded.cell, bus_spec), lock, typed_options(bus_spec, pacing))
 
 
 def typed_options(bus_spec: str | None, pacing: str | None) -> tuple[str, ...]:

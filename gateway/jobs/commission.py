@@ -6,7 +6,7 @@ that prompt. All data is stored in one file, which is consistent after each visi
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +17,7 @@ import numpy as np
 from gateway.acquire.goto import LOADING, Destination, destination, plan_transfer
 from gateway.acquire.plan import SIDES, Plan, check_plan, plan_poses
 from gateway.acquire.requested_poses import postures_to_ask
-from gateway.acquire.session import RecordRequest, make_plan, open_arm
+from gateway.acquire.session import RecordRequest, make_plan
 from gateway.acquire.thermal import Block, Thermal, blocks_of, bracket_of, warm_up
 from gateway.acquire.until.goal import Goal
 from gateway.acquire.until.messages import end_of
@@ -25,8 +25,6 @@ from gateway.acquire.until.prepare import UntilRequest, search_of
 from gateway.acquire.until.run import UntilSummary
 from gateway.acquire.until.search import LoadSearch, decide
 from gateway.cell.config import ArmConfig
-from gateway.commands.cell_context import CellContext
-from gateway.commands.motion_options import SLOW_PERCENT
 from gateway.data.recording.reader import read
 from gateway.data.recording.recorded import ArmRecording, Recording
 from gateway.data.rest_pose import RestPose
@@ -37,6 +35,9 @@ from gateway.errors import PlanRefused
 from gateway.estimate import run as estimate_run
 from gateway.identify.drift import drift_findings, drift_of
 from gateway.identify.prior_loads import BARE_LABEL
+from gateway.jobs import SLOW_PERCENT
+from gateway.jobs.cell_context import CellContext
+from gateway.jobs.frame import ask_to_move, begin_motion, flange_question
 from gateway.model.arm_model import arm_robot
 from gateway.model.visits import pair_visits
 from gateway.motion.opening import OpenArm
@@ -64,11 +65,19 @@ class Dialogue(Protocol):
         ...
 
     def planned(self, plan: Plan) -> None:
-        """Show the chosen poses and ask for permission to move."""
+        """Show the chosen poses."""
+        ...
+
+    def ask(self, question: str, meanwhile: Callable[[], None]) -> None:
+        """Ask for permission to move, as `gateway.jobs.frame.Ask`."""
+        ...
+
+    def announced(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
+        """Announce a posture to move to."""
         ...
 
     def bring(self, opened: OpenArm, target: Destination, plan: Plan, options: MoveOptions) -> None:
-        """Announce the target, ask for permission, and move there."""
+        """Move to an announced posture."""
         ...
 
     def mount(self, label: str, opened: OpenArm) -> None:
@@ -210,8 +219,9 @@ def _measuring(job: Job, dialogue: Dialogue) -> Generator[_Robot]:
         destination(job.arm, workspace_of(job.arm, arm_robot(job.context.loaded, job.arm)), LOADING)
     plan = make_plan(job.context.loaded, seed=job.pose_seed, arm=job.arm.name)
     dialogue.planned(plan)
-    with open_arm(job.context.loaded, job.context.override(job.arm), job.arm.name) as opened:
-        options = job.context.proven(opened, dialogue.say, job.options)
+    also = flange_question(BARE_LABEL if job.begins_bare else None)
+    with job.context.opened(job.arm) as opened:
+        options = begin_motion(job.context, (opened,), job.options, dialogue.ask, dialogue.say, also=also)
         robot = _Robot(replace(job, options=options), dialogue, opened, plan)
         robot.warm_up()
         for block in job.blocks(robot.fit_poses):
@@ -303,6 +313,8 @@ class _Robot:
             self._dialogue.say(f"the arm stays at its current posture, mount the load there: {refused}")
             return
         slow = replace(job.options, override=min(job.options.override, SLOW_PERCENT / 100.0))
+        self._dialogue.announced(opened, target, plan, slow)
+        ask_to_move(job.context, (opened,), self._dialogue.ask, f"will move to {target}")
         with job.context.last_seconds(slow, opened):
             self._dialogue.bring(opened, target, plan, slow)
         self._job = replace(job, options=replace(job.options, first_done=None))

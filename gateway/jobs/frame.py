@@ -1,0 +1,142 @@
+"""The frame of every command that moves arms, from the opened drives to the options of the first motion.
+
+Every such command locks the bus and opens the drives (`CellContext.opened`, `pair.link.open_link`), and then calls
+`begin_motion`: the gate reads every drive, a person is asked about what will happen, the stop of the drives is proven,
+and the first motion with these drives is slow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Final, Literal
+
+from gateway.check.proofs import first_motion_pending, note_motion, prove_now, proven_on, require_proven
+from gateway.data.labels import BARE_LABEL
+from gateway.jobs.cell_context import CellContext
+from gateway.motion.holdtorun import with_held_input
+from gateway.motion.opening import OpenArm, frame_log_watched
+from gateway.motion.stream import FIRST_SHARE, MoveOptions
+
+#: What the question before motion says of the proof of the stop, where it will be made.
+FIRST_PROOF: Final = " First, the master's heartbeat is stopped on purpose to prove that the drives stop."
+#: What an error at the question adds: the drives are configured by then.
+NOT_STARTED: Final = (
+    "By this command nothing has moved since the question; the drives keep the settings that were written for this"
+    " motion until `servo-gateway restore CELL`."
+)
+#: What the question says where two arms have drives that have not moved yet.
+FIRST_MOTION: Final = (
+    " These drives move for the first time, so that this command moves them at {share:.0%} of the speed (not so after"
+    " `check --move` with open grippers)."
+)
+#: Asks a person whether arms may move, and raises where the answer is no. The second argument is called again and again
+#: until the answer is given, and raises what has changed.
+Ask = Callable[[str, Callable[[], None]], None]
+
+
+def flange_question(load: str | None) -> str:
+    """Return what the question adds where the first load to be measured is that of the unloaded arm."""
+    return " Is the flange empty?" if load == BARE_LABEL else ""
+
+
+def ask_to_move(context: CellContext, opened: Sequence[OpenArm], ask: Ask, what: str, also: str = "") -> None:
+    """Ask whether arms may move, after every drive was read; the drives are read further until the answer.
+
+    Parameters
+    ----------
+    context : CellContext
+    opened : sequence of OpenArm
+    ask : Ask
+    what : str
+        What the arms will do, after their names.
+    also : str
+        Further sentences and questions, each with a space before it.
+
+    Raises
+    ------
+    DriveError, SeveralFailures
+        An arm is not safe to approach.
+    """
+    for each in opened:
+        each.group.gate(full=True).require_approach()
+
+    def attend() -> None:
+        for each in opened:
+            each.group.attend()
+
+    names = " and ".join(f"'{each.config.name}'" for each in opened)
+    arms = f"Arm {names}" if len(opened) == 1 else f"Arms {names}"
+    # one arm of a pair moves alone only where no part holds it
+    grippers = " Are both grippers open?" if len(opened) == 1 and context.loaded.cell.pair is not None else ""
+    where = f"of cell '{context.loaded.cell.name}'"
+    try:
+        ask(f"{arms} {where} {what}.{also}{grippers} Is the area clear of people?", attend)
+    except BaseException as error:
+        error.add_note(NOT_STARTED)
+        raise
+
+
+def begin_motion(
+    context: CellContext,
+    opened: Sequence[OpenArm],
+    options: MoveOptions,
+    ask: Ask,
+    say: Callable[[str], None],
+    *,
+    what: str = "will move",
+    also: str = "",
+    proof: Literal["made", "stored", "own"] = "made",
+) -> MoveOptions:
+    """Ask whether arms may move, prove the stop of their drives, and return the options of their motions.
+
+    Parameters
+    ----------
+    context : CellContext
+    opened : sequence of OpenArm
+        Connected and configured, brakes on.
+    options : MoveOptions
+    ask : Ask
+    say : callable
+        Shows a remark.
+    what, also
+        As `ask_to_move`.
+    proof : str
+        'made': the stop of the drives is proven first, unless a proof is stored that is valid. 'stored': without one
+        nothing moves, because two arms hold one part. 'own': the command itself proves the stop, and says so in `what`.
+
+    Raises
+    ------
+    FindingFailed
+        A drive does not stop on loss of the master, or that is not proven.
+    DriveError, SeveralFailures, PlanRefused, KeyboardInterrupt
+        As `ask_to_move` and `prove_now`.
+    """
+    paths = [context.stop_proof(each.config) for each in opened]
+    new = [(path, each) for path, each in zip(paths, opened, strict=True) if first_motion_pending(path, each)]
+    for path, each in zip(paths, opened, strict=True):
+        if proof == "stored":
+            require_proven(each, path, options.override)
+        elif proof == "made" and proven_on(path, each, options.override) is None:
+            also = FIRST_PROOF + also
+    if proof == "stored" and new:  # no short motion tries two arms that hold a part: the whole command is slow
+        options = replace(options, override=min(FIRST_SHARE, options.override))
+        also = FIRST_MOTION.format(share=options.override) + also
+    ask_to_move(context, opened, ask, what, also)
+    for each in opened:
+        options = with_held_input(each, options)
+        options.desk.watch(frame_log_watched(each))
+    if proof == "made":
+        for path, each in zip(paths, opened, strict=True):
+            proven = proven_on(path, each, options.override)
+            if proven is not None:
+                say(f"drives stop on loss of the master: proven {proven}")
+                continue
+            with context.last_seconds(options, each):
+                prove_now(each, path, say, options)
+
+    def note() -> None:
+        for path, each in new:
+            note_motion(path, each)
+
+    return replace(options, first_done=note) if new else options

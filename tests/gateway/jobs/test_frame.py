@@ -1,0 +1,51 @@
+"""Between opened drives and their first motion: the gate, the question, and what happens until it is answered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+
+from drives.errors import DriveFault, DriveRebooted
+from gateway.jobs.frame import ask_to_move
+from tests.support.rigs.brakes import in_brakes
+
+
+def arm(name, gate=in_brakes, attend=lambda: None):
+    return SimpleNamespace(config=SimpleNamespace(name=name), group=SimpleNamespace(gate=gate, attend=attend))
+
+
+def context(pair=None):
+    return SimpleNamespace(loaded=SimpleNamespace(cell=SimpleNamespace(name="both", pair=pair)))
+
+
+@pytest.mark.parametrize(
+    ("arms", "pair", "question"),
+    [
+        (["one"], None, "Arm 'one' of cell 'both' will move. Is the area clear of people?"),
+        (["one"], "a pair", "Arm 'one' of cell 'both' will move. Are both grippers open? Is the area clear of people?"),
+        (["one", "two"], "a pair", "Arms 'one' and 'two' of cell 'both' will move. Is the area clear of people?"),
+    ],
+)
+def test_an_arm_of_a_pair_moves_alone_with_open_grippers_only(arms, pair, question):
+    asked = []
+    ask_to_move(context(pair), [arm(name) for name in arms], lambda text, _meanwhile: asked.append(text), "will move")
+    assert asked == [question]
+
+
+def test_no_person_is_asked_about_an_arm_that_is_not_safe_to_approach():
+    def faulty(*, full):
+        (drive,) = in_brakes(full=full).drives
+        return replace(in_brakes(full=full), drives=(replace(drive, failure=DriveFault("is energised", node=1)),))
+
+    with pytest.raises(DriveFault, match="is energised"):
+        ask_to_move(context(), [arm("one"), arm("two", faulty)], pytest.fail, "will move")
+
+
+def test_a_change_of_any_arm_ends_the_question():
+    def rebooted():
+        raise DriveRebooted("restarted", node=1)
+
+    with pytest.raises(DriveRebooted):
+        ask_to_move(context(), [arm("one"), arm("two", attend=rebooted)], lambda _text, meanwhile: meanwhile(), "move")
